@@ -1,0 +1,269 @@
+"""The paper's equations of motion: Cartesian coordinates, Euler parameters, Lagrange multipliers.
+
+Equation (21), body 1 (the ground) left out:
+
+    | M      B^T |            | g - b                                     |
+    | P      0   | | qddot  | | -c                                        |
+    |            | |        | =
+    | Phi_q  0   | | -lambda| | gamma - K_D (Phi_q qdot) - K_P Phi(q)     |
+
+with q = (r, p) of each body. Two terms go beyond the printed equation, as the list of errata says:
+the Euler-parameter rows are stabilised like the others (erratum 11), and the ground takes no part
+(erratum 4), which leaves 42 coordinates, 34 + 6 constraints and 2 degrees of freedom of the tracker.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from newton_euler.constraints import Frame
+from newton_euler.errors import SingularityError
+from newton_euler.euler_parameters import matrix_g, matrix_l, rotation
+from newton_euler.scalars import Array, cross, zeros
+from newton_euler.scene import Scene
+from newton_euler.solve import minimum_norm, orthonormal_null, rank
+from newton_euler.state import Evaluation, State, admissible_projector, energies
+
+
+class Cartesian:
+    """Cartesian formulation of a scene. State: q (7 n,), qdot (7 n,) of the n moving bodies."""
+
+    name = "cartesian"
+
+    def __init__(self, scene: Scene, alpha: float = 0.0) -> None:
+        """Baumgarte gains are K_D = 2 alpha, K_P = alpha^2 (Appendix B); none for alpha = 0."""
+        self.scene = scene
+        self.mechanism = scene.mechanism
+        self.equations = scene.mechanism.equations
+        self.bodies = scene.mechanism.bodies[1:]
+        self.nq = self.nv = 7 * len(self.bodies)
+        self.rows = sum(equations.count for equations in self.equations)
+        self.damping, self.stiffness = 2.0 * alpha, alpha * alpha
+        self.actuated = [
+            self.equations[scene.mechanism.joint_index(law.joint)] for law in scene.control
+        ]
+        q, v = self.coordinates(scene.initial_state)
+        jacobian = self.phi_jacobian(q)
+        self.redundant = rank(jacobian) < len(jacobian)
+
+    # Bodies
+
+    def split(self, q: Array) -> list[tuple[Array, Array]]:
+        """(r, p) of each moving body, or their rates."""
+        return [(q[k : k + 3], q[k + 3 : k + 7]) for k in range(0, self.nq, 7)]
+
+    def frames(self, q: Array, qdot: Array) -> list[Frame]:
+        """Frames of all bodies: R = G L^T, eq. (3), and omega = 2 G pdot."""
+        ground = self.mechanism.bodies[0]
+        frames = [Frame(ground.center_of_mass, np.eye(3), np.zeros(3), np.zeros(3))]
+        for (r, p), (rdot, pdot) in zip(self.split(q), self.split(qdot), strict=True):
+            frames.append(Frame(r, rotation(p), rdot, 2.0 * matrix_g(p) @ pdot))
+        return frames
+
+    # The blocks of equation (21)
+
+    def mass_matrix(self, q: Array) -> Array:
+        """M (6 n, 7 n): N_i and 2 J' L_i on its diagonal."""
+        mass = zeros((6 * len(self.bodies), self.nq), q)
+        for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
+            mass[6 * k : 6 * k + 3, 7 * k : 7 * k + 3] = body.mass * np.eye(3)
+            mass[6 * k + 3 : 6 * k + 6, 7 * k + 3 : 7 * k + 7] = 2.0 * body.inertia @ matrix_l(p)
+        return mass
+
+    def velocity_terms(self, q: Array, qdot: Array) -> Array:
+        """b (6 n,): 0 and L_i H_i pdot_i with H = 4 Ldot^T J' L, eqs (13) and (14)."""
+        b = []
+        for body, (_, p), (_, pdot) in zip(self.bodies, self.split(q), self.split(qdot), strict=True):
+            h = 4.0 * matrix_l(pdot).T @ body.inertia @ matrix_l(p)
+            b.append(np.concatenate([np.zeros(3), matrix_l(p) @ h @ pdot]))
+        return np.concatenate(b)
+
+    def applied(self, frames: list[Frame]) -> tuple[Array, Array]:
+        """Actuator forces (a,), and g (6 n,): f_i in the world and n'_i in the body, eq. (24)."""
+        wrenches = [np.concatenate([b.mass * self.scene.gravity, np.zeros(3)]) for b in self.mechanism.bodies]
+        forces = []
+        for law, joint in zip(self.scene.control, self.actuated, strict=True):
+            first, second = frames[joint.first], frames[joint.second]
+            coordinate = joint.coordinates[law.coordinate]
+            r_i, theta_i, r_j, theta_j = (block[0] for block in coordinate.jacobian(first, second))
+            rate = (
+                r_i @ first.velocity
+                + theta_i @ first.angular_velocity
+                + r_j @ second.velocity
+                + theta_j @ second.angular_velocity
+            )
+            u = law.force(coordinate.phi(first, second)[0], rate)
+            wrenches[joint.first] = wrenches[joint.first] + u * np.concatenate([r_i, theta_i])
+            wrenches[joint.second] = wrenches[joint.second] + u * np.concatenate([r_j, theta_j])
+            forces.append(u)
+        g = [
+            np.concatenate([wrench[:3], frame.rotation.T @ wrench[3:]])
+            for wrench, frame in zip(wrenches[1:], frames[1:], strict=True)
+        ]
+        return np.array(forces), np.concatenate(g)
+
+    def joint_phi(self, frames: list[Frame]) -> Array:
+        """Phi(q) (k,), eq. (4)."""
+        return np.concatenate([e.phi(frames[e.first], frames[e.second]) for e in self.equations])
+
+    def joint_gamma(self, frames: list[Frame]) -> Array:
+        """gamma (k,), eq. (5)."""
+        return np.concatenate([e.gamma(frames[e.first], frames[e.second]) for e in self.equations])
+
+    def joint_jacobian(self, q: Array, frames: list[Frame]) -> tuple[Array, Array]:
+        """Phi_q (k, 7 n) and B (k, 6 n).
+
+        Phi_p = 2 Phi_theta G, since delta theta = 2 G delta p. It makes the paper's
+        B = [Phi_r, 1/2 Phi_p L^T] equal to [Phi_r, Phi_theta R], with no product to work out,
+        because G L^T = R.
+        """
+        phi_q, b = zeros((self.rows, self.nq), q), zeros((self.rows, 6 * len(self.bodies)), q)
+        row = 0
+        for e in self.equations:
+            rows = slice(row, row + e.count)
+            row += e.count
+            r_i, theta_i, r_j, theta_j = e.jacobian(frames[e.first], frames[e.second])
+            for body, phi_r, phi_theta in ((e.first, r_i, theta_i), (e.second, r_j, theta_j)):
+                if body == 0:
+                    continue
+                k = body - 1
+                p = q[7 * k + 3 : 7 * k + 7]
+                phi_q[rows, 7 * k : 7 * k + 3] = phi_r
+                phi_q[rows, 7 * k + 3 : 7 * k + 7] = 2.0 * phi_theta @ matrix_g(p)
+                b[rows, 6 * k : 6 * k + 3] = phi_r
+                b[rows, 6 * k + 3 : 6 * k + 6] = phi_theta @ frames[body].rotation
+        return phi_q, b
+
+    def norm_terms(self, q: Array, qdot: Array) -> tuple[Array, Array, Array]:
+        """1/2 (p^T p - 1) (n,), its Jacobian P (n, 7 n) and c = pdot^T pdot (n,), eqs (1) and (2)."""
+        residual, p_matrix, c = [], zeros((len(self.bodies), self.nq), q), []
+        for k, ((_, p), (_, pdot)) in enumerate(zip(self.split(q), self.split(qdot), strict=True)):
+            residual.append(0.5 * (p @ p - 1.0))
+            p_matrix[k, 7 * k + 3 : 7 * k + 7] = p
+            c.append(pdot @ pdot)
+        return np.array(residual), p_matrix, np.array(c)
+
+    def system(self, q: Array, qdot: Array) -> tuple[Array, Array]:
+        """Matrix and right side of equation (21); its unknowns are (qddot, -lambda)."""
+        frames = self.frames(q, qdot)
+        mass, velocity = self.mass_matrix(q), self.velocity_terms(q, qdot)
+        g = self.applied(frames)[1]
+        phi, gamma = self.joint_phi(frames), self.joint_gamma(frames)
+        phi_q, b = self.joint_jacobian(q, frames)
+        norm, p_matrix, c = self.norm_terms(q, qdot)
+        matrix = zeros((self.nq + self.rows, self.nq + self.rows), q)
+        n6, n7 = len(mass), self.nq
+        matrix[:n6, :n7], matrix[:n6, n7:] = mass, b.T
+        matrix[n6:n7, :n7] = p_matrix
+        matrix[n7:, :n7] = phi_q
+        right = np.concatenate(
+            [
+                g - velocity,
+                -c - self.damping * (p_matrix @ qdot) - self.stiffness * norm,
+                gamma - self.damping * (phi_q @ qdot) - self.stiffness * phi,
+            ]
+        )
+        return matrix, right
+
+    def solve(self, q: Array, qdot: Array) -> tuple[Array, Array]:
+        """qddot (7 n,) and lambda (k,); lambda is the smallest one where constraints are redundant."""
+        matrix, right = self.system(q, qdot)
+        if self.redundant:
+            unknowns = minimum_norm(matrix, right)
+        else:
+            try:
+                unknowns = np.linalg.solve(matrix, right)
+            except np.linalg.LinAlgError as error:
+                raise SingularityError(self._weakest_joint(q), f"{error} in equation (21)") from error
+        return unknowns[: self.nq], -unknowns[self.nq :]
+
+    def _weakest_joint(self, q: Array) -> str:
+        """Name of the joint that weighs most in the dependent combination of constraint rows."""
+        frames = self.frames(q, np.zeros(self.nq))
+        left = np.linalg.svd(self.joint_jacobian(q, frames)[1])[0][:, -1]
+        owners = np.repeat(np.arange(len(self.equations)), [e.count for e in self.equations])
+        weights = np.bincount(owners, weights=left**2, minlength=len(self.equations))
+        return self.mechanism.joint_names[int(np.argmax(weights))]
+
+    # What integrators, projection and assembly ask for
+
+    def rate(self, q: Array, v: Array) -> Array:
+        """qdot: the velocities of this formulation are the rates of its coordinates."""
+        return v
+
+    def acceleration(self, q: Array, v: Array) -> Array:
+        """qddot (7 n,)."""
+        return self.solve(q, v)[0]
+
+    def phi(self, q: Array) -> Array:
+        """All residuals: Phi(q) and 1/2 (p^T p - 1)."""
+        zero = np.zeros(self.nq)
+        return np.concatenate([self.joint_phi(self.frames(q, zero)), self.norm_terms(q, zero)[0]])
+
+    def phi_jacobian(self, q: Array) -> Array:
+        """Derivative of `phi` by q."""
+        zero = np.zeros(self.nq)
+        phi_q, _ = self.joint_jacobian(q, self.frames(q, zero))
+        return np.concatenate([phi_q, self.norm_terms(q, zero)[1]])
+
+    def retract(self, q: Array, step: Array) -> Array:
+        """q + step."""
+        return q + step
+
+    # Between this formulation's coordinates and what everybody understands
+
+    def coordinates(self, state: State) -> tuple[Array, Array]:
+        """q and qdot of a state: pdot = 1/2 G^T omega."""
+        q, v = [], []
+        for k in range(1, len(self.mechanism.bodies)):
+            p = state.quaternion[k]
+            q.extend([state.position[k], p])
+            v.extend([state.linear_velocity[k], 0.5 * matrix_g(p).T @ state.angular_velocity[k]])
+        return np.concatenate(q), np.concatenate(v)
+
+    def state(self, q: Array, v: Array) -> State:
+        """Body poses and velocities; Euler parameters as they are, not normalised."""
+        frames = self.frames(q, v)
+        return State(
+            np.array([frame.position for frame in frames]),
+            np.array([self.mechanism.bodies[0].quaternion, *(p for _, p in self.split(q))]),
+            np.array([frame.velocity for frame in frames]),
+            np.array([frame.angular_velocity for frame in frames]),
+        )
+
+    def evaluate(self, q: Array, v: Array) -> Evaluation:
+        """Accelerations, reactions, energies and admissible velocities at a state."""
+        frames = self.frames(q, v)
+        qddot, multipliers = self.solve(q, v)
+        ground = [np.zeros(3)]
+        linear = ground + [rddot for rddot, _ in self.split(qddot)]
+        angular = ground + [
+            2.0 * matrix_g(p) @ pddot  # omega-dot = 2 G pddot, because Gdot pdot = 0
+            for (_, p), (_, pddot) in zip(self.split(q), self.split(qddot), strict=True)
+        ]
+        forces, torques, row = [], [], 0
+        for e in self.equations:
+            blocks = e.jacobian(frames[e.first], frames[e.second])
+            share = multipliers[row : row + e.count]
+            row += e.count
+            force, torque = blocks.r_second.T @ share, blocks.theta_second.T @ share  # eq. (17)
+            pose = self.mechanism.bodies[e.second].pose
+            s = frames[e.second].rotation @ pose.point_to_body(e.joint.reaction_point)
+            forces.append(force)
+            torques.append(torque - cross(s, force))
+        free = orthonormal_null(self.phi_jacobian(q))
+        velocities = np.zeros((6 * len(frames), free.shape[1]))
+        for k, (_, p) in enumerate(self.split(q)):
+            velocities[6 * k + 6 : 6 * k + 9] = free[7 * k : 7 * k + 3]
+            velocities[6 * k + 9 : 6 * k + 12] = 2.0 * matrix_g(p) @ free[7 * k + 3 : 7 * k + 7]
+        state = self.state(q, v)
+        return Evaluation(
+            state,
+            np.array(linear),
+            np.array(angular),
+            np.array(forces),
+            np.array(torques),
+            self.applied(frames)[0],
+            *energies(self.scene, state),
+            admissible_projector(self.mechanism, velocities),
+        )

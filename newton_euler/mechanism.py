@@ -1,0 +1,244 @@
+"""Body and Mechanism: the one description that every engine's model is built from.
+
+Everything is given in the world frame at one initial pose, in SI units. The frame of a body has
+its origin at the centre of mass, as in the paper, and the orientation `Body.quaternion`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from newton_euler.constraints import Frame
+from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.euler_parameters import rotation
+from newton_euler.joints import Joint, JointEquations, Pose
+from newton_euler.scalars import Array
+from newton_euler.shapes import Capsule, Shape
+
+CLOSURE_TOLERANCE = 1e-9
+"""How far (metres or radians) a joint may be open at an initial pose."""
+
+UNIT_TOLERANCE = 1e-9
+"""How far from 1 the norm of a quaternion may be."""
+
+REALISABLE_TOLERANCE = 1e-12
+"""Relative slack of A + B >= C, for the round-off of an eigenvalue."""
+
+_NAME = re.compile(r"[A-Za-z0-9_.\-]+")
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid body.
+
+    Attributes:
+        name: unique in its mechanism; letters, digits, `_`, `.` and `-`.
+        mass: kg.
+        center_of_mass: (3,) r, world at the initial pose, m.
+        inertia: (3, 3) J' about the centre of mass in the body frame, kg m^2.
+        quaternion: (4,) p, w-x-y-z, orientation of the body frame at the initial pose.
+        shapes: what it looks like; bars from the centre of mass to the joints if empty.
+        allow_unrealisable_inertia: accept principal moments that break A + B >= C, which no mass
+            distribution has, so that a published table can be run as printed.
+    """
+
+    name: str
+    mass: float
+    center_of_mass: Array
+    inertia: Array
+    quaternion: Array = (1.0, 0.0, 0.0, 0.0)  # type: ignore[assignment]
+    shapes: tuple[Shape, ...] = ()
+    allow_unrealisable_inertia: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
+            raise MechanismError(
+                f"body {self.name!r}", "has an unusable name", "letters, digits, _, . and - only"
+            )
+        for name, shape in (
+            ("mass", ()),
+            ("center_of_mass", (3,)),
+            ("inertia", (3, 3)),
+            ("quaternion", (4,)),
+        ):
+            raw = getattr(self, name)
+            try:
+                value = np.array(raw, dtype=float)
+            except (TypeError, ValueError):
+                value = np.zeros((0, 0))
+            if value.shape != shape or not np.all(np.isfinite(value)):
+                count = int(np.prod(shape))
+                needed = "a finite number" if not shape else f"{count} finite numbers, shape {shape}"
+                raise MechanismError(f"body {self.name!r}", f"{name} is {raw!r}", needed)
+            value.flags.writeable = False
+            object.__setattr__(self, name, value if shape else float(value))
+
+    @classmethod
+    def ground(cls, name: str = "ground", shapes: tuple[Shape, ...] = ()) -> Body:
+        """The fixed body of a mechanism: the world frame itself. Its mass counts for nothing."""
+        return cls(name, 0.0, np.zeros(3), np.zeros((3, 3)), shapes=shapes)
+
+    def check(self) -> None:
+        """Raise `MechanismError` unless a moving rigid body can have these values."""
+        where = f"body {self.name!r}"
+        if self.mass <= 0.0:
+            raise MechanismError(where, f"mass is {self.mass:g} kg", "a positive mass")
+        scale = float(np.max(np.abs(self.inertia)))
+        asymmetry = float(np.max(np.abs(self.inertia - self.inertia.T)))
+        if asymmetry > 1e-12 * scale:
+            raise MechanismError(
+                where, f"inertia differs from its transpose by {asymmetry:.3g} kg m^2", "a symmetric inertia"
+            )
+        a, b, c = (float(x) for x in np.linalg.eigvalsh(self.inertia))
+        moments = f"principal moments are {a:.6g}, {b:.6g}, {c:.6g} kg m^2"
+        if a <= 0.0:
+            raise MechanismError(where, moments, "a positive definite inertia")
+        if a + b < c * (1.0 - REALISABLE_TOLERANCE) and not self.allow_unrealisable_inertia:
+            raise MechanismError(
+                where, moments, "a realisable inertia, the two smaller adding up to the largest at least"
+            )
+
+    @property
+    def pose(self) -> Pose:
+        """The body's frame at the initial pose."""
+        return Pose(self.center_of_mass, rotation(self.quaternion))
+
+
+class Mechanism:
+    """Bodies and the joints between them; validated on construction.
+
+    Attributes:
+        bodies: `bodies[0]` is the ground; it never moves.
+        joints: in the order in which constraint rows and reactions are listed.
+    """
+
+    def __init__(self, bodies: Iterable[Body], joints: Iterable[Joint]) -> None:
+        self.bodies = tuple(bodies)
+        self.joints = tuple(joints)
+        if len(self.bodies) < 2:
+            raise MechanismError(
+                "mechanism", f"has {len(self.bodies)} bodies", "the ground and at least one more"
+            )
+        for what, elements in (("body", self.bodies), ("joint", self.joints)):
+            names = [element.name for element in elements]
+            for name in names:
+                if names.count(name) > 1:
+                    raise MechanismError(
+                        f"{what} {name!r}", f"{names.count(name)} of that name", "unique names"
+                    )
+        for body in self.bodies:
+            norm = float(np.linalg.norm(body.quaternion))
+            if abs(norm - 1.0) > UNIT_TOLERANCE:
+                raise MechanismError(
+                    f"body {body.name!r}", f"quaternion has norm {norm:.9g}", "a unit quaternion, w-x-y-z"
+                )
+        for body in self.bodies[1:]:
+            body.check()
+        self._check_joints()
+
+    def _check_joints(self) -> None:
+        names = self.body_names
+        for joint in self.joints:
+            where = f"joint {joint.name!r}"
+            if not isinstance(joint.name, str) or not _NAME.fullmatch(joint.name):
+                raise MechanismError(where, "has an unusable name", "letters, digits, _, . and - only")
+            for body in (joint.first, joint.second):
+                if body not in names:
+                    raise MechanismError(
+                        where, f"connects an unknown body {body!r}", f"one of {', '.join(names)}"
+                    )
+            if joint.first == joint.second:
+                raise MechanismError(where, f"connects {joint.first!r} to itself", "two bodies")
+        reached, grown = {names[0]}, True
+        while grown:
+            grown = False
+            for joint in self.joints:
+                if (joint.first in reached) != (joint.second in reached):
+                    reached |= {joint.first, joint.second}
+                    grown = True
+        for name in names:
+            if name not in reached:
+                raise MechanismError(
+                    f"body {name!r}", "no joint leads to it from the ground", "a joint, `free` if it floats"
+                )
+        frames = [
+            Frame(body.center_of_mass, rotation(body.quaternion), np.zeros(3), np.zeros(3))
+            for body in self.bodies
+        ]
+        self.check_closed(frames, "at the initial pose")
+
+    def check_closed(self, frames: list[Frame], when: str) -> None:
+        """Raise `MechanismError` for the first joint open by more than `CLOSURE_TOLERANCE`."""
+        for equations in self.equations:
+            phi = equations.phi(frames[equations.first], frames[equations.second])
+            gap = float(np.max(np.abs(phi), initial=0.0))
+            if gap > CLOSURE_TOLERANCE:
+                unit = "m" if equations.is_length[int(np.argmax(np.abs(phi)))] else "rad"
+                raise MechanismError(
+                    f"joint {equations.joint.name!r}",
+                    f"is open by {gap:.3g} {unit} {when}",
+                    f"a closed loop, to {CLOSURE_TOLERANCE:g}",
+                )
+
+    @cached_property
+    def body_names(self) -> tuple[str, ...]:
+        return tuple(body.name for body in self.bodies)
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def size(self) -> float:
+        """A characteristic length, m: how far joint points and centres of mass lie from their mean."""
+        points = np.array(
+            [body.center_of_mass for body in self.bodies[1:]] + [joint.point for joint in self.joints]
+        )
+        spread = float(np.max(np.linalg.norm(points - points.mean(axis=0), axis=1)))
+        return spread if spread > 0.0 else 1.0
+
+    def body_index(self, name: str) -> int:
+        """Index of a body; raises `UnknownNameError`."""
+        if name not in self.body_names:
+            raise UnknownNameError("body", name, self.body_names)
+        return self.body_names.index(name)
+
+    def joint_index(self, name: str) -> int:
+        """Index of a joint; raises `UnknownNameError`."""
+        if name not in self.joint_names:
+            raise UnknownNameError("joint", name, self.joint_names)
+        return self.joint_names.index(name)
+
+    def attach(self, poses: list[Pose]) -> tuple[JointEquations, ...]:
+        """All joints' equations, tied to bodies with these reference poses (one for each body)."""
+        attached = []
+        for joint in self.joints:
+            i, j = self.body_index(joint.first), self.body_index(joint.second)
+            attached.append(joint.attach(i, poses[i], j, poses[j]))
+        return tuple(attached)
+
+    @cached_property
+    def equations(self) -> tuple[JointEquations, ...]:
+        """The joints' equations in the frames of the bodies."""
+        return self.attach([body.pose for body in self.bodies])
+
+    def shapes(self, index: int) -> tuple[Shape, ...]:
+        """What body number `index` looks like: its own shapes, or bars from its centre to its joints."""
+        body = self.bodies[index]
+        if body.shapes or index == 0:
+            return body.shapes
+        points = [
+            joint.point if joint.first == body.name else joint.reaction_point
+            for joint in self.joints
+            if body.name in (joint.first, joint.second)
+        ]
+        return tuple(
+            Capsule(body.center_of_mass, point, 0.02 * self.size)
+            for point in points
+            if float(np.linalg.norm(point - body.center_of_mass)) > 1e-6 * self.size
+        )

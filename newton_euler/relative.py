@@ -1,0 +1,397 @@
+"""The equations of motion in joint coordinates of a spanning tree, with closed loops.
+
+The body equations are those of the Cartesian form; here they are projected onto the velocities
+that the tree allows. With v_i = V_i qdot and omega_i = W_i qdot the velocity transformation of
+body i, and a0_i, alpha0_i its acceleration at qddot = 0,
+
+    M qddot = f + J^T lambda
+    J qddot = gamma
+
+    M = sum m V^T V + W^T I W
+    f = sum V^T m (g - a0) - W^T (I alpha0 + omega x I omega) + actuation
+    J = Phi_r V + Phi_theta W                          (of the joints that close loops)
+    gamma = gamma_Phi - Phi_r a0 - Phi_theta alpha0 - K_D J qdot - K_P Phi
+
+(Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, chapter 13; Featherstone, Rigid
+Body Dynamics Algorithms, 2008, section 8.1, for loops on top of a tree.)
+
+Body frames are those of the tree: parallel to the world at the initial pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from newton_euler.constraints import Frame
+from newton_euler.errors import SingularityError
+from newton_euler.euler_parameters import (
+    from_rotation,
+    from_rotation_vector,
+    matrix_l,
+    product,
+    rotation,
+)
+from newton_euler.scalars import Array, cos, cross, sin, tilde, zeros
+from newton_euler.scene import Scene
+from newton_euler.solve import orthonormal_null, solve_constrained
+from newton_euler.state import Evaluation, State, admissible_projector, energies
+from newton_euler.tree import SpanningTree, TreeJoint
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """Kinematics of one body of the tree.
+
+    Attributes:
+        frame: pose and velocity; the rotation is that of the body's tree frame.
+        acceleration, angular_acceleration: (3,) at qddot = 0: the velocity-product part.
+        path: indices of the joint velocities that move the body.
+        linear, angular: (3, len(path)) velocity transformation: v = linear @ qdot[path].
+    """
+
+    frame: Frame
+    acceleration: Array
+    angular_acceleration: Array
+    path: list[int]
+    linear: Array
+    angular: Array
+
+
+def turn(axis: Array, angle: Array) -> Array:
+    """Rotation (3, 3) about a constant unit axis (Rodrigues)."""
+    k = tilde(axis)
+    return np.eye(3) + sin(angle) * k + (1.0 - cos(angle)) * (k @ k)
+
+
+class Relative:
+    """Joint-coordinate formulation of a scene. State: q (nq,), v (nv,) of the spanning tree."""
+
+    name = "relative"
+
+    def __init__(self, scene: Scene, alpha: float = 0.0) -> None:
+        """Baumgarte gains of the loops are K_D = 2 alpha, K_P = alpha^2; none for alpha = 0."""
+        self.scene = scene
+        self.mechanism = scene.mechanism
+        self.tree = SpanningTree(scene.mechanism)
+        self.closures = [self.tree.equations(k) for k in self.tree.cuts]
+        self.nq, self.nv = self.tree.nq, self.tree.nv
+        self.damping, self.stiffness = 2.0 * alpha, alpha * alpha
+        self.inertias = [
+            a0 @ body.inertia @ a0.T
+            for a0, body in zip(self.tree.initial_rotations, self.mechanism.bodies, strict=True)
+        ]
+        self.actuated = [
+            self.tree.equations(self.mechanism.joint_index(law.joint)) for law in scene.control
+        ]
+
+    # Kinematics
+
+    def links(self, q: Array, v: Array) -> list[Link]:
+        """Poses, velocities, velocity-product accelerations and velocity transformations."""
+        ground = self.mechanism.bodies[0]
+        zero = np.zeros(3)
+        root = Link(
+            Frame(ground.center_of_mass, np.eye(3), zero, zero), zero, zero, [], np.zeros((3, 0)), np.zeros((3, 0))
+        )
+        links: dict[int, Link] = {0: root}
+        for joint in self.tree.joints:
+            links[joint.child] = self._child(joint, links[joint.parent], q[joint.q], v[joint.v])
+        return [links[k] for k in range(len(self.mechanism.bodies))]
+
+    def _child(self, joint: TreeJoint, parent: Link, q: Array, v: Array) -> Link:
+        """Kinematics of a joint's child, motion by motion from its parent."""
+        point = self.mechanism.joints[joint.joint].point
+        r, a, velocity, omega = parent.frame
+        acceleration, alpha = parent.acceleration, parent.angular_acceleration
+
+        def move(s: Array) -> None:
+            """Go from the present point to the one at s, fixed in the present frame."""
+            nonlocal r, velocity, acceleration
+            turning = cross(omega, s)
+            r = r + s
+            velocity = velocity + turning
+            acceleration = acceleration + cross(alpha, s) + cross(omega, turning)
+
+        move(a @ (point - self.mechanism.bodies[joint.parent].center_of_mass))
+        columns: list[tuple[Array, Array | None]] = []  # an axis, and the point it turns about
+        iq = iv = 0
+        for motion in joint.motions:
+            if motion.kind == "slide":
+                axis = a @ motion.axis
+                coriolis = 2.0 * cross(omega, axis * v[iv])
+                move(axis * q[iq])
+                velocity = velocity + axis * v[iv]
+                acceleration = acceleration + coriolis
+                columns.append((axis, None))
+                iq, iv = iq + 1, iv + 1
+            elif motion.kind == "hinge":
+                axis = a @ motion.axis
+                alpha = alpha + cross(omega, axis * v[iv])
+                omega = omega + axis * v[iv]
+                a = a @ turn(motion.axis, q[iq])
+                columns.append((axis, r))
+                iq, iv = iq + 1, iv + 1
+            else:
+                a = a @ rotation(q[iq : iq + 4])
+                relative = a @ v[iv : iv + 3]
+                alpha = alpha + cross(omega, relative)
+                omega = omega + relative
+                columns.extend((a[:, k], r) for k in range(3))
+                iq, iv = iq + 4, iv + 3
+        move(a @ (self.mechanism.bodies[joint.child].center_of_mass - point))
+
+        arm = r - parent.frame.position
+        angular = [column for column in parent.angular.T]
+        linear = [
+            column + cross(spin, arm) for column, spin in zip(parent.linear.T, parent.angular.T, strict=True)
+        ]
+        for axis, center in columns:
+            angular.append(np.zeros(3) if center is None else axis)
+            linear.append(axis if center is None else cross(axis, r - center))
+        path = parent.path + list(range(joint.v.start, joint.v.stop))
+        stack = (lambda rows: np.array(rows).T) if path else (lambda rows: np.zeros((3, 0)))
+        return Link(
+            Frame(r, a, velocity, omega), acceleration, alpha, path, stack(linear), stack(angular)
+        )
+
+    # Terms of the equations of motion
+
+    def world_inertia(self, body: int, link: Link) -> Array:
+        """(3, 3) inertia of a body about its centre of mass, world frame."""
+        a = link.frame.rotation
+        return a @ self.inertias[body] @ a.T
+
+    def inertial_wrench(
+        self, body: int, link: Link, acceleration: Array, alpha: Array
+    ) -> tuple[Array, Array]:
+        """Force and torque about the centre of mass that a body needs to accelerate so, less gravity."""
+        inertia = self.world_inertia(body, link)
+        omega = link.frame.angular_velocity
+        force = self.mechanism.bodies[body].mass * (acceleration - self.scene.gravity)
+        return force, inertia @ alpha + cross(omega, inertia @ omega)
+
+    def mass_and_force(self, links: list[Link], v: Array) -> tuple[Array, Array]:
+        """M (nv, nv) and f (nv,) of the tree, actuation included."""
+        mass, force = zeros((self.nv, self.nv), v), zeros(self.nv, v)
+        for body, link in enumerate(links[1:], start=1):
+            on = np.ix_(link.path, link.path)
+            inertia = self.world_inertia(body, link)
+            mass[on] += (
+                self.mechanism.bodies[body].mass * (link.linear.T @ link.linear)
+                + link.angular.T @ inertia @ link.angular
+            )
+            f, n = self.inertial_wrench(body, link, link.acceleration, link.angular_acceleration)
+            force[link.path] -= link.linear.T @ f + link.angular.T @ n
+        return mass, force + self.actuation(links)[1]
+
+    def actuation(self, links: list[Link]) -> tuple[Array, Array]:
+        """Actuator forces (a,), and what they do to the joint coordinates (nv,)."""
+        like = [link.frame.position for link in links[1:]]
+        forces, generalized = [], zeros(self.nv, *like)
+        for law, equations in zip(self.scene.control, self.actuated, strict=True):
+            first, second = links[equations.first], links[equations.second]
+            coordinate = equations.coordinates[law.coordinate]
+            rate, row = self._project(coordinate.jacobian(first.frame, second.frame), first, second)
+            u = law.force(coordinate.phi(first.frame, second.frame)[0], rate[0])
+            generalized += row[0] * u
+            forces.append(u)
+        return np.array(forces), generalized
+
+    def _project(self, jacobian: Sequence[Array], first: Link, second: Link) -> tuple[Array, Array]:
+        """A two-body Jacobian times the present velocities, and its rows in joint coordinates."""
+        r_i, theta_i, r_j, theta_j = jacobian
+        rate = (
+            r_i @ first.frame.velocity
+            + theta_i @ first.frame.angular_velocity
+            + r_j @ second.frame.velocity
+            + theta_j @ second.frame.angular_velocity
+        )
+        rows = zeros((len(r_i), self.nv), rate, r_i, theta_i)
+        rows[:, first.path] += r_i @ first.linear + theta_i @ first.angular
+        rows[:, second.path] += r_j @ second.linear + theta_j @ second.angular
+        return rate, rows
+
+    def loop_terms(self, links: list[Link]) -> tuple[Array, Array, Array]:
+        """Phi (k,), J (k, nv) and the stabilised gamma (k,) of the loop closures."""
+        like = [link.frame.position for link in links[1:]]
+        phis, jacobians, gammas = [np.zeros(0)], [zeros((0, self.nv), *like)], [np.zeros(0)]
+        for closure in self.closures:
+            first, second = links[closure.first], links[closure.second]
+            blocks = closure.jacobian(first.frame, second.frame)
+            rate, rows = self._project(blocks, first, second)
+            phi = closure.phi(first.frame, second.frame)
+            phis.append(phi)
+            jacobians.append(rows)
+            gammas.append(
+                closure.gamma(first.frame, second.frame)
+                - blocks.r_first @ first.acceleration
+                - blocks.theta_first @ first.angular_acceleration
+                - blocks.r_second @ second.acceleration
+                - blocks.theta_second @ second.angular_acceleration
+                - self.damping * rate
+                - self.stiffness * phi
+            )
+        return np.concatenate(phis), np.concatenate(jacobians), np.concatenate(gammas)
+
+    # What integrators, projection and assembly ask for
+
+    def rate(self, q: Array, v: Array) -> Array:
+        """qdot (nq,): v itself, and pdot = 1/2 L^T omega' for quaternions."""
+        if self.nq == self.nv:
+            return v
+        rates = []
+        for joint in self.tree.joints:
+            iq, iv = joint.q.start, joint.v.start
+            for motion in joint.motions:
+                if motion.kind == "ball":
+                    rates.append(0.5 * matrix_l(q[iq : iq + 4]).T @ v[iv : iv + 3])
+                    iq, iv = iq + 4, iv + 3
+                else:
+                    rates.append(v[iv : iv + 1])
+                    iq, iv = iq + 1, iv + 1
+        return np.concatenate(rates)
+
+    def acceleration(self, q: Array, v: Array) -> Array:
+        """qddot (nv,)."""
+        return self._solve(self.links(q, v), v)[0]
+
+    def _solve(self, links: list[Link], v: Array) -> tuple[Array, Array]:
+        mass, force = self.mass_and_force(links, v)
+        _, jacobian, gamma = self.loop_terms(links)
+        try:
+            return solve_constrained(mass, force, jacobian, gamma)
+        except np.linalg.LinAlgError as error:
+            body = int(np.argmin([b.mass for b in self.mechanism.bodies[1:]])) + 1
+            raise SingularityError(
+                self.mechanism.joints[self.tree.joints[0].joint].name,
+                f"the mass matrix is not positive definite ({error}); lightest body: "
+                f"{self.mechanism.body_names[body]!r}",
+            ) from error
+
+    def phi(self, q: Array) -> Array:
+        """Residuals (k,) that projection removes: loop closures, then quaternion norms."""
+        residual = self.loop_terms(self.links(q, np.zeros(self.nv)))[0]
+        return residual
+
+    def phi_jacobian(self, q: Array) -> Array:
+        """Derivative (k, nv) of `phi` along `retract`, and of `phi`'s rate by v."""
+        return self.loop_terms(self.links(q, np.zeros(self.nv)))[1]
+
+    def retract(self, q: Array, step: Array) -> Array:
+        """q moved by a small step (nv,); quaternions come out with norm 1."""
+        moved = np.empty(self.nq)
+        for joint in self.tree.joints:
+            iq, iv = joint.q.start, joint.v.start
+            for motion in joint.motions:
+                if motion.kind == "ball":
+                    p = product(q[iq : iq + 4], from_rotation_vector(step[iv : iv + 3]))
+                    moved[iq : iq + 4] = p / np.linalg.norm(p)
+                    iq, iv = iq + 4, iv + 3
+                else:
+                    moved[iq] = q[iq] + step[iv]
+                    iq, iv = iq + 1, iv + 1
+        return moved
+
+    # Between this formulation's coordinates and what everybody understands
+
+    def coordinates(self, state: State) -> tuple[Array, Array]:
+        """q and v of a state."""
+        return self.tree.coordinates(state)
+
+    def state(self, q: Array, v: Array) -> State:
+        """Body poses and velocities."""
+        return self._state(self.links(q, v))
+
+    def _state(self, links: list[Link]) -> State:
+        frames = [link.frame for link in links]
+        quaternions = [
+            from_rotation(frame.rotation @ initial)
+            for frame, initial in zip(frames, self.tree.initial_rotations, strict=True)
+        ]
+        return State(
+            np.array([frame.position for frame in frames]),
+            np.array(quaternions),
+            np.array([frame.velocity for frame in frames]),
+            np.array([frame.angular_velocity for frame in frames]),
+        )
+
+    def evaluate(self, q: Array, v: Array) -> Evaluation:
+        """Accelerations, reactions, energies and admissible velocities at a state."""
+        links = self.links(q, v)
+        qddot, multipliers = self._solve(links, v)
+        linear = np.array([k.acceleration + k.linear @ qddot[k.path] for k in links])
+        angular = np.array([k.angular_acceleration + k.angular @ qddot[k.path] for k in links])
+        forces, torques = self._reactions(links, linear, angular, multipliers)
+        transformation = np.zeros((len(links), 6, self.nv))
+        for body, link in enumerate(links):
+            transformation[body][:, link.path] = np.concatenate([link.linear, link.angular])
+        free = orthonormal_null(self.loop_terms(links)[1])
+        state = self._state(links)
+        return Evaluation(
+            state,
+            linear,
+            angular,
+            forces,
+            torques,
+            self.actuation(links)[0],
+            *energies(self.scene, state),
+            admissible_projector(self.mechanism, transformation.reshape(-1, self.nv) @ free),
+        )
+
+    def _reactions(
+        self, links: list[Link], linear: Array, angular: Array, multipliers: Array
+    ) -> tuple[Array, Array]:
+        """Forces and torques (j, 3) at the joint points on the second bodies.
+
+        Loop closures have multipliers. Kept joints follow from the bodies' Newton-Euler equations,
+        from the leaves to the ground: each carries what its child needs and nothing else supplies.
+        """
+        joints = self.mechanism.joints
+        forces, torques = np.zeros((len(joints), 3)), np.zeros((len(joints), 3))
+        need = [
+            np.concatenate(self.inertial_wrench(body, link, linear[body], angular[body]))
+            for body, link in enumerate(links)
+        ]  # about each centre of mass
+        row = 0
+        for closure in self.closures:
+            blocks = closure.jacobian(links[closure.first].frame, links[closure.second].frame)
+            share = multipliers[row : row + closure.count]
+            row += closure.count
+            need[closure.first] -= np.concatenate([blocks.r_first.T @ share, blocks.theta_first.T @ share])
+            on_second = np.concatenate([blocks.r_second.T @ share, blocks.theta_second.T @ share])
+            need[closure.second] -= on_second
+            index = joints.index(closure.joint)
+            s = self._reaction_arm(index, links)
+            forces[index] = on_second[:3]
+            torques[index] = on_second[3:] - cross(s, on_second[:3])
+        for law, equations, u in zip(
+            self.scene.control, self.actuated, self.actuation(links)[0], strict=True
+        ):
+            blocks = equations.coordinates[law.coordinate].jacobian(
+                links[equations.first].frame, links[equations.second].frame
+            )
+            need[equations.first] -= u * np.concatenate([blocks.r_first[0], blocks.theta_first[0]])
+            need[equations.second] -= u * np.concatenate([blocks.r_second[0], blocks.theta_second[0]])
+        for kept in reversed(self.tree.joints):
+            force, torque = need[kept.child][:3], need[kept.child][3:]
+            arm = links[kept.child].frame.position - links[kept.parent].frame.position
+            need[kept.parent] += np.concatenate([force, torque + cross(arm, force)])
+            sign = 1.0 if kept.forward else -1.0
+            center = links[kept.child].frame.position
+            index = kept.joint
+            second = self.tree.equations(index).second
+            point = links[second].frame.position + self._reaction_arm(index, links)
+            forces[index] = sign * force
+            torques[index] = sign * (torque - cross(point - center, force))
+        return forces, torques
+
+    def _reaction_arm(self, joint: int, links: list[Link]) -> Array:
+        """From the second body's centre of mass to the joint point, world frame."""
+        second = self.tree.equations(joint).second
+        s = self.mechanism.joints[joint].reaction_point - self.mechanism.bodies[second].center_of_mass
+        return np.asarray(links[second].frame.rotation @ s)
+
+

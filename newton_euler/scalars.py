@@ -1,0 +1,54 @@
+"""Arrays of generic scalars: the few functions that floats and other scalars do not share.
+
+The equations of this package are written over arrays whose elements are floats or any scalar
+with the four operations. NumPy gives `+ - * @` for both (an array of anything but numbers has
+dtype object); what differs is here. A scalar other than a number supplies methods `sin`, `cos`,
+`sqrt` and `arctan2`, the names NumPy itself looks up on objects.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+"""An array of floats (dtype float64) or of generic scalars (dtype object)."""
+
+Scalar = Any
+"""A float or a generic scalar."""
+
+
+def zeros(shape: int | tuple[int, ...], *like: Array) -> Array:
+    """Zeros of the given shape that can hold the scalars of all arrays in `like`."""
+    generic = any(np.asarray(a).dtype == object for a in like)
+    return np.zeros(shape, dtype=object if generic else float)
+
+
+def sin(x: Scalar) -> Scalar:
+    """Sine of an angle in radians."""
+    return np.sin(x) if isinstance(x, float) else x.sin()
+
+
+def cos(x: Scalar) -> Scalar:
+    """Cosine of an angle in radians."""
+    return np.cos(x) if isinstance(x, float) else x.cos()
+
+
+def arctan2(y: Scalar, x: Scalar) -> Scalar:
+    """Angle of the point (x, y) in radians, in (-pi, pi]."""
+    return np.arctan2(y, x) if isinstance(y, float) else y.arctan2(x)
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Cross product of two (3,) vectors; much quicker than `numpy.cross` on one pair."""
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+def tilde(a: Array) -> Array:
+    """The (3, 3) skew-symmetric matrix with `tilde(a) @ b == cross(a, b)` for a (3,) vector."""
+    x, y, z = a
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

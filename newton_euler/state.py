@@ -1,0 +1,104 @@
+"""The state of a mechanism in a form that belongs to no engine: body poses and velocities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from newton_euler.constraints import Frame
+from newton_euler.euler_parameters import rotation
+from newton_euler.mechanism import Mechanism
+from newton_euler.scalars import Array
+from newton_euler.solve import orthonormal_range
+
+if TYPE_CHECKING:
+    from newton_euler.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Poses and velocities of all b bodies, ground first; world frame, SI.
+
+    Attributes:
+        position: (b, 3) centres of mass, m.
+        quaternion: (b, 4) w-x-y-z.
+        linear_velocity: (b, 3) of the centres of mass, m/s.
+        angular_velocity: (b, 3) rad/s.
+    """
+
+    position: Array
+    quaternion: Array
+    linear_velocity: Array
+    angular_velocity: Array
+
+    @classmethod
+    def initial(cls, mechanism: Mechanism) -> State:
+        """The mechanism's initial pose, at rest."""
+        return cls(
+            np.array([body.center_of_mass for body in mechanism.bodies]),
+            np.array([body.quaternion for body in mechanism.bodies]),
+            np.zeros((len(mechanism.bodies), 3)),
+            np.zeros((len(mechanism.bodies), 3)),
+        )
+
+    def frames(self) -> list[Frame]:
+        """One `Frame` for each body."""
+        return [
+            Frame(r, rotation(p), v, w)
+            for r, p, v, w in zip(
+                self.position,
+                self.quaternion,
+                self.linear_velocity,
+                self.angular_velocity,
+                strict=True,
+            )
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What the equations of motion say at one state; world frame, SI; b bodies, j joints.
+
+    Attributes:
+        state: poses and velocities as this engine's own kinematics give them.
+        linear_acceleration, angular_acceleration: (b, 3) of the bodies.
+        reaction_force, reaction_torque: (j, 3) on the second body, at its joint point.
+        actuator_force: (a,) N or N m along the actuated coordinates.
+        kinetic_energy, potential_energy: J; potential energy is that of gravity, zero at the origin.
+        admissible: (6 b, 6 b) orthogonal projector onto the velocities (v, omega of body 0, 1, ...)
+            that the constraints leave free. It is the constraint Jacobian in a form that depends
+            on no choice of coordinates or rows.
+    """
+
+    state: State
+    linear_acceleration: Array
+    angular_acceleration: Array
+    reaction_force: Array
+    reaction_torque: Array
+    actuator_force: Array
+    kinetic_energy: float
+    potential_energy: float
+    admissible: Array
+
+
+def energies(scene: Scene, state: State) -> tuple[float, float]:
+    """Kinetic energy and the potential energy of gravity (zero at the world origin), J."""
+    kinetic = potential = 0.0
+    for body, frame in zip(scene.mechanism.bodies[1:], state.frames()[1:], strict=True):
+        spin = frame.rotation.T @ frame.angular_velocity
+        kinetic += 0.5 * body.mass * float(frame.velocity @ frame.velocity)
+        kinetic += 0.5 * float(spin @ body.inertia @ spin)
+        potential -= body.mass * float(scene.gravity @ frame.position)
+    return kinetic, potential
+
+
+def admissible_projector(mechanism: Mechanism, velocities: Array) -> Array:
+    """Orthogonal projector (6 b, 6 b) onto the range of body velocities (6 b, k).
+
+    Angular velocities are multiplied by the mechanism's size, so that all rows are in m/s.
+    """
+    scale = np.tile([1.0, 1.0, 1.0, *[mechanism.size] * 3], len(mechanism.bodies))
+    basis = orthonormal_range(scale[:, None] * velocities)
+    return np.asarray(basis @ basis.T)

@@ -1,0 +1,48 @@
+"""What an integrator, a projection and a harness need of equations of motion.
+
+Both formulations of this package are such systems, and so are other engines' models once they are
+asked for accelerations under rigid constraints.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from newton_euler.mechanism import Mechanism
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.state import Evaluation, State
+
+
+class System(Protocol):
+    """Second-order equations with constraints: qdot = rate(q, v), vdot = acceleration(q, v)."""
+
+    name: str
+    scene: Scene
+    mechanism: Mechanism
+    nq: int
+    nv: int
+
+    def coordinates(self, state: State) -> tuple[Array, Array]:
+        """q (nq,) and v (nv,) of a state."""
+
+    def state(self, q: Array, v: Array) -> State:
+        """Body poses and velocities, by this system's own kinematics."""
+
+    def rate(self, q: Array, v: Array) -> Array:
+        """qdot (nq,)."""
+
+    def acceleration(self, q: Array, v: Array) -> Array:
+        """vdot (nv,)."""
+
+    def phi(self, q: Array) -> Array:
+        """Constraint residuals (k,) that projection has to remove."""
+
+    def phi_jacobian(self, q: Array) -> Array:
+        """(k, nv): derivative of `phi` along `retract`, and of its rate by v."""
+
+    def retract(self, q: Array, step: Array) -> Array:
+        """q moved by a small step (nv,)."""
+
+    def evaluate(self, q: Array, v: Array) -> Evaluation:
+        """Accelerations, reactions, energies and admissible velocities."""

@@ -1,0 +1,99 @@
+"""Trajectory: what every engine returns."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from newton_euler.errors import NewtonEulerError
+from newton_euler.scalars import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A run at n output times: b bodies (ground first), j joints, a actuators; world frame, SI.
+
+    Arrays that the scene did not ask for are None and are left out of files.
+
+    Attributes:
+        engine: name of the engine that made it.
+        settings: the options it ran with and what it counted (steps, evaluations).
+        wall_time: s, of the run itself, without building the model.
+    """
+
+    engine: str
+    settings: dict[str, Any]
+    wall_time: float
+    time: Array = field(metadata={"shape": "n", "unit": "s"})
+    body_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    position: Array
+    """(n, b, 3) centres of mass, m."""
+    quaternion: Array
+    """(n, b, 4) w-x-y-z, continuous in sign."""
+    linear_velocity: Array | None = None
+    """(n, b, 3) of the centres of mass, m/s."""
+    angular_velocity: Array | None = None
+    """(n, b, 3) rad/s."""
+    reaction_force: Array | None = None
+    """(n, j, 3) constraint force on the second body, N."""
+    reaction_torque: Array | None = None
+    """(n, j, 3) constraint torque on the second body about the joint point, N m."""
+    actuator_force: Array | None = None
+    """(n, a) along the actuated coordinates, N or N m."""
+    constraint_violation: Array | None = None
+    """(n, j) largest residual of each joint's equations, m or rad."""
+    kinetic_energy: Array | None = None
+    """(n,) J."""
+    potential_energy: Array | None = None
+    """(n,) of gravity, zero at the world origin, J."""
+
+    def arrays(self) -> dict[str, Array]:
+        """The arrays of the run by name, names as arrays of text."""
+        skipped = ("engine", "settings", "wall_time")
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in skipped}
+        return {name: np.asarray(value) for name, value in values.items() if value is not None}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the arrays to an .npz; the file appears whole or not at all."""
+        with atomic_file(path) as temporary, open(temporary, "wb") as stream:
+            np.savez_compressed(stream, allow_pickle=False, **self.arrays())
+
+
+def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
+    """Read the arrays of a saved trajectory by name; raises `NewtonEulerError` for a bad file."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, KeyError) as error:
+        raise NewtonEulerError(f"cannot read a trajectory from {os.fspath(path)!r}: {error}") from error
+
+
+class atomic_file:  # noqa: N801 - used as a function
+    """Context manager: a temporary path beside `path` that becomes `path` on success only."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+
+    def __enter__(self) -> Path:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            dir=self.path.parent, prefix=f".{self.path.stem}-", suffix=self.path.suffix
+        )
+        os.close(handle)
+        self.temporary = Path(name)
+        return self.temporary
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            umask = os.umask(0)
+            os.umask(umask)
+            self.temporary.chmod(0o666 & ~umask)
+            self.temporary.replace(self.path)
+        else:
+            self.temporary.unlink(missing_ok=True)

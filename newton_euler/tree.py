@@ -1,0 +1,216 @@
+"""Spanning tree of a mechanism: which joints carry coordinates and which close loops.
+
+The same tree serves the joint-coordinate formulation, the MJCF and the URDF, so that their
+coordinates are the same numbers. Bodies of the tree use frames that are parallel to the world at
+the initial pose: a hinge's axis then has the same components in both of its bodies, and joint
+coordinates are zero there.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from newton_euler.euler_parameters import from_rotation, rotation
+from newton_euler.joints import Fixed, JointEquations, Motion, Pose, Spherical
+from newton_euler.mechanism import Body, Mechanism
+from newton_euler.scalars import Array
+from newton_euler.state import State
+
+
+@dataclass(frozen=True, eq=False)
+class TreeJoint:
+    """A joint that the tree keeps.
+
+    Attributes:
+        joint: index in `Mechanism.joints`.
+        parent, child: body indices.
+        forward: True if the child is the joint's second body.
+        motions: from parent to child; hinge and slide axes are signed so that coordinates keep
+            the joint's own sense. A ball turns the child against the parent.
+        q, v: where its coordinates and velocities are. A ball has a quaternion w-x-y-z in q and
+            in v the angular velocity against the parent, in the child's tree frame.
+    """
+
+    joint: int
+    parent: int
+    child: int
+    forward: bool
+    motions: tuple[Motion, ...]
+    q: slice
+    v: slice
+
+
+class SpanningTree:
+    """The tree of `mechanism` that cuts the joints with the fewest equations: balls first.
+
+    Attributes:
+        joints: kept joints, parents before children.
+        cuts: indices of the joints that close loops.
+        nq, nv: numbers of coordinates and velocities.
+    """
+
+    def __init__(self, mechanism: Mechanism, never: Collection[str] = ()) -> None:
+        """Grow from the ground; joints named in `never` are cut whatever their kind."""
+        self.mechanism = mechanism
+        kept: list[TreeJoint] = []
+        reached: dict[int, int] = {0: 0}  # body: depth
+        candidates: list[tuple[int, bool, int, int, int]] = []
+        nq = nv = 0
+
+        def offer(body: int) -> None:
+            for index, equations in enumerate(self._equations):
+                if body in (equations.first, equations.second) and equations.joint.name not in never:
+                    passive = not equations.joint.actuated
+                    heapq.heappush(
+                        candidates, (-equations.count, passive, reached[body], index, body)
+                    )
+
+        offer(0)
+        while candidates:
+            _, _, depth, index, parent = heapq.heappop(candidates)
+            equations = self._equations[index]
+            forward = equations.first == parent
+            child = equations.second if forward else equations.first
+            if child in reached:
+                continue
+            motions = equations.joint.motions
+            if not forward:
+                motions = tuple(Motion(m.kind, -m.axis) for m in reversed(motions))
+            q_size = sum(4 if m.kind == "ball" else 1 for m in motions)
+            v_size = sum(3 if m.kind == "ball" else 1 for m in motions)
+            kept.append(
+                TreeJoint(
+                    index, parent, child, forward, motions, slice(nq, nq + q_size), slice(nv, nv + v_size)
+                )
+            )
+            nq, nv = nq + q_size, nv + v_size
+            reached[child] = depth + 1
+            offer(child)
+        self.joints = tuple(kept)
+        self.nq, self.nv = nq, nv
+        in_tree = {kept_joint.joint for kept_joint in kept}
+        self.cuts = tuple(k for k in range(len(mechanism.joints)) if k not in in_tree)
+
+    @cached_property
+    def _equations(self) -> tuple[JointEquations, ...]:
+        """All joints' equations in the frames of the tree."""
+        return self.mechanism.attach(
+            [Pose(body.center_of_mass, np.eye(3)) for body in self.mechanism.bodies]
+        )
+
+    def equations(self, joint: int) -> JointEquations:
+        """Equations of joint number `joint` in the frames of the tree."""
+        return self._equations[joint]
+
+    @cached_property
+    def initial_rotations(self) -> tuple[Array, ...]:
+        """(3, 3) for each body: takes its own frame to its tree frame."""
+        return tuple(rotation(body.quaternion) for body in self.mechanism.bodies)
+
+    @cached_property
+    def ball_quaternions(self) -> tuple[slice, ...]:
+        """Where quaternions stand in q."""
+        found = []
+        for joint in self.joints:
+            start = joint.q.start
+            for motion in joint.motions:
+                size = 4 if motion.kind == "ball" else 1
+                if size == 4:
+                    found.append(slice(start, start + 4))
+                start += size
+        return tuple(found)
+
+    def coordinates(self, state: State) -> tuple[Array, Array]:
+        """Joint coordinates q (nq,) and velocities v (nv,) of the kept joints in a state."""
+        frames = [
+            frame._replace(rotation=frame.rotation @ initial.T)
+            for frame, initial in zip(state.frames(), self.initial_rotations, strict=True)
+        ]
+        q, v = np.zeros(self.nq), np.zeros(self.nv)
+        for kept in self.joints:
+            equations = self._equations[kept.joint]
+            i, j = frames[equations.first], frames[equations.second]
+            values = []
+            for coordinate in equations.coordinates:
+                jacobian = coordinate.jacobian(i, j)
+                rate = (
+                    jacobian.r_first @ i.velocity
+                    + jacobian.theta_first @ i.angular_velocity
+                    + jacobian.r_second @ j.velocity
+                    + jacobian.theta_second @ j.angular_velocity
+                )
+                values.append((coordinate.phi(i, j), rate))
+            parent, child = frames[kept.parent], frames[kept.child]
+            ball = (
+                from_rotation(parent.rotation.T @ child.rotation),
+                child.rotation.T @ (child.angular_velocity - parent.angular_velocity),
+            )
+            if not kept.forward:
+                values.reverse()
+            remaining = iter(values)
+            parts = [ball if motion.kind == "ball" else next(remaining) for motion in kept.motions]
+            q[kept.q] = np.concatenate([np.zeros(0), *(part[0] for part in parts)])
+            v[kept.v] = np.concatenate([np.zeros(0), *(part[1] for part in parts)])
+        return q, v
+
+
+@dataclass(frozen=True, eq=False)
+class WeldedMechanism:
+    """A mechanism whose loops close at balls and welds only, for engines that know no other closure.
+
+    A loop that has to be cut at any other joint is cut through a body instead: the body is halved,
+    both halves of the same pose and shape of inertia, the joint stays in the tree with one half,
+    and a weld holds the halves together. That is exact, adds no equation that the joint did not
+    have, and leaves the joint's reaction what it was.
+
+    Attributes:
+        mechanism: the bodies, halves appended at the end; the joints, welds appended at the end.
+        tree: its spanning tree; the cuts are spherical joints and welds.
+        origin: for each body the index of the body it is a part of in the original.
+    """
+
+    mechanism: Mechanism
+    tree: SpanningTree
+    origin: tuple[int, ...]
+
+    def state(self, state: State) -> State:
+        """The state of the original with rows repeated for the halves."""
+        rows = list(self.origin)
+        return State(
+            state.position[rows],
+            state.quaternion[rows],
+            state.linear_velocity[rows],
+            state.angular_velocity[rows],
+        )
+
+
+def weld_loops(mechanism: Mechanism) -> WeldedMechanism:
+    """Rewrite the loops of a mechanism so that only balls and welds close them."""
+    bodies, joints = list(mechanism.bodies), list(mechanism.joints)
+    origin = list(range(len(bodies)))
+    welds = []
+    for index in SpanningTree(mechanism).cuts:
+        joint = mechanism.joints[index]
+        if isinstance(joint, Spherical):
+            continue
+        side = "second" if joint.second != mechanism.body_names[0] else "first"
+        whole = mechanism.body_index(getattr(joint, side))
+        half = f"{mechanism.body_names[whole]}_at_{joint.name}"
+        joints[index] = replace(joint, **{side: half})
+        weld = Fixed(f"{joint.name}_weld", bodies[whole].name, half, bodies[whole].center_of_mass)
+        joints.append(weld)
+        welds.append(weld.name)
+        bodies.append(replace(mechanism.bodies[whole], name=half, shapes=()))
+        origin.append(whole)
+    for number, whole in enumerate(origin):
+        share = 1.0 / origin.count(whole)
+        if share < 1.0:
+            body = bodies[number]
+            bodies[number] = replace(body, mass=share * body.mass, inertia=share * body.inertia)
+    welded = Mechanism(bodies, joints)
+    return WeldedMechanism(welded, SpanningTree(welded, never=welds), tuple(origin))
