@@ -29,9 +29,6 @@ from newton_euler.constraints import Frame
 from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import (
     from_rotation,
-    from_rotation_vector,
-    matrix_l,
-    product,
     rotation,
 )
 from newton_euler.scalars import Array, cos, cross, sin, tilde, zeros
@@ -239,20 +236,8 @@ class Relative:
     # What integrators, projection and assembly ask for
 
     def rate(self, q: Array, v: Array) -> Array:
-        """qdot (nq,): v itself, and pdot = 1/2 L^T omega' for quaternions."""
-        if self.nq == self.nv:
-            return v
-        rates = []
-        for joint in self.tree.joints:
-            iq, iv = joint.q.start, joint.v.start
-            for motion in joint.motions:
-                if motion.kind == "ball":
-                    rates.append(0.5 * matrix_l(q[iq : iq + 4]).T @ v[iv : iv + 3])
-                    iq, iv = iq + 4, iv + 3
-                else:
-                    rates.append(v[iv : iv + 1])
-                    iq, iv = iq + 1, iv + 1
-        return np.concatenate(rates)
+        """qdot (nq,)."""
+        return self.tree.rate(q, v)
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """qddot (nv,)."""
@@ -272,9 +257,8 @@ class Relative:
             ) from error
 
     def phi(self, q: Array) -> Array:
-        """Residuals (k,) that projection removes: loop closures, then quaternion norms."""
-        residual = self.loop_terms(self.links(q, np.zeros(self.nv)))[0]
-        return residual
+        """Residuals (k,) of the loop closures."""
+        return self.loop_terms(self.links(q, np.zeros(self.nv)))[0]
 
     def phi_jacobian(self, q: Array) -> Array:
         """Derivative (k, nv) of `phi` along `retract`, and of `phi`'s rate by v."""
@@ -282,18 +266,7 @@ class Relative:
 
     def retract(self, q: Array, step: Array) -> Array:
         """q moved by a small step (nv,); quaternions come out with norm 1."""
-        moved = np.empty(self.nq)
-        for joint in self.tree.joints:
-            iq, iv = joint.q.start, joint.v.start
-            for motion in joint.motions:
-                if motion.kind == "ball":
-                    p = product(q[iq : iq + 4], from_rotation_vector(step[iv : iv + 3]))
-                    moved[iq : iq + 4] = p / np.linalg.norm(p)
-                    iq, iv = iq + 4, iv + 3
-                else:
-                    moved[iq] = q[iq] + step[iv]
-                    iq, iv = iq + 1, iv + 1
-        return moved
+        return self.tree.retract(q, step)
 
     # Between this formulation's coordinates and what everybody understands
 

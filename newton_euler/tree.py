@@ -15,7 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
-from newton_euler.euler_parameters import from_rotation, rotation
+from newton_euler.euler_parameters import (
+    from_rotation,
+    from_rotation_vector,
+    matrix_l,
+    product,
+    rotation,
+)
 from newton_euler.joints import Fixed, JointEquations, Motion, Pose, Spherical
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.scalars import Array
@@ -113,17 +119,38 @@ class SpanningTree:
         return tuple(rotation(body.quaternion) for body in self.mechanism.bodies)
 
     @cached_property
-    def ball_quaternions(self) -> tuple[slice, ...]:
-        """Where quaternions stand in q."""
+    def motions(self) -> tuple[tuple[Motion, slice, slice], ...]:
+        """All motions of the tree with their places in q and in v."""
         found = []
         for joint in self.joints:
-            start = joint.q.start
+            iq, iv = joint.q.start, joint.v.start
             for motion in joint.motions:
-                size = 4 if motion.kind == "ball" else 1
-                if size == 4:
-                    found.append(slice(start, start + 4))
-                start += size
+                nq, nv = (4, 3) if motion.kind == "ball" else (1, 1)
+                found.append((motion, slice(iq, iq + nq), slice(iv, iv + nv)))
+                iq, iv = iq + nq, iv + nv
         return tuple(found)
+
+    def rate(self, q: Array, v: Array) -> Array:
+        """qdot (nq,): v itself, and pdot = 1/2 L^T omega' for quaternions."""
+        if self.nq == self.nv:
+            return v
+        return np.concatenate(
+            [
+                0.5 * matrix_l(q[on_q]).T @ v[on_v] if motion.kind == "ball" else v[on_v]
+                for motion, on_q, on_v in self.motions
+            ]
+        )
+
+    def retract(self, q: Array, step: Array) -> Array:
+        """q moved by a small step (nv,); quaternions come out with norm 1."""
+        moved = np.empty(self.nq)
+        for motion, on_q, on_v in self.motions:
+            if motion.kind == "ball":
+                p = product(q[on_q], from_rotation_vector(step[on_v]))
+                moved[on_q] = p / np.linalg.norm(p)
+            else:
+                moved[on_q] = q[on_q] + step[on_v]
+        return moved
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """Joint coordinates q (nq,) and velocities v (nv,) of the kept joints in a state."""

@@ -1,0 +1,160 @@
+"""Integration of a `System` over time: scipy's adaptive methods and two with fixed steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from newton_euler.errors import IntegrationError, OptionError, UnknownNameError
+from newton_euler.scalars import Array
+from newton_euler.stabilize import project_position, project_velocity
+from newton_euler.system import System
+
+ADAPTIVE = ("DOP853", "Radau")
+"""Runge-Kutta of order 8 (Hairer, Norsett, Wanner, Solving ODEs I, 1993, section II.5) and the stiff
+Radau IIA of order 5 (Hairer, Wanner, Solving ODEs II, 1996, section IV.8), both as in scipy."""
+
+FIXED = ("RK4", "Euler")
+"""Classical Runge-Kutta of order 4, and semi-implicit Euler: velocities first, then positions with
+the new velocities."""
+
+INTEGRATORS = ADAPTIVE + FIXED
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """q (n, nq) and v (n, nv) at the n output times, and what it took."""
+
+    q: Array
+    v: Array
+    steps: int
+    evaluations: int
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to integrate.
+
+    Attributes:
+        integrator: one of `INTEGRATORS`.
+        rtol, atol: error control of the adaptive methods, per step and component.
+        step: s, of the methods with fixed steps; made smaller where it does not divide the time
+            between outputs.
+        projection: whether to project onto the constraints after each step and at outputs.
+    """
+
+    integrator: str = "DOP853"
+    rtol: float = 1e-10
+    atol: float = 1e-12
+    step: float | None = None
+    projection: bool = True
+
+    def __post_init__(self) -> None:
+        if self.integrator not in INTEGRATORS:
+            raise UnknownNameError("integrator", self.integrator, INTEGRATORS)
+        for name in ("rtol", "atol"):
+            value = getattr(self, name)
+            if not isinstance(value, int | float) or not 0.0 < value < 1.0:
+                raise OptionError(name, value, "a number between 0 and 1")
+        if self.integrator in FIXED:
+            if not isinstance(self.step, int | float) or not 0.0 < self.step < np.inf:
+                raise OptionError("step", self.step, f"a positive number of seconds for {self.integrator}")
+        elif self.step is not None:
+            raise OptionError("step", self.step, f"none: {self.integrator} chooses its own steps")
+
+
+def integrate(system: System, q: Array, v: Array, times: Array, options: Options) -> Solution:
+    """Integrate from q, v at times[0] and return the solution at all times.
+
+    Raises:
+        IntegrationError: with the time reached and the reason, for steps that shrink to nothing or
+            numbers that are not finite.
+    """
+    evaluations = 0
+
+    def derivative(t: float, y: Array) -> Array:
+        nonlocal evaluations
+        evaluations += 1
+        q, v = y[: system.nq], y[system.nq :]
+        rates = np.concatenate([system.rate(q, v), system.acceleration(q, v)])
+        if not np.all(np.isfinite(rates)):
+            raise IntegrationError(t, "accelerations are not finite")
+        return rates
+
+    def project(y: Array) -> Array:
+        if not options.projection:
+            return y
+        q = project_position(system, y[: system.nq])
+        return np.concatenate([q, project_velocity(system, q, y[system.nq :])])
+
+    start = project(np.concatenate([q, v]))
+    march = _march_adaptive if options.integrator in ADAPTIVE else _march_fixed
+    rows, steps = [start], 0
+    for steps, y in march(system, derivative, project, start, times, options):
+        rows.append(y)
+    table = np.array(rows)
+    if not np.all(np.isfinite(table)):
+        raise IntegrationError(float(times[len(rows) - 1]), "the solution is not finite")
+    return Solution(table[:, : system.nq], table[:, system.nq :], steps, evaluations)
+
+
+Derivative = Callable[[float, Array], Array]
+Projection = Callable[[Array], Array]
+
+
+def _march_adaptive(
+    system: System, derivative: Derivative, project: Projection, y: Array, times: Array, options: Options
+) -> Iterator[tuple[int, Array]]:
+    """Yield (steps so far, y) at times[1:], from the steps' dense output."""
+    from scipy.integrate import DOP853, Radau
+
+    method = {"DOP853": DOP853, "Radau": Radau}[options.integrator]
+    solver = method(derivative, times[0], y, times[-1], rtol=options.rtol, atol=options.atol)
+    steps, due = 0, 1
+    while due < len(times):
+        message = solver.step()
+        if solver.status == "failed":
+            raise IntegrationError(float(solver.t), str(message))
+        steps += 1
+        if times[due] <= solver.t:
+            dense = solver.dense_output()
+            while due < len(times) and times[due] <= solver.t:
+                yield steps, project(dense(times[due]))
+                due += 1
+        if options.projection:
+            solver.y = project(solver.y)
+            solver.f = derivative(solver.t, solver.y)
+
+
+def _march_fixed(
+    system: System, derivative: Derivative, project: Projection, y: Array, times: Array, options: Options
+) -> Iterator[tuple[int, Array]]:
+    """Yield (steps so far, y) at times[1:], in equal steps between outputs."""
+    advance = _rk4 if options.integrator == "RK4" else _semi_implicit_euler
+    assert options.step is not None
+    steps = 0
+    for begin, end in zip(times[:-1], times[1:], strict=True):
+        count = max(1, int(np.ceil((end - begin) / options.step * (1.0 - 1e-9))))
+        h = (end - begin) / count
+        for k in range(count):
+            y = project(advance(system, derivative, begin + k * h, y, h))
+            if not np.all(np.isfinite(y)):
+                raise IntegrationError(float(begin + (k + 1) * h), "the solution is not finite")
+        steps += count
+        yield steps, y
+
+
+def _rk4(system: System, derivative: Derivative, t: float, y: Array, h: float) -> Array:
+    k1 = derivative(t, y)
+    k2 = derivative(t + 0.5 * h, y + 0.5 * h * k1)
+    k3 = derivative(t + 0.5 * h, y + 0.5 * h * k2)
+    k4 = derivative(t + h, y + h * k3)
+    return y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+
+def _semi_implicit_euler(system: System, derivative: Derivative, t: float, y: Array, h: float) -> Array:
+    q = y[: system.nq]
+    v = y[system.nq :] + h * derivative(t, y)[system.nq :]
+    return np.concatenate([q + h * system.rate(q, v), v])

@@ -1,0 +1,79 @@
+"""Keeping a run on its constraints: coordinate and velocity projection, and what else there is.
+
+Baumgarte stabilisation is part of the equations of motion (the gains of a `System`); projection
+acts on the result of each step (Eich-Soellner and Fuehrer, Numerical Methods in Multibody Dynamics,
+1998, section 5.3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from newton_euler.errors import AssemblyError, UnknownNameError
+from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
+from newton_euler.scalars import Array
+from newton_euler.solve import minimum_norm
+from newton_euler.state import State
+from newton_euler.system import System
+
+STABILIZATIONS = ("projection", "baumgarte", "none")
+
+PAPER_ALPHA = 10.0
+"""The paper's choice for K_D = 2 alpha, K_P = alpha^2 (Appendix B), 1/s."""
+
+NEWTON_STEPS = 20
+
+
+def baumgarte_alpha(stabilization: str, alpha: float) -> float:
+    """The alpha that a system of equations takes under a stabilisation."""
+    if stabilization not in STABILIZATIONS:
+        raise UnknownNameError("stabilization", stabilization, STABILIZATIONS)
+    return alpha if stabilization == "baumgarte" else 0.0
+
+
+def largest(residuals: Array) -> float:
+    """The largest of a set of residuals, 0 for none."""
+    return float(np.max(np.abs(residuals), initial=0.0))
+
+
+def project_position(system: System, q: Array) -> Array:
+    """The coordinates near q that meet phi(q) = 0 to round-off: Newton's steps of least length.
+
+    Raises:
+        AssemblyError: if the constraints stay open by more than `CLOSURE_TOLERANCE`.
+    """
+    best = system.retract(q, np.zeros(system.nv))
+    residual = system.phi(best)
+    for _ in range(NEWTON_STEPS):
+        if largest(residual) < np.finfo(float).eps * system.mechanism.size:
+            return best
+        trial = system.retract(best, -minimum_norm(system.phi_jacobian(best), residual))
+        trial_residual = system.phi(trial)
+        if not largest(trial_residual) < largest(residual):
+            break  # at round-off, or stuck
+        best, residual = trial, trial_residual
+    if largest(residual) > CLOSURE_TOLERANCE:
+        joint, gap = worst_joint(system, system.state(best, np.zeros(system.nv)))
+        raise AssemblyError(joint, gap, CLOSURE_TOLERANCE)
+    return best
+
+
+def project_velocity(system: System, q: Array, v: Array) -> Array:
+    """The velocities nearest to v that meet the constraints' rate, J v = 0."""
+    jacobian = system.phi_jacobian(q)
+    return np.asarray(v - minimum_norm(jacobian, jacobian @ v))
+
+
+def joint_violations(mechanism: Mechanism, state: State) -> Array:
+    """(j,) largest residual of each joint's equations in a state, m or rad."""
+    frames = state.frames()
+    return np.array(
+        [largest(e.phi(frames[e.first], frames[e.second])) for e in mechanism.equations]
+    )
+
+
+def worst_joint(system: System, state: State) -> tuple[str, float]:
+    """Name and residual (m or rad) of the joint that is open the most."""
+    gaps = joint_violations(system.mechanism, state)
+    worst = int(np.argmax(gaps))
+    return system.mechanism.joint_names[worst], float(gaps[worst])
