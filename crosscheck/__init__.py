@@ -1,0 +1,1 @@
+"""Compares engines on closed-loop mechanisms: scenes, comparison, recordings, figures."""

@@ -22,7 +22,7 @@ from newton_euler.euler_parameters import matrix_g, matrix_l, rotation
 from newton_euler.scalars import Array, cross, zeros
 from newton_euler.scene import Scene
 from newton_euler.solve import minimum_norm, orthonormal_null, rank
-from newton_euler.state import Evaluation, State, admissible_projector, energies
+from newton_euler.state import Evaluation, MassProperties, State, admissible_projector, energies
 
 
 class Cartesian:
@@ -211,6 +211,10 @@ class Cartesian:
         return q + step
 
     # Between this formulation's coordinates and what everybody understands
+
+    def mass_properties(self) -> MassProperties:
+        """What the bodies weigh: as the mechanism states."""
+        return MassProperties.of(self.mechanism)
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """q and qdot of a state: pdot = 1/2 G^T omega."""

@@ -34,7 +34,7 @@ from newton_euler.euler_parameters import (
 from newton_euler.scalars import Array, cos, cross, sin, tilde, zeros
 from newton_euler.scene import Scene
 from newton_euler.solve import orthonormal_null, solve_constrained
-from newton_euler.state import Evaluation, State, admissible_projector, energies
+from newton_euler.state import Evaluation, MassProperties, State, admissible_projector, energies
 from newton_euler.tree import SpanningTree, TreeJoint
 
 
@@ -269,6 +269,10 @@ class Relative:
         return self.tree.retract(q, step)
 
     # Between this formulation's coordinates and what everybody understands
+
+    def mass_properties(self) -> MassProperties:
+        """What the bodies weigh: as the mechanism states."""
+        return MassProperties.of(self.mechanism)
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """q and v of a state."""

@@ -83,6 +83,31 @@ class Evaluation:
     admissible: Array
 
 
+@dataclass(frozen=True, eq=False)
+class MassProperties:
+    """Mass properties of all b bodies, world frame at the initial pose, SI.
+
+    Attributes:
+        mass: (b,) kg.
+        center_of_mass: (b, 3) m.
+        inertia: (b, 3, 3) about the centre of mass, kg m^2.
+    """
+
+    mass: Array
+    center_of_mass: Array
+    inertia: Array
+
+    @classmethod
+    def of(cls, mechanism: Mechanism) -> MassProperties:
+        """Those that the mechanism states."""
+        turns = [rotation(body.quaternion) for body in mechanism.bodies]
+        return cls(
+            np.array([body.mass for body in mechanism.bodies]),
+            np.array([body.center_of_mass for body in mechanism.bodies]),
+            np.array([a @ b.inertia @ a.T for a, b in zip(turns, mechanism.bodies, strict=True)]),
+        )
+
+
 def energies(scene: Scene, state: State) -> tuple[float, float]:
     """Kinetic energy and the potential energy of gravity (zero at the world origin), J."""
     kinetic = potential = 0.0

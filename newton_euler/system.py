@@ -11,7 +11,7 @@ from typing import Protocol
 from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
-from newton_euler.state import Evaluation, State
+from newton_euler.state import Evaluation, MassProperties, State
 
 
 class System(Protocol):
@@ -22,6 +22,9 @@ class System(Protocol):
     mechanism: Mechanism
     nq: int
     nv: int
+
+    def mass_properties(self) -> MassProperties:
+        """What the bodies weigh in this system's own model."""
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """q (nq,) and v (nv,) of a state."""

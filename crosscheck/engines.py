@@ -1,0 +1,121 @@
+"""The engines that are compared, what each contributes, and how exact each is expected to be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from crosscheck.errors import CrosscheckError
+from newton_euler.scene import Scene
+from newton_euler.system import System
+from newton_euler.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Engine:
+    """One engine.
+
+    Attributes:
+        name: as in files and options.
+        simulate: runs a scene at this engine's default settings.
+        systems: its rigid equations of motion, for the levels before trajectories.
+        trajectory_error: m and rad that its own run may be off.
+        drift: m or rad that its joints may be open during a run.
+        energy_error: by what share of the largest energy its balance may be off.
+        package: name of the package that does the work, for the record of versions.
+        reason: why these errors.
+    """
+
+    name: str
+    simulate: Callable[[Scene], Trajectory]
+    systems: Callable[[Scene], tuple[System, ...]]
+    trajectory_error: float
+    drift: float
+    energy_error: float
+    package: str
+    reason: str
+
+
+def _newton_euler_run(scene: Scene) -> Trajectory:
+    from newton_euler import simulate
+
+    return simulate(scene)
+
+
+def _newton_euler_systems(scene: Scene) -> tuple[System, ...]:
+    from newton_euler.simulate import FORMULATIONS, formulate
+
+    return tuple(formulate(scene, name) for name in FORMULATIONS)
+
+
+def _mujoco_run(scene: Scene) -> Trajectory:
+    import mjcf
+
+    return mjcf.simulate(scene)
+
+
+def _mujoco_systems(scene: Scene) -> tuple[System, ...]:
+    from mjcf.rigid import RigidMuJoCo
+
+    return (RigidMuJoCo(scene),)
+
+
+def _pinocchio_run(scene: Scene) -> Trajectory:
+    import urdf
+
+    return urdf.simulate(scene)
+
+
+def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:
+    from urdf.dynamics import PinocchioSystem
+
+    return (PinocchioSystem(scene),)
+
+
+ENGINES: dict[str, Engine] = {
+    engine.name: engine
+    for engine in (
+        Engine(
+            "newton_euler",
+            _newton_euler_run,
+            _newton_euler_systems,
+            trajectory_error=1e-9,
+            drift=1e-13,
+            energy_error=1e-8,
+            package="numpy",
+            reason="DOP853 at rtol 1e-10, projected onto the constraints after each step",
+        ),
+        Engine(
+            "mujoco",
+            _mujoco_run,
+            _mujoco_systems,
+            trajectory_error=1e-6,
+            drift=1e-5,
+            energy_error=1e-3,
+            package="mujoco",
+            reason="RK4 at 1 ms; its constraints are springs with a time constant of two steps",
+        ),
+        Engine(
+            "pinocchio",
+            _pinocchio_run,
+            _pinocchio_systems,
+            trajectory_error=1e-9,
+            drift=1e-9,
+            energy_error=1e-8,
+            package="pin",
+            reason="DOP853 at rtol 1e-10, constraints under Baumgarte's gains",
+        ),
+    )
+}
+
+
+def choose(names: list[str]) -> list[Engine]:
+    """Engines by name, in the order given; raises `CrosscheckError` for unknown or repeated names."""
+    if not names:
+        raise CrosscheckError(f"no engine named; choose from: {', '.join(ENGINES)}")
+    for name in names:
+        if name not in ENGINES:
+            raise CrosscheckError(f"unknown engine {name!r}; choose from: {', '.join(ENGINES)}")
+        if names.count(name) > 1:
+            raise CrosscheckError(f"engine {name!r} is named {names.count(name)} times")
+    return [ENGINES[name] for name in names]

@@ -1,0 +1,38 @@
+"""Fixtures shared by the tests: scenes, and runs that several tests look at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import pytest
+
+import newton_euler
+from crosscheck.scenes import load
+from newton_euler.assemble import random_states
+from newton_euler.scene import Scene
+from newton_euler.state import State
+from newton_euler.trajectory import Trajectory
+
+
+@pytest.fixture(scope="session")
+def tracker() -> Scene:
+    """The paper's simulation."""
+    return load("tracker")
+
+
+@pytest.fixture(scope="session")
+def tracker_states(tracker: Scene) -> list[State]:
+    """200 random consistent states of the tracker."""
+    return random_states(tracker, 200, seed=1)
+
+
+@pytest.fixture(scope="session")
+def tracker_run(tracker: Scene) -> Callable[..., Trajectory]:
+    """Runs of the tracker by newton_euler, each set of options run once."""
+
+    @lru_cache
+    def run(**options: object) -> Trajectory:
+        return newton_euler.simulate(tracker, **options)  # type: ignore[arg-type]
+
+    return run
