@@ -38,10 +38,18 @@ def _options(settings: tuple[str, ...]) -> dict[str, str]:
 
 @cli.command("run")
 @click.argument("scene", default="tracker")
-@click.option("--engines", default="newton_euler,mujoco,pinocchio", show_default=True, help="Comma-separated.")
-@click.option("--set", "settings", multiple=True, metavar="OPTION=VALUE", help="Option of the scene; repeatable.")
-@click.option("--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/SCENE]")
-@click.option("--save", type=click.Path(path_type=Path), default=None, help="Recording.  [default: OUTPUT/SCENE.rrd]")
+@click.option(
+    "--engines", default="newton_euler,mujoco,pinocchio", show_default=True, help="Comma-separated."
+)
+@click.option(
+    "--set", "settings", multiple=True, metavar="OPTION=VALUE", help="Option of the scene; repeatable."
+)
+@click.option(
+    "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/SCENE]"
+)
+@click.option(
+    "--save", type=click.Path(path_type=Path), default=None, help="Recording.  [default: OUTPUT/SCENE.rrd]"
+)
 def run_command(
     scene: str, engines: str, settings: tuple[str, ...], output: Path | None, save: Path | None
 ) -> int:

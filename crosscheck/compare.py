@@ -88,59 +88,62 @@ def compare_models(scene: Scene, systems: Sequence[System]) -> Iterator[Row]:
 
 def compare_equations(scene: Scene, systems: Sequence[System], states: list[State]) -> Iterator[Row]:
     """Levels 2 and 3: kinematics, constrained accelerations and reactions at consistent states."""
-    bodies, joints = scene.mechanism.body_names, scene.mechanism.joint_names
     evaluations = {
-        system.name: [system.evaluate(*system.coordinates(state)) for state in states]
-        for system in systems
+        system.name: [system.evaluate(*system.coordinates(state)) for state in states] for system in systems
     }
+    for a, b in combinations(evaluations, 2):
+        yield from _equation_rows(scene, (a, b), evaluations[a], evaluations[b])
 
-    def stack(system: System, name: str) -> Array:
-        def get(e: Evaluation) -> Array:
-            return np.asarray(getattr(e.state if hasattr(e.state, name) else e, name))
 
-        return np.array([get(e) for e in evaluations[system.name]])
+def _equation_rows(
+    scene: Scene, pair: tuple[str, str], first: list[Evaluation], second: list[Evaluation]
+) -> Iterator[Row]:
+    bodies, joints = scene.mechanism.body_names, scene.mechanism.joint_names
 
-    for a, b in combinations(systems, 2):
-        pair = (a.name, b.name)
+    def both(name: str) -> tuple[Array, Array]:
+        """(states, bodies or joints, ...) arrays of that name on both sides."""
+        sources = [[e.state if hasattr(e.state, name) else e for e in side] for side in (first, second)]
+        x, y = (np.array([getattr(source, name) for source in side]) for side in sources)
+        return x, y
 
-        def row(level: str, quantity: str, gap: Array, tolerance: float, names: Sequence[str]) -> Row:
-            worst = int(np.argmax(gap.max(axis=0)))
-            return Row(level, quantity, pair, float(gap.max()), tolerance, names[worst])
+    def apart(name: str) -> Array:
+        x, y = both(name)
+        return np.asarray(np.linalg.norm(x - y, axis=-1))
 
-        def apart(name: str) -> Array:
-            return np.asarray(np.linalg.norm(stack(a, name) - stack(b, name), axis=-1))
+    def relative(name: str, companion: str, arm: float) -> Array:
+        """Gaps against the largest vector of the state, or the largest companion times an arm.
 
-        def relative(name: str, companion: str, arm: float) -> Array:
-            """Gaps against the largest vector of the state, or the largest companion times an arm.
+        The companion (force for torque, velocity for angular velocity) is there for quantities
+        that vanish, a ball's torque for one; states in which both vanish count as they are.
+        """
+        scale = np.maximum(
+            np.linalg.norm(both(name)[0], axis=-1).max(axis=1),
+            arm * np.linalg.norm(both(companion)[0], axis=-1).max(axis=1),
+        )[:, None]
+        return apart(name) / np.where(scale > 0.0, scale, 1.0)
 
-            The companion (force for torque, velocity for angular velocity) is there for quantities
-            that vanish, a ball's torque for one; states in which both vanish count as they are.
-            """
-            scale = np.maximum(
-                np.linalg.norm(stack(a, name), axis=-1).max(axis=1),
-                arm * np.linalg.norm(stack(a, companion), axis=-1).max(axis=1),
-            )[:, None]
-            return apart(name) / np.where(scale > 0.0, scale, 1.0)
+    def row(level: str, quantity: str, gap: Array, tolerance: float, names: Sequence[str]) -> Row:
+        worst = int(np.argmax(gap.max(axis=0)))
+        return Row(level, quantity, pair, float(gap.max()), tolerance, names[worst])
 
-        angles = angle_between(stack(a, "quaternion"), stack(b, "quaternion"))
-        projector = np.abs(stack(a, "admissible") - stack(b, "admissible")).max(axis=2)
-        projector = projector.reshape(len(states), len(bodies), 6).max(axis=2)
-        kinematics = "kinematics"
-        yield row(kinematics, "positions, m", apart("position"), KINEMATICS_TOLERANCE, bodies)
-        yield row(kinematics, "orientations, rad", angles, KINEMATICS_TOLERANCE, bodies)
-        yield row(kinematics, "constraint Jacobian", projector, KINEMATICS_TOLERANCE, bodies)
-        size = scene.mechanism.size
-        dynamics = "accelerations and reactions"
-        for level, name, companion, arm, tolerance, names in (
-            (kinematics, "linear_velocity", "angular_velocity", size, KINEMATICS_TOLERANCE, bodies),
-            (kinematics, "angular_velocity", "linear_velocity", 1 / size, KINEMATICS_TOLERANCE, bodies),
-            (dynamics, "linear_acceleration", "angular_acceleration", size, ACCELERATION_TOLERANCE, bodies),
-            (dynamics, "angular_acceleration", "linear_acceleration", 1 / size, ACCELERATION_TOLERANCE, bodies),
-            (dynamics, "reaction_force", "reaction_torque", 1 / size, REACTION_TOLERANCE, joints),
-            (dynamics, "reaction_torque", "reaction_force", size, REACTION_TOLERANCE, joints),
-        ):
-            quantity = f"{name.replace('_', ' ')}, relative"
-            yield row(level, quantity, relative(name, companion, arm), tolerance, names)
+    kinematics, dynamics = "kinematics", "accelerations and reactions"
+    x, y = both("admissible")
+    projector = np.abs(x - y).max(axis=2).reshape(len(x), len(bodies), 6).max(axis=2)
+    angles = angle_between(*both("quaternion"))
+    yield row(kinematics, "positions, m", apart("position"), KINEMATICS_TOLERANCE, bodies)
+    yield row(kinematics, "orientations, rad", angles, KINEMATICS_TOLERANCE, bodies)
+    yield row(kinematics, "constraint Jacobian", projector, KINEMATICS_TOLERANCE, bodies)
+    size = scene.mechanism.size
+    for level, name, companion, arm, tolerance, names in (
+        (kinematics, "linear_velocity", "angular_velocity", size, KINEMATICS_TOLERANCE, bodies),
+        (kinematics, "angular_velocity", "linear_velocity", 1 / size, KINEMATICS_TOLERANCE, bodies),
+        (dynamics, "linear_acceleration", "angular_acceleration", size, ACCELERATION_TOLERANCE, bodies),
+        (dynamics, "angular_acceleration", "linear_acceleration", 1 / size, ACCELERATION_TOLERANCE, bodies),
+        (dynamics, "reaction_force", "reaction_torque", 1 / size, REACTION_TOLERANCE, joints),
+        (dynamics, "reaction_torque", "reaction_force", size, REACTION_TOLERANCE, joints),
+    ):
+        quantity = f"{name.replace('_', ' ')}, relative"
+        yield row(level, quantity, relative(name, companion, arm), tolerance, names)
 
 
 def compare_runs(scene: Scene, engines: Sequence[Engine], runs: dict[str, Trajectory]) -> Iterator[Row]:
@@ -148,7 +151,7 @@ def compare_runs(scene: Scene, engines: Sequence[Engine], runs: dict[str, Trajec
     bodies, joints, times = scene.mechanism.body_names, scene.mechanism.joint_names, scene.times
 
     def worst(gap: Array, names: Sequence[str]) -> str:
-        n, k = np.unravel_index(int(np.argmax(gap)), gap.shape)
+        n, k = divmod(int(np.argmax(gap)), gap.shape[1])
         return f"{names[k]} at {times[n]:.3g} s"
 
     for a, b in combinations(engines, 2):
@@ -173,9 +176,9 @@ def compare_runs(scene: Scene, engines: Sequence[Engine], runs: dict[str, Trajec
                 worst(violation, joints),
             )
     for a, b in combinations(engines, 2):
-        x, y = runs[a.name].kinetic_energy, runs[b.name].kinetic_energy
-        if x is not None and y is not None:
-            gap = np.abs(x - y) / (np.max(np.abs(x)) or 1.0)
+        kinetic_a, kinetic_b = runs[a.name].kinetic_energy, runs[b.name].kinetic_energy
+        if kinetic_a is not None and kinetic_b is not None:
+            gap = np.abs(kinetic_a - kinetic_b) / (np.max(kinetic_a) or 1.0)
             yield Row(
                 "energy",
                 "kinetic, share of largest",
@@ -200,7 +203,8 @@ def compare_runs(scene: Scene, engines: Sequence[Engine], runs: dict[str, Trajec
 
 def actuated_rates(scene: Scene, run: Trajectory) -> Array:
     """(n, a) rates of the actuated coordinates, m/s or rad/s, from body velocities."""
-    assert run.linear_velocity is not None and run.angular_velocity is not None
+    assert run.linear_velocity is not None
+    assert run.angular_velocity is not None
     rates = np.zeros((len(run.time), len(scene.control)))
     for n in range(len(run.time)):
         frames = State(
@@ -246,9 +250,7 @@ def energy_balance(scene: Scene, run: Trajectory) -> Array | None:
     return np.asarray((energy - energy[0] - work) / exchanged)
 
 
-def compare(
-    scene: Scene, engines: Sequence[Engine], runs: dict[str, Trajectory], states: int
-) -> list[Row]:
+def compare(scene: Scene, engines: Sequence[Engine], runs: dict[str, Trajectory], states: int) -> list[Row]:
     """All levels; `states` is the number of random consistent states for the first three."""
     systems = [system for engine in engines for system in engine.systems(scene)]
     rows = list(compare_models(scene, [engine.systems(scene)[0] for engine in engines]))

@@ -19,9 +19,7 @@ MOST_COLUMNS = 4
 """Plots side by side in one group."""
 
 
-def blueprint(
-    mechanism: Mechanism, engines: list[str], plots: list[Plot], title: str
-) -> rrb.Blueprint:
+def blueprint(mechanism: Mechanism, engines: list[str], plots: list[Plot], title: str) -> rrb.Blueprint:
     """The mechanism and the verdict at the left, rows of plots at the right.
 
     Joint points and reactions are shown for the first engine; those of the others can be switched
@@ -77,11 +75,12 @@ def _row(plots: list[Plot], row: int) -> rrb.Tabs:
 
 def _group(name: str, plots: list[Plot]) -> rrb.Grid:
     """Plots side by side; engines have the same colours in all, so one legend is enough."""
+    corner = rrb.Corner2D.RightBottom if plots[0].lines_coincide else rrb.Corner2D.RightTop
     views = [
         rrb.TimeSeriesView(
             origin=rr.new_entity_path(["plots", *plot.path]),
             name=plot.title,
-            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=plot is plots[0]),
+            plot_legend=rrb.PlotLegend(corner, visible=plot is plots[0]),
         )
         for plot in plots
     ]

@@ -85,11 +85,7 @@ def write_recording(
     styles = _styles(list(trajectories), mechanism.size)
     shown = plots(scene, trajectories)
     arrow_scale = _arrow_scale(mechanism, trajectories)
-    title = (
-        scene.name
-        if arrow_scale is None
-        else f"{scene.name} (reactions: 1 N is {arrow_scale:.2g} m)"
-    )
+    title = scene.name if arrow_scale is None else f"{scene.name} (reactions: 1 N is {arrow_scale:.2g} m)"
     layout = blueprint(mechanism, list(trajectories), shown, title)
     with atomic_file(path) as temporary:
         recording = rr.RecordingStream(APPLICATION, recording_id=uuid.uuid4())
@@ -97,9 +93,7 @@ def write_recording(
             recording.save(temporary, default_blueprint=layout)
             recording.send_recording_name(scene.name)
             recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-            recording.log(
-                "/verdict", rr.TextDocument(verdict, media_type=rr.MediaType.MARKDOWN), static=True
-            )
+            recording.log("/verdict", rr.TextDocument(verdict, media_type=rr.MediaType.MARKDOWN), static=True)
             _log_ground(recording, mechanism)
             for engine, run in trajectories.items():
                 _log_bodies(recording, mechanism, engine, run, styles[engine])
@@ -159,9 +153,7 @@ def _log_bodies(
     for k in range(1, len(mechanism.bodies)):
         path = rr.new_entity_path(["mechanism", engine, mechanism.body_names[k]])
         _log_shapes(recording, path, mechanism, k, style)
-        pose = rr.Transform3D.columns(
-            translation=run.position[:, k], quaternion=_xyzw(run.quaternion[:, k])
-        )
+        pose = rr.Transform3D.columns(translation=run.position[:, k], quaternion=_xyzw(run.quaternion[:, k]))
         recording.send_columns(path, [time], pose)
     found = panel(mechanism)
     if found is not None:
@@ -260,9 +252,7 @@ def _log_joints(
             path = rr.new_entity_path(["reactions", engine, joint.name])
             arrow_look = rr.Arrows3D.from_fields(colors=REACTION_COLOR, radii=0.02 * mechanism.size)
             recording.log(path, arrow_look, static=True)
-            arrows = rr.Arrows3D.columns(
-                origins=points, vectors=arrow_scale * run.reaction_force[:, j]
-            )
+            arrows = rr.Arrows3D.columns(origins=points, vectors=arrow_scale * run.reaction_force[:, j])
             recording.send_columns(path, [time], arrows)
 
 

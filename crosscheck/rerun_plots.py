@@ -80,8 +80,7 @@ def rotation_vector(quaternion: Array) -> Array:
     """(n, 3) axis times angle, rad, of unit quaternions (n, 4); angles from 0 to 2 pi."""
     sine = np.linalg.norm(quaternion[:, 1:], axis=1)
     angle = 2.0 * np.arctan2(sine, quaternion[:, 0])
-    # 2 is the limit of the quotient at no rotation
-    quotient = np.divide(angle, sine, np.full_like(sine, 2.0), where=sine > 0.0)
+    quotient = angle / np.maximum(sine, np.finfo(float).tiny)
     return np.asarray(quaternion[:, 1:] * quotient[:, None])
 
 
@@ -94,9 +93,7 @@ def slide_position(mechanism: Mechanism, joint: Joint, motion: Motion, run: Traj
     first, second = mechanism.body_index(joint.first), mechanism.body_index(joint.second)
     if first == 0:
         return np.asarray(run.position[:, second] @ motion.axis)
-    axis = rotated(
-        run.quaternion[:, first], mechanism.bodies[first].pose.vector_to_body(motion.axis)
-    )
+    axis = rotated(run.quaternion[:, first], mechanism.bodies[first].pose.vector_to_body(motion.axis))
     return np.sum(axis * (run.position[:, second] - run.position[:, first]), axis=1)
 
 
@@ -146,8 +143,7 @@ def _joint_plots(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> I
                 yield Plot(0, "Sliders", ("slider_position", name), title, lines)
             else:
                 lines = {
-                    engine: hinge_angle(mechanism, joint, motion, run)
-                    for engine, run in trajectories.items()
+                    engine: hinge_angle(mechanism, joint, motion, run) for engine, run in trajectories.items()
                 }
                 title = f"angle of {name} [rad]"
                 yield Plot(0, "Joint angles", ("joint_angle", name), title, lines)
@@ -177,9 +173,7 @@ def _orientation_plots(mechanism: Mechanism, trajectories: dict[str, Trajectory]
     found = panel(mechanism)
     body = len(mechanism.bodies) - 1 if found is None else found[0]
     name = mechanism.body_names[body]
-    vectors = {
-        engine: rotation_vector(run.quaternion[:, body]) for engine, run in trajectories.items()
-    }
+    vectors = {engine: rotation_vector(run.quaternion[:, body]) for engine, run in trajectories.items()}
     for axis, letter in enumerate("xyz"):
         lines = {engine: vector[:, axis] for engine, vector in vectors.items()}
         group = f"Rotation vector of {name}"
@@ -198,14 +192,11 @@ def _agreement_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
         for engine, run in others
     }
     angles = {
-        engine: np.max(angle_between(first.quaternion, run.quaternion), axis=1)
-        for engine, run in others
+        engine: np.max(angle_between(first.quaternion, run.quaternion), axis=1) for engine, run in others
     }
     drift = _present(
         trajectories,
-        lambda run: (
-            None if run.constraint_violation is None else np.max(run.constraint_violation, axis=1)
-        ),
+        lambda run: None if run.constraint_violation is None else np.max(run.constraint_violation, axis=1),
     )
     differences = (("position", "m", distances), ("angle", "rad", angles))
     group = f"Agreement with {reference}"

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from crosscheck.errors import CrosscheckError
@@ -30,17 +31,15 @@ POLL = 0.1
 """s between questions to the viewer."""
 
 
-def screenshot(
-    rrd: str | os.PathLike[str], png: str | os.PathLike[str], time_seconds: float
-) -> None:
+def screenshot(rrd: str | os.PathLike[str], png: str | os.PathLike[str], time_seconds: float) -> None:
     """Write what the viewer shows of a recording at a time on its timeline `time`.
 
     Raises:
         CrosscheckError: if the viewer does not start or does not get as far as a picture.
     """
-    if not Path(rrd).is_file():
-        raise CrosscheckError(f"no recording at {os.fspath(rrd)!r}")
     try:
+        if not RrdReader(Path(rrd)).recordings():
+            raise CrosscheckError(f"no recording in {os.fspath(rrd)}")
         with _viewer() as viewer, atomic_file(png) as temporary:
             viewer.open(str(Path(rrd).resolve()))
             _wait_until_loaded(viewer, rrd)
@@ -48,8 +47,9 @@ def screenshot(
             time.sleep(SETTLE)
             viewer.set_time("time", duration=time_seconds, play_state="paused")
             viewer.save_screenshot(str(temporary.resolve()))
-    except (RuntimeError, ConnectionError, TimeoutError) as error:
-        raise CrosscheckError(f"no picture of {os.fspath(rrd)!r}: {error}") from error
+    except (RuntimeError, OSError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise CrosscheckError(f"no picture of {os.fspath(rrd)}: {reason}") from error
 
 
 @contextmanager
@@ -65,12 +65,15 @@ def _viewer() -> Iterator[ViewerClient]:
         process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
         try:
             yield _connect(process, port)
-        except _NotStartedError:
+        except (RuntimeError, ConnectionError):
+            if not _has_died(process):
+                raise
             log.seek(0)
-            output = log.read().decode(errors="replace").strip().splitlines()
+            output = log.read().decode(errors="replace").splitlines()
+            reason = next((line for line in output if "panicked" in line), "no reason given")
             raise CrosscheckError(
-                "the Rerun viewer did not start; it needs a Vulkan driver, on Debian the packages "
-                f"mesa-vulkan-drivers and libvulkan1; its last words: {' '.join(output[-3:])}"
+                "the Rerun viewer died; it needs a Vulkan driver, on Debian the packages "
+                f"mesa-vulkan-drivers and libvulkan1 ({reason})"
             ) from None
         finally:
             with suppress(ProcessLookupError):
@@ -78,8 +81,12 @@ def _viewer() -> Iterator[ViewerClient]:
             process.wait()
 
 
-class _NotStartedError(Exception):
-    pass
+def _has_died(process: subprocess.Popen[bytes]) -> bool:
+    try:
+        process.wait(timeout=1.0)  # it breaks the connection a little before it is gone
+    except subprocess.TimeoutExpired:
+        return False
+    return True
 
 
 def _connect(process: subprocess.Popen[bytes], port: int) -> ViewerClient:
@@ -92,7 +99,7 @@ def _connect(process: subprocess.Popen[bytes], port: int) -> ViewerClient:
             time.sleep(POLL)
         else:
             return client
-    raise _NotStartedError
+    raise ConnectionError(f"no answer from the Rerun viewer within {PATIENCE:g} s")
 
 
 def _wait_until_loaded(viewer: ViewerClient, rrd: str | os.PathLike[str]) -> None:
@@ -100,7 +107,7 @@ def _wait_until_loaded(viewer: ViewerClient, rrd: str | os.PathLike[str]) -> Non
     state = viewer.get_state()
     while state.loading or state.active_recording is None:
         if time.monotonic() > deadline:
-            raise CrosscheckError(f"the Rerun viewer did not load {os.fspath(rrd)!r}")
+            raise CrosscheckError(f"the Rerun viewer did not load {os.fspath(rrd)}")
         time.sleep(POLL)
         state = viewer.get_state()
 

@@ -39,11 +39,8 @@ class Cartesian:
         self.nq = self.nv = 7 * len(self.bodies)
         self.rows = sum(equations.count for equations in self.equations)
         self.damping, self.stiffness = 2.0 * alpha, alpha * alpha
-        self.actuated = [
-            self.equations[scene.mechanism.joint_index(law.joint)] for law in scene.control
-        ]
-        q, v = self.coordinates(scene.initial_state)
-        jacobian = self.phi_jacobian(q)
+        self.actuated = [self.equations[scene.mechanism.joint_index(law.joint)] for law in scene.control]
+        jacobian = self.phi_jacobian(self.coordinates(scene.initial_state)[0])
         self.redundant = rank(jacobian) < len(jacobian)
 
     # Bodies

@@ -50,9 +50,13 @@ class Jacobian(NamedTuple):
 class Constraint(Protocol):
     """k scalar constraint equations between two bodies."""
 
-    is_length: bool
-    """True for equations in metres, False for equations in radians (sines of small angles)."""
-    count: int
+    @property
+    def is_length(self) -> bool:
+        """True for equations in metres, False for equations in radians (sines of small angles)."""
+
+    @property
+    def count(self) -> int:
+        """k."""
 
     def phi(self, first: Frame, second: Frame) -> Array:
         """The residual Phi, (k,)."""
@@ -80,10 +84,7 @@ class Coincidence:
 
     def phi(self, first: Frame, second: Frame) -> Array:
         return (
-            first.position
-            + first.rotation @ self.s_first
-            - second.position
-            - second.rotation @ self.s_second
+            first.position + first.rotation @ self.s_first - second.position - second.rotation @ self.s_second
         )
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:

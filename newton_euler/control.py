@@ -32,7 +32,9 @@ class PD:
         for name in ("stiffness", "damping", "target"):
             value = getattr(self, name)
             if not isinstance(value, int | float) or not np.isfinite(value):
-                raise MechanismError(f"control of joint {self.joint!r}", f"{name} is {value!r}", "a finite number")
+                raise MechanismError(
+                    f"control of joint {self.joint!r}", f"{name} is {value!r}", "a finite number"
+                )
 
     def force(self, x: Scalar, x_rate: Scalar) -> Scalar:
         """The generalized force (N or N m) at coordinate x (m or rad) and its rate."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -78,7 +79,8 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
         nonlocal evaluations
         evaluations += 1
         q, v = y[: system.nq], y[system.nq :]
-        rates = np.concatenate([system.rate(q, v), system.acceleration(q, v)])
+        with np.errstate(over="ignore", invalid="ignore"):  # checked on the next line
+            rates = np.concatenate([system.rate(q, v), system.acceleration(q, v)])
         if not np.all(np.isfinite(rates)):
             raise IntegrationError(t, "accelerations are not finite")
         return rates
@@ -91,12 +93,11 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
 
     start = project(np.concatenate([q, v]))
     march = _march_adaptive if options.integrator in ADAPTIVE else _march_fixed
-    rows, steps = [start], 0
-    for steps, y in march(system, derivative, project, start, times, options):
-        rows.append(y)
-    table = np.array(rows)
+    marched = list(march(system, derivative, project, start, times, options))
+    steps = marched[-1][0]
+    table = np.array([start, *(y for _, y in marched)])
     if not np.all(np.isfinite(table)):
-        raise IntegrationError(float(times[len(rows) - 1]), "the solution is not finite")
+        raise IntegrationError(float(times[-1]), "the solution is not finite")
     return Solution(table[:, : system.nq], table[:, system.nq :], steps, evaluations)
 
 
@@ -135,7 +136,7 @@ def _march_fixed(
     advance = _rk4 if options.integrator == "RK4" else _semi_implicit_euler
     assert options.step is not None
     steps = 0
-    for begin, end in zip(times[:-1], times[1:], strict=True):
+    for begin, end in pairwise(times):
         count = max(1, int(np.ceil((end - begin) / options.step * (1.0 - 1e-9))))
         h = (end - begin) / count
         for k in range(count):

@@ -74,9 +74,7 @@ class JointEquations:
 
     @property
     def is_length(self) -> Array:
-        return np.concatenate(
-            [np.zeros(0, bool), *(np.full(c.count, c.is_length) for c in self.constraints)]
-        )
+        return np.concatenate([np.zeros(0, bool), *(np.full(c.count, c.is_length) for c in self.constraints)])
 
     def phi(self, first: Frame, second: Frame) -> Array:
         return np.concatenate([np.zeros(0), *(c.phi(first, second) for c in self.constraints)])
@@ -87,8 +85,11 @@ class JointEquations:
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
         blocks = [c.jacobian(first, second) for c in self.constraints]
         empty = np.zeros((0, 3))
-        return Jacobian(*(np.concatenate([empty, *column]) for column in zip(*blocks, strict=True))) \
-            if blocks else Jacobian(empty, empty, empty, empty)
+        return (
+            Jacobian(*(np.concatenate([empty, *column]) for column in zip(*blocks, strict=True)))
+            if blocks
+            else Jacobian(empty, empty, empty, empty)
+        )
 
 
 def perpendicular_pair(axis: Array) -> tuple[Array, Array]:
@@ -183,9 +184,7 @@ class Joint:
 
     def _coincident(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         """Phi^(s,3), eq. (25)."""
-        return (
-            Coincidence(first.point_to_body(self.point), second.point_to_body(self.reaction_point)),
-        )
+        return (Coincidence(first.point_to_body(self.point), second.point_to_body(self.reaction_point)),)
 
     def _parallel(self, axis: Array, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         """Phi^(p1,2), eq. (27): tilde(s_i) s_j = 0.

@@ -80,9 +80,7 @@ class Relative:
             a0 @ body.inertia @ a0.T
             for a0, body in zip(self.tree.initial_rotations, self.mechanism.bodies, strict=True)
         ]
-        self.actuated = [
-            self.tree.equations(self.mechanism.joint_index(law.joint)) for law in scene.control
-        ]
+        self.actuated = [self.tree.equations(self.mechanism.joint_index(law.joint)) for law in scene.control]
 
     # Kinematics
 
@@ -91,7 +89,12 @@ class Relative:
         ground = self.mechanism.bodies[0]
         zero = np.zeros(3)
         root = Link(
-            Frame(ground.center_of_mass, np.eye(3), zero, zero), zero, zero, [], np.zeros((3, 0)), np.zeros((3, 0))
+            Frame(ground.center_of_mass, np.eye(3), zero, zero),
+            zero,
+            zero,
+            [],
+            np.zeros((3, 0)),
+            np.zeros((3, 0)),
         )
         links: dict[int, Link] = {0: root}
         for joint in self.tree.joints:
@@ -141,7 +144,7 @@ class Relative:
         move(a @ (self.mechanism.bodies[joint.child].center_of_mass - point))
 
         arm = r - parent.frame.position
-        angular = [column for column in parent.angular.T]
+        angular = list(parent.angular.T)
         linear = [
             column + cross(spin, arm) for column, spin in zip(parent.linear.T, parent.angular.T, strict=True)
         ]
@@ -150,9 +153,7 @@ class Relative:
             linear.append(axis if center is None else cross(axis, r - center))
         path = parent.path + list(range(joint.v.start, joint.v.stop))
         stack = (lambda rows: np.array(rows).T) if path else (lambda rows: np.zeros((3, 0)))
-        return Link(
-            Frame(r, a, velocity, omega), acceleration, alpha, path, stack(linear), stack(angular)
-        )
+        return Link(Frame(r, a, velocity, omega), acceleration, alpha, path, stack(linear), stack(angular))
 
     # Terms of the equations of motion
 
@@ -370,5 +371,3 @@ class Relative:
         second = self.tree.equations(joint).second
         s = self.mechanism.joints[joint].reaction_point - self.mechanism.bodies[second].center_of_mass
         return np.asarray(links[second].frame.rotation @ s)
-
-

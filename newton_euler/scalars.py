@@ -43,9 +43,7 @@ def arctan2(y: Scalar, x: Scalar) -> Scalar:
 
 def cross(a: Array, b: Array) -> Array:
     """Cross product of two (3,) vectors; much quicker than `numpy.cross` on one pair."""
-    return np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def tilde(a: Array) -> Array:

@@ -78,9 +78,7 @@ class Scene:
                 raise MechanismError(where, "the joint is not actuated", "an actuated joint")
             kinds = [m.kind for m in joint.motions if m.kind != "ball"]
             if not 0 <= law.coordinate < len(kinds):
-                raise MechanismError(
-                    where, f"coordinate is {law.coordinate}", f"an index below {len(kinds)}"
-                )
+                raise MechanismError(where, f"coordinate is {law.coordinate}", f"an index below {len(kinds)}")
 
     def _check_state(self, state: State) -> None:
         count = len(self.mechanism.bodies)

@@ -127,4 +127,3 @@ def trajectory_from(
         quaternion=continuous(quaternions, scene.initial_state.quaternion),
         **arrays,
     )
-

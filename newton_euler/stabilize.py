@@ -67,9 +67,7 @@ def project_velocity(system: System, q: Array, v: Array) -> Array:
 def joint_violations(mechanism: Mechanism, state: State) -> Array:
     """(j,) largest residual of each joint's equations in a state, m or rad."""
     frames = state.frames()
-    return np.array(
-        [largest(e.phi(frames[e.first], frames[e.second])) for e in mechanism.equations]
-    )
+    return np.array([largest(e.phi(frames[e.first], frames[e.second])) for e in mechanism.equations])
 
 
 def worst_joint(system: System, state: State) -> tuple[str, float]:

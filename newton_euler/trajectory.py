@@ -7,6 +7,7 @@ import tempfile
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -70,11 +71,11 @@ def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
     try:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
         raise NewtonEulerError(f"cannot read a trajectory from {os.fspath(path)!r}: {error}") from error
 
 
-class atomic_file:  # noqa: N801 - used as a function
+class atomic_file:
     """Context manager: a temporary path beside `path` that becomes `path` on success only."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:

@@ -23,7 +23,7 @@ from newton_euler.euler_parameters import (
     rotation,
 )
 from newton_euler.joints import Fixed, JointEquations, Motion, Pose, Spherical
-from newton_euler.mechanism import Body, Mechanism
+from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array
 from newton_euler.state import State
 
@@ -72,9 +72,7 @@ class SpanningTree:
             for index, equations in enumerate(self._equations):
                 if body in (equations.first, equations.second) and equations.joint.name not in never:
                     passive = not equations.joint.actuated
-                    heapq.heappush(
-                        candidates, (-equations.count, passive, reached[body], index, body)
-                    )
+                    heapq.heappush(candidates, (-equations.count, passive, reached[body], index, body))
 
         offer(0)
         while candidates:
@@ -105,9 +103,7 @@ class SpanningTree:
     @cached_property
     def _equations(self) -> tuple[JointEquations, ...]:
         """All joints' equations in the frames of the tree."""
-        return self.mechanism.attach(
-            [Pose(body.center_of_mass, np.eye(3)) for body in self.mechanism.bodies]
-        )
+        return self.mechanism.attach([Pose(body.center_of_mass, np.eye(3)) for body in self.mechanism.bodies])
 
     def equations(self, joint: int) -> JointEquations:
         """Equations of joint number `joint` in the frames of the tree."""
@@ -228,7 +224,7 @@ def weld_loops(mechanism: Mechanism) -> WeldedMechanism:
         side = "second" if joint.second != mechanism.body_names[0] else "first"
         whole = mechanism.body_index(getattr(joint, side))
         half = f"{mechanism.body_names[whole]}_at_{joint.name}"
-        joints[index] = replace(joint, **{side: half})
+        joints[index] = replace(joint, first=half) if side == "first" else replace(joint, second=half)
         weld = Fixed(f"{joint.name}_weld", bodies[whole].name, half, bodies[whole].center_of_mass)
         joints.append(weld)
         welds.append(weld.name)

@@ -33,7 +33,8 @@ def test_tracker_counts_as_the_paper_with_a_fixed_ground(tracker):
     system = Cartesian(tracker)
     matrix, right = system.system(*system.coordinates(tracker.initial_state))
     assert (system.nq, system.rows, len(system.bodies)) == (42, 34, 6)
-    assert matrix.shape == (76, 76) and right.shape == (76,)
+    assert matrix.shape == (76, 76)
+    assert right.shape == (76,)
     assert np.linalg.matrix_rank(system.phi_jacobian(system.coordinates(tracker.initial_state)[0])) == 40
 
 
@@ -114,12 +115,13 @@ def test_blocks_of_equation_21_are_the_papers(tracker, tracker_states):
     mass = system.mass_matrix(q)
     assert np.allclose(mass[3:6, 3:7], 2.0 * system.bodies[0].inertia @ matrix_l(q[3:7]))
     norm, p_matrix, c = system.norm_terms(q, qdot)
-    assert np.allclose(p_matrix @ qdot, 0.0, atol=1e-15) and np.allclose(norm, 0.0, atol=1e-15)
+    assert np.allclose(p_matrix @ qdot, 0.0, atol=1e-15)
+    assert np.allclose(norm, 0.0, atol=1e-15)
     assert c[-1] == pytest.approx(qdot[-4:] @ qdot[-4:])
 
 
 def test_multipliers_are_the_papers_reaction_signs(tracker):
-    """Equations (17) and (18): m rddot = f + Phi_r^T lambda, checked on the panel, which no actuator drives."""
+    """Equations (17) and (18): m rddot = f + Phi_r^T lambda, on the panel, which no actuator drives."""
     system = Cartesian(tracker)
     q, qdot = system.coordinates(tracker.initial_state)
     qddot, multipliers = system.solve(q, qdot)

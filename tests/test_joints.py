@@ -122,9 +122,7 @@ def test_gamma_completes_the_second_derivative(moving):
     equations, one, two = moving
     i, j = one.frame(0.0), two.frame(0.0)
     second_rate = derivative(
-        lambda s: rate_by_jacobian(
-            equations.jacobian(one.frame(s), two.frame(s)), one.frame(s), two.frame(s)
-        )
+        lambda s: rate_by_jacobian(equations.jacobian(one.frame(s), two.frame(s)), one.frame(s), two.frame(s))
     )
     block = equations.jacobian(i, j)
     from_accelerations = (
@@ -195,7 +193,7 @@ def test_universal_coordinates_are_its_two_angles_and_their_rates():
 
 
 def test_zero_axis_and_slanted_universal_are_refused():
-    with pytest.raises(MechanismError, match="axis is .*non-zero"):
+    with pytest.raises(MechanismError, match=r"axis is .*non-zero"):
         Revolute("j", "a", "b", [0, 0, 0], axis=[0, 0, 0])
     with pytest.raises(MechanismError, match="perpendicular"):
         Universal("j", "a", "b", [0, 0, 0], axis_on_first=[1, 0, 0], axis_on_second=[1, 1, 0])

@@ -47,10 +47,7 @@ def tracker(
     """
     tables = corrected_tables(literal_panel=panel_inertia == "literal")
     data = joint_data()
-    joints = [
-        JOINT_KINDS[entry.pop("kind")](**entry) for entry in (dict(joint) for joint in data["joints"])
-    ]
-    tables.euler_parameters[6] = data["initial_euler_parameters_7"]
+    joints = [JOINT_KINDS[entry.pop("kind")](**entry) for entry in (dict(joint) for joint in data["joints"])]
     if leg_inertia == "aligned":
         for body in (3, 4, 5):
             turn = _along(_link_axis(BODY_NAMES[body], joints))
@@ -106,22 +103,23 @@ def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
         for k in (1, 2)
     ]
     foot = point["hinge_14"] * [1.0, 1.0, 0.0]
-    ground = (
-        Box([0.085, 0.085, 0.003], base - [0.0, 0.0, 0.003]),
+    ground: tuple[Shape, ...] = (
+        Box(np.array([0.085, 0.085, 0.003]), base - [0.0, 0.0, 0.003]),
         *rails,
         Capsule(foot, point["hinge_14"], 0.006),
     )
     panel_rotation = rotation(tables.euler_parameters[6])
-    xi, eta, _ = panel_rotation.T
+    eta = panel_rotation[:, 1]
     panel_center = centers[6] + panel_rotation @ [0.0, 0.0, 0.006]
-    panel = (
-        Box([0.07, 0.055, 0.002], panel_center, tables.euler_parameters[6]),
+    panel: tuple[Shape, ...] = (
+        Box(np.array([0.07, 0.055, 0.002]), panel_center, tables.euler_parameters[6]),
         Capsule(point["ball_67"], point["ball_57"], 0.003),
         Capsule(point["universal_47"] - 0.01 * eta, point["universal_47"] + 0.01 * eta, 0.004),
     )
 
     def slider(body: int, joint: str) -> tuple[Shape, ...]:
-        return (Box([0.012, 0.012, 0.01], centers[body]), Capsule(centers[body], point[joint], 0.003))
+        block = Box(np.array([0.012, 0.012, 0.01]), centers[body])
+        return (block, Capsule(centers[body], point[joint], 0.003))
 
     return [
         ground,

@@ -148,11 +148,14 @@ ERRATA = (
         _symmetric_j1,
     ),
     Erratum(
-        6, "Table 4, J2", "-0.00102 in one rendering", "-0.0102, the mirror image of J3", "applied", _mirrored_j2
+        6,
+        "Table 4, J2",
+        "-0.00102 in one rendering",
+        "-0.0102, the mirror image of J3",
+        "applied",
+        _mirrored_j2,
     ),
-    Erratum(
-        7, "Table 4, J3 and J4", "no scale factor", "1e-4 for J3, 1e-3 for J4", "applied", _lost_scales
-    ),
+    Erratum(7, "Table 4, J3 and J4", "no scale factor", "1e-4 for J3, 1e-3 for J4", "applied", _lost_scales),
     Erratum(
         8,
         "Table 4, J7",

@@ -1,0 +1,137 @@
+"""What MuJoCo says at a state, once accelerations and multipliers are known.
+
+Shared by rigid and soft constraints: the same reactions follow from either's accelerations.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mjcf.loops import Loop, loops
+from mjcf.model import CompiledScene
+from newton_euler.scalars import Array, cross
+from newton_euler.solve import orthonormal_null
+from newton_euler.state import Evaluation, admissible_projector
+
+
+def evaluation(compiled: CompiledScene, acceleration: Array, multipliers: Array) -> Evaluation:
+    """Everything about the state that `compiled.data` holds.
+
+    Args:
+        compiled: with positions, velocities and actuation worked out.
+        acceleration: (nv,) MuJoCo's qacc.
+        multipliers: (nefc,) forces of MuJoCo's constraint rows.
+    """
+    model, data = compiled.model, compiled.data
+    closures = loops(model, data)
+    propagate(compiled, closures, acceleration, multipliers)
+    linear, angular = body_accelerations(compiled)
+    force, torque = reactions(compiled, closures, multipliers)
+    kinetic, potential = energies(compiled)
+    return Evaluation(
+        compiled.read_state(),
+        linear,
+        angular,
+        force,
+        torque,
+        np.array(data.actuator_force),
+        kinetic,
+        potential,
+        admissible(compiled),
+    )
+
+
+def constraint_jacobian(compiled: CompiledScene) -> Array:
+    """(nefc, nv) MuJoCo's efc_J, for velocities qvel."""
+    return np.array(compiled.data.efc_J).reshape(compiled.data.nefc, compiled.model.nv)
+
+
+def propagate(
+    compiled: CompiledScene, closures: list[Loop], acceleration: Array, multipliers: Array
+) -> None:
+    """Have MuJoCo work out body accelerations and the forces between bodies.
+
+    The loops' forces go in as applied wrenches. MuJoCo would take them from efc_force itself, but
+    it reads a weld's last three multipliers as a torque in the world frame, which they are not.
+    """
+    model, data = compiled.model, compiled.data
+    data.qacc[:] = acceleration
+    data.efc_force[:] = 0.0
+    for loop in closures:
+        loop.apply(multipliers)
+    mujoco.mj_rnePostConstraint(model, data)
+    data.xfrc_applied[:] = 0.0
+
+
+def body_accelerations(compiled: CompiledScene) -> tuple[Array, Array]:
+    """(b, 3) of the centres of mass and (b, 3) angular, after `propagate`."""
+    count = len(compiled.mechanism.bodies)
+    out = np.zeros((count, 6))
+    for row, index in zip(out[1:], compiled.body_id[1:count], strict=True):
+        mujoco.mj_objectAcceleration(
+            compiled.model, compiled.data, mujoco.mjtObj.mjOBJ_BODY, index, row, 0
+        )
+        row[3:] += compiled.model.opt.gravity  # it is what an accelerometer reads
+    return out[:, 3:].copy(), out[:, :3].copy()
+
+
+def reactions(
+    compiled: CompiledScene, closures: list[Loop], multipliers: Array
+) -> tuple[Array, Array]:
+    """(j, 3) forces and torques on the second bodies at the joint points, after `propagate`.
+
+    A joint in the tree carries cfrc_int of its child less what its actuators do; a cut ball
+    carries its multipliers.
+    """
+    model, data, mechanism = compiled.model, compiled.data, compiled.welded.mechanism
+    count = len(compiled.mechanism.joints)
+    forces, torques = np.zeros((len(mechanism.joints), 3)), np.zeros((len(mechanism.joints), 3))
+    for loop in closures:
+        force, couple = loop.wrench_on_first(multipliers)
+        index = mechanism.joint_index(loop.name)
+        forces[index], torques[index] = -force, -couple
+    applied = actuator_wrenches(compiled)
+    for kept in compiled.tree.joints:
+        child = compiled.body_id[kept.child]
+        sign = 1.0 if kept.forward else -1.0
+        force, torque = data.cfrc_int[child, 3:], data.cfrc_int[child, :3]
+        arm = data.subtree_com[model.body_rootid[child]] - compiled.joint_point(kept.joint)
+        u_force, u_torque = applied[child, :3], applied[child, 3:]
+        forces[kept.joint] = sign * (force - u_force)
+        torques[kept.joint] = sign * (torque + cross(arm, force) - u_torque)
+    return forces[:count], torques[:count]
+
+
+def actuator_wrenches(compiled: CompiledScene) -> Array:
+    """(nbody, 6) force and torque on each of MuJoCo's bodies by actuators of the joint above it.
+
+    A slide's actuator pushes along a line through the joint point, so it has no torque there. The
+    axes of a universal joint stay perpendicular: torque about one does no work on the other.
+    """
+    model, data = compiled.model, compiled.data
+    wrenches = np.zeros((model.nbody, 6))
+    for joint, u in zip(model.actuator_trnid[:, 0], data.actuator_force, strict=True):
+        slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
+        part = slice(0, 3) if slides else slice(3, 6)
+        wrenches[model.jnt_bodyid[joint], part] += u * data.xaxis[joint]
+    return wrenches
+
+
+def energies(compiled: CompiledScene) -> tuple[float, float]:
+    """Kinetic energy and potential energy of gravity (zero at the world origin), J."""
+    mujoco.mj_energyPos(compiled.model, compiled.data)
+    mujoco.mj_energyVel(compiled.model, compiled.data)
+    potential, kinetic = compiled.data.energy
+    return float(kinetic), float(potential)
+
+
+def admissible(compiled: CompiledScene) -> Array:
+    """(6 b, 6 b) projector onto the body velocities that the constraints leave free."""
+    model = compiled.model
+    count = len(compiled.mechanism.bodies)
+    jacobian = np.zeros((2 * count, 3, model.nv))
+    for k, index in enumerate(compiled.body_id[1:count], start=1):
+        mujoco.mj_jacBodyCom(model, compiled.data, jacobian[2 * k], jacobian[2 * k + 1], index)
+    free = orthonormal_null(constraint_jacobian(compiled))
+    return admissible_projector(compiled.mechanism, jacobian.reshape(6 * count, model.nv) @ free)

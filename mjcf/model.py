@@ -1,0 +1,112 @@
+"""A scene compiled by MuJoCo, and the way between tree coordinates and MuJoCo's own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjcf.errors import ModelError
+from mjcf.layout import Layout
+from mjcf.write import welded_to_xml
+from newton_euler.euler_parameters import rotation
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.state import MassProperties, State
+from newton_euler.tree import weld_loops
+
+
+class CompiledScene:
+    """A scene's `MjModel` and `MjData`.
+
+    Coordinates q (nq,) and velocities v (nv,) are those of the spanning tree of the welded
+    mechanism; MuJoCo's qpos and qvel stay inside this class.
+
+    Attributes:
+        scene, mechanism: as given; results are for this mechanism's bodies and joints.
+        welded: the mechanism with its loops cut, which MuJoCo models.
+        model, data: `MjModel` and `MjData`; data is scratch that every call may overwrite.
+        body_id: MuJoCo's body of each body of `welded.mechanism`, originals first.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """Compile; raises `ModelError` with MuJoCo's reason if it refuses."""
+        self.scene = scene
+        self.mechanism = scene.mechanism
+        self.welded = weld_loops(scene.mechanism)
+        self.tree = self.welded.tree
+        self.layout = Layout(self.tree)
+        self.body_id = self.layout.body_id
+        self.nq, self.nv = self.tree.nq, self.tree.nv
+        try:
+            self.model: Any = mujoco.MjModel.from_xml_string(welded_to_xml(scene, self.welded))
+        except ValueError as error:
+            raise ModelError(scene.name, " ".join(str(error).split())) from error
+        self.data: Any = mujoco.MjData(self.model)
+        self._restore_inertias()
+        self.data.ctrl[:] = [law.target for law in scene.control]
+
+    def _restore_inertias(self) -> None:
+        """Put back moments of inertia that had to be raised, or lost digits, on the way in."""
+        for body, index in zip(self.welded.mechanism.bodies[1:], self.body_id[1:], strict=True):
+            axes = rotation(self.model.body_iquat[index])
+            self.model.body_inertia[index] = np.diag(axes.T @ body.inertia @ axes)
+        mujoco.mj_setConst(self.model, self.data)
+
+    def mass_properties(self) -> MassProperties:
+        """What the bodies weigh in the compiled model; halves of a body are put together."""
+        model, data = self.model, self.data
+        data.qpos[:] = model.qpos0
+        mujoco.mj_kinematics(model, data)
+        stated = MassProperties.of(self.mechanism)
+        mass, center, inertia = stated.mass, stated.center_of_mass, stated.inertia
+        for body in range(1, len(mass)):
+            halves = zip(self.body_id, self.welded.origin, strict=True)
+            parts = [index for index, whole in halves if whole == body]
+            axes = data.ximat[parts].reshape(-1, 3, 3)
+            mass[body] = model.body_mass[parts].sum()
+            center[body] = np.average(data.xipos[parts], axis=0, weights=model.body_mass[parts])
+            inertia[body] = np.einsum("nik,nk,njk->ij", axes, model.body_inertia[parts], axes)
+        return MassProperties(mass, center, inertia)
+
+    def coordinates(self, state: State) -> tuple[Array, Array]:
+        """q and v of a state."""
+        return self.tree.coordinates(self.welded.state(state))
+
+    def place(self, q: Array, v: Array) -> None:
+        """Give MuJoCo a state."""
+        self.data.qpos[:] = self.layout.to_qpos @ q
+        self.data.qvel[:] = self.layout.to_qvel @ v
+
+    def state(self, q: Array, v: Array) -> State:
+        """Body poses and velocities by MuJoCo's kinematics."""
+        self.place(q, v)
+        mujoco.mj_fwdPosition(self.model, self.data)
+        mujoco.mj_fwdVelocity(self.model, self.data)
+        return self.read_state()
+
+    def read_state(self) -> State:
+        """Body poses and velocities that MuJoCo has worked out last."""
+        ground = self.mechanism.bodies[0]
+        bodies = self.body_id[1 : len(self.mechanism.bodies)]
+        velocities = np.zeros((len(bodies) + 1, 6))  # omega, v
+        for row, index in zip(velocities[1:], bodies, strict=True):
+            mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_BODY, index, row, 0)
+        return State(
+            np.vstack([ground.center_of_mass, self.data.xpos[bodies]]),
+            np.vstack([ground.quaternion, self.data.xquat[bodies]]),
+            velocities[:, 3:].copy(),
+            velocities[:, :3].copy(),
+        )
+
+    def joint_point(self, joint: int) -> Array:
+        """(3,) the point, in the world now, that reactions of a welded joint are reduced to."""
+        mechanism = self.welded.mechanism
+        point = mechanism.joints[joint].reaction_point
+        second = mechanism.equations[joint].second
+        if second == 0:  # the world body, whose origin is not the ground's centre of mass
+            return point
+        index = self.body_id[second]
+        arm = mechanism.bodies[second].pose.point_to_body(point)
+        return np.asarray(self.data.xpos[index] + self.data.xmat[index].reshape(3, 3) @ arm)

@@ -1,0 +1,28 @@
+"""MuJoCo as it is, with its soft constraints, at single states."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mjcf.evaluate import evaluation
+from mjcf.model import CompiledScene
+from newton_euler.scalars import Array
+from newton_euler.state import Evaluation
+
+
+class SoftMuJoCo(CompiledScene):
+    """What `mj_forward` says: accelerations and constraint forces of soft constraints."""
+
+    name = "mujoco"
+
+    def evaluate(self, q: Array, v: Array) -> Evaluation:
+        """Accelerations, reactions, energies and admissible velocities at a state."""
+        self.forward(q, v)
+        return evaluation(self, np.array(self.data.qacc), np.array(self.data.efc_force))
+
+    def forward(self, q: Array, v: Array) -> None:
+        """Run MuJoCo's forward dynamics from scratch, without the warm start of another state."""
+        self.place(q, v)
+        self.data.qacc_warmstart[:] = 0.0
+        mujoco.mj_forward(self.model, self.data)

@@ -1,0 +1,297 @@
+"""Scene -> MJCF.
+
+Body frames are the mechanism's own: origin at the centre of mass, orientation `Body.quaternion`.
+The mechanism's ground is MuJoCo's world body. Loops close at `<connect>` and `<weld>` equality
+constraints, PD laws become native `<position>` actuators, and the keyframe `start` holds the
+initial state with the actuators' targets, so a stock viewer runs the scene once it loads the key.
+"""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+
+import numpy as np
+
+from mjcf.errors import ModelError
+from mjcf.layout import Layout, coordinate_name, motion_names
+from newton_euler.euler_parameters import conjugate, product
+from newton_euler.joints import Pose, Spherical
+from newton_euler.mechanism import Body
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.shapes import Box, Capsule, Shape
+from newton_euler.trajectory import atomic_file
+from newton_euler.tree import TreeJoint, WeldedMechanism, weld_loops
+
+TIMESTEP = 0.001
+"""Time step of a written model, s."""
+
+SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""Constraint impedance; MuJoCo caps it at 0.9999, so constraints cannot be made rigid."""
+
+KEY = "start"
+"""Name of the keyframe that holds the initial state."""
+
+REALISABLE_SLACK = 1e-12
+"""Relative slack of A + B >= C that a written inertia keeps, for the round-off of MuJoCo."""
+
+COLOURS = (
+    "0.12 0.47 0.71 1",
+    "1 0.5 0.05 1",
+    "0.17 0.63 0.17 1",
+    "0.84 0.15 0.16 1",
+    "0.58 0.4 0.74 1",
+    "0.16 0.3 0.5 1",
+    "0.89 0.47 0.76 1",
+    "0.09 0.75 0.81 1",
+)
+"""Colours of the moving bodies, in turn."""
+
+GROUND_COLOUR = "0.6 0.6 0.6 1"
+
+
+def write(scene: Scene, path: str | os.PathLike[str]) -> None:
+    """Write the scene's MJCF; the file appears whole or not at all. Raises `MjcfError`."""
+    with atomic_file(path) as temporary:
+        temporary.write_text(to_xml(scene), encoding="utf-8")
+
+
+def to_xml(scene: Scene) -> str:
+    """The scene as an MJCF document; numbers keep all their digits. Raises `MjcfError`."""
+    return welded_to_xml(scene, weld_loops(scene.mechanism))
+
+
+def welded_to_xml(scene: Scene, welded: WeldedMechanism) -> str:
+    """`to_xml` for loops that are cut already."""
+    for body in welded.mechanism.bodies[1:]:
+        if body.name == "world":
+            raise ModelError(scene.name, "a moving body is named 'world', as MuJoCo's ground is")
+    root = ET.Element("mujoco", model=scene.name)
+    _settings(root, scene)
+    layout = Layout(welded.tree)
+    _world(root, scene, welded, layout)
+    _loops(root, welded)
+    _actuators(root, scene)
+    _start(root, scene, welded, layout)
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _number(value: float) -> str:
+    """The shortest text that reads back as the same float."""
+    return repr(float(value) + 0.0).removesuffix(".0")
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(_number(value) for value in values)
+
+
+def _settings(root: ET.Element, scene: Scene) -> None:
+    ET.SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
+    ET.SubElement(
+        root,
+        "option",
+        timestep=_number(TIMESTEP),
+        gravity=_numbers(scene.gravity),
+        integrator="RK4",
+        solver="Newton",
+        iterations="100",
+        tolerance="1e-15",
+    )
+    default = ET.SubElement(root, "default")
+    ET.SubElement(default, "geom", contype="0", conaffinity="0", mass="0", group="1")
+    ET.SubElement(
+        default, "equality", solref=_numbers([2.0 * TIMESTEP, 1.0]), solimp=_numbers(SOLIMP)
+    )
+
+
+def _look(root: ET.Element, world: ET.Element, scene: Scene) -> None:
+    """Camera, light and floor fitted to the mechanism."""
+    mechanism = scene.mechanism
+    points = [body.center_of_mass for body in mechanism.bodies[1:]]
+    points += [joint.point for joint in mechanism.joints]
+    for index in range(len(mechanism.bodies)):
+        for shape in mechanism.shapes(index):
+            if isinstance(shape, Capsule):
+                points += [shape.start - shape.radius, shape.end + shape.radius]
+            else:
+                points += [shape.center - shape.half_sizes, shape.center + shape.half_sizes]
+    low, high = np.min(points, axis=0), np.max(points, axis=0)
+    center = 0.5 * (low + high)
+    extent = max(float(np.linalg.norm(high - low)), mechanism.size)
+    ET.SubElement(root, "statistic", center=_numbers(center), extent=_number(extent))
+    visual = ET.SubElement(root, "visual")
+    ET.SubElement(visual, "headlight", ambient="0.4 0.4 0.4", diffuse="0.5 0.5 0.5")
+    ET.SubElement(visual, "global", azimuth="135", elevation="-20")
+    asset = ET.SubElement(root, "asset")
+    ET.SubElement(
+        asset,
+        "texture",
+        name="floor",
+        type="2d",
+        builtin="checker",
+        rgb1="0.85 0.87 0.9",
+        rgb2="0.75 0.78 0.82",
+        width="256",
+        height="256",
+    )
+    ET.SubElement(asset, "material", name="floor", texture="floor", texrepeat="16 16")
+    ET.SubElement(
+        asset,
+        "texture",
+        type="skybox",
+        builtin="gradient",
+        rgb1="0.95 0.97 1",
+        rgb2="0.6 0.7 0.8",
+        width="256",
+        height="256",
+    )
+    above = center + np.array([0.0, 0.0, 2.0 * extent])
+    ET.SubElement(world, "light", pos=_numbers(above), dir="0 0 -1", diffuse="0.5 0.5 0.5")
+    ET.SubElement(
+        world,
+        "geom",
+        name="floor",
+        type="plane",
+        pos=_numbers([center[0], center[1], low[2]]),
+        size=_numbers([2.0 * extent, 2.0 * extent, 0.1 * extent]),
+        material="floor",
+    )
+
+
+def _world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
+    """The tree of bodies, each nested in its parent."""
+    world = ET.Element("worldbody")
+    _look(root, world, scene)
+    root.append(world)
+    in_world = Pose(np.zeros(3), np.eye(3))
+    for shape in scene.mechanism.shapes(0):
+        _geom(world, shape, GROUND_COLOUR, in_world, np.array([1.0, 0.0, 0.0, 0.0]))
+    elements = {0: world}
+    for kept in layout.order:
+        element = _body(elements[kept.parent], kept, welded)
+        elements[kept.child] = element
+        if kept.child < len(scene.mechanism.bodies):
+            body = scene.mechanism.bodies[kept.child]
+            colour = COLOURS[(kept.child - 1) % len(COLOURS)]
+            for shape in scene.mechanism.shapes(kept.child):
+                _geom(element, shape, colour, body.pose, body.quaternion)
+
+
+def _body(parent_element: ET.Element, kept: TreeJoint, welded: WeldedMechanism) -> ET.Element:
+    """One body without its shapes and children."""
+    mechanism = welded.mechanism
+    body, parent = mechanism.bodies[kept.child], mechanism.bodies[kept.parent]
+    position, quaternion = body.center_of_mass, body.quaternion
+    if kept.parent != 0:
+        position = parent.pose.point_to_body(body.center_of_mass)
+        quaternion = product(conjugate(parent.quaternion), body.quaternion)
+    element = ET.SubElement(
+        parent_element, "body", name=body.name, pos=_numbers(position), quat=_numbers(quaternion)
+    )
+    _inertial(element, body)
+    joint = mechanism.joints[kept.joint]
+    names = motion_names(joint) if kept.forward else motion_names(joint)[::-1]
+    for name, motion in zip(names, kept.motions, strict=True):
+        attributes = {"name": name, "type": motion.kind}
+        attributes["pos"] = _numbers(body.pose.point_to_body(joint.point))
+        if motion.kind != "ball":
+            attributes["axis"] = _numbers(body.pose.vector_to_body(motion.axis))
+        ET.SubElement(element, "joint", attributes)
+    return element
+
+
+def _inertial(element: ET.Element, body: Body) -> None:
+    """Mass and inertia. MuJoCo takes no inertia that breaks A + B >= C, not even by round-off."""
+    a, b, c = np.linalg.eigvalsh(body.inertia)
+    lacking = c - a - b + REALISABLE_SLACK * c
+    inertia = body.inertia
+    if lacking > 0.0:
+        # all three moments grow alike: that keeps the principal axes, and it is enough
+        inertia = inertia + lacking * np.eye(3)
+        note = f"moments of inertia raised by {lacking:.3g} kg m^2 so that A + B >= C holds"
+        element.append(ET.Comment(f" {note} "))
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia
+    ET.SubElement(
+        element,
+        "inertial",
+        pos="0 0 0",
+        mass=_number(body.mass),
+        fullinertia=_numbers([xx, yy, zz, xy, xz, yz]),
+    )
+
+
+def _geom(element: ET.Element, shape: Shape, colour: str, pose: Pose, quaternion: Array) -> None:
+    """A shape in the frame of its body."""
+    if isinstance(shape, Box):
+        ET.SubElement(
+            element,
+            "geom",
+            type="box",
+            pos=_numbers(pose.point_to_body(shape.center)),
+            quat=_numbers(product(conjugate(quaternion), shape.quaternion)),
+            size=_numbers(shape.half_sizes),
+            rgba=colour,
+        )
+    else:
+        ends = [pose.point_to_body(shape.start), pose.point_to_body(shape.end)]
+        ET.SubElement(
+            element,
+            "geom",
+            type="capsule",
+            fromto=_numbers(np.concatenate(ends)),
+            size=_number(shape.radius),
+            rgba=colour,
+        )
+
+
+def _loops(root: ET.Element, welded: WeldedMechanism) -> None:
+    """Cuts at balls and welds."""
+    if not welded.tree.cuts:
+        return
+    equality = ET.SubElement(root, "equality")
+    mechanism = welded.mechanism
+    ground = mechanism.body_names[0]
+    for index in welded.tree.cuts:
+        joint = mechanism.joints[index]
+        first, second = ("world" if n == ground else n for n in (joint.first, joint.second))
+        attributes = {"name": joint.name, "body1": first, "body2": second}
+        if isinstance(joint, Spherical):
+            body = mechanism.bodies[mechanism.body_index(joint.first)]
+            anchor = joint.point if first == "world" else body.pose.point_to_body(joint.point)
+            ET.SubElement(equality, "connect", attributes, anchor=_numbers(anchor))
+        else:  # the halves of one body, which share their frame
+            ET.SubElement(equality, "weld", attributes, anchor="0 0 0", relpose="0 0 0 1 0 0 0")
+
+
+def _actuators(root: ET.Element, scene: Scene) -> None:
+    if not scene.control:
+        return
+    actuator = ET.SubElement(root, "actuator")
+    mechanism = scene.mechanism
+    for law in scene.control:
+        name = coordinate_name(mechanism.joints[mechanism.joint_index(law.joint)], law.coordinate)
+        if law.damping < 0.0:
+            reason = f"damping of joint {law.joint!r} is {law.damping:g}; MuJoCo takes none below 0"
+            raise ModelError(scene.name, reason)
+        ET.SubElement(
+            actuator,
+            "position",
+            name=name,
+            joint=name,
+            kp=_number(law.stiffness),
+            kv=_number(law.damping),
+        )
+
+
+def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
+    q, v = welded.tree.coordinates(welded.state(scene.initial_state))
+    attributes = {"name": KEY}
+    if len(q):
+        attributes["qpos"] = _numbers(layout.to_qpos @ q)
+        attributes["qvel"] = _numbers(layout.to_qvel @ v)
+    if scene.control:
+        attributes["ctrl"] = _numbers(law.target for law in scene.control)
+    ET.SubElement(ET.SubElement(root, "keyframe"), "key", attributes)

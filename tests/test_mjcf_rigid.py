@@ -1,0 +1,322 @@
+"""MuJoCo's model under rigid constraints against this package's two formulations."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from finite_difference import derivative, jacobian
+
+from crosscheck.scenes.tracker import tracker as make_tracker
+from mjcf.rigid import RigidMuJoCo
+from mjcf.soft import SoftMuJoCo
+from newton_euler.assemble import random_states
+from newton_euler.cartesian import Cartesian
+from newton_euler.control import PD
+from newton_euler.joints import JOINT_KINDS, Joint, Revolute
+from newton_euler.mechanism import Body, Mechanism
+from newton_euler.relative import Relative
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.state import Evaluation, State
+from newton_euler.system import System
+
+KINEMATICS = 1e-12
+"""A few dozen products of order 1, each good to 1e-16, and velocities that meet constraints."""
+
+ACCELERATIONS = 1e-10
+"""Relative to the largest: condition numbers of 1e4 to 1e5 on round-off of 1e-16."""
+
+REACTIONS = 1e-8
+"""Relative to the largest: the multipliers lose the constraints' condition once more."""
+
+
+def unit(vector: Array) -> Array:
+    return vector / np.linalg.norm(vector)
+
+
+def random_inertia(rng: np.random.Generator, moments: Array) -> Array:
+    """Principal moments along random axes, symmetric to the last digit."""
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    inertia = axes @ np.diag(moments) @ axes.T
+    return 0.5 * (inertia + inertia.T)
+
+
+def random_joint(
+    kind: str, name: str, first: str, second: str, rng: np.random.Generator, actuated: bool
+) -> Joint:
+    """A joint anywhere within a metre, its two points apart where the kind allows it."""
+    axis, point = unit(rng.normal(size=3)), 0.3 * rng.normal(size=3)
+    more: dict[str, Any] = {"actuated": actuated}
+    if kind == "universal":
+        more |= {
+            "axis_on_first": axis,
+            "axis_on_second": unit(np.cross(axis, rng.normal(size=3))),
+        }
+    elif kind not in ("spherical", "fixed", "free"):
+        more["axis"] = axis
+    if kind in ("cylindrical", "translational"):
+        more["point_on_second"] = point + 0.1 * axis
+    return JOINT_KINDS[kind](name, first, second, point, **more)
+
+
+def chain(
+    kinds: Sequence[str],
+    closed: bool = False,
+    reverse: Collection[int] = (),
+    actuated: Collection[int] = (),
+    seed: int = 0,
+) -> Scene:
+    """Random bodies joined in a row from the ground, and back to it if closed, under gravity.
+
+    Body frames are turned at random, so that no two of them are parallel. Joints numbered in
+    `reverse` have their bodies swapped.
+    """
+    rng = np.random.default_rng(seed)
+    count = len(kinds) - closed
+    bodies = [Body("ground", 0.0, 0.1 * rng.normal(size=3), np.zeros((3, 3)))]
+    for k in range(count):
+        inertia = random_inertia(rng, 1e-2 * rng.uniform(1.0, 1.8, 3))
+        center = 0.3 * rng.normal(size=3)
+        bodies.append(
+            Body(f"body_{k}", rng.uniform(0.5, 2.0), center, inertia, unit(rng.normal(size=4)))
+        )
+    names = [body.name for body in bodies]
+    joints, control = [], []
+    for k, kind in enumerate(kinds):
+        pair = [names[k], names[(k + 1) % len(names)]]
+        if k in reverse:
+            pair.reverse()
+        joint = random_joint(kind, f"joint_{k}", *pair, rng, k in actuated)
+        joints.append(joint)
+        if k in actuated:
+            coordinates = sum(motion.kind != "ball" for motion in joint.motions)
+            control += [PD(joint.name, 5.0, 0.7, 0.1, c) for c in range(coordinates)]
+    return Scene(
+        "chain",
+        Mechanism(bodies, joints),
+        duration=0.5,
+        output_period=0.1,
+        gravity=[0.3, -1.0, -9.81],
+        control=tuple(control),
+    )
+
+
+def four_bar() -> Scene:
+    """Crank, coupler and rocker in the plane y = 0, all hinges: 3 redundant equations."""
+    points = {
+        "a": [0.0, 0.0, 0.0],
+        "b": [0.1, 0.0, 0.2],
+        "c": [0.6, 0.0, 0.4],
+        "d": [0.5, 0.0, 0.0],
+    }
+    p = {name: np.array(point) for name, point in points.items()}
+    bodies = [Body.ground()]
+    for name, ends, mass in (("crank", "ab", 0.5), ("coupler", "bc", 1.0), ("rocker", "cd", 0.8)):
+        start, end = p[ends[0]], p[ends[1]]
+        length = float(np.linalg.norm(end - start))
+        inertia = mass * length**2 / 12.0 * np.diag([1.0, 1.0, 0.1])
+        bodies.append(Body(name, mass, 0.5 * (start + end), inertia))
+    names = [body.name for body in bodies]
+    joints = [
+        Revolute(f"hinge_{k}", names[i], names[(i + 1) % 4], p[k], axis=[0.0, 1.0, 0.0])
+        for i, k in enumerate("abcd")
+    ]
+    return Scene(
+        "four_bar", Mechanism(bodies, joints), 0.5, 0.05, gravity=np.array([0.0, 0.0, -9.81])
+    )
+
+
+CHAINS = {
+    "heavy top": chain(["spherical"]),
+    "heavy top, joint reversed": chain(["spherical"], reverse=[0]),
+    "universal, ball, cylindrical": chain(
+        ["universal", "spherical", "cylindrical"], actuated=[0, 2]
+    ),
+    "universal, ball, cylindrical, reversed": chain(
+        ["universal", "spherical", "cylindrical"], reverse=[0, 1, 2], actuated=[0, 2]
+    ),
+    "floating, with a rigid part": chain(["free", "fixed", "revolute"], actuated=[0, 2]),
+    "floating, joints reversed": chain(
+        ["free", "fixed", "revolute"], reverse=[0, 1, 2], actuated=[2]
+    ),
+    "loop cut at a ball": chain(
+        ["translational", "universal", "spherical", "revolute"], closed=True, actuated=[0], seed=5
+    ),
+    "loop cut at a ball to the ground": chain(
+        ["translational", "universal", "revolute", "spherical"], closed=True, actuated=[1], seed=6
+    ),
+    "loop cut at a hinge": chain(["revolute"] * 7, closed=True, actuated=[0, 6], seed=2),
+    "loop cut at a hinge, half of the joints reversed": chain(
+        ["revolute"] * 7, closed=True, reverse=[1, 3, 5, 6], actuated=range(7), seed=2
+    ),
+    "loop cut at a universal joint": chain(
+        ["revolute", "universal", "universal", "cylindrical"],
+        closed=True,
+        actuated=[1, 2, 3],
+        seed=3,
+    ),
+    "loop cut at a universal joint, joints reversed": chain(
+        ["revolute", "universal", "universal", "cylindrical"],
+        closed=True,
+        reverse=[0, 1, 2],
+        actuated=[1, 2, 3],
+        seed=3,
+    ),
+    "loop cut at a cylindrical joint": chain(
+        ["revolute", "universal", "cylindrical", "universal"],
+        closed=True,
+        actuated=[0, 1, 3],
+        seed=4,
+    ),
+}
+
+
+def gap(found: Evaluation, wanted: Evaluation, name: str, scale: float = 0.0) -> float:
+    """Largest difference over all bodies or joints relative to the largest value, or to `scale`."""
+    x, y = getattr(found, name), getattr(wanted, name)
+    return float(np.max(np.abs(x - y)) / max(np.max(np.abs(y)), scale))
+
+
+def assert_same_kinematics(found: Evaluation, wanted: Evaluation) -> None:
+    for name in ("position", "linear_velocity", "angular_velocity"):
+        x, y = getattr(found.state, name), getattr(wanted.state, name)
+        assert np.max(np.abs(x - y)) < KINEMATICS * max(1.0, np.max(np.abs(y))), name
+    cosines = np.abs(np.sum(found.state.quaternion * wanted.state.quaternion, axis=1))
+    assert np.max(np.abs(cosines - 1.0)) < KINEMATICS
+    assert np.max(np.abs(found.admissible - wanted.admissible)) < KINEMATICS
+
+
+def assert_same_energies(found: Evaluation, wanted: Evaluation) -> None:
+    scale = abs(wanted.kinetic_energy) + abs(wanted.potential_energy)
+    assert abs(found.kinetic_energy - wanted.kinetic_energy) < KINEMATICS * scale
+    assert abs(found.potential_energy - wanted.potential_energy) < KINEMATICS * scale
+
+
+def assert_same_accelerations(found: Evaluation, wanted: Evaluation) -> None:
+    for name in ("linear_acceleration", "angular_acceleration"):
+        # a body that falls freely has hardly any angular acceleration to be relative to
+        assert gap(found, wanted, name, scale=1e-3) < ACCELERATIONS, name
+
+
+def assert_same_reactions(found: Evaluation, wanted: Evaluation) -> None:
+    # joints that transmit nothing are held to the weight of a body of 1 kg at 0.1 m
+    assert gap(found, wanted, "reaction_force", scale=10.0) < REACTIONS
+    assert gap(found, wanted, "reaction_torque", scale=1.0) < REACTIONS
+
+
+def test_tracker_agrees_at_200_states(tracker: Scene, tracker_states: list[State]) -> None:
+    rigid, relative, cartesian = RigidMuJoCo(tracker), Relative(tracker), Cartesian(tracker)
+    references: list[System] = [relative, cartesian]
+    for state in tracker_states:
+        found = rigid.evaluate(*rigid.coordinates(state))
+        for system in references:
+            wanted = system.evaluate(*system.coordinates(state))
+            assert_same_kinematics(found, wanted)
+            assert_same_energies(found, wanted)
+            assert_same_accelerations(found, wanted)
+            assert gap(found, wanted, "reaction_force") < REACTIONS
+            assert gap(found, wanted, "reaction_torque") < REACTIONS
+            # forces of some 10 N out of products of order 1
+            assert np.max(np.abs(found.actuator_force - wanted.actuator_force)) < 1e-11
+
+
+def test_tracker_coordinates_are_those_of_the_relative_form(
+    tracker: Scene, tracker_states: list[State]
+) -> None:
+    rigid, relative = RigidMuJoCo(tracker), Relative(tracker)
+    for state in tracker_states[:20]:
+        q, v = relative.coordinates(state)
+        found, wanted = rigid.acceleration(q, v), relative.acceleration(q, v)
+        assert np.max(np.abs(found - wanted)) < ACCELERATIONS * np.max(np.abs(wanted))
+
+
+def test_tracker_starts_as_published(tracker: Scene) -> None:
+    rigid = RigidMuJoCo(tracker)
+    start = rigid.evaluate(*rigid.coordinates(tracker.initial_state))
+    # the reference values have six decimals
+    assert start.linear_acceleration[1, 2] == pytest.approx(0.277549, abs=1e-6)
+    assert start.linear_acceleration[2, 2] == pytest.approx(1.394930, abs=1e-6)
+
+
+def test_inertia_that_mujoco_refuses_is_run_as_printed() -> None:
+    literal, realisable = make_tracker(panel_inertia="literal"), make_tracker()
+    accelerations = {}
+    for name, scene in (("literal", literal), ("realisable", realisable)):
+        rigid, relative = RigidMuJoCo(scene), Relative(scene)
+        q, v = relative.coordinates(scene.initial_state)
+        found, wanted = rigid.acceleration(q, v), relative.acceleration(q, v)
+        assert np.max(np.abs(found - wanted)) < ACCELERATIONS * np.max(np.abs(wanted))
+        accelerations[name] = found
+    # so the literal inertia is not replaced by the realisable one: they differ in the 2nd digit
+    assert np.max(np.abs(accelerations["literal"] - accelerations["realisable"])) > 1e-3
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_chains_agree(name: str) -> None:
+    scene = CHAINS[name]
+    rigid, relative, cartesian = RigidMuJoCo(scene), Relative(scene), Cartesian(scene)
+    systems: list[System] = [relative, cartesian]
+    for state in random_states(scene, 5):
+        found = rigid.evaluate(*rigid.coordinates(state))
+        for system in systems:
+            wanted = system.evaluate(*system.coordinates(state))
+            assert_same_kinematics(found, wanted)
+            assert_same_energies(found, wanted)
+            assert_same_accelerations(found, wanted)
+            assert_same_reactions(found, wanted)
+            assert np.allclose(found.actuator_force, wanted.actuator_force, rtol=1e-12, atol=1e-12)
+
+
+def test_loops_are_cut_where_the_names_of_the_cases_say() -> None:
+    kinds = {
+        name: [scene.mechanism.joints[k].kind for k in Relative(scene).tree.cuts]
+        for name, scene in CHAINS.items()
+    }
+    assert kinds["loop cut at a ball"] == ["spherical"]
+    assert kinds["loop cut at a ball to the ground"] == ["spherical"]
+    assert kinds["loop cut at a hinge"] == ["revolute"]
+    assert kinds["loop cut at a universal joint"] == ["universal"]
+    assert kinds["loop cut at a cylindrical joint"] == ["cylindrical"]
+
+
+def test_planar_four_bar_agrees_in_accelerations() -> None:
+    """Its equations are redundant in space, so reactions out of the plane are not determined."""
+    scene = four_bar()
+    rigid, relative, cartesian = RigidMuJoCo(scene), Relative(scene), Cartesian(scene)
+    systems: list[System] = [relative, cartesian]
+    for state in random_states(scene, 10):
+        found = rigid.evaluate(*rigid.coordinates(state))
+        for system in systems:
+            wanted = system.evaluate(*system.coordinates(state))
+            assert_same_kinematics(found, wanted)
+            assert_same_accelerations(found, wanted)
+
+
+@pytest.mark.parametrize("name", ["loop cut at a ball", "loop cut at a universal joint"])
+def test_constraint_derivatives(name: str) -> None:
+    """Also where the loop is open: soft constraints always leave it so."""
+    rigid = RigidMuJoCo(CHAINS[name])
+    rng = np.random.default_rng(7)
+    q, _ = rigid.coordinates(rigid.scene.initial_state)
+    q = rigid.retract(q, rng.uniform(-0.3, 0.3, rigid.nv))
+    v = rng.normal(size=rigid.nv)
+    assert np.max(np.abs(rigid.phi(q))) > 0.01
+    # the differences are good to 1e-12, third derivatives reach 10 to 100 here
+    wanted = jacobian(lambda step: rigid.phi(rigid.retract(q, step)), rigid.nv)
+    assert np.max(np.abs(rigid.phi_jacobian(q) - wanted)) < 1e-9
+    wanted = derivative(lambda t: rigid.phi_jacobian(rigid.retract(q, t * v)) @ v)
+    assert np.max(np.abs(rigid.velocity_product(q, v) - wanted)) < 1e-9
+    wanted = derivative(lambda t: rigid.retract(q, t * v))
+    assert np.max(np.abs(rigid.rate(q, v) - wanted)) < 1e-11
+
+
+def test_soft_constraints_are_a_little_off_at_rest(tracker: Scene) -> None:
+    rigid, soft = RigidMuJoCo(tracker), SoftMuJoCo(tracker)
+    q, v = rigid.coordinates(tracker.initial_state)
+    wanted, found = rigid.evaluate(q, v), soft.evaluate(q, v)
+    # solimp is capped at 0.9999: a row keeps 1e-4 of its own compliance, several rows add up
+    assert 1e-4 < gap(found, wanted, "linear_acceleration") < 1e-2
+    assert 1e-4 < gap(found, wanted, "reaction_force") < 1e-2

@@ -1,0 +1,26 @@
+"""What can go wrong with URDF models, all under `UrdfError`."""
+
+from __future__ import annotations
+
+
+class UrdfError(Exception):
+    """Base of every error that `urdf` raises on purpose."""
+
+
+class NameClashError(UrdfError):
+    """Two links or two joints of a URDF that would have the same name."""
+
+    def __init__(self, what: str, name: str) -> None:
+        self.what = what
+        self.name = name
+        super().__init__(f"two URDF {what}s would be named {name!r}; rename a body or a joint")
+
+
+class LoopFileError(UrdfError):
+    """A loop file with an entry that is missing or cannot be: names the file and the key."""
+
+    def __init__(self, source: str, key: str, problem: str) -> None:
+        self.source = source
+        self.key = key
+        self.problem = problem
+        super().__init__(f"{source}: {key}: {problem}")

@@ -1,0 +1,113 @@
+"""Joint reactions out of Pinocchio's inverse dynamics.
+
+A wrench here is (6,): force and torque about the world's origin, world frame.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from newton_euler.euler_parameters import rotation
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.state import State
+from newton_euler.tree import WeldedMechanism
+from urdf.write import motion_names
+
+
+class Actuator(NamedTuple):
+    """What a control law drives.
+
+    Attributes:
+        joint: index of the joint.
+        slides: whether along an axis; else about it.
+        sign: 1 if the tree's coordinate moves the joint's second body, -1 if the first.
+        on_q, on_v: places in q and in v.
+    """
+
+    joint: int
+    slides: bool
+    sign: float
+    on_q: int
+    on_v: int
+
+
+def joint_wrenches(
+    scene: Scene,
+    welded: WeldedMechanism,
+    model: Any,
+    data: Any,
+    closure_wrenches: list[Array],
+    state: State,
+    accelerations: Array,
+) -> Array:
+    """What each joint of the welded mechanism does to its second body, actuators included.
+
+    Args:
+        scene: for its gravity.
+        welded: its mechanism with closures that Pinocchio knows.
+        model, data: Pinocchio's, after `rnea` under the closures' wrenches.
+        closure_wrenches: (6,) for each cut, on its second body.
+        state: of the bodies.
+        accelerations: (b, 6) of the bodies, linear and angular.
+
+    Returns:
+        (joints, 6).
+    """
+    joints, tree = welded.mechanism.joints, welded.tree
+    wrenches = np.zeros((len(joints), 6))
+    for cut, wrench in zip(tree.cuts, closure_wrenches, strict=True):
+        wrenches[cut] = wrench
+    for kept in reversed(tree.joints):
+        if kept.motions:
+            last = model.getJointId(motion_names(welded, kept)[-1])
+            on_child = data.oMi[last].act(data.f[last]).vector
+        else:
+            # Pinocchio merges links that a fixed joint connects: what is left of the child's balance
+            child = welded.mechanism.bodies[kept.child].name
+            on_child = _needed_wrench(scene, welded, kept.child, state, accelerations)
+            for index, joint in enumerate(joints):
+                if index != kept.joint and child in (joint.first, joint.second):
+                    on_child -= wrenches[index] if joint.second == child else -wrenches[index]
+        wrenches[kept.joint] = on_child if kept.forward else -on_child
+    return wrenches
+
+
+def _needed_wrench(
+    scene: Scene, welded: WeldedMechanism, index: int, state: State, accelerations: Array
+) -> Array:
+    """What all joints of a body together do to it: Newton's and Euler's equations."""
+    body, whole = welded.mechanism.bodies[index], welded.origin[index]
+    a = rotation(state.quaternion[whole])
+    omega = state.angular_velocity[whole]
+    inertia = a @ body.inertia @ a.T
+    force = body.mass * (accelerations[whole, :3] - scene.gravity)
+    torque = inertia @ accelerations[whole, 3:] + np.cross(omega, inertia @ omega)
+    return np.concatenate([force, torque + np.cross(state.position[whole], force)])
+
+
+def reactions(
+    scene: Scene, wrenches: Array, state: State, actuation: list[tuple[Actuator, float, Array]]
+) -> tuple[Array, Array]:
+    """Forces and torques (j, 3) on the second bodies at the joint points, without the actuators'.
+
+    Args:
+        scene: whose mechanism has the j joints.
+        wrenches: (j, 6), or more rows, as of `joint_wrenches`.
+        state: of the bodies.
+        actuation: what is driven, the force, and the world axis (3,) it acts along or about.
+    """
+    mechanism = scene.mechanism
+    count = len(mechanism.joints)
+    forces, torques = wrenches[:count, :3].copy(), wrenches[:count, 3:].copy()
+    for actuator, force, axis in actuation:
+        driven = forces if actuator.slides else torques
+        driven[actuator.joint] -= actuator.sign * force * axis
+    for index, joint in enumerate(mechanism.joints):
+        second = mechanism.body_index(joint.second)
+        local = mechanism.bodies[second].pose.point_to_body(joint.reaction_point)
+        point = state.position[second] + rotation(state.quaternion[second]) @ local
+        torques[index] -= np.cross(point, wrenches[index, :3])
+    return forces, torques

@@ -1,0 +1,49 @@
+"""Scene in, Trajectory out, by Pinocchio."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from newton_euler.errors import OptionError
+from newton_euler.integrate import Options
+from newton_euler.scene import Scene
+from newton_euler.simulate import run
+from newton_euler.stabilize import PAPER_ALPHA, baumgarte_alpha
+from newton_euler.trajectory import Trajectory
+
+
+def simulate(
+    scene: Scene,
+    integrator: str = "DOP853",
+    rtol: float = 1e-10,
+    atol: float = 1e-12,
+    step: float | None = None,
+    stabilization: str = "baumgarte",
+    alpha: float = PAPER_ALPHA,
+) -> Trajectory:
+    """Run a scene with Pinocchio's accelerations under rigid closures.
+
+    Args:
+        scene: what to run; its URDF and loop file are made on the way.
+        integrator: "DOP853", "Radau", "RK4" or "Euler" (semi-implicit).
+        rtol, atol: error control of the first two.
+        step: s, of the last two.
+        stabilization: "baumgarte" (Pinocchio's own corrector gains), "projection" or "none".
+        alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
+
+    Raises:
+        NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
+        UrdfError: for a mechanism that a URDF cannot hold.
+    """
+    if not isinstance(alpha, int | float) or not 0.0 <= alpha < np.inf:
+        raise OptionError("alpha", alpha, "a number of 1/s, zero or more")
+    from urdf.dynamics import PinocchioSystem
+
+    system = PinocchioSystem(scene, baumgarte_alpha(stabilization, alpha))
+    settings: dict[str, Any] = {"stabilization": stabilization}
+    if stabilization == "baumgarte":
+        settings["alpha"] = alpha
+    options = Options(integrator, rtol, atol, step, stabilization == "projection")
+    return run(system, "pinocchio", options, settings)

@@ -1,0 +1,189 @@
+"""Mechanism -> URDF and the loop file beside it.
+
+The frame of a link has its origin at the joint that leads to it and is parallel to the world at the
+initial pose. So every rpy of joints and inertials is zero, no number passes through an angle, and
+joint coordinates are those of the spanning tree. A joint of several motions is a chain of one-motion
+joints through massless links. URDF cannot close loops and has no ball joint: the loop file says
+which frames coincide and which joints are balls, with the keys of Gepetto's example-parallel-robots
+(https://github.com/Gepetto/example-parallel-robots, `robot.yaml`).
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+import yaml
+
+from newton_euler.joints import Motion, Spherical
+from newton_euler.mechanism import Body
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.trajectory import atomic_file
+from newton_euler.tree import TreeJoint, WeldedMechanism, weld_loops
+from urdf.errors import NameClashError, UrdfError
+from urdf.visual import add_materials, add_visual, color, numbers
+
+LIMIT = "1000"
+"""Of everything: URDF demands limits of hinges and slides, and the mechanism's joints have none."""
+
+
+def to_urdf(scene: Scene) -> str:
+    """The mechanism of a scene as URDF text.
+
+    Links are named as the bodies, joints as the joints (`<joint>_1`, `<joint>_2`, ... for the parts
+    of a joint with several motions). Ball joints are placeholders, revolute, for the loop file to
+    replace. Gravity, control and the initial state are the scene's and not in the text.
+
+    Raises:
+        NameClashError: if the parts of a joint are named as another joint or body is.
+    """
+    welded = weld_loops(scene.mechanism)
+    mechanism, tree = welded.mechanism, welded.tree
+    robot = Element("robot", name=scene.name)
+    add_materials(robot)
+    origins = [np.zeros(3)] * len(mechanism.bodies)
+    for kept in tree.joints:
+        origins[kept.child] = mechanism.joints[kept.joint].point
+
+    for index, body in enumerate(mechanism.bodies):
+        link = SubElement(robot, "link", name=body.name)
+        if index > 0:  # the ground does not move; readers warn of a root that has mass
+            rotation = tree.initial_rotations[index]
+            _add_inertial(link, body, body.center_of_mass - origins[index], rotation)
+        if index < len(scene.mechanism.bodies):  # the halves of a body are drawn once
+            for shape in scene.mechanism.shapes(index):
+                add_visual(link, shape, origins[index], color(index))
+    for kept in tree.joints:
+        _add_chain(robot, welded, kept, origins)
+    for pair in closures(welded):
+        for frame, number, point in pair:
+            SubElement(robot, "link", name=frame)
+            parent, offset = mechanism.body_names[number], point - origins[number]
+            _add_joint(robot, "fixed", f"{frame}_fixed", parent, frame, offset)
+
+    _check_names(robot)
+    indent(robot)
+    return tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def to_loops(scene: Scene) -> str:
+    """The loop file (YAML text) that belongs to `to_urdf(scene)`."""
+    welded = weld_loops(scene.mechanism)
+    joints = welded.mechanism.joints
+    balls, motors = [], []
+    for kept in welded.tree.joints:
+        for name, motion in zip(motion_names(welded, kept), kept.motions, strict=True):
+            if motion.kind == "ball":
+                balls.append(name)
+            elif joints[kept.joint].actuated:
+                motors.append(name)
+    cuts = [joints[k] for k in welded.tree.cuts]
+    document = {
+        "closed_loop": [[frame for frame, _, _ in pair] for pair in closures(welded)],
+        "type": ["3d" if isinstance(joint, Spherical) else "6d" for joint in cuts],
+        "name_mot": motors,
+        "joint_name": balls,
+        "joint_type": ["SPHERICAL"] * len(balls),
+    }
+    return str(yaml.safe_dump(document, default_flow_style=None, sort_keys=False, width=100))
+
+
+def write(scene: Scene, path: str | os.PathLike[str]) -> None:
+    """Write `<path>`, which must end in .urdf, and `<stem>.loops.yaml` beside it.
+
+    Each file appears whole or not at all.
+    """
+    if Path(path).suffix != ".urdf":
+        raise UrdfError(f"cannot write {os.fspath(path)!r}; needed: a name that ends in .urdf")
+    with atomic_file(path) as urdf, atomic_file(loops_path(path)) as loops:
+        urdf.write_text(to_urdf(scene), encoding="utf-8")
+        loops.write_text(to_loops(scene), encoding="utf-8")
+
+
+def loops_path(path: str | os.PathLike[str]) -> Path:
+    """Where the loop file of a URDF is."""
+    return Path(path).with_suffix(".loops.yaml")
+
+
+def motion_names(welded: WeldedMechanism, kept: TreeJoint) -> list[str]:
+    """Names of the URDF joints that a joint of the tree is made of, one for each of its motions."""
+    name = welded.mechanism.joint_names[kept.joint]
+    if len(kept.motions) == 1:
+        return [name]
+    return [f"{name}_{k}" for k in range(1, len(kept.motions) + 1)]
+
+
+def closures(welded: WeldedMechanism) -> list[list[tuple[str, int, Array]]]:
+    """For each cut, on its first and its second body: frame name, body index and point in the world."""
+    pairs = []
+    for index in welded.tree.cuts:
+        joint, equations = welded.mechanism.joints[index], welded.tree.equations(index)
+        ends = ((equations.first, joint.point), (equations.second, joint.reaction_point))
+        names = welded.mechanism.body_names
+        pairs.append([(f"{joint.name}_on_{names[body]}", body, point) for body, point in ends])
+    return pairs
+
+
+def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> None:
+    """Mass, centre of mass and inertia in the link's frame, which `rotation` takes the body's to."""
+    inertial = SubElement(link, "inertial")
+    SubElement(inertial, "origin", xyz=numbers(center), rpy="0 0 0")
+    SubElement(inertial, "mass", value=repr(body.mass))
+    turned = rotation @ body.inertia @ rotation.T
+    inertia = 0.5 * (turned + turned.T)
+    entries = (
+        ("ixx", (0, 0)),
+        ("ixy", (0, 1)),
+        ("ixz", (0, 2)),
+        ("iyy", (1, 1)),
+        ("iyz", (1, 2)),
+        ("izz", (2, 2)),
+    )
+    SubElement(inertial, "inertia", {name: repr(float(inertia[at]) + 0.0) for name, at in entries})
+
+
+def _add_chain(
+    robot: Element, welded: WeldedMechanism, kept: TreeJoint, origins: list[Array]
+) -> None:
+    """One joint of the tree: a chain from its parent's link to its child's."""
+    names = welded.mechanism.body_names
+    parent, child = names[kept.parent], names[kept.child]
+    offset = origins[kept.child] - origins[kept.parent]
+    if not kept.motions:
+        _add_joint(robot, "fixed", welded.mechanism.joint_names[kept.joint], parent, child, offset)
+    for name, motion in zip(motion_names(welded, kept), kept.motions, strict=True):
+        last = motion is kept.motions[-1]
+        link = child if last else f"{name}_link"
+        if not last:
+            SubElement(robot, "link", name=link)
+        kind = "prismatic" if motion.kind == "slide" else "revolute"
+        element = _add_joint(robot, kind, name, parent, link, offset)
+        SubElement(element, "axis", xyz=numbers(_axis(motion)))
+        SubElement(element, "limit", lower=f"-{LIMIT}", upper=LIMIT, effort=LIMIT, velocity=LIMIT)
+        parent, offset = link, np.zeros(3)
+
+
+def _axis(motion: Motion) -> Array:
+    """(3,) axis of a motion; any will do for the placeholder of a ball."""
+    return np.array([0.0, 0.0, 1.0]) if motion.kind == "ball" else motion.axis
+
+
+def _add_joint(
+    robot: Element, kind: str, name: str, parent: str, child: str, offset: Array
+) -> Element:
+    joint = SubElement(robot, "joint", name=name, type=kind)
+    SubElement(joint, "origin", xyz=numbers(offset), rpy="0 0 0")
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=child)
+    return joint
+
+
+def _check_names(robot: Element) -> None:
+    for what in ("link", "joint"):
+        names = [str(element.get("name")) for element in robot.findall(what)]
+        for name in names:
+            if names.count(name) > 1:
+                raise NameClashError(what, name)
