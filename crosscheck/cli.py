@@ -17,6 +17,9 @@ from rich.console import Console
 from crosscheck.errors import CrosscheckError
 from newton_euler.errors import NewtonEulerError
 
+TABLE_WIDTH = 100
+"""Columns that the tables of a run need; a narrower terminal wraps them itself."""
+
 AGREE, DISAGREE, BAD_INPUT = 0, 1, 2
 
 
@@ -55,7 +58,7 @@ def run_command(
 ) -> int:
     """Run SCENE (a name or a scene file) through the engines and compare them."""
     from crosscheck.engines import choose
-    from crosscheck.report import markdown, terminal_table
+    from crosscheck.report import markdown, settings_lines, terminal_tables
     from crosscheck.run import check_writable, crosscheck, write
     from crosscheck.scenes import load
 
@@ -64,15 +67,15 @@ def run_command(
     folder = output or Path("output") / loaded.name
     recording = save or folder / f"{loaded.name}.rrd"
     check_writable(folder, recording)
-    console = Console()
+    console = Console(width=max(TABLE_WIDTH, Console().width))
     with console.status("") as status:
         result = crosscheck(loaded, chosen, status.update)
         status.update("writing")
         written = write(result, folder, recording, markdown(result))
-    console.print(terminal_table(result))
-    for name, run in result.runs.items():
-        console.print(f"{name}: {run.wall_time:.2f} s", highlight=False)
-    console.print("wrote " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
+    for table in terminal_tables(result):
+        console.print(table)
+    for line in (*settings_lines(result), "wrote " + ", ".join(str(path) for path in written)):
+        console.print(line, highlight=False, soft_wrap=True)
     console.print(result.verdict, style="bold", highlight=False, soft_wrap=True)
     return AGREE if result.agrees else DISAGREE
 

@@ -24,6 +24,7 @@ class Engine:
         energy_error: by what share of the largest energy its balance may be off.
         package: name of the package that does the work, for the record of versions.
         reason: why these errors.
+        soft_system: its own constraints where they are not rigid.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Engine:
     energy_error: float
     package: str
     reason: str
+    soft_system: Callable[[Scene], System] | None = None
 
 
 def _newton_euler_run(scene: Scene) -> Trajectory:
@@ -58,6 +60,12 @@ def _mujoco_systems(scene: Scene) -> tuple[System, ...]:
     from mjcf.rigid import RigidMuJoCo
 
     return (RigidMuJoCo(scene),)
+
+
+def _mujoco_soft(scene: Scene) -> System:
+    from mjcf.soft import SoftMuJoCo
+
+    return SoftMuJoCo(scene)
 
 
 def _pinocchio_run(scene: Scene) -> Trajectory:
@@ -94,6 +102,7 @@ ENGINES: dict[str, Engine] = {
             energy_error=1e-3,
             package="mujoco",
             reason="RK4 at 1 ms; its constraints are springs with a time constant of two steps",
+            soft_system=_mujoco_soft,
         ),
         Engine(
             "pinocchio",

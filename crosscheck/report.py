@@ -1,52 +1,70 @@
-"""The figures of a crosscheck as a table for the terminal and as markdown."""
+"""The figures of a crosscheck as tables for the terminal and as markdown."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from rich.text import Text
 
 from crosscheck.compare import Row
 from crosscheck.run import Crosscheck
 
 
-def _cells(row: Row) -> tuple[str, str, str, str, str, str]:
-    return (
-        row.quantity,
-        " | ".join(row.between),
-        f"{row.value:.1e}",
-        f"{row.tolerance:.0e}",
-        "agree" if row.agrees else "DISAGREE",
-        row.where,
-    )
+def terminal_tables(result: Crosscheck) -> Iterator[Table]:
+    """Figures of pairs of engines, of each engine by itself, and of its own systems against each other."""
+    titles = {
+        "pairs": f"{result.scene.name}: {result.scene.description}",
+        "single": "each engine by itself",
+        "within": "two equations of motion of one engine",
+    }
+    engines = {engine.name for engine in result.engines}
+    for part, title in titles.items():
+        rows = [row for row in result.rows if _part(row, engines) == part]
+        if rows:
+            yield _table(title, rows)
 
 
-def terminal_table(result: Crosscheck) -> Table:
-    """All figures, a section for each level."""
-    table = Table(title=f"{result.scene.name}: {result.scene.description}", title_justify="left")
-    for heading, justify in (
-        ("figure", "left"),
-        ("between", "left"),
-        ("value", "right"),
-        ("at most", "right"),
-        ("verdict", "left"),
-        ("worst at", "left"),
-    ):
-        table.add_column(heading, justify=justify)  # type: ignore[arg-type]
-    level = ""
-    for row in result.rows:
-        if row.level != level:
-            level = row.level
-            table.add_section()
-            table.add_row(f"[bold]{level}[/bold]")
-        table.add_row(*_cells(row), style="" if row.agrees else "bold red")
+def _part(row: Row, engines: set[str]) -> str:
+    if len(row.between) == 1:
+        return "single"
+    return "pairs" if set(row.between) <= engines else "within"
+
+
+def _table(title: str, rows: list[Row]) -> Table:
+    """A line for each quantity, a column for each pair or engine, a section for each level."""
+    columns = list(dict.fromkeys(row.between for row in rows))
+    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("")
+    for between in columns:
+        table.add_column("\n".join(between), justify="right", no_wrap=True)
+    for level in dict.fromkeys(row.level for row in rows):
+        table.add_section()
+        table.add_row(Text(level, style="bold"))
+        at_level = [row for row in rows if row.level == level]
+        for quantity in dict.fromkeys(row.quantity for row in at_level):
+            cells = {row.between: _cell(row) for row in at_level if row.quantity == quantity}
+            table.add_row(f"  {quantity}", *(cells.get(between, "") for between in columns))
     return table
 
 
-def markdown(result: Crosscheck) -> str:
-    """The verdict, the settings of the engines and all figures."""
-    lines = [f"# {result.scene.name}", "", f"**{result.verdict}**", ""]
+def _cell(row: Row) -> Text:
+    text = f"{row.value:.1e} {'<' if row.agrees else '>'} {row.tolerance:.0e}"
+    return Text(text, style="green" if row.agrees else "bold red")
+
+
+def settings_lines(result: Crosscheck) -> Iterator[str]:
+    """One line an engine: what it ran with and how long."""
     for name, run in result.runs.items():
         settings = ", ".join(f"{key} {value}" for key, value in run.settings.items())
-        lines.append(f"- {name}: {settings}; {run.wall_time:.2f} s")
+        yield f"{name}: {settings}; {run.wall_time:.2f} s"
+
+
+def markdown(result: Crosscheck) -> str:
+    """The verdict, the settings of the engines and all figures, a line each."""
+    lines = [f"# {result.scene.name}", "", f"**{result.verdict}**", ""]
+    lines += [f"- {line}" for line in settings_lines(result)]
     level = ""
     for row in result.rows:
         if row.level != level:
@@ -58,5 +76,9 @@ def markdown(result: Crosscheck) -> str:
                 "| figure | between | value | at most | verdict | worst at |",
                 "|---|---|---|---|---|---|",
             ]
-        lines.append("| " + " | ".join(cell.replace(" | ", ", ") for cell in _cells(row)) + " |")
+        verdict = "agree" if row.agrees else "**DISAGREE**"
+        lines.append(
+            f"| {row.quantity} | {', '.join(row.between)} | {row.value:.1e} | {row.tolerance:.0e} "
+            f"| {verdict} | {row.where} |"
+        )
     return "\n".join(lines) + "\n"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjcf.loops import Loop, loops
+from mjcf.loops import loops
 from mjcf.model import CompiledScene
 from newton_euler.scalars import Array, cross
 from newton_euler.solve import orthonormal_null
@@ -24,10 +24,11 @@ def evaluation(compiled: CompiledScene, acceleration: Array, multipliers: Array)
         multipliers: (nefc,) forces of MuJoCo's constraint rows.
     """
     model, data = compiled.model, compiled.data
-    closures = loops(model, data)
-    propagate(compiled, closures, acceleration, multipliers)
+    data.qacc[:] = acceleration
+    data.efc_force[:] = multipliers
+    mujoco.mj_rnePostConstraint(model, data)
     linear, angular = body_accelerations(compiled)
-    force, torque = reactions(compiled, closures, multipliers)
+    force, torque = reactions(compiled)
     kinetic, potential = energies(compiled)
     return Evaluation(
         compiled.read_state(),
@@ -43,54 +44,36 @@ def evaluation(compiled: CompiledScene, acceleration: Array, multipliers: Array)
 
 
 def constraint_jacobian(compiled: CompiledScene) -> Array:
-    """(nefc, nv) MuJoCo's efc_J, for velocities qvel."""
-    return np.array(compiled.data.efc_J).reshape(compiled.data.nefc, compiled.model.nv)
-
-
-def propagate(
-    compiled: CompiledScene, closures: list[Loop], acceleration: Array, multipliers: Array
-) -> None:
-    """Have MuJoCo work out body accelerations and the forces between bodies.
-
-    The loops' forces go in as applied wrenches. MuJoCo would take them from efc_force itself, but
-    it reads a weld's last three multipliers as a torque in the world frame, which they are not.
-    """
+    """(nefc, nv) MuJoCo's efc_J, for velocities qvel, whether it is stored dense or sparse."""
     model, data = compiled.model, compiled.data
-    data.qacc[:] = acceleration
-    data.efc_force[:] = 0.0
-    for loop in closures:
-        loop.apply(multipliers)
-    mujoco.mj_rnePostConstraint(model, data)
-    data.xfrc_applied[:] = 0.0
+    columns = np.zeros((model.nv, data.nefc))
+    for column, unit in zip(columns, np.eye(model.nv), strict=True):
+        mujoco.mj_mulJacVec(model, data, column, unit)
+    return columns.T
 
 
 def body_accelerations(compiled: CompiledScene) -> tuple[Array, Array]:
-    """(b, 3) of the centres of mass and (b, 3) angular, after `propagate`."""
+    """(b, 3) of the centres of mass and (b, 3) angular, once they are known."""
     count = len(compiled.mechanism.bodies)
     out = np.zeros((count, 6))
     for row, index in zip(out[1:], compiled.body_id[1:count], strict=True):
-        mujoco.mj_objectAcceleration(
-            compiled.model, compiled.data, mujoco.mjtObj.mjOBJ_BODY, index, row, 0
-        )
+        mujoco.mj_objectAcceleration(compiled.model, compiled.data, mujoco.mjtObj.mjOBJ_BODY, index, row, 0)
         row[3:] += compiled.model.opt.gravity  # it is what an accelerometer reads
     return out[:, 3:].copy(), out[:, :3].copy()
 
 
-def reactions(
-    compiled: CompiledScene, closures: list[Loop], multipliers: Array
-) -> tuple[Array, Array]:
-    """(j, 3) forces and torques on the second bodies at the joint points, after `propagate`.
+def reactions(compiled: CompiledScene) -> tuple[Array, Array]:
+    """(j, 3) forces and torques on the second bodies at the joint points, once forces are known.
 
     A joint in the tree carries cfrc_int of its child less what its actuators do; a cut ball
-    carries its multipliers.
+    carries its multipliers. Welds hold no joint of the original mechanism.
     """
     model, data, mechanism = compiled.model, compiled.data, compiled.welded.mechanism
     count = len(compiled.mechanism.joints)
     forces, torques = np.zeros((len(mechanism.joints), 3)), np.zeros((len(mechanism.joints), 3))
-    for loop in closures:
-        force, couple = loop.wrench_on_first(multipliers)
-        index = mechanism.joint_index(loop.name)
-        forces[index], torques[index] = -force, -couple
+    for loop in loops(model, data):
+        if not loop.is_weld:
+            forces[mechanism.joint_index(loop.name)] = -data.efc_force[loop.rows]
     applied = actuator_wrenches(compiled)
     for kept in compiled.tree.joints:
         child = compiled.body_id[kept.child]

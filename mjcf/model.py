@@ -52,6 +52,7 @@ class CompiledScene:
         for body, index in zip(self.welded.mechanism.bodies[1:], self.body_id[1:], strict=True):
             axes = rotation(self.model.body_iquat[index])
             self.model.body_inertia[index] = np.diag(axes.T @ body.inertia @ axes)
+        # MuJoCo keeps constant parts of the mass matrix
         mujoco.mj_setConst(self.model, self.data)
 
     def mass_properties(self) -> MassProperties:

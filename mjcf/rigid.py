@@ -19,7 +19,6 @@ from mjcf.evaluate import constraint_jacobian, evaluation
 from mjcf.loops import loops
 from mjcf.model import CompiledScene
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 from newton_euler.solve import solve_constrained
 from newton_euler.state import Evaluation
 
@@ -28,10 +27,6 @@ class RigidMuJoCo(CompiledScene):
     """A `newton_euler.system.System` in tree coordinates q (nq,), v (nv,)."""
 
     name = "mujoco_rigid"
-
-    def __init__(self, scene: Scene) -> None:
-        super().__init__(scene)
-        self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
 
     def rate(self, q: Array, v: Array) -> Array:
         """qdot (nq,)."""
@@ -44,7 +39,7 @@ class RigidMuJoCo(CompiledScene):
     def phi(self, q: Array) -> Array:
         """Residuals (k,) of MuJoCo's equality constraints."""
         self.state(q, np.zeros(self.nv))
-        return np.array(self.data.efc_pos)
+        return np.array(self.data.efc_pos[: self.data.nefc])
 
     def phi_jacobian(self, q: Array) -> Array:
         """(k, nv): derivative of `phi` along `retract`, and of its rate by v."""

@@ -56,8 +56,6 @@ def simulate(
     options = system.model.opt
     options.timestep = timestep
     options.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
-    # a reset in the middle of a run would hide that it failed
-    options.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     system.model.eq_solref[:] = stiffness
 
     start = time.perf_counter()
@@ -121,7 +119,10 @@ def _run(system: SoftMuJoCo, counts: list[int]) -> list[tuple[Array, Array]]:
     with _collected_warnings(data) as warnings:
         for count in counts:
             mujoco.mj_step(model, data, count)
-            if warnings:
+            # a step checks the state that it starts from
+            mujoco.mj_checkPos(model, data)
+            mujoco.mj_checkVel(model, data)
+            if warnings:  # after one MuJoCo starts again from its initial state
                 raise DivergenceError(*warnings[0])
             rows.append((data.qpos.copy(), data.qvel.copy()))
     layout = system.layout
@@ -135,9 +136,7 @@ def _collected_warnings(data: Any) -> Iterator[list[tuple[float, str]]]:
 
     collected: list[tuple[float, str]] = []
     before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(
-        lambda message: collected.append((data.time, " ".join(message.split())))
-    )
+    mujoco.set_mju_user_warning(lambda message: collected.append((data.time, " ".join(message.split()))))
     try:
         yield collected
     finally:

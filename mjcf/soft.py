@@ -18,11 +18,7 @@ class SoftMuJoCo(CompiledScene):
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Accelerations, reactions, energies and admissible velocities at a state."""
-        self.forward(q, v)
-        return evaluation(self, np.array(self.data.qacc), np.array(self.data.efc_force))
-
-    def forward(self, q: Array, v: Array) -> None:
-        """Run MuJoCo's forward dynamics from scratch, without the warm start of another state."""
         self.place(q, v)
-        self.data.qacc_warmstart[:] = 0.0
+        self.data.qacc_warmstart[:] = 0.0  # so that the answer does not depend on the state before
         mujoco.mj_forward(self.model, self.data)
+        return evaluation(self, np.array(self.data.qacc), np.array(self.data.efc_force))

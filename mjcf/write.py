@@ -102,9 +102,7 @@ def _settings(root: ET.Element, scene: Scene) -> None:
     )
     default = ET.SubElement(root, "default")
     ET.SubElement(default, "geom", contype="0", conaffinity="0", mass="0", group="1")
-    ET.SubElement(
-        default, "equality", solref=_numbers([2.0 * TIMESTEP, 1.0]), solimp=_numbers(SOLIMP)
-    )
+    ET.SubElement(default, "equality", solref=_numbers([2.0 * TIMESTEP, 1.0]), solimp=_numbers(SOLIMP))
 
 
 def _look(root: ET.Element, world: ET.Element, scene: Scene) -> None:
@@ -196,7 +194,7 @@ def _body(parent_element: ET.Element, kept: TreeJoint, welded: WeldedMechanism) 
     names = motion_names(joint) if kept.forward else motion_names(joint)[::-1]
     for name, motion in zip(names, kept.motions, strict=True):
         attributes = {"name": name, "type": motion.kind}
-        attributes["pos"] = _numbers(body.pose.point_to_body(joint.point))
+        attributes["pos"] = _numbers(body.pose.point_to_body(joint.reaction_point))
         if motion.kind != "ball":
             attributes["axis"] = _numbers(body.pose.vector_to_body(motion.axis))
         ET.SubElement(element, "joint", attributes)

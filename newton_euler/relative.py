@@ -103,7 +103,7 @@ class Relative:
 
     def _child(self, joint: TreeJoint, parent: Link, q: Array, v: Array) -> Link:
         """Kinematics of a joint's child, motion by motion from its parent."""
-        point = self.mechanism.joints[joint.joint].point
+        point = self.mechanism.joints[joint.joint].reaction_point
         r, a, velocity, omega = parent.frame
         acceleration, alpha = parent.acceleration, parent.angular_acceleration
 
@@ -171,7 +171,7 @@ class Relative:
         force = self.mechanism.bodies[body].mass * (acceleration - self.scene.gravity)
         return force, inertia @ alpha + cross(omega, inertia @ omega)
 
-    def mass_and_force(self, links: list[Link], v: Array) -> tuple[Array, Array]:
+    def mass_and_force(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
         """M (nv, nv) and f (nv,) of the tree, actuation included."""
         mass, force = zeros((self.nv, self.nv), v), zeros(self.nv, v)
         for body, link in enumerate(links[1:], start=1):
@@ -183,18 +183,25 @@ class Relative:
             )
             f, n = self.inertial_wrench(body, link, link.acceleration, link.angular_acceleration)
             force[link.path] -= link.linear.T @ f + link.angular.T @ n
-        return mass, force + self.actuation(links)[1]
+        return mass, force + self.actuation(q, v, links)[1]
 
-    def actuation(self, links: list[Link]) -> tuple[Array, Array]:
-        """Actuator forces (a,), and what they do to the joint coordinates (nv,)."""
-        like = [link.frame.position for link in links[1:]]
-        forces, generalized = [], zeros(self.nv, *like)
+    def actuation(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
+        """Actuator forces (a,), and what they do to the joint coordinates (nv,).
+
+        A joint of the tree knows how far it has turned; a cut joint only within half a turn.
+        """
+        forces, generalized = [], zeros(self.nv, q, v)
         for law, equations in zip(self.scene.control, self.actuated, strict=True):
-            first, second = links[equations.first], links[equations.second]
-            coordinate = equations.coordinates[law.coordinate]
-            rate, row = self._project(coordinate.jacobian(first.frame, second.frame), first, second)
-            u = law.force(coordinate.phi(first.frame, second.frame)[0], rate[0])
-            generalized += row[0] * u
+            place = self.tree.place(equations.joint.name, law.coordinate)
+            if place is not None:
+                u = law.force(q[place[0]], v[place[1]])
+                generalized[place[1]] += u
+            else:
+                first, second = links[equations.first], links[equations.second]
+                coordinate = equations.coordinates[law.coordinate]
+                rate, row = self._project(coordinate.jacobian(first.frame, second.frame), first, second)
+                u = law.force(coordinate.phi(first.frame, second.frame)[0], rate[0])
+                generalized += row[0] * u
             forces.append(u)
         return np.array(forces), generalized
 
@@ -242,10 +249,10 @@ class Relative:
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """qddot (nv,)."""
-        return self._solve(self.links(q, v), v)[0]
+        return self._solve(q, v, self.links(q, v))[0]
 
-    def _solve(self, links: list[Link], v: Array) -> tuple[Array, Array]:
-        mass, force = self.mass_and_force(links, v)
+    def _solve(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
+        mass, force = self.mass_and_force(q, v, links)
         _, jacobian, gamma = self.loop_terms(links)
         try:
             return solve_constrained(mass, force, jacobian, gamma)
@@ -299,10 +306,11 @@ class Relative:
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Accelerations, reactions, energies and admissible velocities at a state."""
         links = self.links(q, v)
-        qddot, multipliers = self._solve(links, v)
+        qddot, multipliers = self._solve(q, v, links)
+        actuation = self.actuation(q, v, links)[0]
         linear = np.array([k.acceleration + k.linear @ qddot[k.path] for k in links])
         angular = np.array([k.angular_acceleration + k.angular @ qddot[k.path] for k in links])
-        forces, torques = self._reactions(links, linear, angular, multipliers)
+        forces, torques = self._reactions(links, linear, angular, multipliers, actuation)
         transformation = np.zeros((len(links), 6, self.nv))
         for body, link in enumerate(links):
             transformation[body][:, link.path] = np.concatenate([link.linear, link.angular])
@@ -314,13 +322,13 @@ class Relative:
             angular,
             forces,
             torques,
-            self.actuation(links)[0],
+            actuation,
             *energies(self.scene, state),
             admissible_projector(self.mechanism, transformation.reshape(-1, self.nv) @ free),
         )
 
     def _reactions(
-        self, links: list[Link], linear: Array, angular: Array, multipliers: Array
+        self, links: list[Link], linear: Array, angular: Array, multipliers: Array, actuation: Array
     ) -> tuple[Array, Array]:
         """Forces and torques (j, 3) at the joint points on the second bodies.
 
@@ -345,9 +353,7 @@ class Relative:
             s = self._reaction_arm(index, links)
             forces[index] = on_second[:3]
             torques[index] = on_second[3:] - cross(s, on_second[:3])
-        for law, equations, u in zip(
-            self.scene.control, self.actuated, self.actuation(links)[0], strict=True
-        ):
+        for law, equations, u in zip(self.scene.control, self.actuated, actuation, strict=True):
             blocks = equations.coordinates[law.coordinate].jacobian(
                 links[equations.first].frame, links[equations.second].frame
             )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from newton_euler.cartesian import Cartesian
-from newton_euler.errors import OptionError, UnknownNameError
+from newton_euler.errors import UnknownNameError
 from newton_euler.euler_parameters import continuous
 from newton_euler.integrate import Options, integrate
 from newton_euler.relative import Relative
@@ -55,8 +55,6 @@ def simulate(
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
     """
-    if not isinstance(alpha, int | float) or not 0.0 <= alpha < np.inf:
-        raise OptionError("alpha", alpha, "a number of 1/s, zero or more")
     system = formulate(scene, formulation, baumgarte_alpha(stabilization, alpha))
     settings: dict[str, Any] = {"formulation": formulation}
     if stabilization == "baumgarte":

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from newton_euler.errors import AssemblyError, UnknownNameError
+from newton_euler.errors import AssemblyError, OptionError, UnknownNameError
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.scalars import Array
 from newton_euler.solve import minimum_norm
@@ -25,7 +25,9 @@ NEWTON_STEPS = 20
 
 
 def baumgarte_alpha(stabilization: str, alpha: float) -> float:
-    """The alpha that a system of equations takes under a stabilisation."""
+    """The alpha that a system of equations takes under a stabilisation; raises for impossible ones."""
+    if not isinstance(alpha, int | float) or not 0.0 <= alpha < np.inf:
+        raise OptionError("alpha", alpha, "a number of 1/s, zero or more")
     if stabilization not in STABILIZATIONS:
         raise UnknownNameError("stabilization", stabilization, STABILIZATIONS)
     return alpha if stabilization == "baumgarte" else 0.0

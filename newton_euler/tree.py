@@ -36,8 +36,9 @@ class TreeJoint:
         joint: index in `Mechanism.joints`.
         parent, child: body indices.
         forward: True if the child is the joint's second body.
-        motions: from parent to child; hinge and slide axes are signed so that coordinates keep
-            the joint's own sense. A ball turns the child against the parent.
+        motions: from parent to child, at the joint's `reaction_point`; hinge and slide axes are
+            signed so that coordinates keep the joint's own sense. A ball turns the child against
+            the parent.
         q, v: where its coordinates and velocities are. A ball has a quaternion w-x-y-z in q and
             in v the angular velocity against the parent, in the child's tree frame.
     """
@@ -125,6 +126,18 @@ class SpanningTree:
                 found.append((motion, slice(iq, iq + nq), slice(iv, iv + nv)))
                 iq, iv = iq + nq, iv + nv
         return tuple(found)
+
+    def place(self, joint: str, coordinate: int) -> tuple[int, int] | None:
+        """Where a joint's hinge or slide number `coordinate` is in q and in v; None if it is cut."""
+        for kept in self.joints:
+            if self.mechanism.joint_names[kept.joint] == joint:
+                places = [
+                    (on_q.start, on_v.start)
+                    for motion, on_q, on_v in self.motions
+                    if motion.kind != "ball" and kept.v.start <= on_v.start < kept.v.stop
+                ]
+                return places[coordinate if kept.forward else -1 - coordinate]
+        return None
 
     def rate(self, q: Array, v: Array) -> Array:
         """qdot (nq,): v itself, and pdot = 1/2 L^T omega' for quaternions."""

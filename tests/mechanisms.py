@@ -120,7 +120,7 @@ def seven_hinges() -> Scene:
 
 
 def slider_tree() -> Scene:
-    """A tree of a slide, a cylindrical joint, a ball, a free body and a fixed one; no loop."""
+    """A tree of slides (one on a turning body), a cylindrical joint, a ball, a free and a fixed body."""
     bodies = [
         Body.ground(),
         bar("cart", [0.0, 0.0, 0.0], [0.2, 0.0, 0.0]),
@@ -128,12 +128,14 @@ def slider_tree() -> Scene:
         bar("bob", [0.1, 0.1, 0.6], [0.3, 0.3, 0.9]),
         bar("stone", [1.0, 1.0, 1.0], [1.2, 1.0, 1.3]),
         bar("rider", [0.2, 0.0, 0.0], [0.2, 0.1, 0.3]),
+        bar("collar", [0.1, 0.05, 0.3], [0.3, 0.05, 0.3]),
     ]
     joints: list[Joint] = [
         Translational("rail", "cart", "ground", [0.0, 0.0, 0.0], axis=[1.0, 0.2, 0.0]),
         Cylindrical("sleeve_on_cart", "cart", "sleeve", [0.1, 0.0, 0.0], axis=[0.0, 0.3, 1.0]),
         Spherical("bob_on_sleeve", "bob", "sleeve", [0.1, 0.1, 0.6]),
         Free("stone_floats", "stone", "ground", [0.0, 0.0, 0.0]),
+        Translational("collar_on_sleeve", "sleeve", "collar", [0.1, 0.05, 0.3], axis=[0.8, 0.0, 0.6]),
         Fixed("rider_on_cart", "rider", "cart", [0.2, 0.0, 0.0]),
     ]
     return Scene("slider_tree", Mechanism(bodies, joints), 1.0, 0.1, GRAVITY)

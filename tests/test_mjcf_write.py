@@ -46,9 +46,7 @@ def test_tracker_xml_is_what_the_writer_writes(tracker: Scene) -> None:
     stored = files("mjcf").joinpath("tracker.xml").read_text(encoding="utf-8")
     written = mjcf.to_xml(tracker)
     assert NUMBER.sub("#", written) == NUMBER.sub("#", stored)
-    found, wanted = (
-        np.array([float(x) for x in NUMBER.findall(text)]) for text in (written, stored)
-    )
+    found, wanted = (np.array([float(x) for x in NUMBER.findall(text)]) for text in (written, stored))
     # equal but for the last digit, in which processors that fuse multiply and add differ
     assert np.all(np.abs(found - wanted) <= 4e-16 * np.maximum(1.0, np.abs(wanted)))
 
@@ -144,7 +142,8 @@ def test_joints_are_named_in_their_own_order() -> None:
 def test_nothing_collides(tracker: Scene) -> None:
     model = compiled(tracker)
     assert model.ngeom > 10
-    assert not model.geom_contype.any() and not model.geom_conaffinity.any()
+    assert not model.geom_contype.any()
+    assert not model.geom_conaffinity.any()
 
 
 def test_keyframe_holds_the_initial_state_and_the_targets(tracker: Scene) -> None:

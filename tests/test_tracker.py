@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.optimize import root
@@ -9,7 +11,7 @@ from scipy.optimize import root
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load, tracker_geometry
 from crosscheck.scenes.tracker import TARGET_HEIGHT, joint_data
-from crosscheck.scenes.tracker_tables import ERRATA, Tables, corrected_tables
+from crosscheck.scenes.tracker_tables import ERRATA, Tables, corrected_tables, errata_table
 from newton_euler.euler_parameters import angle_between, from_rotation_vector, rotation
 from newton_euler.relative import Relative
 
@@ -17,6 +19,11 @@ from newton_euler.relative import Relative
 def test_the_twelve_errata_are_listed():
     assert [erratum.number for erratum in ERRATA] == list(range(1, 13))
     assert {e.number for e in ERRATA if e.correct} == {5, 6, 7, 8, 9}
+
+
+def test_the_documentation_lists_them():
+    page = Path(__file__).parents[1] / "docs" / "errata.md"
+    assert errata_table() in page.read_text()
 
 
 def after(number):

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from mechanisms import REGULAR, planar_four_bar, seven_hinges, slider_tree, spinning_top
+from mechanisms import REGULAR, planar_four_bar, seven_hinges, spinning_top
 
 import urdf
 from newton_euler.joints import Revolute, Universal
@@ -66,7 +66,11 @@ def test_tracker_loop_file_has_the_keys_of_gepetto(tracker):
 
 def test_loop_file_of_a_ball_in_the_tree_and_of_a_loop_cut_at_a_hinge():
     top = yaml.safe_load(urdf.to_loops(spinning_top()))
-    assert (top["joint_name"], top["joint_type"], top["closed_loop"]) == (["tip"], ["SPHERICAL"], [])
+    assert (top["joint_name"], top["joint_type"], top["closed_loop"]) == (
+        ["tip"],
+        ["SPHERICAL"],
+        [],
+    )
     hinges = yaml.safe_load(urdf.to_loops(seven_hinges()))
     assert hinges["type"] == ["6d"]
     assert hinges["closed_loop"] == [
@@ -84,7 +88,9 @@ def test_urdf_is_a_tree_of_links_parallel_to_the_world(build_scene):
     assert links - set(children) == {scene.mechanism.body_names[0]}
     origins = robot.findall("joint/origin") + robot.findall("link/inertial/origin")
     assert {origin.get("rpy") for origin in origins} == {"0 0 0"}
-    massive = {link.get("name") for link in robot.findall("link") if link.find("inertial") is not None}
+    massive = {
+        link.get("name") for link in robot.findall("link") if link.find("inertial") is not None
+    }
     assert massive == set(weld_loops(scene.mechanism).mechanism.body_names[1:])
 
 
@@ -148,7 +154,8 @@ def test_visuals_draw_every_shape_in_its_bodys_colour(tracker):
         visuals = robot.findall(f"link[@name='{body.name}']/visual")
         assert len(visuals) == len(tracker.mechanism.shapes(index)) > 0
         names = {visual.find("material").get("name") for visual in visuals}
-        assert len(names) == 1 and names <= defined
+        assert len(names) == 1
+        assert names <= defined
         colors |= names
     assert len(colors) == len(tracker.mechanism.bodies)
 
@@ -178,7 +185,7 @@ def test_write_puts_both_files_side_by_side(tracker, tmp_path):
     urdf.write(tracker, tmp_path / "model.urdf")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.loops.yaml", "model.urdf"]
     closed = read(tmp_path / "model.urdf")
-    assert closed.model.nv == 8 and len(closed.constraints) == 2
+    assert (closed.model.nv, len(closed.constraints)) == (8, 2)
     assert closed.motors == ("slide_12", "slide_13")
 
 
@@ -198,6 +205,13 @@ def test_names_that_would_clash_are_refused():
     bodies = [Body.ground(), Body("a", 1.0, [0, 0, 0], unit), Body("b", 1.0, [1, 0, 0], unit)]
     with pytest.raises(NameClashError, match="'u_1'"):
         urdf.to_urdf(Scene("clash", Mechanism(bodies, joints), 1.0, 0.1))
+
+
+def test_pinocchios_own_name_is_refused():
+    joint = Revolute("universe", "ground", "a", [0, 0, 0], axis=[0, 0, 1])
+    mechanism = Mechanism([Body.ground(), Body("a", 1.0, [0, 0, 0], np.eye(3))], [joint])
+    with pytest.raises(UrdfError, match="'universe'"):
+        PinocchioSystem(Scene("named", mechanism, 1.0, 0.1))
 
 
 def test_import_does_not_load_pinocchio():
@@ -250,13 +264,13 @@ def test_missing_key_is_named(tracker, key):
 def test_bad_entry_is_named_with_its_file_and_key(tracker, key, value, problem):
     with pytest.raises(LoopFileError) as caught:
         load(tracker, GOOD | {key: value})
-    assert caught.value.source == "some.loops.yaml" and caught.value.key == key
+    assert (caught.value.source, caught.value.key) == ("some.loops.yaml", key)
     assert problem in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["[a, b", "- a\n- b\n", ""])
 def test_text_that_is_no_loop_file(text):
-    with pytest.raises(LoopFileError, match="some.loops.yaml: document"):
+    with pytest.raises(LoopFileError, match=r"some\.loops\.yaml: document"):
         parse_loops(text, "some.loops.yaml")
 
 

@@ -95,13 +95,11 @@ class PinocchioSystem:
     def _actuator(self, joint: str, coordinate: int) -> Actuator:
         """What a control law drives; only balls are ever cut, so the tree has it."""
         index = self.mechanism.joint_index(joint)
-        kept = next(kept for kept in self._tree.joints if kept.joint == index)
-        driven = [
-            (motion.kind == "slide", 1.0 if kept.forward else -1.0, on_q.start, on_v.start)
-            for motion, on_q, on_v in self._tree.motions
-            if motion.kind != "ball" and kept.v.start <= on_v.start < kept.v.stop
-        ]
-        return Actuator(index, *driven[coordinate if kept.forward else -1 - coordinate])
+        place = self._tree.place(joint, coordinate)
+        assert place is not None
+        (forward,) = (kept.forward for kept in self._tree.joints if kept.joint == index)
+        kinds = [m.kind for m in self.mechanism.joints[index].motions if m.kind != "ball"]
+        return Actuator(index, kinds[coordinate] == "slide", 1.0 if forward else -1.0, *place)
 
     def _proximal_settings(self) -> Any:
         """Plain elimination for independent closures, iterations for redundant ones.

@@ -20,6 +20,9 @@ from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import Loops, parse_loops
 from urdf.write import loops_path, motion_names
 
+GROUND = "universe"
+"""Pinocchio's name of the joint that everything hangs on."""
+
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoopModel:
@@ -69,6 +72,8 @@ def build(urdf: str, loops: Loops, alpha: float = 0.0) -> ClosedLoopModel:
         placeholder = pin.buildModelFromXML(urdf)
     except ValueError as error:
         raise UrdfError(f"not a URDF: {error}") from error
+    if list(placeholder.names).count(GROUND) > 1:
+        raise UrdfError(f"a joint is named {GROUND!r}, which is Pinocchio's own name of the ground")
     for key, names in (("joint_name", loops.joint_name), ("name_mot", loops.name_mot)):
         for name in names:
             if name not in list(placeholder.names)[1:]:

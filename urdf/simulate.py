@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from newton_euler.errors import OptionError
 from newton_euler.integrate import Options
 from newton_euler.scene import Scene
 from newton_euler.simulate import run
@@ -37,8 +34,6 @@ def simulate(
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
         UrdfError: for a mechanism that a URDF cannot hold.
     """
-    if not isinstance(alpha, int | float) or not 0.0 <= alpha < np.inf:
-        raise OptionError("alpha", alpha, "a number of 1/s, zero or more")
     from urdf.dynamics import PinocchioSystem
 
     system = PinocchioSystem(scene, baumgarte_alpha(stabilization, alpha))

@@ -46,7 +46,7 @@ def to_urdf(scene: Scene) -> str:
     add_materials(robot)
     origins = [np.zeros(3)] * len(mechanism.bodies)
     for kept in tree.joints:
-        origins[kept.child] = mechanism.joints[kept.joint].point
+        origins[kept.child] = mechanism.joints[kept.joint].reaction_point
 
     for index, body in enumerate(mechanism.bodies):
         link = SubElement(robot, "link", name=body.name)

@@ -80,7 +80,7 @@ class Erratum:
     """An error of the paper.
 
     Attributes:
-        number: as in docs/errata.md.
+        number: as it is cited everywhere in this project.
         where: place in the paper.
         printed, needed: what stands there, and what has to.
         remedy: how the project deals with it.
@@ -187,6 +187,13 @@ ERRATA = (
         "scene tracker has no gravity",
     ),
 )
+
+
+def errata_table() -> str:
+    """The errata as a markdown table, which docs/errata.md shows."""
+    lines = ["| # | where | printed | needed | here |", "|---|---|---|---|---|"]
+    lines += [f"| {e.number} | {e.where} | {e.printed} | {e.needed} | {e.remedy} |" for e in ERRATA]
+    return "\n".join(lines) + "\n"
 
 
 def corrected_tables(*, literal_panel: bool = False) -> Tables:

@@ -1,0 +1,153 @@
+"""The tests notice mistakes: each is made on purpose in a copy of the source, and a test must fail."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("newton_euler", "mjcf", "urdf", "crosscheck")
+
+MISTAKES = {
+    "swapped axes of a universal joint": (
+        "newton_euler/joints.py",
+        "first.vector_to_body(self.axis_on_first), second.vector_to_body(self.axis_on_second)",
+        "first.vector_to_body(self.axis_on_second), second.vector_to_body(self.axis_on_first)",
+        "test_formulations.py",
+    ),
+    "swapped hinges of a universal joint in the tree": (
+        "newton_euler/joints.py",
+        'Motion("hinge", self.axis_on_first), Motion("hinge", self.axis_on_second)',
+        'Motion("hinge", self.axis_on_second), Motion("hinge", self.axis_on_first)',
+        "test_formulations.py",
+    ),
+    "a sign in gamma of the ball": (
+        "newton_euler/constraints.py",
+        "return _centripetal(second.angular_velocity, s_j) - _centripetal(",
+        "return _centripetal(second.angular_velocity, s_j) + _centripetal(",
+        "test_joints.py",
+    ),
+    "a sign in gamma of perpendicular axes": (
+        "newton_euler/constraints.py",
+        "+ 2.0 * (cross(wi, a) @ cross(wj, b))",
+        "- 2.0 * (cross(wi, a) @ cross(wj, b))",
+        "test_joints.py",
+    ),
+    "a missing Coriolis term of slides": (
+        "newton_euler/relative.py",
+        "acceleration = acceleration + coriolis",
+        "acceleration = acceleration + 0.0 * coriolis",
+        "test_formulations.py",
+    ),
+    "a missing gyroscopic torque": (
+        "newton_euler/relative.py",
+        "inertia @ alpha + cross(omega, inertia @ omega)",
+        "inertia @ alpha",
+        "test_formulations.py",
+    ),
+    "a missing gyroscopic torque in the paper's form": (
+        "newton_euler/cartesian.py",
+        "h = 4.0 * matrix_l(pdot).T @ body.inertia @ matrix_l(p)",
+        "h = 0.0 * matrix_l(pdot).T @ body.inertia @ matrix_l(p)",
+        "test_formulations.py",
+    ),
+    "inertia left in the body's frame": (
+        "newton_euler/relative.py",
+        "return a @ self.inertias[body] @ a.T",
+        "return self.inertias[body]",
+        "test_formulations.py",
+    ),
+    "inertia of a URDF in the wrong frame": (
+        "urdf/write.py",
+        "turned = rotation @ body.inertia @ rotation.T",
+        "turned = rotation.T @ body.inertia @ rotation",
+        "test_urdf_write.py",
+    ),
+    "a transposed rotation": (
+        "newton_euler/euler_parameters.py",
+        "return matrix_g(p) @ matrix_l(p).T",
+        "return matrix_l(p) @ matrix_g(p).T",
+        "test_euler_parameters.py",
+    ),
+    "MuJoCo's quaternions read w-last": (
+        "mjcf/model.py",
+        "self.data.xquat[bodies]",
+        "np.roll(self.data.xquat[bodies], -1, axis=1)",
+        "test_mjcf_rigid.py",
+    ),
+    "Pinocchio's quaternions written w-first": (
+        "urdf/model.py",
+        "columns = np.roll(columns, -1)",
+        "columns = np.roll(columns, 0)",
+        "test_urdf_dynamics.py",
+    ),
+    "Rerun's quaternions written w-first": (
+        "crosscheck/rerun_log.py",
+        "return quaternion[..., [1, 2, 3, 0]]",
+        "return quaternion",
+        "test_rerun_log.py",
+    ),
+    "positive feedback, erratum 2": (
+        "newton_euler/control.py",
+        "return -(self.stiffness",
+        "return (self.stiffness",
+        "test_formulations.py",
+    ),
+    "Baumgarte's gains swapped, erratum 1": (
+        "newton_euler/cartesian.py",
+        "self.damping, self.stiffness = 2.0 * alpha, alpha * alpha",
+        "self.stiffness, self.damping = 2.0 * alpha, alpha * alpha",
+        "test_formulations.py",
+    ),
+    "Euler parameters left to drift, erratum 11": (
+        "newton_euler/cartesian.py",
+        "-c - self.damping * (p_matrix @ qdot) - self.stiffness * norm",
+        "-c",
+        "test_formulations.py",
+    ),
+    "reactions on the first body": (
+        "newton_euler/relative.py",
+        "sign = 1.0 if kept.forward else -1.0",
+        "sign = -1.0 if kept.forward else 1.0",
+        "test_formulations.py",
+    ),
+}
+
+
+def copy_source(folder):
+    for name in (*PACKAGES, "tests", "examples", "docs"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", folder)
+    return folder
+
+
+def run_tests(folder, file):
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", f"tests/{file}"]
+    # the copy comes first on the path, before an installed project
+    environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_noticed(tmp_path, mistake):
+    source, right, wrong, file = MISTAKES[mistake]
+    path = copy_source(tmp_path / "project") / source
+    text = path.read_text()
+    assert text.count(right) == 1, "the line to break has changed"
+    path.write_text(text.replace(right, wrong))
+    done = run_tests(path.parents[1], file)
+    assert done.returncode == 1, done.stdout[-2000:]  # 1: tests ran and failed
+    assert " failed" in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", sorted({mistake[3] for mistake in MISTAKES.values()}))
+def test_the_copy_passes_when_nothing_is_broken(tmp_path, file):
+    done = run_tests(copy_source(tmp_path / "project"), file)
+    assert done.returncode == 0, done.stdout[-2000:]

@@ -1,0 +1,105 @@
+"""Runs by Pinocchio against this package's own, and against conservation of energy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from mechanisms import all_universal_loop, planar_four_bar, spinning_top
+
+import urdf
+from newton_euler.errors import NewtonEulerError, OptionError, UnknownNameError
+
+
+@pytest.fixture(scope="module")
+def run(tracker):
+    """Runs of the tracker, each set of options run once."""
+
+    @lru_cache
+    def simulate(**options):
+        return urdf.simulate(tracker, **options)
+
+    return simulate
+
+
+def test_trajectory_says_what_it_is(tracker, run):
+    trajectory = run()
+    assert trajectory.engine == "pinocchio"
+    assert trajectory.settings["stabilization"] == "baumgarte"
+    assert trajectory.settings["alpha"] == 10.0
+    assert trajectory.settings["evaluations"] > trajectory.settings["steps"] > 0
+    assert trajectory.wall_time > 0.0
+    assert trajectory.body_names == tracker.mechanism.body_names
+    assert trajectory.position.shape == (len(tracker.times), 7, 3)
+    assert trajectory.reaction_force.shape == (len(tracker.times), 8, 3)
+
+
+@pytest.mark.parametrize("stabilization", ["baumgarte", "projection", "none"])
+def test_tracker_moves_as_in_newton_euler(tracker_run, run, stabilization):
+    """1e-9 m and 1e-8 of a quaternion: DOP853 at rtol 1e-10 on both sides, and angles of the light
+    links that are ten to a hundred times as sensitive. Reactions (below 10 N): 1e-6 N, as
+    accelerations follow the steps' errors with rates of up to 300 1/s."""
+    wanted, found = tracker_run(), run(stabilization=stabilization)
+    assert np.max(np.abs(found.position - wanted.position)) < 1e-9
+    assert np.max(np.abs(found.quaternion - wanted.quaternion)) < 1e-8
+    assert np.max(np.abs(found.reaction_force - wanted.reaction_force)) < 1e-6
+    assert np.max(np.abs(found.actuator_force - wanted.actuator_force)) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("stabilization", "drift"), [("projection", 1e-14), ("baumgarte", 1e-10), ("none", 1e-9)]
+)
+def test_loops_stay_closed(run, stabilization, drift):
+    """m and rad. Projection: round-off. Without: the steps' error, rtol 1e-10, which adds up only
+    where nothing pulls it back."""
+    assert np.max(run(stabilization=stabilization).constraint_violation) < drift
+
+
+def test_fixed_steps_converge_with_order_four(run):
+    """Runge-Kutta's order 4 within 10 %, between steps that are well inside its stability limit and
+    whose errors of 1e-6 m and less are far above those of the run they are measured against."""
+    exact = run()
+    errors = [
+        np.max(np.abs(run(integrator="RK4", step=step).position - exact.position))
+        for step in (5e-3, 2.5e-3)
+    ]
+    assert errors[0] < 1e-6
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, rel=0.1)
+
+
+@pytest.mark.parametrize("build", [spinning_top, all_universal_loop, planar_four_bar])
+def test_energy_is_kept(build):
+    """1e-8 of the largest energy: 1 s at rtol 1e-10. A ball in the tree, a loop cut at a universal
+    joint, a redundant one."""
+    trajectory = urdf.simulate(build())
+    total = trajectory.kinetic_energy + trajectory.potential_energy
+    assert np.ptp(trajectory.potential_energy) > 0.1
+    scale = np.max(np.abs(trajectory.potential_energy)) + np.max(trajectory.kinetic_energy)
+    assert np.max(np.abs(total - total[0])) < 1e-8 * scale
+
+
+def test_outputs_that_are_not_asked_for_are_left_out(tracker):
+    scene = replace(tracker, outputs=frozenset({"energy"}), duration=0.05)
+    trajectory = urdf.simulate(scene)
+    assert trajectory.reaction_force is None
+    assert trajectory.linear_velocity is None
+    assert trajectory.kinetic_energy.shape == (6,)
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"stabilization": "prayer"}, UnknownNameError),
+        ({"integrator": "LSODA"}, UnknownNameError),
+        ({"integrator": "RK4"}, OptionError),
+        ({"alpha": -1.0}, OptionError),
+        ({"alpha": float("nan")}, OptionError),
+        ({"rtol": 0.0}, OptionError),
+    ],
+)
+def test_bad_options_are_refused(tracker, options, error):
+    with pytest.raises(error) as caught:
+        urdf.simulate(tracker, **options)
+    assert isinstance(caught.value, NewtonEulerError)
