@@ -8,7 +8,7 @@ motion at consistent states, so that a difference is one of the models; the late
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
@@ -19,7 +19,7 @@ from newton_euler.euler_parameters import angle_between
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import Evaluation, State
-from newton_euler.system import System
+from newton_euler.system import System, admissible
 from newton_euler.trajectory import Trajectory
 
 LEVELS = ("model", "kinematics", "accelerations and reactions", "trajectories", "drift", "energy")
@@ -96,47 +96,69 @@ def compare_equations(scene: Scene, engines: Sequence[Engine], states: list[Stat
     and has rows for its systems against each other. An engine with soft constraints has a row for
     what they do to its reactions.
     """
-    evaluations = {
-        engine.name: {s.name: _evaluate(s, states) for s in engine.systems(scene)} for engine in engines
-    }
+    samples = {e.name: {s.name: Samples.of(s, states) for s in e.systems(scene)} for e in engines}
     for a, b in combinations(engines, 2):
         found: dict[str, Row] = {}
-        for x, y in product(evaluations[a.name].values(), evaluations[b.name].values()):
+        for x, y in product(samples[a.name].values(), samples[b.name].values()):
             for row in _equation_rows(scene, (a.name, b.name), x, y):
                 known = found.setdefault(row.quantity, row)
                 if not row.value <= known.value:
                     found[row.quantity] = row
         yield from found.values()
     for engine in engines:
-        for x, y in combinations(evaluations[engine.name], 2):
-            sides = (evaluations[engine.name][x], evaluations[engine.name][y])
-            yield from _equation_rows(scene, (x, y), *sides)
-        if engine.soft_system is not None:
-            (rigid,) = evaluations[engine.name].values()
-            soft = _evaluate(engine.soft_system(scene), states)
-            rows = _equation_rows(scene, (f"{engine.name} soft", f"{engine.name} rigid"), soft, rigid)
-            forces = next(row for row in rows if row.quantity.startswith("reaction force"))
-            yield replace(forces, tolerance=SOFTNESS)
+        for pair in combinations(samples[engine.name], 2):
+            one, two = (samples[engine.name][name] for name in pair)
+            yield from _equation_rows(scene, pair, one, two)
+        if engine.soft_start is not None:
+            yield _softness(scene, engine, engine.soft_start(scene))
 
 
-def _evaluate(system: System, states: list[State]) -> list[Evaluation]:
-    return [system.evaluate(*system.coordinates(state)) for state in states]
+def _softness(scene: Scene, engine: Engine, soft: Evaluation) -> Row:
+    """What soft constraints do to the reaction forces at the start."""
+    system = engine.systems(scene)[0]
+    rigid = system.evaluate(*system.coordinates(scene.initial_state))
+    forces = (soft.reaction_force, rigid.reaction_force)
+    gap = np.linalg.norm(forces[0] - forces[1], axis=1) / (np.linalg.norm(forces[1], axis=1).max() or 1.0)
+    return Row(
+        "accelerations and reactions",
+        "reaction force, rel",
+        (f"{engine.name} soft", f"{engine.name} rigid"),
+        float(gap.max()),
+        SOFTNESS,
+        scene.mechanism.joint_names[int(np.argmax(gap))],
+    )
 
 
-def _equation_rows(
-    scene: Scene, pair: tuple[str, str], first: list[Evaluation], second: list[Evaluation]
-) -> Iterator[Row]:
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """One system at a number of states.
+
+    Attributes:
+        evaluations: at each state.
+        admissible: (n, 6 b, 6 b) projectors onto admissible velocities.
+    """
+
+    evaluations: list[Evaluation]
+    admissible: Array
+
+    @classmethod
+    def of(cls, system: System, states: list[State]) -> Samples:
+        rows = [system.coordinates(state) for state in states]
+        return cls(
+            [system.evaluate(q, v) for q, v in rows], np.array([admissible(system, q) for q, _ in rows])
+        )
+
+    def stack(self, name: str) -> Array:
+        """(n, bodies or joints, ...) array of that name, of the evaluations or of their states."""
+        sources = [e.state if hasattr(e.state, name) else e for e in self.evaluations]
+        return np.array([getattr(source, name) for source in sources])
+
+
+def _equation_rows(scene: Scene, pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Row]:
     bodies, joints = scene.mechanism.body_names, scene.mechanism.joint_names
 
-    def both(name: str) -> tuple[Array, Array]:
-        """(states, bodies or joints, ...) arrays of that name on both sides."""
-        sources = [[e.state if hasattr(e.state, name) else e for e in side] for side in (first, second)]
-        x, y = (np.array([getattr(source, name) for source in side]) for side in sources)
-        return x, y
-
     def apart(name: str) -> Array:
-        x, y = both(name)
-        return np.asarray(np.linalg.norm(x - y, axis=-1))
+        return np.asarray(np.linalg.norm(first.stack(name) - second.stack(name), axis=-1))
 
     def relative(name: str, companion: str, arm: float) -> Array:
         """Gaps against the largest vector of the state, or the largest companion times an arm.
@@ -145,8 +167,8 @@ def _equation_rows(
         that vanish, a ball's torque for one; states in which both vanish count as they are.
         """
         scale = np.maximum(
-            np.linalg.norm(both(name)[0], axis=-1).max(axis=1),
-            arm * np.linalg.norm(both(companion)[0], axis=-1).max(axis=1),
+            np.linalg.norm(first.stack(name), axis=-1).max(axis=1),
+            arm * np.linalg.norm(first.stack(companion), axis=-1).max(axis=1),
         )[:, None]
         return apart(name) / np.where(scale > 0.0, scale, 1.0)
 
@@ -155,9 +177,9 @@ def _equation_rows(
         return Row(level, quantity, pair, float(gap.max()), tolerance, names[worst])
 
     kinematics, dynamics = "kinematics", "accelerations and reactions"
-    x, y = both("admissible")
-    projector = np.abs(x - y).max(axis=2).reshape(len(x), len(bodies), 6).max(axis=2)
-    angles = angle_between(*both("quaternion"))
+    projector = np.abs(first.admissible - second.admissible).max(axis=2)
+    projector = projector.reshape(-1, len(bodies), 6).max(axis=2)
+    angles = angle_between(first.stack("quaternion"), second.stack("quaternion"))
     yield row(kinematics, "positions, m", apart("position"), KINEMATICS_TOLERANCE, bodies)
     yield row(kinematics, "orientations, rad", angles, KINEMATICS_TOLERANCE, bodies)
     yield row(kinematics, "constraint Jacobian", projector, KINEMATICS_TOLERANCE, bodies)

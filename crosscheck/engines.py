@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from crosscheck.errors import CrosscheckError
 from newton_euler.scene import Scene
+from newton_euler.state import Evaluation
 from newton_euler.system import System
 from newton_euler.trajectory import Trajectory
 
@@ -24,7 +25,7 @@ class Engine:
         energy_error: by what share of the largest energy its balance may be off.
         package: name of the package that does the work, for the record of versions.
         reason: why these errors.
-        soft_system: its own constraints where they are not rigid.
+        soft_start: the initial state under its own constraints where they are not rigid.
     """
 
     name: str
@@ -35,7 +36,7 @@ class Engine:
     energy_error: float
     package: str
     reason: str
-    soft_system: Callable[[Scene], System] | None = None
+    soft_start: Callable[[Scene], Evaluation] | None = None
 
 
 def _newton_euler_run(scene: Scene) -> Trajectory:
@@ -62,10 +63,11 @@ def _mujoco_systems(scene: Scene) -> tuple[System, ...]:
     return (RigidMuJoCo(scene),)
 
 
-def _mujoco_soft(scene: Scene) -> System:
+def _mujoco_soft(scene: Scene) -> Evaluation:
     from mjcf.soft import SoftMuJoCo
 
-    return SoftMuJoCo(scene)
+    soft = SoftMuJoCo(scene)
+    return soft.evaluate(*soft.coordinates(scene.initial_state))
 
 
 def _pinocchio_run(scene: Scene) -> Trajectory:
@@ -102,7 +104,7 @@ ENGINES: dict[str, Engine] = {
             energy_error=1e-3,
             package="mujoco",
             reason="RK4 at 1 ms; its constraints are springs with a time constant of two steps",
-            soft_system=_mujoco_soft,
+            soft_start=_mujoco_soft,
         ),
         Engine(
             "pinocchio",

@@ -11,8 +11,7 @@ import numpy as np
 from mjcf.loops import loops
 from mjcf.model import CompiledScene
 from newton_euler.scalars import Array, cross
-from newton_euler.solve import orthonormal_null
-from newton_euler.state import Evaluation, admissible_projector
+from newton_euler.state import Evaluation
 
 
 def evaluation(compiled: CompiledScene, acceleration: Array, multipliers: Array) -> Evaluation:
@@ -39,7 +38,6 @@ def evaluation(compiled: CompiledScene, acceleration: Array, multipliers: Array)
         np.array(data.actuator_force),
         kinetic,
         potential,
-        admissible(compiled),
     )
 
 
@@ -107,14 +105,3 @@ def energies(compiled: CompiledScene) -> tuple[float, float]:
     mujoco.mj_energyVel(compiled.model, compiled.data)
     potential, kinetic = compiled.data.energy
     return float(kinetic), float(potential)
-
-
-def admissible(compiled: CompiledScene) -> Array:
-    """(6 b, 6 b) projector onto the body velocities that the constraints leave free."""
-    model = compiled.model
-    count = len(compiled.mechanism.bodies)
-    jacobian = np.zeros((2 * count, 3, model.nv))
-    for k, index in enumerate(compiled.body_id[1:count], start=1):
-        mujoco.mj_jacBodyCom(model, compiled.data, jacobian[2 * k], jacobian[2 * k + 1], index)
-    free = orthonormal_null(constraint_jacobian(compiled))
-    return admissible_projector(compiled.mechanism, jacobian.reshape(6 * count, model.nv) @ free)

@@ -58,8 +58,17 @@ class RigidMuJoCo(CompiledScene):
         """vdot (nv,)."""
         return np.asarray(self.layout.to_qvel.T @ self._solve(q, v)[0])
 
+    def velocity_transformation(self, q: Array) -> Array:
+        """(6 b, nv): v and omega of body 0, 1, ... for each velocity, by MuJoCo's Jacobians."""
+        self.state(q, np.zeros(self.nv))
+        count = len(self.mechanism.bodies)
+        rows = np.zeros((2 * count, 3, self.model.nv))
+        for k, index in enumerate(self.body_id[1:count], start=1):
+            mujoco.mj_jacBodyCom(self.model, self.data, rows[2 * k], rows[2 * k + 1], index)
+        return rows.reshape(6 * count, self.model.nv) @ self.layout.to_qvel
+
     def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Accelerations, reactions, energies and admissible velocities at a state."""
+        """Accelerations, reactions and energies at a state."""
         qacc, multipliers = self._solve(q, v)
         return evaluation(self, qacc, multipliers)
 

@@ -17,7 +17,7 @@ class SoftMuJoCo(CompiledScene):
     name = "mujoco"
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Accelerations, reactions, energies and admissible velocities at a state."""
+        """Accelerations, reactions and energies at a state."""
         self.place(q, v)
         self.data.qacc_warmstart[:] = 0.0  # so that the answer does not depend on the state before
         mujoco.mj_forward(self.model, self.data)

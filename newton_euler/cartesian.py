@@ -21,8 +21,8 @@ from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import matrix_g, matrix_l, rotation
 from newton_euler.scalars import Array, cross, zeros
 from newton_euler.scene import Scene
-from newton_euler.solve import minimum_norm, orthonormal_null, rank
-from newton_euler.state import Evaluation, MassProperties, State, admissible_projector, energies
+from newton_euler.solve import minimum_norm, rank
+from newton_euler.state import Evaluation, MassProperties, State, energies
 
 
 class Cartesian:
@@ -52,7 +52,7 @@ class Cartesian:
     def frames(self, q: Array, qdot: Array) -> list[Frame]:
         """Frames of all bodies: R = G L^T, eq. (3), and omega = 2 G pdot."""
         ground = self.mechanism.bodies[0]
-        frames = [Frame(ground.center_of_mass, np.eye(3), np.zeros(3), np.zeros(3))]
+        frames = [Frame(ground.center_of_mass, ground.pose.rotation, np.zeros(3), np.zeros(3))]
         for (r, p), (rdot, pdot) in zip(self.split(q), self.split(qdot), strict=True):
             frames.append(Frame(r, rotation(p), rdot, 2.0 * matrix_g(p) @ pdot))
         return frames
@@ -232,8 +232,16 @@ class Cartesian:
             np.array([frame.angular_velocity for frame in frames]),
         )
 
+    def velocity_transformation(self, q: Array) -> Array:
+        """(6 b, 7 n): v and omega = 2 G pdot of body 0, 1, ... for each velocity."""
+        rows = np.zeros((6 * len(self.mechanism.bodies), self.nv))
+        for k, (_, p) in enumerate(self.split(q)):
+            rows[6 * k + 6 : 6 * k + 9, 7 * k : 7 * k + 3] = np.eye(3)
+            rows[6 * k + 9 : 6 * k + 12, 7 * k + 3 : 7 * k + 7] = 2.0 * matrix_g(p)
+        return rows
+
     def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Accelerations, reactions, energies and admissible velocities at a state."""
+        """Accelerations, reactions and energies at a state."""
         frames = self.frames(q, v)
         qddot, multipliers = self.solve(q, v)
         ground = [np.zeros(3)]
@@ -252,11 +260,6 @@ class Cartesian:
             s = frames[e.second].rotation @ pose.point_to_body(e.joint.reaction_point)
             forces.append(force)
             torques.append(torque - cross(s, force))
-        free = orthonormal_null(self.phi_jacobian(q))
-        velocities = np.zeros((6 * len(frames), free.shape[1]))
-        for k, (_, p) in enumerate(self.split(q)):
-            velocities[6 * k + 6 : 6 * k + 9] = free[7 * k : 7 * k + 3]
-            velocities[6 * k + 9 : 6 * k + 12] = 2.0 * matrix_g(p) @ free[7 * k + 3 : 7 * k + 7]
         state = self.state(q, v)
         return Evaluation(
             state,
@@ -266,5 +269,4 @@ class Cartesian:
             np.array(torques),
             self.applied(frames)[0],
             *energies(self.scene, state),
-            admissible_projector(self.mechanism, velocities),
         )

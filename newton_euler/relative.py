@@ -33,8 +33,8 @@ from newton_euler.euler_parameters import (
 )
 from newton_euler.scalars import Array, cos, cross, sin, tilde, zeros
 from newton_euler.scene import Scene
-from newton_euler.solve import orthonormal_null, solve_constrained
-from newton_euler.state import Evaluation, MassProperties, State, admissible_projector, energies
+from newton_euler.solve import solve_constrained
+from newton_euler.state import Evaluation, MassProperties, State, energies
 from newton_euler.tree import SpanningTree, TreeJoint
 
 
@@ -303,18 +303,22 @@ class Relative:
             np.array([frame.angular_velocity for frame in frames]),
         )
 
+    def velocity_transformation(self, q: Array) -> Array:
+        """(6 b, nv): v and omega of body 0, 1, ... for each joint velocity."""
+        links = self.links(q, np.zeros(self.nv))
+        rows = np.zeros((len(links), 6, self.nv))
+        for body, link in enumerate(links):
+            rows[body][:, link.path] = np.concatenate([link.linear, link.angular])
+        return rows.reshape(6 * len(links), self.nv)
+
     def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Accelerations, reactions, energies and admissible velocities at a state."""
+        """Accelerations, reactions and energies at a state."""
         links = self.links(q, v)
         qddot, multipliers = self._solve(q, v, links)
         actuation = self.actuation(q, v, links)[0]
         linear = np.array([k.acceleration + k.linear @ qddot[k.path] for k in links])
         angular = np.array([k.angular_acceleration + k.angular @ qddot[k.path] for k in links])
         forces, torques = self._reactions(links, linear, angular, multipliers, actuation)
-        transformation = np.zeros((len(links), 6, self.nv))
-        for body, link in enumerate(links):
-            transformation[body][:, link.path] = np.concatenate([link.linear, link.angular])
-        free = orthonormal_null(self.loop_terms(links)[1])
         state = self._state(links)
         return Evaluation(
             state,
@@ -324,7 +328,6 @@ class Relative:
             torques,
             actuation,
             *energies(self.scene, state),
-            admissible_projector(self.mechanism, transformation.reshape(-1, self.nv) @ free),
         )
 
     def _reactions(

@@ -76,6 +76,10 @@ class Scene:
             joint = self.mechanism.joints[self.mechanism.joint_index(law.joint)]
             if not joint.actuated:
                 raise MechanismError(where, "the joint is not actuated", "an actuated joint")
+            if [(other.joint, other.coordinate) for other in self.control].count(
+                (law.joint, law.coordinate)
+            ) > 1:
+                raise MechanismError(where, "has several laws for one coordinate", "one law a coordinate")
             kinds = [m.kind for m in joint.motions if m.kind != "ball"]
             if not 0 <= law.coordinate < len(kinds):
                 raise MechanismError(where, f"coordinate is {law.coordinate}", f"an index below {len(kinds)}")

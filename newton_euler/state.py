@@ -11,7 +11,6 @@ from newton_euler.constraints import Frame
 from newton_euler.euler_parameters import rotation
 from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array
-from newton_euler.solve import orthonormal_range
 
 if TYPE_CHECKING:
     from newton_euler.scene import Scene
@@ -67,9 +66,6 @@ class Evaluation:
         reaction_force, reaction_torque: (j, 3) on the second body, at its joint point.
         actuator_force: (a,) N or N m along the actuated coordinates.
         kinetic_energy, potential_energy: J; potential energy is that of gravity, zero at the origin.
-        admissible: (6 b, 6 b) orthogonal projector onto the velocities (v, omega of body 0, 1, ...)
-            that the constraints leave free. It is the constraint Jacobian in a form that depends
-            on no choice of coordinates or rows.
     """
 
     state: State
@@ -80,7 +76,6 @@ class Evaluation:
     actuator_force: Array
     kinetic_energy: float
     potential_energy: float
-    admissible: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +112,3 @@ def energies(scene: Scene, state: State) -> tuple[float, float]:
         kinetic += 0.5 * float(spin @ body.inertia @ spin)
         potential -= body.mass * float(scene.gravity @ frame.position)
     return kinetic, potential
-
-
-def admissible_projector(mechanism: Mechanism, velocities: Array) -> Array:
-    """Orthogonal projector (6 b, 6 b) onto the range of body velocities (6 b, k).
-
-    Angular velocities are multiplied by the mechanism's size, so that all rows are in m/s.
-    """
-    scale = np.tile([1.0, 1.0, 1.0, *[mechanism.size] * 3], len(mechanism.bodies))
-    basis = orthonormal_range(scale[:, None] * velocities)
-    return np.asarray(basis @ basis.T)

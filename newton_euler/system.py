@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import numpy as np
+
 from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
+from newton_euler.solve import orthonormal_null, orthonormal_range
 from newton_euler.state import Evaluation, MassProperties, State
 
 
@@ -48,4 +51,19 @@ class System(Protocol):
         """q moved by a small step (nv,)."""
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Accelerations, reactions, energies and admissible velocities."""
+        """Accelerations, reactions and energies."""
+
+    def velocity_transformation(self, q: Array) -> Array:
+        """(6 b, nv): v and omega of body 0, 1, ... for each velocity."""
+
+
+def admissible(system: System, q: Array) -> Array:
+    """Orthogonal projector (6 b, 6 b) onto the body velocities that the constraints leave free.
+
+    It is the constraint Jacobian in a form that depends on no choice of coordinates or rows. Angular
+    velocities are multiplied by the mechanism's size, so that all rows are in m/s.
+    """
+    scale = np.tile([1.0, 1.0, 1.0, *[system.mechanism.size] * 3], len(system.mechanism.bodies))
+    free = orthonormal_null(system.phi_jacobian(q))
+    basis = orthonormal_range(scale[:, None] * (system.velocity_transformation(q) @ free))
+    return np.asarray(basis @ basis.T)

@@ -92,7 +92,7 @@ def test_a_disagreement_is_status_1_and_names_the_place(capsys, tmp_path, good, 
         mujoco,
         simulate=lambda scene: mjcf.simulate(heavier(scene)),
         systems=lambda scene: mujoco.systems(heavier(scene)),
-        soft_system=None,
+        soft_start=None,
     )
     monkeypatch.setitem(engines.ENGINES, "mujoco", wrong)
     path = scene_file(tmp_path, good)

@@ -181,7 +181,6 @@ def assert_same_kinematics(found: Evaluation, wanted: Evaluation) -> None:
         assert np.max(np.abs(x - y)) < KINEMATICS * max(1.0, np.max(np.abs(y))), name
     cosines = np.abs(np.sum(found.state.quaternion * wanted.state.quaternion, axis=1))
     assert np.max(np.abs(cosines - 1.0)) < KINEMATICS
-    assert np.max(np.abs(found.admissible - wanted.admissible)) < KINEMATICS
 
 
 def assert_same_energies(found: Evaluation, wanted: Evaluation) -> None:

@@ -62,8 +62,7 @@ def test_fixed_steps_converge_with_order_four(run):
     whose errors of 1e-6 m and less are far above those of the run they are measured against."""
     exact = run()
     errors = [
-        np.max(np.abs(run(integrator="RK4", step=step).position - exact.position))
-        for step in (5e-3, 2.5e-3)
+        np.max(np.abs(run(integrator="RK4", step=step).position - exact.position)) for step in (5e-3, 2.5e-3)
     ]
     assert errors[0] < 1e-6
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, rel=0.1)

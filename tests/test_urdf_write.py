@@ -73,9 +73,7 @@ def test_loop_file_of_a_ball_in_the_tree_and_of_a_loop_cut_at_a_hinge():
     )
     hinges = yaml.safe_load(urdf.to_loops(seven_hinges()))
     assert hinges["type"] == ["6d"]
-    assert hinges["closed_loop"] == [
-        ["hinge_3_weld_on_link_4", "hinge_3_weld_on_link_4_at_hinge_3"]
-    ]
+    assert hinges["closed_loop"] == [["hinge_3_weld_on_link_4", "hinge_3_weld_on_link_4_at_hinge_3"]]
 
 
 @pytest.mark.parametrize("build_scene", scenes())
@@ -88,9 +86,7 @@ def test_urdf_is_a_tree_of_links_parallel_to_the_world(build_scene):
     assert links - set(children) == {scene.mechanism.body_names[0]}
     origins = robot.findall("joint/origin") + robot.findall("link/inertial/origin")
     assert {origin.get("rpy") for origin in origins} == {"0 0 0"}
-    massive = {
-        link.get("name") for link in robot.findall("link") if link.find("inertial") is not None
-    }
+    massive = {link.get("name") for link in robot.findall("link") if link.find("inertial") is not None}
     assert massive == set(weld_loops(scene.mechanism).mechanism.body_names[1:])
 
 

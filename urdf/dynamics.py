@@ -16,8 +16,8 @@ from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import from_rotation
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
-from newton_euler.solve import orthonormal_null, rank
-from newton_euler.state import Evaluation, MassProperties, State, admissible_projector
+from newton_euler.solve import rank
+from newton_euler.state import Evaluation, MassProperties, State
 from newton_euler.tree import weld_loops
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia
@@ -68,9 +68,7 @@ class PinocchioSystem:
         self._constraint_data = pin.StdVec_RigidConstraintData(
             [constraint.createData() for constraint in self.closed.constraints]
         )
-        pin.initConstraintDynamics(
-            self._model, self._data, self.closed.constraints, self._constraint_data
-        )
+        pin.initConstraintDynamics(self._model, self._data, self.closed.constraints, self._constraint_data)
         self._actuators = [self._actuator(law.joint, law.coordinate) for law in scene.control]
         self._proximal = self._proximal_settings()
 
@@ -79,16 +77,12 @@ class PinocchioSystem:
         data = self._model.createData()
         pin.framesForwardKinematics(self._model, data, pin.neutral(self._model))
         added = []
-        for body, rotation in zip(
-            self.mechanism.bodies, self._tree.initial_rotations, strict=False
-        ):
+        for body, rotation in zip(self.mechanism.bodies, self._tree.initial_rotations, strict=False):
             index = self._model.getFrameId(body.name, pin.FrameType.BODY)
             link = self._model.frames[index]
             center = body.center_of_mass - data.oMf[index].translation
             placement = link.placement * pin.SE3(rotation, center)
-            frame = pin.Frame(
-                f"{body.name}_body", link.parentJoint, index, placement, pin.FrameType.OP_FRAME
-            )
+            frame = pin.Frame(f"{body.name}_body", link.parentJoint, index, placement, pin.FrameType.OP_FRAME)
             added.append(self._model.addFrame(frame))
         return added
 
@@ -214,9 +208,7 @@ class PinocchioSystem:
 
     def state(self, q: Array, v: Array) -> State:
         """Body poses and velocities by Pinocchio's forward kinematics."""
-        pin.forwardKinematics(
-            self._model, self._data, self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
-        )
+        pin.forwardKinematics(self._model, self._data, self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v))
         return self._state()
 
     def _state(self) -> State:
@@ -234,14 +226,18 @@ class PinocchioSystem:
     def _frame_motions(self, of: Any) -> Array:
         """(b, 6) linear and angular velocities or accelerations of the bodies, world frame."""
         return np.array(
-            [
-                of(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED).vector
-                for frame in self._bodies
-            ]
+            [of(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED).vector for frame in self._bodies]
         )
 
+    def velocity_transformation(self, q: Array) -> Array:
+        """(6 b, nv): v and omega of body 0, 1, ... for each velocity, by Pinocchio's Jacobians."""
+        pin.computeJointJacobians(self._model, self._data, self.map.q_to_pinocchio(q))
+        pin.updateFramePlacements(self._model, self._data)
+        rows = np.concatenate([self._frame_jacobian(frame) for frame in self._bodies])
+        return self.map.v_from_pinocchio(rows)
+
     def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Accelerations, reactions, energies and admissible velocities at a state.
+        """Accelerations, reactions and energies at a state.
 
         Raises:
             SingularityError: where Pinocchio has no finite accelerations.
@@ -264,9 +260,8 @@ class PinocchioSystem:
             state,
             accelerations,
         )
-        free = orthonormal_null(self.phi_jacobian(q))  # computes the joint Jacobians used below
-        bodies = np.concatenate([self._frame_jacobian(frame) for frame in self._bodies])
         actuation = self.actuation(q, v)
+        pin.computeJointJacobians(self._model, self._data, pin_q)
         forces, torques = reactions(self.scene, wrenches, state, self._driven(actuation))
         kinetic = pin.computeKineticEnergy(self._model, self._data, pin_q, pin_v)
         potential = pin.computePotentialEnergy(self._model, self._data, pin_q)
@@ -279,7 +274,6 @@ class PinocchioSystem:
             actuation,
             kinetic,
             potential + self._fixed_energy(),
-            admissible_projector(self.mechanism, self.map.v_from_pinocchio(bodies) @ free),
         )
 
     def _external(self, closure_wrenches: list[Any]) -> Any:

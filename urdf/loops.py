@@ -52,16 +52,9 @@ def parse_loops(text: str, source: str) -> Loops:
         raise LoopFileError(source, "document", "not a mapping from keys to lists")
     pairs = _entry(document, source, "closed_loop")
     for pair in pairs:
-        if (
-            not isinstance(pair, list)
-            or len(pair) != 2
-            or not all(isinstance(n, str) for n in pair)
-        ):
+        if not isinstance(pair, list) or len(pair) != 2 or not all(isinstance(n, str) for n in pair):
             raise LoopFileError(source, "closed_loop", f"{pair!r} is not a pair of frame names")
-    names = {
-        key: _names(document, source, key)
-        for key in ("type", "name_mot", "joint_name", "joint_type")
-    }
+    names = {key: _names(document, source, key) for key in ("type", "name_mot", "joint_name", "joint_type")}
     _check_types(source, "type", names["type"], CLOSURE_TYPES, "closed_loop", len(pairs))
     _check_types(
         source,

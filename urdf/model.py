@@ -112,9 +112,7 @@ def _with_balls(placeholder: Any, names: tuple[str, ...]) -> Any:
     for index in range(1, placeholder.njoints):
         name = placeholder.names[index]
         joint = pin.JointModelSpherical() if name in names else placeholder.joints[index]
-        added = model.addJoint(
-            placeholder.parents[index], joint, placeholder.jointPlacements[index], name
-        )
+        added = model.addJoint(placeholder.parents[index], joint, placeholder.jointPlacements[index], name)
         model.appendBodyToJoint(added, placeholder.inertias[index], pin.SE3.Identity())
     model.inertias[0] = placeholder.inertias[0]  # of links that are fixed to the root
     for frame in list(placeholder.frames)[1:]:

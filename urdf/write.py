@@ -145,9 +145,7 @@ def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> 
     SubElement(inertial, "inertia", {name: repr(float(inertia[at]) + 0.0) for name, at in entries})
 
 
-def _add_chain(
-    robot: Element, welded: WeldedMechanism, kept: TreeJoint, origins: list[Array]
-) -> None:
+def _add_chain(robot: Element, welded: WeldedMechanism, kept: TreeJoint, origins: list[Array]) -> None:
     """One joint of the tree: a chain from its parent's link to its child's."""
     names = welded.mechanism.body_names
     parent, child = names[kept.parent], names[kept.child]
@@ -171,9 +169,7 @@ def _axis(motion: Motion) -> Array:
     return np.array([0.0, 0.0, 1.0]) if motion.kind == "ball" else motion.axis
 
 
-def _add_joint(
-    robot: Element, kind: str, name: str, parent: str, child: str, offset: Array
-) -> Element:
+def _add_joint(robot: Element, kind: str, name: str, parent: str, child: str, offset: Array) -> Element:
     joint = SubElement(robot, "joint", name=name, type=kind)
     SubElement(joint, "origin", xyz=numbers(offset), rpy="0 0 0")
     SubElement(joint, "parent", link=parent)
