@@ -63,7 +63,7 @@ class Trajectory:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the arrays to an .npz; the file appears whole or not at all."""
         with atomic_file(path) as temporary, open(temporary, "wb") as stream:
-            np.savez_compressed(stream, allow_pickle=False, **self.arrays())
+            np.savez_compressed(stream, **self.arrays())
 
 
 def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
