@@ -1,21 +1,27 @@
 """The command line: `crosscheck run`, `list`, `view`, `figures`.
 
 Click parses it. Exit status: 0 agree, 1 disagree, 2 bad input or usage, with one line saying what.
+Heavy packages are imported by the commands, so that what goes wrong in an import is one line too.
 """
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, NoReturn
 
 import click
-from rich.console import Console
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.errors import NewtonEulerError
+
+if TYPE_CHECKING:
+    from crosscheck.run import Crosscheck
 
 TABLE_WIDTH = 100
 """Columns that the tables of a run need; a narrower terminal wraps them itself."""
@@ -35,6 +41,8 @@ def _options(settings: tuple[str, ...]) -> dict[str, str]:
         key, equals, value = setting.partition("=")
         if not (key and equals and value):
             raise CrosscheckError(f"--set {setting!r} is not of the form OPTION=VALUE")
+        if key in options:
+            raise CrosscheckError(f"--set {key} is given twice")
         options[key] = value
     return options
 
@@ -58,26 +66,51 @@ def run_command(
 ) -> int:
     """Run SCENE (a name or a scene file) through the engines and compare them."""
     from crosscheck.engines import choose
-    from crosscheck.report import markdown, settings_lines, terminal_tables
+    from crosscheck.report import markdown, settings_lines
     from crosscheck.run import check_writable, crosscheck, write
     from crosscheck.scenes import load
 
     chosen = choose([name.strip() for name in engines.split(",") if name.strip()])
-    loaded = load(scene, **_options(settings))
+    options = _options(settings)
+    loaded = load(scene, **options)
     folder = output or Path("output") / loaded.name
     recording = save or folder / f"{loaded.name}.rrd"
-    check_writable(folder, recording)
-    console = Console(width=max(TABLE_WIDTH, Console().width))
-    with console.status("") as status:
-        result = crosscheck(loaded, chosen, status.update)
-        status.update("writing")
+    if recording.suffix != ".rrd":
+        raise CrosscheckError(f"--save {recording}: a recording's name ends in .rrd")
+    runs = [folder / f"{engine.name}.npz" for engine in chosen]
+    check_writable(*runs, folder / "summary.json", recording)
+    with _progress() as progress:
+        result = crosscheck(loaded, chosen, progress, scene, options)
+        progress("writing")
         written = write(result, folder, recording, markdown(result))
-    for table in terminal_tables(result):
-        console.print(table)
-    for line in (*settings_lines(result), "wrote " + ", ".join(str(path) for path in written)):
-        console.print(line, highlight=False, soft_wrap=True)
-    console.print(result.verdict, style="bold", highlight=False, soft_wrap=True)
+    click.echo(_rendered_tables(result), nl=False)
+    for line in settings_lines(result):
+        click.echo(line)
+    click.echo("wrote " + ", ".join(str(path) for path in written))
+    click.echo(click.style(result.verdict, bold=True))
     return AGREE if result.agrees else DISAGREE
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str], None]]:
+    """A function that shows what is going on, on a terminal's standard error."""
+    from rich.console import Console
+    from rich.text import Text
+
+    with Console(stderr=True).status("") as status:
+        yield lambda message: status.update(Text(message))
+
+
+def _rendered_tables(result: Crosscheck) -> str:
+    from rich.console import Console
+
+    from crosscheck.report import terminal_tables
+
+    console = Console(width=max(TABLE_WIDTH, Console().width))
+    with console.capture() as capture:
+        for table in terminal_tables(result):
+            console.print(table)
+    return capture.get()
 
 
 @cli.command("list")
@@ -98,6 +131,8 @@ def list_command() -> int:
 @click.argument("file", type=click.Path(path_type=Path))
 def view_command(file: Path) -> int:
     """Open a recording in the Rerun viewer."""
+    if file.exists() and not file.is_file():
+        raise CrosscheckError(f"{file} is not a file")
     try:
         with file.open("rb") as stream:
             if stream.read(4) != b"RRF2":
@@ -108,7 +143,10 @@ def view_command(file: Path) -> int:
         raise CrosscheckError(
             f"no display to open a viewer on; in a browser: rerun --bind 127.0.0.1 --serve-web {file}"
         )
-    return subprocess.run([sys.executable, "-m", "rerun", str(file)], check=False).returncode
+    status = subprocess.run([sys.executable, "-m", "rerun", str(file)], check=False).returncode
+    if status != 0:
+        raise CrosscheckError(f"the viewer ended with status {status}")
+    return AGREE
 
 
 @cli.command("figures")
@@ -117,41 +155,64 @@ def figures_command(output: Path) -> int:
     """Redraw the paper's Figures 5 to 9 from the three engines."""
     from crosscheck.figures import draw
 
-    console = Console()
-    with console.status("") as status:
-        written = draw(output, status.update)
+    with _progress() as progress:
+        written = draw(output, progress)
     for path in written:
         click.echo(f"wrote {path}")
     return AGREE
 
 
-def main(arguments: list[str] | None = None) -> Any:
-    """Run the command line and exit; every expected failure is one line on stderr and status 2."""
+def main(arguments: list[str] | None = None) -> NoReturn:
+    """Run the command line and exit; every failure is one line on stderr and status 2."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold what is no text
     try:
-        status = cli.main(arguments, prog_name="crosscheck", standalone_mode=False)
-    except click.exceptions.NoArgsIsHelpError as error:
-        click.echo(error.format_message())
-        sys.exit(BAD_INPUT)
-    except click.ClickException as error:
-        _fail(error.format_message())
-    except click.exceptions.Abort:
-        _fail("interrupted")
+        # results are checked where they are used; NumPy's warnings would be a second voice
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            status = _invoke(arguments)
+    except KeyboardInterrupt:
+        status = _complain("interrupted")
     except Exception as error:
-        if not _is_expected(error):
-            raise
-        _fail(str(error))
+        status = _complain(_reason(error))
     sys.exit(status)
 
 
-def _is_expected(error: Exception) -> bool:
-    """Whether an error is one that the packages raise on purpose."""
-    expected: list[type[Exception]] = [CrosscheckError, NewtonEulerError]
-    for package, name in (("mjcf.errors", "MjcfError"), ("urdf.errors", "UrdfError")):
-        if package in sys.modules:
-            expected.append(getattr(sys.modules[package], name))
-    return isinstance(error, tuple(expected))
+def _invoke(arguments: list[str] | None) -> int:
+    """Click's own `main` would add a line of its own to an interrupt."""
+    try:
+        with cli.make_context("crosscheck", sys.argv[1:] if arguments is None else arguments) as context:
+            return int(cli.invoke(context))
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        return BAD_INPUT
+    except click.exceptions.Exit as finished:
+        return finished.exit_code
 
 
-def _fail(message: str) -> None:
-    click.echo(f"crosscheck: error: {' '.join(message.split())}", err=True)
-    sys.exit(BAD_INPUT)
+def _reason(error: Exception) -> str:
+    """What to say of an error; one that nobody foresaw has its type named."""
+    from newton_euler.errors import NewtonEulerError
+
+    if isinstance(error, CrosscheckError | NewtonEulerError):
+        return str(error)
+    if isinstance(error, click.ClickException):
+        return error.format_message()
+    if isinstance(error, OSError) and error.filename is None:  # files are named where they are written
+        _discard_output()
+        return f"cannot write standard output: {error.strerror}"
+    return f"internal error: {type(error).__name__}: {error}"
+
+
+def _discard_output() -> None:
+    """Send what standard output still holds nowhere; the interpreter would fail on it once more."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _complain(message: str) -> int:
+    """Say one line on standard error; what cannot be shown in it is escaped."""
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(message.split()))
+    with suppress(OSError):
+        click.echo(f"crosscheck: error: {line}", err=True)
+    return BAD_INPUT

@@ -11,6 +11,9 @@ from newton_euler.state import Evaluation
 from newton_euler.system import System
 from newton_euler.trajectory import Trajectory
 
+REFINED_RTOL, REFINED_ATOL = 1e-12, 1e-14
+"""A hundredth of what runs have by default; DOP853's own limit is near 2e-14."""
+
 
 @dataclass(frozen=True)
 class Engine:
@@ -19,23 +22,24 @@ class Engine:
     Attributes:
         name: as in files and options.
         simulate: runs a scene at this engine's default settings.
+        refined: runs a scene at half the step or a hundredth of the tolerance, to measure errors that
+            exceed the three above.
         systems: its rigid equations of motion, for the levels before trajectories.
-        trajectory_error: m and rad that its own run may be off.
-        drift: m or rad that its joints may be open during a run.
+        trajectory_error: share of the mechanism's reach, and rad, that its own run may be off.
+        drift: share of the mechanism's reach, or rad, that its joints may be open during a run.
         energy_error: by what share of the largest energy its balance may be off.
         package: name of the package that does the work, for the record of versions.
-        reason: why these errors.
         soft_start: the initial state under its own constraints where they are not rigid.
     """
 
     name: str
     simulate: Callable[[Scene], Trajectory]
+    refined: Callable[[Scene], Trajectory]
     systems: Callable[[Scene], tuple[System, ...]]
     trajectory_error: float
     drift: float
     energy_error: float
     package: str
-    reason: str
     soft_start: Callable[[Scene], Evaluation] | None = None
 
 
@@ -43,6 +47,12 @@ def _newton_euler_run(scene: Scene) -> Trajectory:
     from newton_euler import simulate
 
     return simulate(scene)
+
+
+def _newton_euler_refined(scene: Scene) -> Trajectory:
+    from newton_euler import simulate
+
+    return simulate(scene, rtol=REFINED_RTOL, atol=REFINED_ATOL)
 
 
 def _newton_euler_systems(scene: Scene) -> tuple[System, ...]:
@@ -55,6 +65,13 @@ def _mujoco_run(scene: Scene) -> Trajectory:
     import mjcf
 
     return mjcf.simulate(scene)
+
+
+def _mujoco_refined(scene: Scene) -> Trajectory:
+    import mjcf
+    from mjcf.write import TIMESTEP
+
+    return mjcf.simulate(scene, timestep=TIMESTEP / 2)
 
 
 def _mujoco_systems(scene: Scene) -> tuple[System, ...]:
@@ -76,6 +93,12 @@ def _pinocchio_run(scene: Scene) -> Trajectory:
     return urdf.simulate(scene)
 
 
+def _pinocchio_refined(scene: Scene) -> Trajectory:
+    import urdf
+
+    return urdf.simulate(scene, rtol=REFINED_RTOL, atol=REFINED_ATOL)
+
+
 def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:
     from urdf.dynamics import PinocchioSystem
 
@@ -85,36 +108,40 @@ def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:
 ENGINES: dict[str, Engine] = {
     engine.name: engine
     for engine in (
+        # DOP853 at rtol 1e-10, projected onto the constraints after each step
         Engine(
             "newton_euler",
             _newton_euler_run,
+            _newton_euler_refined,
             _newton_euler_systems,
             trajectory_error=1e-9,
             drift=1e-13,
             energy_error=1e-8,
             package="numpy",
-            reason="DOP853 at rtol 1e-10, projected onto the constraints after each step",
         ),
+        # RK4 at a fixed step; its constraints are springs with a time constant of two steps, and what
+        # that does to a run depends on the mechanism
         Engine(
             "mujoco",
             _mujoco_run,
+            _mujoco_refined,
             _mujoco_systems,
-            trajectory_error=1e-6,
-            drift=1e-5,
-            energy_error=1e-3,
+            trajectory_error=1e-9,
+            drift=1e-9,
+            energy_error=1e-8,
             package="mujoco",
-            reason="RK4 at 1 ms; its constraints are springs with a time constant of two steps",
             soft_start=_mujoco_soft,
         ),
+        # DOP853 at rtol 1e-10, constraints under Baumgarte's gains
         Engine(
             "pinocchio",
             _pinocchio_run,
+            _pinocchio_refined,
             _pinocchio_systems,
             trajectory_error=1e-9,
             drift=1e-9,
             energy_error=1e-8,
             package="pin",
-            reason="DOP853 at rtol 1e-10, constraints under Baumgarte's gains",
         ),
     )
 }

@@ -6,6 +6,7 @@ coordinates and Euler parameters under Baumgarte's stabilisation with alpha = 10
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ import numpy as np
 
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
+from crosscheck.run import check_writable
 from crosscheck.scenes import load
 from crosscheck.scenes.tracker import TARGET_HEIGHT
 from newton_euler import simulate
@@ -41,6 +43,8 @@ def draw(folder: Path, progress: Callable[[str], None]) -> list[Path]:
     Raises:
         CrosscheckError: naming the path that cannot be written.
     """
+    paths = {number: folder / f"figure_{number}.png" for number in FIGURES}
+    check_writable(*paths.values())
     scene = load("tracker")
     runs = {}
     for name, engine in ENGINES.items():
@@ -50,16 +54,15 @@ def draw(folder: Path, progress: Callable[[str], None]) -> list[Path]:
             if name == "newton_euler"
             else engine.simulate(scene)
         )
-    written = []
-    for number, paint in FIGURES.items():
-        path = folder / f"figure_{number}.png"
+    for number, path in paths.items():
+        picture = io.BytesIO()
+        FIGURES[number](scene, runs).savefig(picture, dpi=120)
         try:
             with atomic_file(path) as temporary:
-                paint(scene, runs).savefig(temporary, dpi=120)
+                temporary.write_bytes(picture.getbuffer())
         except OSError as error:
             raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
-        written.append(path)
-    return written
+    return list(paths.values())
 
 
 def _axes(title: str, rows: int, labels: Sequence[str]) -> tuple[Figure, list[Axes]]:

@@ -15,7 +15,7 @@ from crosscheck.run import Crosscheck
 def terminal_tables(result: Crosscheck) -> Iterator[Table]:
     """Figures of pairs of engines, of each engine by itself, and of its own systems against each other."""
     titles = {
-        "pairs": f"{result.scene.name}: {result.scene.description}",
+        "pairs": f"{result.title}: {result.scene.description}",
         "single": "each engine by itself",
         "within": "two equations of motion of one engine",
     }
@@ -35,7 +35,8 @@ def _part(row: Row, engines: set[str]) -> str:
 def _table(title: str, rows: list[Row]) -> Table:
     """A line for each quantity, a column for each pair or engine, a section for each level."""
     columns = list(dict.fromkeys(row.between for row in rows))
-    table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+    heading = Text(title, style="bold")
+    table = Table(title=heading, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("")
     for between in columns:
         table.add_column("\n".join(between), justify="right", no_wrap=True)
@@ -50,7 +51,11 @@ def _table(title: str, rows: list[Row]) -> Table:
 
 
 def _cell(row: Row) -> Text:
-    text = f"{row.value:.1e} {'<' if row.agrees else '>'} {row.tolerance:.0e}"
+    if row.informs:
+        return Text(f"{row.value:.1e}")
+    text = f"{row.value:.1e} {'<' if row.value <= row.tolerance else '>'} {row.tolerance:.0e}"
+    if row.informs:
+        return Text(text)
     return Text(text, style="green" if row.agrees else "bold red")
 
 
@@ -63,7 +68,7 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
 
 def markdown(result: Crosscheck) -> str:
     """The verdict, the settings of the engines and all figures, a line each."""
-    lines = [f"# {result.scene.name}", "", f"**{result.verdict}**", ""]
+    lines = [f"# {result.title}", "", f"**{result.verdict}**", ""]
     lines += [f"- {line}" for line in settings_lines(result)]
     level = ""
     for row in result.rows:
@@ -76,7 +81,7 @@ def markdown(result: Crosscheck) -> str:
                 "| figure | between | value | at most | verdict | worst at |",
                 "|---|---|---|---|---|---|",
             ]
-        verdict = "agree" if row.agrees else "**DISAGREE**"
+        verdict = "for information" if row.informs else "holds" if row.agrees else "**FAILS**"
         lines.append(
             f"| {row.quantity} | {', '.join(row.between)} | {row.value:.1e} | {row.tolerance:.0e} "
             f"| {verdict} | {row.where} |"

@@ -22,7 +22,6 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 
-from crosscheck.errors import CrosscheckError
 from crosscheck.rerun_blueprint import blueprint
 from crosscheck.rerun_plots import Plot, panel, plots, rotated
 from newton_euler.euler_parameters import conjugate, from_rotation, product
@@ -78,7 +77,7 @@ def write_recording(
         verdict: Markdown.
 
     Raises:
-        CrosscheckError: if the file cannot be written to its end.
+        OSError: if the file cannot be written to its end.
     """
     rr.set_strict_mode(True)
     mechanism = scene.mechanism
@@ -87,25 +86,22 @@ def write_recording(
     arrow_scale = _arrow_scale(mechanism, trajectories)
     title = scene.name if arrow_scale is None else f"{scene.name} (reactions: 1 N is {arrow_scale:.2g} m)"
     layout = blueprint(mechanism, list(trajectories), shown, title)
+    recording = rr.RecordingStream(APPLICATION, recording_id=uuid.uuid4())
+    # in memory first: the writer's own thread would wait for ever on a disk that is full
+    memory = recording.memory_recording()
+    recording.send_blueprint(layout, make_active=False)
+    recording.send_recording_name(scene.name)
+    recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    recording.log("/verdict", rr.TextDocument(verdict, media_type=rr.MediaType.MARKDOWN), static=True)
+    _log_ground(recording, mechanism)
+    for engine, run in trajectories.items():
+        _log_bodies(recording, mechanism, engine, run, styles[engine])
+        _log_joints(recording, mechanism, engine, run, arrow_scale)
+    times = {engine: _time_column(run.time) for engine, run in trajectories.items()}
+    for plot in shown:
+        _log_plot(recording, plot, times, styles)
     with atomic_file(path) as temporary:
-        recording = rr.RecordingStream(APPLICATION, recording_id=uuid.uuid4())
-        try:
-            recording.save(temporary, default_blueprint=layout)
-            recording.send_recording_name(scene.name)
-            recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-            recording.log("/verdict", rr.TextDocument(verdict, media_type=rr.MediaType.MARKDOWN), static=True)
-            _log_ground(recording, mechanism)
-            for engine, run in trajectories.items():
-                _log_bodies(recording, mechanism, engine, run, styles[engine])
-                _log_joints(recording, mechanism, engine, run, arrow_scale)
-            times = {engine: _time_column(run.time) for engine, run in trajectories.items()}
-            for plot in shown:
-                _log_plot(recording, plot, times, styles)
-            recording.flush()
-        except RuntimeError as error:  # what the writer's own thread came to grief on
-            raise CrosscheckError(f"cannot write {os.fspath(path)}: {error}") from error
-        finally:
-            recording.disconnect()
+        temporary.write_bytes(memory.drain_as_bytes())
 
 
 def _styles(engines: list[str], size: float) -> dict[str, Style]:

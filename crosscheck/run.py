@@ -6,14 +6,17 @@ import json
 import platform
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from crosscheck.compare import Row, compare
-from crosscheck.engines import Engine
+from crosscheck.engines import ENGINES, Engine
 from crosscheck.errors import CrosscheckError
 from newton_euler.scene import Scene
 from newton_euler.trajectory import Trajectory, atomic_file
@@ -26,8 +29,20 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Crosscheck:
-    """What a crosscheck found: the runs by engine, and the compared figures."""
+    """What a crosscheck found.
 
+    Attributes:
+        source: the name or the file that the scene was loaded from.
+        options: of the scene, as they were set.
+        scene: what was run.
+        engines: in the order asked for.
+        runs: by engine.
+        rows: the compared figures.
+        wall_time: s, of everything.
+    """
+
+    source: str
+    options: Mapping[str, str]
     scene: Scene
     engines: tuple[Engine, ...]
     runs: dict[str, Trajectory]
@@ -35,28 +50,45 @@ class Crosscheck:
     wall_time: float
 
     @property
+    def title(self) -> str:
+        """The scene's name, with the options that were set."""
+        options = ", ".join(f"{option}={value}" for option, value in self.options.items())
+        return f"{self.scene.name} ({options})" if options else self.scene.name
+
+    @property
     def agrees(self) -> bool:
+        """Whether every figure is within its tolerance."""
         return all(row.agrees for row in self.rows)
 
     @property
     def verdict(self) -> str:
-        """One line: whether they agree, or the first level that does not, and where."""
+        """One line: whether the engines agree, or the first level that does not, and where."""
         names = ", ".join(engine.name for engine in self.engines)
-        if self.agrees:
-            return f"AGREE: {names} agree on {self.scene.name} in all {len(self.rows)} figures"
-        row = next(row for row in self.rows if not row.agrees)
-        failed = sum(not row.agrees for row in self.rows)
+        judged = [row for row in self.rows if not row.informs]
+        failed = [row for row in judged if not row.agrees]
+        alone = len(self.engines) == 1
+        subject = f"ran {names} alone on {self.title}: nothing to compare it with; its own figures"
+        if not failed:
+            if alone:
+                return f"{subject} hold, all {len(judged)}"
+            return f"AGREE: {names} agree on {self.title} in all {len(judged)} figures"
+        row = failed[0]
+        if not alone:
+            parting = "part" if len(row.between) > 1 else "fails"
+            subject = f"DISAGREE: {' and '.join(row.between)} {parting} on {self.title}"
         return (
-            f"DISAGREE: {' and '.join(row.between)} part at level '{row.level}': {row.quantity}: "
+            f"{subject}{' fail' if alone else ''} at level '{row.level}': {row.quantity}: "
             f"{row.value:.3g} > {row.tolerance:.3g}, worst at {row.where} "
-            f"({failed} of {len(self.rows)} figures fail)"
+            f"({len(failed)} of {len(judged)} figures fail)"
         )
 
     def summary(self) -> dict[str, Any]:
         """All figures, versions, settings and wall times, for JSON."""
-        packages = ["numpy", "scipy", "mujoco", "pin", "rerun-sdk"]
+        packages = sorted({"numpy", "scipy", "rerun-sdk", *(engine.package for engine in self.engines)})
         return {
             "scene": self.scene.name,
+            "source": self.source,
+            "options": dict(self.options),
             "agrees": self.agrees,
             "verdict": self.verdict,
             "wall_time": self.wall_time,
@@ -69,23 +101,50 @@ class Crosscheck:
         }
 
 
-def crosscheck(scene: Scene, engines: Sequence[Engine], progress: Progress) -> Crosscheck:
-    """Run a scene through the engines and compare them; `progress` is told each stage."""
-    if not all(output in scene.outputs for output in ("velocities", "reactions", "violation")):
-        raise CrosscheckError(f"scene {scene.name!r} must ask for velocities, reactions and violation")
+def crosscheck(
+    scene: Scene,
+    engines: Sequence[Engine],
+    progress: Progress,
+    source: str,
+    options: Mapping[str, str],
+) -> Crosscheck:
+    """Run a scene through the engines and compare them; `progress` is told each stage.
+
+    Raises:
+        CrosscheckError: for a scene without the outputs that are compared, and for results that are
+            not finite.
+    """
+    for output in ("velocities", "reactions", "violation"):
+        if output not in scene.outputs:
+            raise CrosscheckError(f"scene {scene.name!r} does not ask for the output {output!r}, needed here")
     start = time.perf_counter()
     runs = {}
     for engine in engines:
         progress(f"{engine.name}: {scene.duration:g} s of {scene.name}")
         runs[engine.name] = engine.simulate(scene)
+        _check_finite(engine.name, runs[engine.name])
     progress("comparing equations and runs")
     rows = compare(scene, engines, runs, RANDOM_STATES)
-    return Crosscheck(scene, tuple(engines), runs, tuple(rows), time.perf_counter() - start)
+    for row in rows:
+        if not np.isfinite(row.value):
+            raise CrosscheckError(
+                f"no figure for {row.quantity} at level {row.level!r} between {' and '.join(row.between)}: "
+                f"{row.value:g} at {row.where}"
+            )
+    wall_time = time.perf_counter() - start
+    return Crosscheck(source, options, scene, tuple(engines), runs, tuple(rows), wall_time)
 
 
-def check_writable(folder: Path, recording: Path) -> None:
-    """Raise `CrosscheckError` before a run whose results could not be written after it."""
-    for path in (folder / "summary.json", recording):
+def _check_finite(engine: str, run: Trajectory) -> None:
+    for name, values in run.arrays().items():
+        if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
+            n = int(np.argmin(np.isfinite(values).reshape(len(run.time), -1).all(axis=1)))
+            raise CrosscheckError(f"{engine}: {name} is not finite at t = {run.time[n]:.6g} s")
+
+
+def check_writable(*paths: Path) -> None:
+    """Raise `CrosscheckError` before a run whose files could not be written after it."""
+    for path in paths:
         try:
             if path.is_dir():
                 raise CrosscheckError(f"cannot write {path}: it is a directory")
@@ -97,7 +156,9 @@ def check_writable(folder: Path, recording: Path) -> None:
 
 
 def write(result: Crosscheck, folder: Path, recording: Path, verdict: str) -> list[Path]:
-    """Write the runs, the summary and the Rerun recording, each whole or not at all.
+    """Write the runs, the summary and the Rerun recording, all of them or none.
+
+    Runs of other engines that an earlier crosscheck left in the folder are removed.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.
@@ -107,17 +168,22 @@ def write(result: Crosscheck, folder: Path, recording: Path, verdict: str) -> li
     written = []
     path = folder
     try:
-        for name, run in result.runs.items():
+        with ExitStack() as stack:
+
+            def temporary(target: Path) -> Path:
+                nonlocal path
+                path = target
+                written.append(target)
+                return stack.enter_context(atomic_file(target))
+
+            for name, run in result.runs.items():
+                run.save(temporary(folder / f"{name}.npz"))
+            summary = json.dumps(result.summary(), indent=1, allow_nan=False)
+            temporary(folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
+            write_recording(temporary(recording), result.scene, result.runs, verdict)
+        for name in ENGINES.keys() - result.runs.keys():
             path = folder / f"{name}.npz"
-            run.save(path)
-            written.append(path)
-        path = folder / "summary.json"
-        with atomic_file(path) as temporary:
-            temporary.write_text(json.dumps(result.summary(), indent=1) + "\n", encoding="utf-8")
-        written.append(path)
-        path = recording
-        write_recording(path, result.scene, result.runs, verdict)
-        written.append(path)
+            path.unlink(missing_ok=True)
     except OSError as error:
         raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
     return written

@@ -1,12 +1,12 @@
-"""The errors of this package."""
+"""What can go wrong with MuJoCo, all under `MjcfError`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from newton_euler.errors import NewtonEulerError
 
 
-class MjcfError(Exception):
-    """Base of every error that `mjcf` raises on purpose; reads as one line."""
+class MjcfError(NewtonEulerError):
+    """Base of the errors of models, files and runs of MuJoCo; reads as one line."""
 
 
 class ModelError(MjcfError):
@@ -16,17 +16,6 @@ class ModelError(MjcfError):
         self.scene = scene
         self.reason = reason
         super().__init__(f"scene {scene!r} makes no MuJoCo model: {reason}")
-
-
-class OptionError(MjcfError):
-    """An option with a value that it cannot take."""
-
-    def __init__(self, option: str, value: object, valid: str | Sequence[str]) -> None:
-        self.option = option
-        self.value = value
-        self.valid = valid
-        needed = valid if isinstance(valid, str) else f"one of {', '.join(valid)}"
-        super().__init__(f"{option} is {value!r}; needed: {needed}")
 
 
 class DivergenceError(MjcfError):

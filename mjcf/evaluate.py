@@ -10,6 +10,7 @@ import numpy as np
 
 from mjcf.loops import loops
 from mjcf.model import CompiledScene
+from mjcf.motion import body_acceleration
 from newton_euler.scalars import Array, cross
 from newton_euler.state import Evaluation
 
@@ -53,11 +54,10 @@ def constraint_jacobian(compiled: CompiledScene) -> Array:
 def body_accelerations(compiled: CompiledScene) -> tuple[Array, Array]:
     """(b, 3) of the centres of mass and (b, 3) angular, once they are known."""
     count = len(compiled.mechanism.bodies)
-    out = np.zeros((count, 6))
-    for row, index in zip(out[1:], compiled.body_id[1:count], strict=True):
-        mujoco.mj_objectAcceleration(compiled.model, compiled.data, mujoco.mjtObj.mjOBJ_BODY, index, row, 0)
-        row[3:] += compiled.model.opt.gravity  # it is what an accelerometer reads
-    return out[:, 3:].copy(), out[:, :3].copy()
+    linear, angular = np.zeros((2, count, 3))
+    for k, index in enumerate(compiled.body_id[1:count], start=1):
+        linear[k], angular[k] = body_acceleration(compiled.model, compiled.data, index)
+    return linear, angular
 
 
 def reactions(compiled: CompiledScene) -> tuple[Array, Array]:

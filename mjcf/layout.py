@@ -11,13 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from newton_euler.joints import Joint
-from newton_euler.tree import SpanningTree, TreeJoint
-
-
-def motion_names(joint: Joint) -> list[str]:
-    """MJCF names of a joint's motions, in the joint's own order from first to second body."""
-    count = len(joint.motions)
-    return [joint.name] if count == 1 else [f"{joint.name}_{k + 1}" for k in range(count)]
+from newton_euler.tree import SpanningTree, TreeJoint, motion_names
 
 
 def coordinate_name(joint: Joint, coordinate: int) -> str:

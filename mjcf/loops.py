@@ -1,8 +1,8 @@
 """The equality constraints that close loops, as rigid-body mechanics sees them.
 
-MuJoCo gives a constraint's rows efc_J; what a hard constraint needs beside them is Jdot v. It
-follows from the residuals of MuJoCo's documentation (Computation, section Equality). With bodies 1
-and 2 of a constraint,
+MuJoCo gives a constraint's rows efc_J; what a hard constraint needs beside them is Jdot v, the second
+rate of the residuals at qacc = 0. It follows from the residuals of MuJoCo's documentation
+(Computation, section Equality). With bodies 1 and 2 of a constraint,
 
     connect:  p1 - p2                                             (world frame)
     weld:     p1 - p2,  vec(conj(q2) q1)                          (halves share their frame)
@@ -20,8 +20,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjcf.motion import body_acceleration, body_velocity
 from newton_euler.euler_parameters import conjugate, product
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, cross
 
 
 class Loop:
@@ -49,15 +50,18 @@ class Loop:
         )
 
     def velocity_product(self) -> Array:
-        """Jdot v, one element for each row."""
+        """Jdot v, one element for each row, from the accelerations that `data` holds for qacc = 0.
+
+        Not by `mj_jacDot`: it is wrong for a ball whose body has slides after it.
+        """
         linear, angular, spin = [], [], []
         for body, point in zip(self.bodies, self.points, strict=True):
-            jacp_rate, jacr_rate, jacr = np.zeros((3, 3, self.model.nv))
-            mujoco.mj_jacDot(self.model, self.data, jacp_rate, jacr_rate, point, body)
-            mujoco.mj_jac(self.model, self.data, None, jacr, point, body)
-            linear.append(jacp_rate @ self.data.qvel)
-            angular.append(jacr_rate @ self.data.qvel)
-            spin.append(np.concatenate([[0.0], jacr @ self.data.qvel]))
+            acceleration, alpha = body_acceleration(self.model, self.data, body)
+            omega = body_velocity(self.model, self.data, body)[1]
+            arm = point - self.data.xipos[body]
+            linear.append(acceleration + cross(alpha, arm) + cross(omega, cross(omega, arm)))
+            angular.append(alpha)
+            spin.append(np.concatenate([[0.0], omega]))
         if not self.is_weld:
             return np.asarray(linear[0] - linear[1])
         relative = spin[0] - spin[1]

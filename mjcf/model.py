@@ -9,6 +9,7 @@ import numpy as np
 
 from mjcf.errors import ModelError
 from mjcf.layout import Layout
+from mjcf.motion import body_velocity
 from mjcf.write import welded_to_xml
 from newton_euler.euler_parameters import rotation
 from newton_euler.scalars import Array
@@ -91,14 +92,14 @@ class CompiledScene:
         """Body poses and velocities that MuJoCo has worked out last."""
         ground = self.mechanism.bodies[0]
         bodies = self.body_id[1 : len(self.mechanism.bodies)]
-        velocities = np.zeros((len(bodies) + 1, 6))  # omega, v
-        for row, index in zip(velocities[1:], bodies, strict=True):
-            mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_BODY, index, row, 0)
+        linear, angular = np.zeros((2, len(bodies) + 1, 3))
+        for k, index in enumerate(bodies, start=1):
+            linear[k], angular[k] = body_velocity(self.model, self.data, index)
         return State(
             np.vstack([ground.center_of_mass, self.data.xpos[bodies]]),
             np.vstack([ground.quaternion, self.data.xquat[bodies]]),
-            velocities[:, 3:].copy(),
-            velocities[:, :3].copy(),
+            linear,
+            angular,
         )
 
     def joint_point(self, joint: int) -> Array:

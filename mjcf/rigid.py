@@ -19,6 +19,7 @@ from mjcf.evaluate import constraint_jacobian, evaluation
 from mjcf.loops import loops
 from mjcf.model import CompiledScene
 from newton_euler.scalars import Array
+from newton_euler.scene import Scene
 from newton_euler.solve import solve_constrained
 from newton_euler.state import Evaluation
 
@@ -28,6 +29,16 @@ class RigidMuJoCo(CompiledScene):
 
     name = "mujoco_rigid"
 
+    def __init__(self, scene: Scene) -> None:
+        """Compile; raises `ModelError` with MuJoCo's reason if it refuses."""
+        super().__init__(scene)
+        welds = self.model.eq_type == mujoco.mjtEq.mjEQ_WELD
+        self._constraint = np.repeat(np.arange(self.model.neq), np.where(welds, 6, 3))
+        of_weld = np.repeat([self.welded.mechanism.size, 1.0], 3)
+        units = [of_weld if weld else of_weld[:3] for weld in welds]
+        self.phi_units = np.concatenate([np.zeros(0), *units])
+        self.velocity_units = self.tree.velocity_units
+
     def rate(self, q: Array, v: Array) -> Array:
         """qdot (nq,)."""
         return self.tree.rate(q, v)
@@ -36,27 +47,41 @@ class RigidMuJoCo(CompiledScene):
         """q moved by a small step (nv,); quaternions come out with norm 1."""
         return self.tree.retract(q, step)
 
+    def _present(self) -> Array:
+        """(k,) which rows MuJoCo has at this state: it drops constraints whose rows are all zero."""
+        return np.isin(self._constraint, self.data.efc_id)
+
     def phi(self, q: Array) -> Array:
         """Residuals (k,) of MuJoCo's equality constraints."""
         self.state(q, np.zeros(self.nv))
-        return np.array(self.data.efc_pos[: self.data.nefc])
+        residuals = np.zeros(len(self._constraint))
+        residuals[self._present()] = self.data.efc_pos
+        return residuals
 
     def phi_jacobian(self, q: Array) -> Array:
         """(k, nv): derivative of `phi` along `retract`, and of its rate by v."""
         self.state(q, np.zeros(self.nv))
-        return constraint_jacobian(self) @ self.layout.to_qvel
+        return self._jacobian()
+
+    def _jacobian(self) -> Array:
+        """(k, nv) efc_J for tree velocities at the state that `data` holds."""
+        jacobian = np.zeros((len(self._constraint), self.nv))
+        jacobian[self._present()] = constraint_jacobian(self) @ self.layout.to_qvel
+        return jacobian
 
     def velocity_product(self, q: Array, v: Array) -> Array:
         """(k,) Jdot v, the part of the constraints' second rate that holds no acceleration."""
         self.state(q, v)
-        product = np.zeros(self.data.nefc)
-        for loop in loops(self.model, self.data):
-            product[loop.rows] = loop.velocity_product()
+        self.data.qacc[:] = 0.0
+        mujoco.mj_rnePostConstraint(self.model, self.data)
+        found = [np.zeros(0), *(loop.velocity_product() for loop in loops(self.model, self.data))]
+        product = np.zeros(len(self._constraint))
+        product[self._present()] = np.concatenate(found)
         return product
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """vdot (nv,)."""
-        return np.asarray(self.layout.to_qvel.T @ self._solve(q, v)[0])
+        return self._solve(q, v)[0]
 
     def velocity_transformation(self, q: Array) -> Array:
         """(6 b, nv): v and omega of body 0, 1, ... for each velocity, by MuJoCo's Jacobians."""
@@ -69,15 +94,22 @@ class RigidMuJoCo(CompiledScene):
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Accelerations, reactions and energies at a state."""
-        qacc, multipliers = self._solve(q, v)
-        return evaluation(self, qacc, multipliers)
+        acceleration, multipliers = self._solve(q, v)
+        return evaluation(self, self.layout.to_qvel @ acceleration, multipliers[self._present()])
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """MuJoCo's qacc (nv,) and the multipliers (k,) of its constraint rows."""
-        model, data = self.model, self.data
+        """vdot (nv,) and the multipliers (k,) of MuJoCo's constraint rows."""
+        model, data, to_qvel = self.model, self.data, self.layout.to_qvel
         gamma = -self.velocity_product(q, v)
         mujoco.mj_fwdActuation(model, data)
         mass = np.empty((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)
         force = data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias
-        return solve_constrained(mass, force, constraint_jacobian(self), gamma)
+        return solve_constrained(
+            to_qvel.T @ mass @ to_qvel,
+            to_qvel.T @ force,
+            self._jacobian(),
+            gamma,
+            self.phi_units,
+            self.velocity_units,
+        )

@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from numbers import Real
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mjcf.errors import DivergenceError, OptionError
+from mjcf.errors import DivergenceError
 from mjcf.write import SOLIMP, TIMESTEP
+from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.simulate import trajectory_from
@@ -25,7 +27,7 @@ INTEGRATORS = ("RK4", "Euler", "implicit", "implicitfast")
 
 def simulate(
     scene: Scene,
-    timestep: float = TIMESTEP,
+    timestep: float | None = None,
     integrator: str = "RK4",
     solref: Sequence[float] | None = None,
 ) -> Trajectory:
@@ -35,59 +37,92 @@ def simulate(
 
     Args:
         scene: what to run.
-        timestep: s; must divide the time between outputs.
+        timestep: s; must divide the time between outputs. If not given, the largest of at most 1 ms
+            that does, and for a last output out of period the largest of at most that.
         integrator: one of `INTEGRATORS`.
         solref: of the loop closures: time constant (s) and damping ratio, (2 timestep, 1) if not
             given, which is as stiff as MuJoCo allows; or stiffness and damping, both negative.
 
     Raises:
-        MjcfError: for an impossible option, a scene that MuJoCo refuses, or a run that diverges.
+        NewtonEulerError: for an unknown name or an impossible option; `MjcfError` for a scene that
+            MuJoCo refuses, or a run that diverges.
     """
-    counts = _steps_between(scene.times, timestep)
+    steps = _steps_between(scene.times, timestep)
+    largest = max(step.size for step in steps)
     if integrator not in INTEGRATORS:
-        raise OptionError("integrator", integrator, INTEGRATORS)
-    stiffness = (2.0 * timestep, 1.0) if solref is None else _checked_solref(solref, timestep)
+        raise UnknownNameError("integrator", integrator, INTEGRATORS)
+    stiffness = None if solref is None else _checked_solref(solref, largest)
 
     import mujoco
 
     from mjcf.soft import SoftMuJoCo
 
     system = SoftMuJoCo(scene)
-    options = system.model.opt
-    options.timestep = timestep
-    options.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
-    system.model.eq_solref[:] = stiffness
+    system.model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
 
     start = time.perf_counter()
-    states = _run(system, counts)
+    states = _run(system, steps, stiffness)
     wall_time = time.perf_counter() - start
-    settings = {
-        "timestep": timestep,
+    settings: dict[str, Any] = {
+        "timestep": largest,
         "integrator": integrator,
-        "solref": list(stiffness),
+        "solref": list(stiffness or _stiffest(largest)),
         "solimp": list(SOLIMP),
-        "steps": sum(counts),
+        "steps": sum(step.number for step in steps),
     }
-    evaluations = [system.evaluate(q, v) for q, v in states]
+    if steps[-1].size != largest:
+        settings["last_timestep"] = steps[-1].size
+    evaluations = []
+    for (q, v), step in zip(states, [steps[0], *steps], strict=True):
+        _use(system.model, step.size, stiffness)
+        evaluations.append(system.evaluate(q, v))
     return trajectory_from(scene, "mujoco", settings, wall_time, evaluations)
 
 
-def _steps_between(times: Array, timestep: float) -> list[int]:
-    """How many steps lie between one output and the next."""
-    if not isinstance(timestep, int | float) or not 0.0 < timestep < np.inf:
+class Steps(NamedTuple):
+    """Equal steps from one output to the next."""
+
+    number: int
+    size: float
+    """s"""
+
+
+def _fitting(interval: float, largest: float) -> Steps:
+    """The fewest steps of at most `largest` that make up an interval; of just that if it divides it."""
+    number = max(1, int(np.ceil(interval / largest * (1.0 - 1e-9))))
+    divides = abs(number * largest - interval) <= 1e-9 * interval
+    return Steps(number, largest if divides else interval / number)
+
+
+def _steps_between(times: Array, timestep: float | None) -> list[Steps]:
+    """The steps between each output and the next; an explicit `timestep` (s) is taken or refused."""
+    intervals = [float(interval) for interval in np.diff(times)]
+    if timestep is None:
+        regular = _fitting(intervals[0], TIMESTEP).size
+        return [_fitting(interval, regular) for interval in intervals]
+    is_number = isinstance(timestep, Real) and not isinstance(timestep, bool)
+    if not is_number or not 0.0 < float(timestep) < np.inf:
         raise OptionError("timestep", timestep, "a positive number of seconds")
-    counts = []
-    for interval in np.diff(times):
-        count = round(interval / timestep)
-        if abs(count * timestep - interval) > 1e-9 * interval:
-            fitting = interval / np.ceil(interval / timestep)
+    steps = [_fitting(interval, float(timestep)) for interval in intervals]
+    for step, interval in zip(steps, intervals, strict=True):
+        if step.size != float(timestep):
             raise OptionError(
                 "timestep",
                 timestep,
-                f"a divisor of the {interval:.9g} s between outputs, such as {fitting:.9g}",
+                f"a divisor of the {interval:.9g} s between outputs, such as {step.size:.9g}",
             )
-        counts.append(count)
-    return counts
+    return steps
+
+
+def _stiffest(timestep: float) -> tuple[float, float]:
+    """The stiffest solref that MuJoCo allows: a time constant of two steps, critical damping."""
+    return 2.0 * timestep, 1.0
+
+
+def _use(model: Any, timestep: float, solref: tuple[float, float] | None) -> None:
+    """Give a model its step, and constraints as stiff as the step allows if no solref is given."""
+    model.opt.timestep = timestep
+    model.eq_solref[:] = solref or _stiffest(timestep)
 
 
 def _checked_solref(solref: Sequence[float], timestep: float) -> tuple[float, float]:
@@ -108,7 +143,9 @@ def _checked_solref(solref: Sequence[float], timestep: float) -> tuple[float, fl
     return first, second
 
 
-def _run(system: SoftMuJoCo, counts: list[int]) -> list[tuple[Array, Array]]:
+def _run(
+    system: SoftMuJoCo, steps: list[Steps], solref: tuple[float, float] | None
+) -> list[tuple[Array, Array]]:
     """Tree coordinates and velocities at all outputs."""
     import mujoco
 
@@ -117,8 +154,9 @@ def _run(system: SoftMuJoCo, counts: list[int]) -> list[tuple[Array, Array]]:
     system.place(q, v)
     rows = [(data.qpos.copy(), data.qvel.copy())]
     with _collected_warnings(data) as warnings:
-        for count in counts:
-            mujoco.mj_step(model, data, count)
+        for number, size in steps:
+            _use(model, size, solref)
+            mujoco.mj_step(model, data, number)
             # a step checks the state that it starts from
             mujoco.mj_checkPos(model, data)
             mujoco.mj_checkVel(model, data)

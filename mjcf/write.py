@@ -14,8 +14,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from mjcf.errors import ModelError
-from mjcf.layout import Layout, coordinate_name, motion_names
+from mjcf.errors import MjcfError, ModelError
+from mjcf.layout import Layout, coordinate_name
 from newton_euler.euler_parameters import conjugate, product
 from newton_euler.joints import Pose, Spherical
 from newton_euler.mechanism import Body
@@ -23,7 +23,7 @@ from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.shapes import Box, Capsule, Shape
 from newton_euler.trajectory import atomic_file
-from newton_euler.tree import TreeJoint, WeldedMechanism, weld_loops
+from newton_euler.tree import TreeJoint, WeldedMechanism, motion_names, weld_loops
 
 TIMESTEP = 0.001
 """Time step of a written model, s."""
@@ -54,8 +54,12 @@ GROUND_COLOUR = "0.6 0.6 0.6 1"
 
 def write(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write the scene's MJCF; the file appears whole or not at all. Raises `MjcfError`."""
-    with atomic_file(path) as temporary:
-        temporary.write_text(to_xml(scene), encoding="utf-8")
+    text = to_xml(scene)
+    try:
+        with atomic_file(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise MjcfError(f"cannot write {os.fspath(path)!r}: {error.strerror}") from error
 
 
 def to_xml(scene: Scene) -> str:
@@ -191,8 +195,7 @@ def _body(parent_element: ET.Element, kept: TreeJoint, welded: WeldedMechanism) 
     )
     _inertial(element, body)
     joint = mechanism.joints[kept.joint]
-    names = motion_names(joint) if kept.forward else motion_names(joint)[::-1]
-    for name, motion in zip(names, kept.motions, strict=True):
+    for name, motion in zip(motion_names(joint, kept.forward), kept.motions, strict=True):
         attributes = {"name": name, "type": motion.kind}
         attributes["pos"] = _numbers(body.pose.point_to_body(joint.reaction_point))
         if motion.kind != "ball":

@@ -1,5 +1,6 @@
 """Newton-Euler dynamics of any mechanism with closed loops, written by hand."""
 
+from newton_euler.assemble import assemble
 from newton_euler.control import PD
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mechanism import Body, Mechanism
@@ -8,4 +9,14 @@ from newton_euler.simulate import simulate
 from newton_euler.state import State
 from newton_euler.trajectory import Trajectory
 
-__all__ = ["PD", "Body", "Mechanism", "NewtonEulerError", "Scene", "State", "Trajectory", "simulate"]
+__all__ = [
+    "PD",
+    "Body",
+    "Mechanism",
+    "NewtonEulerError",
+    "Scene",
+    "State",
+    "Trajectory",
+    "assemble",
+    "simulate",
+]

@@ -6,6 +6,7 @@ import numpy as np
 
 from newton_euler.cartesian import Cartesian
 from newton_euler.errors import AssemblyError
+from newton_euler.mechanism import CLOSURE_TOLERANCE
 from newton_euler.relative import Relative
 from newton_euler.scene import Scene
 from newton_euler.stabilize import project_position, project_velocity
@@ -13,6 +14,9 @@ from newton_euler.state import State
 
 RANDOM_AMPLITUDE = 0.2
 """How far `random_states` moves joints before it closes the loops: radians, and sizes of the mechanism."""
+
+STRAY = 3.0
+"""How many times as far as that a joint may end up from where it started."""
 
 ATTEMPTS = 50
 
@@ -38,24 +42,25 @@ def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:
         AssemblyError: if the mechanism hardly ever closes from nearby.
     """
     system = Relative(scene)
-    tree = system.tree
-    unit = np.ones(tree.nv)
-    for motion, _, on_v in tree.motions:
-        if motion.kind == "slide":
-            unit[on_v] = scene.mechanism.size
+    tree, unit = system.tree, system.velocity_units
+    single = [(on_q.start, on_v.start) for motion, on_q, on_v in tree.motions if motion.kind != "ball"]
+    single_q, single_v = [place[0] for place in single], [place[1] for place in single]
     start, _ = system.coordinates(scene.initial_state)
     rng = np.random.default_rng(seed)
     states: list[State] = []
+    failure = AssemblyError(scene.mechanism.joint_names[0], np.inf, CLOSURE_TOLERANCE)
     for _ in range(ATTEMPTS * count):
         if len(states) == count:
             break
         step = RANDOM_AMPLITUDE * unit * rng.uniform(-1.0, 1.0, tree.nv)
         v = unit * rng.standard_normal(tree.nv)
         try:
-            q = project_position(system, tree.retract(start, step))
+            q = project_position(system, system.retract(start, step))
         except AssemblyError as error:
             failure = error
             continue
+        if np.abs((q - start)[single_q] / unit[single_v]).max(initial=0.0) > STRAY * RANDOM_AMPLITUDE:
+            continue  # closed on another branch, perhaps folded flat
         states.append(system.state(q, project_velocity(system, q, v)))
     if len(states) < count:
         raise failure

@@ -17,11 +17,12 @@ from __future__ import annotations
 import numpy as np
 
 from newton_euler.constraints import Frame
+from newton_euler.driven import carried_angles, carried_rates, driven
 from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import matrix_g, matrix_l, rotation
 from newton_euler.scalars import Array, cross, zeros
 from newton_euler.scene import Scene
-from newton_euler.solve import minimum_norm, rank
+from newton_euler.solve import independent_rows
 from newton_euler.state import Evaluation, MassProperties, State, energies
 
 
@@ -39,15 +40,21 @@ class Cartesian:
         self.nq = self.nv = 7 * len(self.bodies)
         self.rows = sum(equations.count for equations in self.equations)
         self.damping, self.stiffness = 2.0 * alpha, alpha * alpha
-        self.actuated = [self.equations[scene.mechanism.joint_index(law.joint)] for law in scene.control]
-        jacobian = self.phi_jacobian(self.coordinates(scene.initial_state)[0])
-        self.redundant = rank(jacobian) < len(jacobian)
+        self.driven = driven(
+            [(law, self.equations[self.mechanism.joint_index(law.joint)]) for law in scene.control], self.nq
+        )
+        self.nq += sum(drive.carried is not None for drive in self.driven)
+        size, mass = self.mechanism.size, sum(body.mass for body in self.bodies)
+        self.row_units = np.concatenate([np.zeros(0), *(e.units(size) for e in self.equations)])
+        self.phi_units = np.concatenate([self.row_units, np.ones(len(self.bodies))])
+        self.velocity_units = np.tile([size] * 3 + [1.0] * 4, len(self.bodies))
+        self.force_units = np.tile([mass * size] * 3 + [mass * size**2] * 3, len(self.bodies))
 
     # Bodies
 
     def split(self, q: Array) -> list[tuple[Array, Array]]:
         """(r, p) of each moving body, or their rates."""
-        return [(q[k : k + 3], q[k + 3 : k + 7]) for k in range(0, self.nq, 7)]
+        return [(q[k : k + 3], q[k + 3 : k + 7]) for k in range(0, self.nv, 7)]
 
     def frames(self, q: Array, qdot: Array) -> list[Frame]:
         """Frames of all bodies: R = G L^T, eq. (3), and omega = 2 G pdot."""
@@ -61,7 +68,7 @@ class Cartesian:
 
     def mass_matrix(self, q: Array) -> Array:
         """M (6 n, 7 n): N_i and 2 J' L_i on its diagonal."""
-        mass = zeros((6 * len(self.bodies), self.nq), q)
+        mass = zeros((6 * len(self.bodies), self.nv), q)
         for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
             mass[6 * k : 6 * k + 3, 7 * k : 7 * k + 3] = body.mass * np.eye(3)
             mass[6 * k + 3 : 6 * k + 6, 7 * k + 3 : 7 * k + 7] = 2.0 * body.inertia @ matrix_l(p)
@@ -75,23 +82,16 @@ class Cartesian:
             b.append(np.concatenate([np.zeros(3), matrix_l(p) @ h @ pdot]))
         return np.concatenate(b)
 
-    def applied(self, frames: list[Frame]) -> tuple[Array, Array]:
+    def applied(self, q: Array, frames: list[Frame]) -> tuple[Array, Array]:
         """Actuator forces (a,), and g (6 n,): f_i in the world and n'_i in the body, eq. (24)."""
-        wrenches = [np.concatenate([b.mass * self.scene.gravity, np.zeros(3)]) for b in self.mechanism.bodies]
+        weights = [body.mass * self.scene.gravity for body in self.mechanism.bodies]
+        wrenches = [np.concatenate([weight, np.zeros(3)]) for weight in weights]
         forces = []
-        for law, joint in zip(self.scene.control, self.actuated, strict=True):
-            first, second = frames[joint.first], frames[joint.second]
-            coordinate = joint.coordinates[law.coordinate]
-            r_i, theta_i, r_j, theta_j = (block[0] for block in coordinate.jacobian(first, second))
-            rate = (
-                r_i @ first.velocity
-                + theta_i @ first.angular_velocity
-                + r_j @ second.velocity
-                + theta_j @ second.angular_velocity
-            )
-            u = law.force(coordinate.phi(first, second)[0], rate)
-            wrenches[joint.first] = wrenches[joint.first] + u * np.concatenate([r_i, theta_i])
-            wrenches[joint.second] = wrenches[joint.second] + u * np.concatenate([r_j, theta_j])
+        for drive in self.driven:
+            first, second = drive.bodies
+            u, (r_i, theta_i, r_j, theta_j) = drive.force(q, frames[first], frames[second])
+            wrenches[first] = wrenches[first] + u * np.concatenate([r_i[0], theta_i[0]])
+            wrenches[second] = wrenches[second] + u * np.concatenate([r_j[0], theta_j[0]])
             forces.append(u)
         g = [
             np.concatenate([wrench[:3], frame.rotation.T @ wrench[3:]])
@@ -114,7 +114,7 @@ class Cartesian:
         B = [Phi_r, 1/2 Phi_p L^T] equal to [Phi_r, Phi_theta R], with no product to work out,
         because G L^T = R.
         """
-        phi_q, b = zeros((self.rows, self.nq), q), zeros((self.rows, 6 * len(self.bodies)), q)
+        phi_q, b = zeros((self.rows, self.nv), q), zeros((self.rows, 6 * len(self.bodies)), q)
         row = 0
         for e in self.equations:
             rows = slice(row, row + e.count)
@@ -133,7 +133,7 @@ class Cartesian:
 
     def norm_terms(self, q: Array, qdot: Array) -> tuple[Array, Array, Array]:
         """1/2 (p^T p - 1) (n,), its Jacobian P (n, 7 n) and c = pdot^T pdot (n,), eqs (1) and (2)."""
-        residual, p_matrix, c = [], zeros((len(self.bodies), self.nq), q), []
+        residual, p_matrix, c = [], zeros((len(self.bodies), self.nv), q), []
         for k, ((_, p), (_, pdot)) in enumerate(zip(self.split(q), self.split(qdot), strict=True)):
             residual.append(0.5 * (p @ p - 1.0))
             p_matrix[k, 7 * k + 3 : 7 * k + 7] = p
@@ -144,12 +144,12 @@ class Cartesian:
         """Matrix and right side of equation (21); its unknowns are (qddot, -lambda)."""
         frames = self.frames(q, qdot)
         mass, velocity = self.mass_matrix(q), self.velocity_terms(q, qdot)
-        g = self.applied(frames)[1]
+        g = self.applied(q, frames)[1]
         phi, gamma = self.joint_phi(frames), self.joint_gamma(frames)
         phi_q, b = self.joint_jacobian(q, frames)
         norm, p_matrix, c = self.norm_terms(q, qdot)
-        matrix = zeros((self.nq + self.rows, self.nq + self.rows), q)
-        n6, n7 = len(mass), self.nq
+        n6, n7 = len(mass), self.nv
+        matrix = zeros((n7 + self.rows, n7 + self.rows), q)
         matrix[:n6, :n7], matrix[:n6, n7:] = mass, b.T
         matrix[n6:n7, :n7] = p_matrix
         matrix[n7:, :n7] = phi_q
@@ -163,20 +163,33 @@ class Cartesian:
         return matrix, right
 
     def solve(self, q: Array, qdot: Array) -> tuple[Array, Array]:
-        """qddot (7 n,) and lambda (k,); lambda is the smallest one where constraints are redundant."""
+        """qddot (7 n,) and lambda (k,); lambda is the smallest one where constraints are redundant.
+
+        Equation (21), its constraint rows combined into independent ones and all in dimensionless form.
+
+        Raises:
+            SingularityError: if it has no unique solution for qddot all the same.
+        """
         matrix, right = self.system(q, qdot)
-        if self.redundant:
-            unknowns = minimum_norm(matrix, right)
-        else:
-            try:
-                unknowns = np.linalg.solve(matrix, right)
-            except np.linalg.LinAlgError as error:
-                raise SingularityError(self._weakest_joint(q), f"{error} in equation (21)") from error
-        return unknowns[: self.nq], -unknowns[self.nq :]
+        n = self.nv
+        phi_q = matrix[n:, :n]
+        combine = independent_rows(phi_q, self.row_units, self.velocity_units)
+        force_rows = np.concatenate([self.force_units, np.ones(len(self.bodies))])
+        left = np.zeros((n + combine.shape[1],) * 2)
+        left[:n, :n] = matrix[:n, :n] * self.velocity_units / force_rows[:, None]
+        left[n:, :n] = combine.T @ phi_q * self.velocity_units
+        push = matrix[:n, n:] @ combine / force_rows[:, None]
+        share = np.max(np.abs(push), axis=0, initial=1e-300)  # multipliers in units of their own
+        left[:n, n:] = push / share
+        try:
+            unknowns = np.linalg.solve(left, np.concatenate([right[:n] / force_rows, combine.T @ right[n:]]))
+        except np.linalg.LinAlgError as error:
+            raise SingularityError(self._weakest_joint(q), f"{error} in equation (21)") from error
+        return self.velocity_units * unknowns[:n], -(combine @ (unknowns[n:] / share))
 
     def _weakest_joint(self, q: Array) -> str:
         """Name of the joint that weighs most in the dependent combination of constraint rows."""
-        frames = self.frames(q, np.zeros(self.nq))
+        frames = self.frames(q, np.zeros(self.nv))
         left = np.linalg.svd(self.joint_jacobian(q, frames)[1])[0][:, -1]
         owners = np.repeat(np.arange(len(self.equations)), [e.count for e in self.equations])
         weights = np.bincount(owners, weights=left**2, minlength=len(self.equations))
@@ -185,8 +198,8 @@ class Cartesian:
     # What integrators, projection and assembly ask for
 
     def rate(self, q: Array, v: Array) -> Array:
-        """qdot: the velocities of this formulation are the rates of its coordinates."""
-        return v
+        """qdot (nq,): the velocities themselves, and the rates of carried angles."""
+        return v if self.nq == self.nv else np.concatenate([v, carried_rates(self.driven, self.frames(q, v))])
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """qddot (7 n,)."""
@@ -194,18 +207,23 @@ class Cartesian:
 
     def phi(self, q: Array) -> Array:
         """All residuals: Phi(q) and 1/2 (p^T p - 1)."""
-        zero = np.zeros(self.nq)
+        zero = np.zeros(self.nv)
         return np.concatenate([self.joint_phi(self.frames(q, zero)), self.norm_terms(q, zero)[0]])
 
     def phi_jacobian(self, q: Array) -> Array:
         """Derivative of `phi` by q."""
-        zero = np.zeros(self.nq)
+        zero = np.zeros(self.nv)
         phi_q, _ = self.joint_jacobian(q, self.frames(q, zero))
         return np.concatenate([phi_q, self.norm_terms(q, zero)[1]])
 
     def retract(self, q: Array, step: Array) -> Array:
-        """q + step."""
-        return q + step
+        """q + step; carried angles follow."""
+        carried = (
+            q[self.nv :] + carried_rates(self.driven, self.frames(q, step))
+            if self.nq > self.nv
+            else q[self.nv :]
+        )
+        return np.concatenate([q[: self.nv] + step, carried])
 
     # Between this formulation's coordinates and what everybody understands
 
@@ -214,13 +232,13 @@ class Cartesian:
         return MassProperties.of(self.mechanism)
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """q and qdot of a state: pdot = 1/2 G^T omega."""
+        """q and qdot of a state: pdot = 1/2 G^T omega; carried angles within half a turn."""
         q, v = [], []
         for k in range(1, len(self.mechanism.bodies)):
             p = state.quaternion[k]
             q.extend([state.position[k], p])
             v.extend([state.linear_velocity[k], 0.5 * matrix_g(p).T @ state.angular_velocity[k]])
-        return np.concatenate(q), np.concatenate(v)
+        return np.concatenate([*q, carried_angles(self.driven, state.frames())]), np.concatenate(v)
 
     def state(self, q: Array, v: Array) -> State:
         """Body poses and velocities; Euler parameters as they are, not normalised."""
@@ -267,6 +285,6 @@ class Cartesian:
             np.array(angular),
             np.array(forces),
             np.array(torques),
-            self.applied(frames)[0],
+            self.applied(q, frames)[0],
             *energies(self.scene, state),
         )

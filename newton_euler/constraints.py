@@ -46,6 +46,15 @@ class Jacobian(NamedTuple):
     r_second: Array
     theta_second: Array
 
+    def rate(self, first: Frame, second: Frame) -> Array:
+        """Phi_q qdot (k,): how fast the constraints open at the velocities of the two frames."""
+        return (
+            self.r_first @ first.velocity
+            + self.theta_first @ first.angular_velocity
+            + self.r_second @ second.velocity
+            + self.theta_second @ second.angular_velocity
+        )
+
 
 class Constraint(Protocol):
     """k scalar constraint equations between two bodies."""

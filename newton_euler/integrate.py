@@ -23,6 +23,9 @@ the new velocities."""
 
 INTEGRATORS = ADAPTIVE + FIXED
 
+MOST_STEPS = 50_000
+"""Steps, accepted ones, after which an adaptive method is taken to be getting nowhere."""
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -119,6 +122,9 @@ def _march_adaptive(
         if solver.status == "failed":
             raise IntegrationError(float(solver.t), str(message))
         steps += 1
+        if steps > MOST_STEPS:
+            reason = f"more than {MOST_STEPS} steps of {options.integrator}; for stiff equations use Radau"
+            raise IntegrationError(float(solver.t), reason)
         if times[due] <= solver.t:
             dense = solver.dense_output()
             while due < len(times) and times[due] <= solver.t:

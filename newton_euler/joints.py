@@ -76,6 +76,10 @@ class JointEquations:
     def is_length(self) -> Array:
         return np.concatenate([np.zeros(0, bool), *(np.full(c.count, c.is_length) for c in self.constraints)])
 
+    def units(self, size: float) -> Array:
+        """(k,) what makes the equations dimensionless: `size` (m) for lengths, 1 for angles."""
+        return np.where(self.is_length, size, 1.0)
+
     def phi(self, first: Frame, second: Frame) -> Array:
         return np.concatenate([np.zeros(0), *(c.phi(first, second) for c in self.constraints)])
 
@@ -113,10 +117,11 @@ def _vector(joint: str, name: str, value: object) -> Array:
 
 def _unit(joint: str, name: str, value: object) -> Array:
     vector = _vector(joint, name, value)
-    length = float(np.linalg.norm(vector))
-    if length < 1e-12:
+    largest = float(np.max(np.abs(vector)))
+    if largest < 1e-12:
         raise MechanismError(f"joint {joint!r}", f"{name} is {vector.tolist()}", "a non-zero axis")
-    vector /= length
+    vector = np.ldexp(vector, -np.frexp(largest)[1])  # exact, and no square can overflow
+    vector /= np.linalg.norm(vector)
     vector.flags.writeable = False
     return vector
 

@@ -18,13 +18,10 @@ from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.euler_parameters import rotation
 from newton_euler.joints import Joint, JointEquations, Pose
 from newton_euler.scalars import Array
-from newton_euler.shapes import Capsule, Shape
+from newton_euler.shapes import UNIT_TOLERANCE, Capsule, Shape
 
 CLOSURE_TOLERANCE = 1e-9
 """How far (metres or radians) a joint may be open at an initial pose."""
-
-UNIT_TOLERANCE = 1e-9
-"""How far from 1 the norm of a quaternion may be."""
 
 REALISABLE_TOLERANCE = 1e-12
 """Relative slack of A + B >= C, for the round-off of an eigenvalue."""

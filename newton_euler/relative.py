@@ -20,12 +20,12 @@ Body frames are those of the tree: parallel to the world at the initial pose.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from newton_euler.constraints import Frame
+from newton_euler.constraints import Frame, Jacobian
+from newton_euler.driven import carried_angles, carried_rates, driven
 from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import (
     from_rotation,
@@ -80,7 +80,14 @@ class Relative:
             a0 @ body.inertia @ a0.T
             for a0, body in zip(self.tree.initial_rotations, self.mechanism.bodies, strict=True)
         ]
-        self.actuated = [self.tree.equations(self.mechanism.joint_index(law.joint)) for law in scene.control]
+        cut = [law for law in scene.control if self.mechanism.joint_index(law.joint) in self.tree.cuts]
+        self.driven = driven(
+            [(law, self.tree.equations(self.mechanism.joint_index(law.joint))) for law in cut], self.tree.nq
+        )
+        self.nq += sum(drive.carried is not None for drive in self.driven)
+        size = self.mechanism.size
+        self.phi_units = np.concatenate([np.zeros(0), *(closure.units(size) for closure in self.closures)])
+        self.velocity_units = self.tree.velocity_units
 
     # Kinematics
 
@@ -186,38 +193,29 @@ class Relative:
         return mass, force + self.actuation(q, v, links)[1]
 
     def actuation(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
-        """Actuator forces (a,), and what they do to the joint coordinates (nv,).
-
-        A joint of the tree knows how far it has turned; a cut joint only within half a turn.
-        """
+        """Actuator forces (a,), and what they do to the joint coordinates (nv,)."""
         forces, generalized = [], zeros(self.nv, q, v)
-        for law, equations in zip(self.scene.control, self.actuated, strict=True):
-            place = self.tree.place(equations.joint.name, law.coordinate)
+        cut = iter(self.driven)
+        for law in self.scene.control:
+            place = self.tree.place(law.joint, law.coordinate)
             if place is not None:
                 u = law.force(q[place[0]], v[place[1]])
                 generalized[place[1]] += u
             else:
-                first, second = links[equations.first], links[equations.second]
-                coordinate = equations.coordinates[law.coordinate]
-                rate, row = self._project(coordinate.jacobian(first.frame, second.frame), first, second)
-                u = law.force(coordinate.phi(first.frame, second.frame)[0], rate[0])
-                generalized += row[0] * u
+                drive = next(cut)
+                first, second = (links[body] for body in drive.bodies)
+                u, jacobian = drive.force(q, first.frame, second.frame)
+                generalized += self._project(jacobian, first, second)[0] * u
             forces.append(u)
         return np.array(forces), generalized
 
-    def _project(self, jacobian: Sequence[Array], first: Link, second: Link) -> tuple[Array, Array]:
-        """A two-body Jacobian times the present velocities, and its rows in joint coordinates."""
+    def _project(self, jacobian: Jacobian, first: Link, second: Link) -> Array:
+        """The rows of a two-body Jacobian in joint coordinates."""
         r_i, theta_i, r_j, theta_j = jacobian
-        rate = (
-            r_i @ first.frame.velocity
-            + theta_i @ first.frame.angular_velocity
-            + r_j @ second.frame.velocity
-            + theta_j @ second.frame.angular_velocity
-        )
-        rows = zeros((len(r_i), self.nv), rate, r_i, theta_i)
+        rows = zeros((len(r_i), self.nv), r_i, theta_i, first.linear, second.linear)
         rows[:, first.path] += r_i @ first.linear + theta_i @ first.angular
         rows[:, second.path] += r_j @ second.linear + theta_j @ second.angular
-        return rate, rows
+        return rows
 
     def loop_terms(self, links: list[Link]) -> tuple[Array, Array, Array]:
         """Phi (k,), J (k, nv) and the stabilised gamma (k,) of the loop closures."""
@@ -226,7 +224,7 @@ class Relative:
         for closure in self.closures:
             first, second = links[closure.first], links[closure.second]
             blocks = closure.jacobian(first.frame, second.frame)
-            rate, rows = self._project(blocks, first, second)
+            rows = self._project(blocks, first, second)
             phi = closure.phi(first.frame, second.frame)
             phis.append(phi)
             jacobians.append(rows)
@@ -236,7 +234,7 @@ class Relative:
                 - blocks.theta_first @ first.angular_acceleration
                 - blocks.r_second @ second.acceleration
                 - blocks.theta_second @ second.angular_acceleration
-                - self.damping * rate
+                - self.damping * blocks.rate(first.frame, second.frame)
                 - self.stiffness * phi
             )
         return np.concatenate(phis), np.concatenate(jacobians), np.concatenate(gammas)
@@ -245,7 +243,13 @@ class Relative:
 
     def rate(self, q: Array, v: Array) -> Array:
         """qdot (nq,)."""
-        return self.tree.rate(q, v)
+        rates = self.tree.rate(q, v)
+        if self.nq == self.tree.nq:
+            return rates
+        return np.concatenate([rates, carried_rates(self.driven, self._frames(q, v))])
+
+    def _frames(self, q: Array, v: Array) -> list[Frame]:
+        return [link.frame for link in self.links(q, v)]
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """qddot (nv,)."""
@@ -255,14 +259,26 @@ class Relative:
         mass, force = self.mass_and_force(q, v, links)
         _, jacobian, gamma = self.loop_terms(links)
         try:
-            return solve_constrained(mass, force, jacobian, gamma)
+            return solve_constrained(mass, force, jacobian, gamma, self.phi_units, self.velocity_units)
         except np.linalg.LinAlgError as error:
-            body = int(np.argmin([b.mass for b in self.mechanism.bodies[1:]])) + 1
-            raise SingularityError(
-                self.mechanism.joints[self.tree.joints[0].joint].name,
-                f"the mass matrix is not positive definite ({error}); lightest body: "
-                f"{self.mechanism.body_names[body]!r}",
-            ) from error
+            raise self._singularity(mass, force) from error
+
+    def _singularity(self, mass: Array, force: Array) -> SingularityError:
+        """Which joint's motion cannot be solved for, and why."""
+        finite = np.isfinite(mass).all(axis=1) & np.isfinite(force)
+        if not finite.all():
+            return SingularityError(self._joint_of(int(np.argmin(finite))), "inertia or force is not finite")
+        scaled = mass * np.outer(self.velocity_units, self.velocity_units)
+        values, modes = np.linalg.eigh(scaled)
+        return SingularityError(
+            self._joint_of(int(np.argmax(np.abs(modes[:, 0])))),
+            f"inertias from {values[0]:.3g} to {values[-1]:.3g} are too far apart for double precision",
+        )
+
+    def _joint_of(self, velocity: int) -> str:
+        """Name of the joint that a velocity belongs to."""
+        (kept,) = (kept for kept in self.tree.joints if kept.v.start <= velocity < kept.v.stop)
+        return self.mechanism.joint_names[kept.joint]
 
     def phi(self, q: Array) -> Array:
         """Residuals (k,) of the loop closures."""
@@ -274,7 +290,10 @@ class Relative:
 
     def retract(self, q: Array, step: Array) -> Array:
         """q moved by a small step (nv,); quaternions come out with norm 1."""
-        return self.tree.retract(q, step)
+        moved = self.tree.retract(q, step)
+        if self.nq == self.tree.nq:
+            return moved
+        return np.concatenate([moved, q[self.tree.nq :] + carried_rates(self.driven, self._frames(q, step))])
 
     # Between this formulation's coordinates and what everybody understands
 
@@ -283,8 +302,9 @@ class Relative:
         return MassProperties.of(self.mechanism)
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """q and v of a state."""
-        return self.tree.coordinates(state)
+        """q and v of a state; carried angles within half a turn."""
+        q, v = self.tree.coordinates(state)
+        return np.concatenate([q, carried_angles(self.driven, self._frames(q, v))]), v
 
     def state(self, q: Array, v: Array) -> State:
         """Body poses and velocities."""
@@ -356,7 +376,8 @@ class Relative:
             s = self._reaction_arm(index, links)
             forces[index] = on_second[:3]
             torques[index] = on_second[3:] - cross(s, on_second[:3])
-        for law, equations, u in zip(self.scene.control, self.actuated, actuation, strict=True):
+        for law, u in zip(self.scene.control, actuation, strict=True):
+            equations = self.tree.equations(self.mechanism.joint_index(law.joint))
             blocks = equations.coordinates[law.coordinate].jacobian(
                 links[equations.first].frame, links[equations.second].frame
             )

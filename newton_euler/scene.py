@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from newton_euler.control import PD
+from newton_euler.control import PD, is_finite_number
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.mechanism import UNIT_TOLERANCE, Mechanism
+from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.scalars import Array
+from newton_euler.shapes import UNIT_TOLERANCE
 from newton_euler.state import State
 
 OUTPUTS = ("velocities", "reactions", "actuation", "violation", "energy")
@@ -18,21 +21,35 @@ OUTPUTS = ("velocities", "reactions", "actuation", "violation", "energy")
 
 MAXIMUM_OUTPUTS = 1_000_000
 
+MAXIMUM_DURATION = 1e7
+"""s, four months: fixed steps of a millisecond would go on for a day."""
+
+VELOCITY_TOLERANCE = 1e-9
+"""How fast a joint may open in the initial state, as a share of the largest speed: as exact as
+`CLOSURE_TOLERANCE` leaves the positions, in sizes of the mechanism."""
+
+_NAME = re.compile(r"[A-Za-z0-9_.\-]{1,100}")
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A mechanism, its surroundings, its start and what is wanted of the run.
 
     Attributes:
-        name: shown in tables and file names.
+        name: names files: letters, digits, `_`, `.` and `-`, at most 100, not `.` or `..`.
         mechanism: bodies and joints.
-        duration: s.
+        duration: s, at most `MAXIMUM_DURATION`.
         output_period: s between outputs; the last output is at `duration`.
         gravity: (3,) m/s^2, world frame.
         control: control laws of actuated joints, in the order of `Trajectory.actuator_force`.
-        initial_state: the mechanism's initial pose, at rest, if not given.
+        initial_state: the mechanism's initial pose, at rest, if not given; joints closed in position
+            and velocity, as `newton_euler.assemble` makes them.
         outputs: names out of `OUTPUTS`.
-        description: one line for people.
+        description: one printable line for people.
+
+    Raises:
+        MechanismError: naming the field, body or joint at fault.
+        UnknownNameError: for a law of an unknown joint and for an unknown output.
     """
 
     name: str
@@ -46,31 +63,63 @@ class Scene:
     description: str = ""
 
     def __post_init__(self) -> None:
+        self._check_texts()
         where = f"scene {self.name!r}"
+        if not isinstance(self.mechanism, Mechanism):
+            raise MechanismError(where, f"mechanism is {self.mechanism!r}", "a Mechanism")
         for name in ("duration", "output_period"):
             value = getattr(self, name)
-            if not isinstance(value, int | float) or not np.isfinite(value) or value <= 0.0:
-                raise MechanismError(where, f"{name} is {value!r}", "a positive number of seconds")
-        if self.duration / self.output_period > MAXIMUM_OUTPUTS:
+            if not is_finite_number(value) or not 0.0 < value <= MAXIMUM_DURATION:
+                needed = f"a positive number of seconds, at most {MAXIMUM_DURATION:g}"
+                raise MechanismError(where, f"{name} is {value!r}", needed)
+            object.__setattr__(self, name, float(value))
+        if self.duration > MAXIMUM_OUTPUTS * self.output_period:
             raise MechanismError(
                 where,
-                f"asks for {self.duration / self.output_period:.3g} outputs",
-                f"at most {MAXIMUM_OUTPUTS}",
+                f"duration {self.duration:g} s at output_period {self.output_period:g} s asks for more "
+                f"than {MAXIMUM_OUTPUTS} outputs",
+                "a longer output_period",
             )
-        gravity = np.array(self.gravity, dtype=float)
-        if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
-            raise MechanismError(where, f"gravity is {self.gravity!r}", "three finite numbers, m/s^2")
-        object.__setattr__(self, "gravity", gravity)
+        self._check_gravity()
+        if not isinstance(self.outputs, Iterable) or isinstance(self.outputs, str):
+            raise MechanismError(where, f"outputs is {self.outputs!r}", "a set of names")
         for output in self.outputs:
             if output not in OUTPUTS:
                 raise UnknownNameError("output", output, OUTPUTS)
+        object.__setattr__(self, "outputs", frozenset(self.outputs))
         self._check_control()
         if self.initial_state is None:
             object.__setattr__(self, "initial_state", State.initial(self.mechanism))
         else:
             self._check_state(self.initial_state)
 
+    def _check_texts(self) -> None:
+        name, description = self.name, self.description
+        if not isinstance(name, str) or not _NAME.fullmatch(name) or name in (".", ".."):
+            needed = "letters, digits, _, . and - only, at most 100, not . or .."
+            raise MechanismError("scene", f"name is {name!r:.150}", needed)
+        if not isinstance(description, str) or not description.isprintable():
+            raise MechanismError(
+                f"scene {name!r}", f"description is {description!r:.150}", "one line of printable text"
+            )
+
+    def _check_gravity(self) -> None:
+        try:
+            gravity = np.array(self.gravity, dtype=float)
+        except (TypeError, ValueError):
+            gravity = np.zeros(0)
+        if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
+            raise MechanismError(
+                f"scene {self.name!r}", f"gravity is {self.gravity!r}", "three finite numbers, m/s^2"
+            )
+        gravity.flags.writeable = False
+        object.__setattr__(self, "gravity", gravity)
+
     def _check_control(self) -> None:
+        laws = self.control
+        if not isinstance(laws, Iterable) or not all(isinstance(law, PD) for law in laws):
+            raise MechanismError(f"scene {self.name!r}", f"control is {laws!r}", "a tuple of PD laws")
+        object.__setattr__(self, "control", tuple(laws))
         for law in self.control:
             where = f"control of joint {law.joint!r}"
             joint = self.mechanism.joints[self.mechanism.joint_index(law.joint)]
@@ -85,6 +134,9 @@ class Scene:
                 raise MechanismError(where, f"coordinate is {law.coordinate}", f"an index below {len(kinds)}")
 
     def _check_state(self, state: State) -> None:
+        where = f"initial state of scene {self.name!r}"
+        if not isinstance(state, State):
+            raise MechanismError(f"scene {self.name!r}", f"initial_state is {state!r}", "a State")
         count = len(self.mechanism.bodies)
         for name, width in (
             ("position", 3),
@@ -92,12 +144,17 @@ class Scene:
             ("linear_velocity", 3),
             ("angular_velocity", 3),
         ):
-            value = np.asarray(getattr(state, name))
-            if value.shape != (count, width) or not np.all(np.isfinite(value)):
+            value = getattr(state, name)
+            if (
+                not isinstance(value, np.ndarray)
+                or value.dtype.kind != "f"
+                or value.shape != (count, width)
+                or not np.all(np.isfinite(value))
+            ):
                 raise MechanismError(
-                    f"initial state of scene {self.name!r}",
-                    f"{name} has shape {value.shape} or holds numbers that are not finite",
-                    f"finite numbers, shape ({count}, {width})",
+                    where,
+                    f"{name} has another shape or holds what is not finite",
+                    f"an array of finite floats, shape ({count}, {width})",
                 )
         norms = np.linalg.norm(state.quaternion, axis=1)
         worst = int(np.argmax(np.abs(norms - 1.0)))
@@ -107,7 +164,44 @@ class Scene:
                 f"initial quaternion has norm {norms[worst]:.9g}",
                 "a unit quaternion, w-x-y-z",
             )
+        self._check_ground(state)
         self.mechanism.check_closed(state.frames(), "in the initial state")
+        self._check_velocities(state)
+
+    def _check_ground(self, state: State) -> None:
+        ground = self.mechanism.bodies[0]
+        shift = float(np.linalg.norm(state.position[0] - ground.center_of_mass))
+        turn = float(
+            np.linalg.norm(
+                np.outer(state.quaternion[0], state.quaternion[0])
+                - np.outer(ground.quaternion, ground.quaternion)
+            )
+        )
+        if shift > CLOSURE_TOLERANCE or turn > UNIT_TOLERANCE:
+            problem = "is not at its own pose in the initial state"
+        elif np.any(state.linear_velocity[0]) or np.any(state.angular_velocity[0]):
+            problem = "moves in the initial state"
+        else:
+            return
+        raise MechanismError(f"ground {ground.name!r}", problem, "the ground's own pose, at rest")
+
+    def _check_velocities(self, state: State) -> None:
+        """Raise `MechanismError` for the first joint that opens, |Phi_q qdot| > `VELOCITY_TOLERANCE`."""
+        frames, size = state.frames(), self.mechanism.size
+        spin = float(np.max(np.linalg.norm(state.angular_velocity, axis=1)))
+        speed = float(np.max(np.linalg.norm(state.linear_velocity, axis=1))) + size * spin
+        for equations in self.mechanism.equations:
+            first, second = frames[equations.first], frames[equations.second]
+            rates = np.abs(equations.jacobian(first, second).rate(first, second))
+            allowed = VELOCITY_TOLERANCE * speed * np.where(equations.is_length, 1.0, 1.0 / size)
+            if np.any(rates > allowed):
+                worst = int(np.argmax(rates - allowed))
+                unit = "m/s" if equations.is_length[worst] else "rad/s"
+                raise MechanismError(
+                    f"joint {equations.joint.name!r}",
+                    f"opens at {rates[worst]:.3g} {unit} in the initial state",
+                    f"at most {allowed[worst]:.3g} {unit}, as newton_euler.assemble(scene, guess) makes it",
+                )
 
     @cached_property
     def times(self) -> Array:

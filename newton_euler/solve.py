@@ -1,4 +1,9 @@
-"""Dense linear algebra of constrained dynamics, for floats."""
+"""Dense linear algebra of constrained dynamics, for floats.
+
+Ranks are decided on dimensionless matrices: rows in metres are divided by the mechanism's size and so
+are velocities in m/s. Entries of a constraint Jacobian are then of order 1 whatever the size of the
+mechanism, and a row of round-off is told from a constraint.
+"""
 
 from __future__ import annotations
 
@@ -7,52 +12,72 @@ import numpy as np
 from newton_euler.scalars import Array
 
 RANK_TOLERANCE = 1e-9
-"""Singular values below this fraction of the largest count as zero."""
+"""Singular values of a dimensionless matrix below this, or this share of the largest, count as zero."""
+
+
+def numerical_rank(singular_values: Array) -> int:
+    """How many singular values of a dimensionless matrix are not round-off."""
+    return int(np.sum(singular_values > RANK_TOLERANCE * max(1.0, np.max(singular_values, initial=0.0))))
 
 
 def rank(matrix: Array) -> int:
-    """Numerical rank, by singular values against `RANK_TOLERANCE`."""
-    values = np.linalg.svd(matrix, compute_uv=False)
-    return int(np.sum(values > RANK_TOLERANCE * np.max(values, initial=0.0)))
+    """Numerical rank of a dimensionless matrix."""
+    return numerical_rank(np.linalg.svd(matrix, compute_uv=False)) if matrix.size else 0
 
 
-def minimum_norm(matrix: Array, right: Array) -> Array:
-    """The smallest x that solves matrix @ x = right in the least-squares sense."""
+def minimum_norm(matrix: Array, right: Array, row_units: Array, column_units: Array) -> Array:
+    """The x (n,) of least dimensionless length with matrix @ x = right in the least-squares sense.
+
+    Args:
+        matrix: (k, n); right: (k,).
+        row_units, column_units: (k,) and (n,) units of the rows and of x.
+    """
     if not matrix.size:
         return np.zeros(matrix.shape[1])
-    return np.asarray(np.linalg.lstsq(matrix, right, rcond=RANK_TOLERANCE)[0])
+    u, s, vt = np.linalg.svd(matrix * column_units / row_units[:, None], full_matrices=False)
+    r = numerical_rank(s)
+    return np.asarray(column_units * (vt[:r].T @ ((u[:, :r].T @ (right / row_units)) / s[:r])))
 
 
-def solve_constrained(mass: Array, force: Array, jacobian: Array, gamma: Array) -> tuple[Array, Array]:
-    """Acceleration a (n,) and multipliers (k,) of M a = f + J^T lambda, J a = gamma.
+def independent_rows(jacobian: Array, row_units: Array, column_units: Array) -> Array:
+    """(k, r) combinations of the rows of a Jacobian that hold all it says, without redundancy.
 
-    With L the Cholesky factor of M and X = L^-1 J^T, lambda solves X^T X lambda = gamma - X^T L^-1 f.
-    Working on X instead of X^T X keeps the digits that squaring would cost, and the singular value
-    decomposition gives the smallest lambda where constraints are redundant.
+    With them as C, constraints J a = gamma become C^T J a = C^T gamma, and multipliers mu of those are
+    lambda = C mu: of all equivalent multipliers the smallest, in dimensionless terms.
+    """
+    u, s, _ = np.linalg.svd(jacobian * column_units / row_units[:, None], full_matrices=False)
+    return np.asarray(u[:, : numerical_rank(s)] / row_units[:, None])
+
+
+def solve_constrained(
+    mass: Array, force: Array, jacobian: Array, gamma: Array, row_units: Array, column_units: Array
+) -> tuple[Array, Array]:
+    """Acceleration a (n,) and multipliers lambda (k,) of M a = f + J^T lambda, J a = gamma.
+
+    Redundant constraints are combined into independent ones first. With L the Cholesky factor of M
+    and QR = L^-1 J^T, L^T a = L^-1 f + Q (R^-T gamma - Q^T L^-1 f); not squaring J keeps its digits.
+    Units are as in `minimum_norm`. Raises `numpy.linalg.LinAlgError` for an indefinite M.
     """
     lower = np.linalg.cholesky(mass)
-    columns = np.linalg.solve(lower, np.column_stack([force, jacobian.T]))
-    free, x = columns[:, 0], columns[:, 1:]
-    if not x.size:
-        return np.linalg.solve(lower.T, free), np.zeros(len(gamma))
-    u, s, vt = np.linalg.svd(x, full_matrices=False)
-    keep = s > RANK_TOLERANCE * s[0]
-    u, s, vt = u[:, keep], s[keep], vt[keep]
-    # X lambda = y, where y is the part of the constrained acceleration in the range of X
-    y = (vt @ gamma) / s - u.T @ free
-    multipliers = vt.T @ (y / s)
-    return np.linalg.solve(lower.T, free + u @ y), multipliers
+    if not jacobian.size:
+        return np.linalg.solve(lower.T, np.linalg.solve(lower, force)), np.zeros(len(gamma))
+    combine = independent_rows(jacobian, row_units, column_units)
+    columns = np.linalg.solve(lower, np.column_stack([force, jacobian.T @ combine]))
+    free = columns[:, 0]
+    q, r = np.linalg.qr(columns[:, 1:])
+    push = np.linalg.solve(r.T, combine.T @ gamma) - q.T @ free
+    return np.linalg.solve(lower.T, free + q @ push), combine @ np.linalg.solve(r, push)
 
 
 def orthonormal_range(matrix: Array) -> Array:
-    """Orthonormal columns that span the range of a matrix."""
+    """Orthonormal columns that span the range of a dimensionless matrix."""
     u, s, _ = np.linalg.svd(matrix, full_matrices=False)
-    return np.asarray(u[:, s > RANK_TOLERANCE * np.max(s, initial=0.0)])
+    return np.asarray(u[:, : numerical_rank(s)])
 
 
 def orthonormal_null(matrix: Array) -> Array:
-    """Orthonormal columns that span the null space of a matrix."""
+    """Orthonormal columns that span the null space of a dimensionless matrix."""
     if not matrix.size:
         return np.eye(matrix.shape[1])
     _, s, vt = np.linalg.svd(matrix, full_matrices=True)
-    return np.asarray(vt[int(np.sum(s > RANK_TOLERANCE * np.max(s, initial=0.0))) :].T)
+    return np.asarray(vt[numerical_rank(s) :].T)

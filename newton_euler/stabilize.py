@@ -23,6 +23,9 @@ PAPER_ALPHA = 10.0
 
 NEWTON_STEPS = 20
 
+ROUND_OFF = 16.0 * np.finfo(float).eps
+"""Residuals below this share of the mechanism's size are what evaluating them loses."""
+
 
 def baumgarte_alpha(stabilization: str, alpha: float) -> float:
     """The alpha that a system of equations takes under a stabilisation; raises for impossible ones."""
@@ -44,16 +47,18 @@ def project_position(system: System, q: Array) -> Array:
     Raises:
         AssemblyError: if the constraints stay open by more than `CLOSURE_TOLERANCE`.
     """
-    best = system.retract(q, np.zeros(system.nv))
-    residual = system.phi(best)
+    at = best = system.retract(q, np.zeros(system.nv))
+    here = residual = system.phi(best)
+    worse = 0
     for _ in range(NEWTON_STEPS):
-        if largest(residual) < np.finfo(float).eps * system.mechanism.size:
-            return best
-        trial = system.retract(best, -minimum_norm(system.phi_jacobian(best), residual))
-        trial_residual = system.phi(trial)
-        if not largest(trial_residual) < largest(residual):
-            break  # at round-off, or stuck
-        best, residual = trial, trial_residual
+        if largest(residual) < ROUND_OFF * system.mechanism.size or worse == 2:
+            break
+        step = minimum_norm(system.phi_jacobian(at), here, system.phi_units, system.velocity_units)
+        at = system.retract(at, -step)
+        here = system.phi(at)
+        worse = 0 if largest(here) < largest(residual) else worse + 1
+        if worse == 0:
+            best, residual = at, here
     if largest(residual) > CLOSURE_TOLERANCE:
         joint, gap = worst_joint(system, system.state(best, np.zeros(system.nv)))
         raise AssemblyError(joint, gap, CLOSURE_TOLERANCE)
@@ -63,7 +68,7 @@ def project_position(system: System, q: Array) -> Array:
 def project_velocity(system: System, q: Array, v: Array) -> Array:
     """The velocities nearest to v that meet the constraints' rate, J v = 0."""
     jacobian = system.phi_jacobian(q)
-    return np.asarray(v - minimum_norm(jacobian, jacobian @ v))
+    return np.asarray(v - minimum_norm(jacobian, jacobian @ v, system.phi_units, system.velocity_units))
 
 
 def joint_violations(mechanism: Mechanism, state: State) -> Array:

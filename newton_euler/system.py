@@ -25,6 +25,10 @@ class System(Protocol):
     mechanism: Mechanism
     nq: int
     nv: int
+    phi_units: Array
+    """(k,) what makes the rows of `phi` dimensionless: the mechanism's size for metres, 1 for radians."""
+    velocity_units: Array
+    """(nv,) the same for velocities."""
 
     def mass_properties(self) -> MassProperties:
         """What the bodies weigh in this system's own model."""
@@ -60,10 +64,12 @@ class System(Protocol):
 def admissible(system: System, q: Array) -> Array:
     """Orthogonal projector (6 b, 6 b) onto the body velocities that the constraints leave free.
 
-    It is the constraint Jacobian in a form that depends on no choice of coordinates or rows. Angular
-    velocities are multiplied by the mechanism's size, so that all rows are in m/s.
+    It is the constraint Jacobian in a form that depends on no choice of coordinates or rows. Velocities
+    are divided by the mechanism's size, so that all rows are in 1/s.
     """
-    scale = np.tile([1.0, 1.0, 1.0, *[system.mechanism.size] * 3], len(system.mechanism.bodies))
-    free = orthonormal_null(system.phi_jacobian(q))
-    basis = orthonormal_range(scale[:, None] * (system.velocity_transformation(q) @ free))
+    size = system.mechanism.size
+    units = np.tile([size, size, size, 1.0, 1.0, 1.0], len(system.mechanism.bodies))[:, None]
+    jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
+    transformation = system.velocity_transformation(q) * system.velocity_units / units
+    basis = orthonormal_range(transformation @ orthonormal_null(jacobian))
     return np.asarray(basis @ basis.T)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import os
-import tempfile
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -62,8 +65,10 @@ class Trajectory:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the arrays to an .npz; the file appears whole or not at all."""
-        with atomic_file(path) as temporary, open(temporary, "wb") as stream:
-            np.savez_compressed(stream, **self.arrays())
+        content = io.BytesIO()  # a zip file on a full disk would fail once more on its way out
+        np.savez_compressed(content, allow_pickle=False, **self.arrays())
+        with atomic_file(path) as temporary:
+            temporary.write_bytes(content.getbuffer())
 
 
 def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
@@ -75,26 +80,18 @@ def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
         raise NewtonEulerError(f"cannot read a trajectory from {os.fspath(path)!r}: {error}") from error
 
 
-class atomic_file:
-    """Context manager: a temporary path beside `path` that becomes `path` on success only."""
+@contextmanager
+def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary path beside `path`, in a folder made if need be, that becomes `path` on success only.
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
-
-    def __enter__(self) -> Path:
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            dir=self.path.parent, prefix=f".{self.path.stem}-", suffix=self.path.suffix
-        )
-        os.close(handle)
-        self.temporary = Path(name)
-        return self.temporary
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None:
-            umask = os.umask(0)
-            os.umask(umask)
-            self.temporary.chmod(0o666 & ~umask)
-            self.temporary.replace(self.path)
-        else:
-            self.temporary.unlink(missing_ok=True)
+    Whatever ends the block otherwise, an error or an interrupt, leaves what was at `path` before.
+    """
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.parent / f".{target.stem}-{secrets.token_hex(4)}{target.suffix}"
+    try:
+        temporary.touch(exist_ok=False)
+        yield temporary
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)

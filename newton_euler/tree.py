@@ -22,7 +22,7 @@ from newton_euler.euler_parameters import (
     product,
     rotation,
 )
-from newton_euler.joints import Fixed, JointEquations, Motion, Pose, Spherical
+from newton_euler.joints import Fixed, Joint, JointEquations, Motion, Pose, Spherical
 from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array
 from newton_euler.state import State
@@ -50,6 +50,16 @@ class TreeJoint:
     motions: tuple[Motion, ...]
     q: slice
     v: slice
+
+
+def motion_names(joint: Joint, forward: bool = True) -> list[str]:
+    """A name for each of a joint's motions: the joint's own, numbered from 1 if there are several.
+
+    In the joint's own order, from its first body to its second; in the other one unless `forward`.
+    """
+    count = len(joint.motions)
+    names = [joint.name] if count == 1 else [f"{joint.name}_{k + 1}" for k in range(count)]
+    return names if forward else names[::-1]
 
 
 class SpanningTree:
@@ -127,6 +137,15 @@ class SpanningTree:
                 iq, iv = iq + nq, iv + nv
         return tuple(found)
 
+    @cached_property
+    def velocity_units(self) -> Array:
+        """(nv,) what makes velocities dimensionless: the mechanism's size for slides, 1 for angles."""
+        units = np.ones(self.nv)
+        for motion, _, on_v in self.motions:
+            if motion.kind == "slide":
+                units[on_v] = self.mechanism.size
+        return units
+
     def place(self, joint: str, coordinate: int) -> tuple[int, int] | None:
         """Where a joint's hinge or slide number `coordinate` is in q and in v; None if it is cut."""
         for kept in self.joints:
@@ -173,14 +192,7 @@ class SpanningTree:
             i, j = frames[equations.first], frames[equations.second]
             values = []
             for coordinate in equations.coordinates:
-                jacobian = coordinate.jacobian(i, j)
-                rate = (
-                    jacobian.r_first @ i.velocity
-                    + jacobian.theta_first @ i.angular_velocity
-                    + jacobian.r_second @ j.velocity
-                    + jacobian.theta_second @ j.angular_velocity
-                )
-                values.append((coordinate.phi(i, j), rate))
+                values.append((coordinate.phi(i, j), coordinate.jacobian(i, j).rate(i, j)))
             parent, child = frames[kept.parent], frames[kept.child]
             ball = (
                 from_rotation(parent.rotation.T @ child.rotation),

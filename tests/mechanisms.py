@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from newton_euler.euler_parameters import from_rotation_vector, rotation
@@ -152,6 +154,52 @@ def planar_four_bar() -> Scene:
         Revolute("at_d", "ground", "rocker", d, axis=[0.0, 1.0, 0.0]),
     ]
     return Scene("planar_four_bar", Mechanism(bodies, joints), 1.0, 0.1, GRAVITY)
+
+
+def scaled(scene: Scene, factor: float) -> Scene:
+    """The same scene, `factor` times as large at the same density, in gravity that much stronger.
+
+    Its angular accelerations are those of the original and its linear ones `factor` times theirs.
+    """
+    bodies = [
+        replace(
+            body,
+            mass=factor**3 * body.mass,
+            center_of_mass=factor * body.center_of_mass,
+            inertia=factor**5 * body.inertia,
+        )
+        for body in scene.mechanism.bodies
+    ]
+    joints = [
+        replace(joint, point=factor * joint.point, point_on_second=factor * joint.reaction_point)
+        for joint in scene.mechanism.joints
+    ]
+    return replace(
+        scene, mechanism=Mechanism(bodies, joints), gravity=factor * scene.gravity, initial_state=None
+    )
+
+
+def bolted(extra: type[Joint] | None, **axes: list[float]) -> Scene:
+    """Two bodies bolted together on a universal joint; a second joint between them adds nothing."""
+    bodies = [
+        Body.ground(),
+        bar("a", [0.0, 0.0, 0.0], [0.5, 0.1, 0.2]),
+        bar("b", [0.5, 0.1, 0.2], [0.9, 0.5, 0.1]),
+    ]
+    joints: list[Joint] = [
+        Universal(
+            "pivot",
+            "ground",
+            "a",
+            [0.0, 0.0, 0.0],
+            axis_on_first=[0.0, 1.0, 0.0],
+            axis_on_second=[1.0, 0.0, 0.0],
+        ),
+        Fixed("bolt", "a", "b", [0.5, 0.1, 0.2]),
+    ]
+    if extra is not None:
+        joints.append(extra("second_bolt", "a", "b", [0.6, 0.2, 0.1], **axes))  # type: ignore[arg-type]
+    return Scene("bolted", Mechanism(bodies, joints), 1.0, 0.1, GRAVITY)
 
 
 REGULAR = (pendulum, spinning_top, all_universal_loop, ball_loop, seven_hinges, slider_tree)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from finite_difference import derivative, jacobian
-from mechanisms import REGULAR, planar_four_bar, spinning_top
+from mechanisms import REGULAR, spinning_top
 
 from newton_euler.assemble import random_states
 from newton_euler.cartesian import Cartesian
@@ -74,18 +74,6 @@ def test_formulations_agree_on_every_joint_kind(build):
         assert worst(a.reaction_force, b.reaction_force) < 1e-8
         lever = max(np.abs(b.reaction_torque).max(), scene.mechanism.size * np.abs(b.reaction_force).max())
         assert np.abs(a.reaction_torque - b.reaction_torque).max() < 1e-8 * lever
-
-
-def test_redundant_loop_has_unique_accelerations():
-    scene = planar_four_bar()
-    relative, cartesian = Relative(scene), Cartesian(scene)
-    assert cartesian.redundant
-    for state in random_states(scene, 5):
-        a = relative.evaluate(*relative.coordinates(state))
-        b = cartesian.evaluate(*cartesian.coordinates(state))
-        # condition of the regular part is below 1e4
-        assert worst(a.linear_acceleration, b.linear_acceleration) < 1e-10
-        assert worst(a.angular_acceleration, b.angular_acceleration) < 1e-10
 
 
 def test_blocks_of_equation_21_are_the_papers(tracker, tracker_states):

@@ -114,6 +114,12 @@ def test_impossible_options_are_refused(options, message):
     assert message in str(caught.value)
 
 
+def test_a_run_that_gets_nowhere_says_so(monkeypatch):
+    monkeypatch.setattr("newton_euler.integrate.MOST_STEPS", 5)
+    with pytest.raises(IntegrationError, match="more than 5 steps of DOP853"):
+        newton_euler.simulate(pendulum())
+
+
 def test_a_run_that_explodes_says_when():
     scene = pendulum()
     joints = [replace(scene.mechanism.joints[0], actuated=True)]

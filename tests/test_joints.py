@@ -195,6 +195,7 @@ def test_universal_coordinates_are_its_two_angles_and_their_rates():
 def test_zero_axis_and_slanted_universal_are_refused():
     with pytest.raises(MechanismError, match=r"axis is .*non-zero"):
         Revolute("j", "a", "b", [0, 0, 0], axis=[0, 0, 0])
+    assert Revolute("j", "a", "b", [0, 0, 0], axis=[0, 3e300, 4e300]).axis == pytest.approx([0, 0.6, 0.8])
     with pytest.raises(MechanismError, match="perpendicular"):
         Universal("j", "a", "b", [0, 0, 0], axis_on_first=[1, 0, 0], axis_on_second=[1, 1, 0])
     with pytest.raises(MechanismError, match="three finite numbers"):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from finite_difference import derivative, jacobian
+from mechanisms import bolted, planar_four_bar, scaled
 
 from crosscheck.scenes.tracker import tracker as make_tracker
 from mjcf.rigid import RigidMuJoCo
@@ -158,6 +160,13 @@ CHAINS = {
         actuated=[1, 2, 3],
         seed=3,
     ),
+    # the free joint is cut through the body, and one half floats against the ground: slides, then a ball
+    "loop through a free joint": chain(["spherical", "free"], closed=True, reverse=[1], seed=9),
+    # its second body is on the ground's side: the ball comes before the slides
+    "loop through a free joint reversed": chain(["spherical", "free"], closed=True, seed=9),
+    "loop through free joints both ways round": chain(
+        ["universal", "free", "free", "revolute"], closed=True, reverse=[1], actuated=[0, 3], seed=9
+    ),
     # from 60 velocities on MuJoCo keeps its Jacobians sparse
     "long loop of balls": chain(["spherical"] * 21, closed=True, seed=8),
     "loop cut at a cylindrical joint": chain(
@@ -288,6 +297,20 @@ def test_loops_are_cut_where_the_names_of_the_cases_say() -> None:
     assert kinds["loop cut at a hinge"] == ["revolute"]
     assert kinds["loop cut at a universal joint"] == ["universal"]
     assert kinds["loop cut at a cylindrical joint"] == ["cylindrical"]
+    for name in ("loop through a free joint", "loop through a free joint reversed"):
+        assert kinds[name] == ["free"]
+
+
+@pytest.mark.parametrize(
+    ("name", "types"),
+    [
+        ("loop through a free joint", ["BALL", "SLIDE", "SLIDE", "SLIDE", "BALL"]),
+        ("loop through a free joint reversed", ["BALL", "BALL", "SLIDE", "SLIDE", "SLIDE"]),
+    ],
+)
+def test_free_joints_in_loops_are_the_way_round_that_the_cases_say(name: str, types: list[str]) -> None:
+    found = [mujoco.mjtJoint(kind).name for kind in RigidMuJoCo(CHAINS[name]).model.jnt_type]
+    assert found == [f"mjJNT_{kind}" for kind in types]
 
 
 def test_planar_four_bar_agrees_in_accelerations() -> None:
@@ -301,6 +324,33 @@ def test_planar_four_bar_agrees_in_accelerations() -> None:
             wanted = system.evaluate(*system.coordinates(state))
             assert_same_kinematics(found, wanted)
             assert_same_accelerations(found, wanted)
+
+
+def test_a_planar_four_bar_of_any_size_moves_alike() -> None:
+    scene = planar_four_bar()
+    relative = Relative(scene)
+    for factor in (1e-2, 1.0, 1e2):  # MuJoCo takes no inertia below 1e-15 kg m^2
+        rigid = RigidMuJoCo(scaled(scene, factor))
+        for state in random_states(scene, 3):
+            grown = replace(
+                state, position=factor * state.position, linear_velocity=factor * state.linear_velocity
+            )
+            found = rigid.evaluate(*rigid.coordinates(grown))
+            found = replace(found, linear_acceleration=found.linear_acceleration / factor)
+            assert_same_accelerations(found, relative.evaluate(*relative.coordinates(state)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "axes"), [(Fixed, {}), (Spherical, {}), (Revolute, {"axis": [0.3, 0.5, -0.2]})]
+)
+def test_a_second_bolt_changes_nothing(kind: type[Joint], axes: dict[str, list[float]]) -> None:
+    """Its rows are round-off, which MuJoCo drops at some states only; none of it is a constraint."""
+    relative, rigid = Relative(bolted(None)), RigidMuJoCo(bolted(kind, **axes))
+    for state in random_states(relative.scene, 5):
+        q, v = rigid.coordinates(state)
+        assert len(rigid.phi(q)) == len(rigid.phi_jacobian(q)) == len(rigid.phi_units)
+        found = rigid.evaluate(q, v)
+        assert_same_accelerations(found, relative.evaluate(*relative.coordinates(state)))
 
 
 def test_a_loop_between_fixed_bodies_does_nothing() -> None:
@@ -320,7 +370,7 @@ def test_a_loop_between_fixed_bodies_does_nothing() -> None:
     assert np.max(np.abs(found.angular_acceleration)) > 1.0
 
 
-@pytest.mark.parametrize("name", ["loop cut at a ball", "loop cut at a universal joint"])
+@pytest.mark.parametrize("name", [name for name in CHAINS if "loop" in name])
 def test_constraint_derivatives(name: str) -> None:
     """Also where the loop is open: soft constraints always leave it so."""
     rigid = RigidMuJoCo(CHAINS[name])

@@ -21,6 +21,7 @@ from mjcf.errors import ModelError
 from mjcf.model import CompiledScene
 from newton_euler.assemble import random_states
 from newton_euler.control import PD
+from newton_euler.errors import NewtonEulerError
 from newton_euler.euler_parameters import angle_between
 from newton_euler.joints import Free, Revolute, Spherical, Universal
 from newton_euler.mechanism import Body, Mechanism
@@ -72,6 +73,13 @@ def test_write_leaves_a_whole_file_or_none(tracker: Scene, tmp_path: Path) -> No
     assert [path.name for path in tmp_path.iterdir()] == ["models"]
 
 
+def test_a_path_that_cannot_be_written_is_named(tracker: Scene, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(mjcf.MjcfError, match=r"cannot write .*file/tracker\.xml': ") as caught:
+        mjcf.write(tracker, tmp_path / "file" / "tracker.xml")
+    assert isinstance(caught.value, NewtonEulerError)
+
+
 @pytest.mark.parametrize("panel_inertia", ["realisable", "literal"])
 def test_compiled_masses_centres_and_inertias(panel_inertia: Any) -> None:
     scene = make_tracker(panel_inertia=panel_inertia)
@@ -91,7 +99,7 @@ def test_halves_of_a_cut_body_add_up() -> None:
         Revolute(f"hinge_{i}{j}", names[i], names[j], [i, j, 0.5], axis=[i, j, 1.0])
         for i, j in ((0, 1), (1, 2), (2, 3), (3, 0), (1, 3), (0, 2))
     ]
-    scene = Scene("two loops and more", Mechanism(bodies, joints), 1.0, 0.1)
+    scene = Scene("two_loops_and_more", Mechanism(bodies, joints), 1.0, 0.1)
     system = CompiledScene(scene)
     assert system.model.nbody > len(bodies)
     found, wanted = system.mass_properties(), MassProperties.of(scene.mechanism)

@@ -62,7 +62,7 @@ def scene() -> Scene:
         Revolute("hinge", "slider", "lid", [0.4, 0.1, 0.3], axis=[0.0, 1.0, 0.0]),
     )
     control = (PD("rail", 10.0, 1.0, 0.1),)
-    return Scene("lid scene", Mechanism(bodies, joints), (N - 1) * PERIOD, PERIOD, control=control)
+    return Scene("lid_scene", Mechanism(bodies, joints), (N - 1) * PERIOD, PERIOD, control=control)
 
 
 def motion(scene: Scene, seed: int) -> Trajectory:
@@ -298,7 +298,7 @@ def test_verdict_is_markdown(recording: Recording) -> None:
 def test_name_and_unique_identity(
     scene: Scene, runs: dict[str, Trajectory], recording: Recording, tmp_path: Path
 ) -> None:
-    assert recording.static["/__properties", "RecordingInfo:name"] == ["lid scene"]
+    assert recording.static["/__properties", "RecordingInfo:name"] == ["lid_scene"]
     for name in ("a.rrd", "b.rrd"):
         write_recording(tmp_path / name, scene, runs, VERDICT)
     (a,), (b,) = (RrdReader(tmp_path / name).recordings() for name in ("a.rrd", "b.rrd"))

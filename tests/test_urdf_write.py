@@ -12,20 +12,20 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from mechanisms import REGULAR, planar_four_bar, seven_hinges, spinning_top
+from mechanisms import REGULAR, all_universal_loop, planar_four_bar, seven_hinges, spinning_top
 
 import urdf
+from newton_euler.errors import NewtonEulerError
 from newton_euler.joints import Revolute, Universal
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.scene import Scene
 from newton_euler.state import MassProperties
-from newton_euler.tree import weld_loops
+from newton_euler.tree import motion_names, weld_loops
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import LoopFileError, NameClashError, UrdfError
 from urdf.loops import parse_loops
-from urdf.model import build, read
+from urdf.model import build
 from urdf.visual import roll_pitch_yaw
-from urdf.write import motion_names
 
 NUMBER = re.compile(r"(-?\d+\.\d+(?:e[-+]?\d+)?)")
 
@@ -103,7 +103,8 @@ def test_pinocchio_reads_masses_centres_and_inertias(build_scene):
 
 def test_pinocchio_reads_the_tracker_to_the_last_bit(tracker):
     """4e-16, two roundings: Pinocchio adds each inertia to that of an empty joint, m c / m."""
-    model = read(str(files("urdf").joinpath("tracker.urdf"))).model
+    text, loops = (files("urdf").joinpath(f"tracker.{s}").read_text() for s in ("urdf", "loops.yaml"))
+    model = build(text, parse_loops(loops, "tracker.loops.yaml")).model
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     stated = MassProperties.of(tracker.mechanism)
@@ -127,17 +128,17 @@ def test_axes_and_joint_points_at_the_start(build_scene):
     columns = np.reshape(data.J, (6, model.nv))
     checked = 0
     for kept in welded.tree.joints:
-        point = welded.mechanism.joints[kept.joint].point
-        for name, motion in zip(motion_names(welded, kept), kept.motions, strict=True):
-            joint = model.getJointId(name)
-            np.testing.assert_allclose(data.oMi[joint].translation, point, rtol=0, atol=1e-15)
-            column = columns[:, model.joints[joint].idx_v]
+        joint = welded.mechanism.joints[kept.joint]
+        for name, motion in zip(motion_names(joint, kept.forward), kept.motions, strict=True):
+            number = model.getJointId(name)
+            np.testing.assert_allclose(data.oMi[number].translation, joint.point, rtol=0, atol=1e-15)
+            column = columns[:, model.joints[number].idx_v]
             if motion.kind == "hinge":
                 np.testing.assert_allclose(column[3:], motion.axis, rtol=0, atol=1e-15)
             elif motion.kind == "slide":
                 np.testing.assert_allclose(column[:3], motion.axis, rtol=0, atol=1e-15)
             else:
-                assert model.joints[joint].shortname() == "JointModelSpherical"
+                assert model.joints[number].shortname() == "JointModelSpherical"
             checked += 1
     assert checked == len(welded.tree.motions)
 
@@ -180,9 +181,34 @@ def test_roll_pitch_yaw_turns_back_into_the_rotation(pitch):
 def test_write_puts_both_files_side_by_side(tracker, tmp_path):
     urdf.write(tracker, tmp_path / "model.urdf")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.loops.yaml", "model.urdf"]
-    closed = read(tmp_path / "model.urdf")
+    assert (tmp_path / "model.urdf").read_text() == urdf.to_urdf(tracker)
+    assert (tmp_path / "model.loops.yaml").read_text() == urdf.to_loops(tracker)
+
+
+def test_a_path_that_cannot_be_written_is_named(tracker, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(UrdfError, match=r"cannot write .*file/model\.urdf': ") as caught:
+        urdf.write(tracker, tmp_path / "file" / "model.urdf")
+    assert isinstance(caught.value, NewtonEulerError)
+
+
+def test_built_tracker_has_two_closures(tracker):
+    loops = parse_loops(urdf.to_loops(tracker), "tracker.loops.yaml")
+    closed = build(urdf.to_urdf(tracker), loops)
     assert (closed.model.nv, len(closed.constraints)) == (8, 2)
-    assert closed.motors == ("slide_12", "slide_13")
+    assert loops.name_mot == ("slide_12", "slide_13")
+
+
+def test_names_of_motions_count_from_the_first_body_to_the_second():
+    """As in the MJCF, whichever way round the tree has the joint."""
+    robot = ElementTree.fromstring(urdf.to_urdf(all_universal_loop()))
+    links = {joint.get("name"): joint.find("child").get("link") for joint in robot.findall("joint")}
+    # at_b joins the coupler, its first body, to the crank; the tree goes from the crank to the coupler
+    assert links["at_b_2"] == "at_b_2_link"
+    assert links["at_b_1"] == "coupler"
+    # at_d joins the ground to the rocker, and the tree too
+    assert links["at_d_1"] == "at_d_1_link"
+    assert links["at_d_2"] == "rocker"
 
 
 def test_write_wants_the_suffix(tracker, tmp_path):
@@ -270,13 +296,6 @@ def test_text_that_is_no_loop_file(text):
         parse_loops(text, "some.loops.yaml")
 
 
-def test_files_that_cannot_be_read(tmp_path, tracker):
-    with pytest.raises(UrdfError, match=r"gone\.urdf"):
-        read(tmp_path / "gone.urdf")
-    urdf.write(tracker, tmp_path / "model.urdf")
-    (tmp_path / "model.urdf").write_text("<robot/>")
+def test_text_that_is_no_urdf(tracker):
     with pytest.raises(UrdfError, match="not a URDF"):
-        read(tmp_path / "model.urdf")
-    (tmp_path / "model.loops.yaml").unlink()
-    with pytest.raises(UrdfError, match=r"model\.loops\.yaml"):
-        read(tmp_path / "model.urdf")
+        build("<robot/>", parse_loops(urdf.to_loops(tracker), "tracker.loops.yaml"))

@@ -19,14 +19,16 @@ from newton_euler.scene import Scene
 from newton_euler.solve import rank
 from newton_euler.state import Evaluation, MassProperties, State
 from newton_euler.tree import weld_loops
+from urdf.errors import UrdfError
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia
 from urdf.reactions import Actuator, joint_wrenches, reactions
 from urdf.write import to_loops, to_urdf
 
 PROXIMAL_MU = 1e-6
-"""Regularisation of redundant closures against the mean of the diagonal of J M^-1 J^T. Iterations
-take its effect out again; a smaller one lets forces that no acceleration sees grow with drift."""
+"""Regularisation of redundant closures against the mean of the diagonal of J M^-1 J^T, in units of the
+mechanism's size and mass, or against 1 if that is larger. Iterations take its effect out again; a
+smaller one lets forces that no acceleration sees grow with drift."""
 
 PROXIMAL_ACCURACY = 1e-13
 """Relative change between iterations at which they end."""
@@ -40,8 +42,11 @@ class PinocchioSystem:
     q (nq,) and v (nv,) are coordinates of the spanning tree of the welded mechanism, as in
     `newton_euler.tree`: zero at the initial pose, quaternions w-x-y-z.
 
+    Accelerations are worked out in units of the mechanism's size and mass, so that rows in metres and
+    rows in radians weigh alike in the regularisation of redundant closures.
+
     Attributes:
-        closed: the Pinocchio model and its closures.
+        closed: the Pinocchio model and its closures, SI units.
         map: between q, v and Pinocchio's.
     """
 
@@ -58,17 +63,31 @@ class PinocchioSystem:
         self._welded = weld_loops(scene.mechanism)
         self._tree = self._welded.tree
         self.nq, self.nv = self._tree.nq, self._tree.nv
-        loops = parse_loops(to_loops(scene), f"{scene.name}.loops.yaml")
-        self.closed = build(to_urdf(scene), loops, alpha)
+        if self.nv == 0:  # its bindings crash on empty Jacobians
+            raise UrdfError(f"scene {scene.name!r}: no joint can move; needed by Pinocchio: one that can")
+        text, loops = to_urdf(scene), parse_loops(to_loops(scene), f"{scene.name}.loops.yaml")
+        self.closed = build(text, loops, alpha)
         self._model = self.closed.model
         self._model.gravity = pin.Motion(scene.gravity, np.zeros(3))
         self.map = CoordinateMap(self._model, self._welded)
         self._bodies = self._add_body_frames()
         self._data = self._model.createData()
+        self._length = self._tree.mechanism.size
+        self._mass = sum(body.mass for body in self.mechanism.bodies[1:])
+        self.velocity_units = self._tree.velocity_units
+        self.phi_units = np.concatenate([np.zeros(0), *(self._units(c) for c in self.closed.constraints)])
+        self._q_units = np.ones(self.nq)
+        for motion, on_q, _ in self._tree.motions:
+            self._q_units[on_q] = self._length if motion.kind == "slide" else 1.0
+        self._scaled = build(text, loops, alpha, self._length, self._mass)
+        self._scaled.model.gravity = pin.Motion(scene.gravity / self._length, np.zeros(3))
+        self._scaled_data = self._scaled.model.createData()
         self._constraint_data = pin.StdVec_RigidConstraintData(
-            [constraint.createData() for constraint in self.closed.constraints]
+            [constraint.createData() for constraint in self._scaled.constraints]
         )
-        pin.initConstraintDynamics(self._model, self._data, self.closed.constraints, self._constraint_data)
+        pin.initConstraintDynamics(
+            self._scaled.model, self._scaled_data, self._scaled.constraints, self._constraint_data
+        )
         self._actuators = [self._actuator(law.joint, law.coordinate) for law in scene.control]
         self._proximal = self._proximal_settings()
 
@@ -101,14 +120,22 @@ class PinocchioSystem:
         Pinocchio returns NaN for redundant closures without regularisation.
         """
         q, _ = self.coordinates(self.scene.initial_state)
-        jacobian = self.phi_jacobian(q)
+        jacobian = self.phi_jacobian(q) * self.velocity_units / self.phi_units[:, None]
         if rank(jacobian) == len(jacobian):
-            return pin.ProximalSettings(PROXIMAL_ACCURACY, 0.0, 1)
+            return pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, 0.0, 1)
         # Pinocchio fills only the upper half
-        upper = np.triu(pin.crba(self._model, self._data, self.map.q_to_pinocchio(q)))
+        upper = np.triu(
+            pin.crba(self._scaled.model, self._scaled_data, self.map.q_to_pinocchio(q / self._q_units))
+        )
         mass = self.map.v_from_pinocchio(self.map.v_from_pinocchio(upper + np.triu(upper, 1).T).T)
-        scale = np.mean(np.sum(jacobian.T * np.linalg.solve(mass, jacobian.T), axis=0))
-        return pin.ProximalSettings(PROXIMAL_ACCURACY, PROXIMAL_MU * scale, PROXIMAL_ITERATIONS)
+        mean = np.mean(np.sum(jacobian.T * np.linalg.solve(mass, jacobian.T), axis=0))
+        mu = PROXIMAL_MU * max(mean, 1.0)
+        return pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, mu, PROXIMAL_ITERATIONS)
+
+    def _units(self, closure: Any) -> Array:
+        """(3,) or (6,) what makes a closure's rows dimensionless."""
+        units = np.repeat([self._length, 1.0], 3)
+        return units if closure.type == pin.ContactType.CONTACT_6D else units[:3]
 
     # What integrators, projection and assembly ask for
 
@@ -135,12 +162,12 @@ class PinocchioSystem:
         for actuator, u in zip(self._actuators, self.actuation(q, v), strict=True):
             force[actuator.on_v] += u
         acceleration = pin.constraintDynamics(
-            self._model,
-            self._data,
-            self.map.q_to_pinocchio(q),
-            self.map.v_to_pinocchio(v),
-            self.map.v_to_pinocchio(force),
-            self.closed.constraints,
+            self._scaled.model,
+            self._scaled_data,
+            self.map.q_to_pinocchio(q / self._q_units),
+            self.map.v_to_pinocchio(v / self.velocity_units),
+            self.map.v_to_pinocchio(force * self.velocity_units / (self._mass * self._length**2)),
+            self._scaled.constraints,
             self._constraint_data,
             self._proximal,
         )
@@ -150,7 +177,13 @@ class PinocchioSystem:
                 ", ".join(names) or self.mechanism.joint_names[0],
                 "Pinocchio's constraintDynamics returned numbers that are not finite",
             )
-        return self.map.v_from_pinocchio(acceleration)
+        return self.velocity_units * self.map.v_from_pinocchio(acceleration)
+
+    def _closure_wrenches(self) -> list[Any]:
+        """What the closures do to their second bodies, about the world's origin, SI units."""
+        wrenches = [-data.oMc1.act(data.contact_force) for data in self._constraint_data]
+        force = self._mass * self._length
+        return [pin.Force(w.linear * force, w.angular * force * self._length) for w in wrenches]
 
     def phi(self, q: Array) -> Array:
         """Residuals (k,) of the closures by Pinocchio's frame placements.
@@ -243,7 +276,7 @@ class PinocchioSystem:
             SingularityError: where Pinocchio has no finite accelerations.
         """
         qddot = self.acceleration(q, v)
-        closure_wrenches = [-data.oMc1.act(data.contact_force) for data in self._constraint_data]
+        closure_wrenches = self._closure_wrenches()
         pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
         pin_a = self.map.v_to_pinocchio(qddot)
         pin.forwardKinematics(self._model, self._data, pin_q, pin_v, pin_a)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from newton_euler.errors import NewtonEulerError
 
-class UrdfError(Exception):
-    """Base of every error that `urdf` raises on purpose."""
+
+class UrdfError(NewtonEulerError):
+    """Base of the errors of URDF models and files; reads as one line."""
 
 
 class NameClashError(UrdfError):

@@ -6,19 +6,16 @@ is the one place where that meets the coordinates of `newton_euler`.
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from newton_euler.scalars import Array
-from newton_euler.tree import WeldedMechanism
+from newton_euler.tree import WeldedMechanism, motion_names
 from urdf.errors import LoopFileError, UrdfError
-from urdf.loops import Loops, parse_loops
-from urdf.write import loops_path, motion_names
+from urdf.loops import Loops
 
 GROUND = "universe"
 """Pinocchio's name of the joint that everything hangs on."""
@@ -32,37 +29,23 @@ class ClosedLoopModel:
         model: `pinocchio.Model`.
         constraints: `pinocchio.StdVec_RigidConstraintModel`, one for each pair of `closed_loop`.
         frames: indices of those pairs of frames.
-        motors: names of the joints with a motor.
     """
 
     model: Any
     constraints: Any
     frames: tuple[tuple[int, int], ...]
-    motors: tuple[str, ...]
 
 
-def read(path: str | os.PathLike[str]) -> ClosedLoopModel:
-    """Read a URDF and the loop file `<stem>.loops.yaml` beside it.
-
-    Raises:
-        UrdfError: for files that cannot be read; `LoopFileError` for a bad loop file.
-    """
-    texts = []
-    for file in (Path(path), loops_path(path)):
-        try:
-            texts.append(file.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise UrdfError(f"cannot read {os.fspath(file)!r}: {error}") from error
-    return build(texts[0], parse_loops(texts[1], loops_path(path).name))
-
-
-def build(urdf: str, loops: Loops, alpha: float = 0.0) -> ClosedLoopModel:
+def build(
+    urdf: str, loops: Loops, alpha: float = 0.0, length: float = 1.0, mass: float = 1.0
+) -> ClosedLoopModel:
     """Build the model of a URDF text and its loops.
 
     Args:
-        urdf: URDF text.
+        urdf: URDF text, SI units.
         loops: what the loop file says.
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2 in every closure.
+        length, mass: the model's units, m and kg.
 
     Raises:
         UrdfError: for text that is not a URDF.
@@ -78,7 +61,7 @@ def build(urdf: str, loops: Loops, alpha: float = 0.0) -> ClosedLoopModel:
         for name in names:
             if name not in list(placeholder.names)[1:]:
                 raise LoopFileError(loops.source, key, f"the URDF has no moving joint {name!r}")
-    model = _with_balls(placeholder, loops.joint_name)
+    model = _rebuilt(placeholder, loops.joint_name, length, mass)
 
     constraints = pin.StdVec_RigidConstraintModel()
     frames = []
@@ -102,20 +85,29 @@ def build(urdf: str, loops: Loops, alpha: float = 0.0) -> ClosedLoopModel:
         )
         constraints.append(constraint)
         frames.append((first, second))
-    return ClosedLoopModel(model, constraints, tuple(frames), loops.name_mot)
+    return ClosedLoopModel(model, constraints, tuple(frames))
 
 
-def _with_balls(placeholder: Any, names: tuple[str, ...]) -> Any:
-    """The same model with ball joints where the named joints are."""
+def _rebuilt(placeholder: Any, balls: tuple[str, ...], length: float, mass: float) -> Any:
+    """The same model with ball joints where the named joints are, in units of a length and a mass."""
+
+    def placed(placement: Any) -> Any:
+        return pin.SE3(placement.rotation, placement.translation / length)
+
+    def weighed(inertia: Any) -> Any:
+        return pin.Inertia(inertia.mass / mass, inertia.lever / length, inertia.inertia / (mass * length**2))
+
     model = pin.Model()
     model.name = placeholder.name
     for index in range(1, placeholder.njoints):
         name = placeholder.names[index]
-        joint = pin.JointModelSpherical() if name in names else placeholder.joints[index]
-        added = model.addJoint(placeholder.parents[index], joint, placeholder.jointPlacements[index], name)
-        model.appendBodyToJoint(added, placeholder.inertias[index], pin.SE3.Identity())
-    model.inertias[0] = placeholder.inertias[0]  # of links that are fixed to the root
+        joint = pin.JointModelSpherical() if name in balls else placeholder.joints[index]
+        placement = placed(placeholder.jointPlacements[index])
+        added = model.addJoint(placeholder.parents[index], joint, placement, name)
+        model.appendBodyToJoint(added, weighed(placeholder.inertias[index]), pin.SE3.Identity())
+    model.inertias[0] = weighed(placeholder.inertias[0])  # of links that are fixed to the root
     for frame in list(placeholder.frames)[1:]:
+        frame.placement, frame.inertia = placed(frame.placement), weighed(frame.inertia)
         model.addFrame(frame, False)  # its inertia is in that of its joint already
     return model
 
@@ -147,7 +139,10 @@ class CoordinateMap:
     def __init__(self, model: Any, welded: WeldedMechanism) -> None:
         order_q = np.zeros(model.nq, dtype=int)
         order_v = np.zeros(model.nv, dtype=int)
-        names = [name for kept in welded.tree.joints for name in motion_names(welded, kept)]
+        joints = welded.mechanism.joints
+        names = [
+            name for kept in welded.tree.joints for name in motion_names(joints[kept.joint], kept.forward)
+        ]
         for name, (motion, on_q, on_v) in zip(names, welded.tree.motions, strict=True):
             joint = model.joints[model.getJointId(name)]
             columns = np.arange(on_q.start, on_q.stop)

@@ -13,8 +13,7 @@ from newton_euler.euler_parameters import rotation
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import State
-from newton_euler.tree import WeldedMechanism
-from urdf.write import motion_names
+from newton_euler.tree import WeldedMechanism, motion_names
 
 
 class Actuator(NamedTuple):
@@ -62,7 +61,7 @@ def joint_wrenches(
         wrenches[cut] = wrench
     for kept in reversed(tree.joints):
         if kept.motions:
-            last = model.getJointId(motion_names(welded, kept)[-1])
+            last = model.getJointId(motion_names(joints[kept.joint], kept.forward)[-1])
             on_child = data.oMi[last].act(data.f[last]).vector
         else:
             # Pinocchio merges links that a fixed joint connects: what is left of the child's balance

@@ -22,7 +22,7 @@ from newton_euler.mechanism import Body
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.trajectory import atomic_file
-from newton_euler.tree import TreeJoint, WeldedMechanism, weld_loops
+from newton_euler.tree import TreeJoint, WeldedMechanism, motion_names, weld_loops
 from urdf.errors import NameClashError, UrdfError
 from urdf.visual import add_materials, add_visual, color, numbers
 
@@ -34,8 +34,9 @@ def to_urdf(scene: Scene) -> str:
     """The mechanism of a scene as URDF text.
 
     Links are named as the bodies, joints as the joints (`<joint>_1`, `<joint>_2`, ... for the parts
-    of a joint with several motions). Ball joints are placeholders, revolute, for the loop file to
-    replace. Gravity, control and the initial state are the scene's and not in the text.
+    of a joint with several motions, from its first body to its second). Ball joints are placeholders,
+    revolute, for the loop file to replace. Gravity, control and the initial state are the scene's and
+    not in the text.
 
     Raises:
         NameClashError: if the parts of a joint are named as another joint or body is.
@@ -75,10 +76,11 @@ def to_loops(scene: Scene) -> str:
     joints = welded.mechanism.joints
     balls, motors = [], []
     for kept in welded.tree.joints:
-        for name, motion in zip(motion_names(welded, kept), kept.motions, strict=True):
+        joint = joints[kept.joint]
+        for name, motion in zip(motion_names(joint, kept.forward), kept.motions, strict=True):
             if motion.kind == "ball":
                 balls.append(name)
-            elif joints[kept.joint].actuated:
+            elif joint.actuated:
                 motors.append(name)
     cuts = [joints[k] for k in welded.tree.cuts]
     document = {
@@ -95,25 +97,24 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write `<path>`, which must end in .urdf, and `<stem>.loops.yaml` beside it.
 
     Each file appears whole or not at all.
+
+    Raises:
+        UrdfError: for another suffix, a path that cannot be written, or names that clash.
     """
     if Path(path).suffix != ".urdf":
         raise UrdfError(f"cannot write {os.fspath(path)!r}; needed: a name that ends in .urdf")
-    with atomic_file(path) as urdf, atomic_file(loops_path(path)) as loops:
-        urdf.write_text(to_urdf(scene), encoding="utf-8")
-        loops.write_text(to_loops(scene), encoding="utf-8")
+    texts = to_urdf(scene), to_loops(scene)
+    try:
+        with atomic_file(path) as urdf, atomic_file(loops_path(path)) as loops:
+            urdf.write_text(texts[0], encoding="utf-8")
+            loops.write_text(texts[1], encoding="utf-8")
+    except OSError as error:
+        raise UrdfError(f"cannot write {os.fspath(path)!r}: {error.strerror}") from error
 
 
 def loops_path(path: str | os.PathLike[str]) -> Path:
     """Where the loop file of a URDF is."""
     return Path(path).with_suffix(".loops.yaml")
-
-
-def motion_names(welded: WeldedMechanism, kept: TreeJoint) -> list[str]:
-    """Names of the URDF joints that a joint of the tree is made of, one for each of its motions."""
-    name = welded.mechanism.joint_names[kept.joint]
-    if len(kept.motions) == 1:
-        return [name]
-    return [f"{name}_{k}" for k in range(1, len(kept.motions) + 1)]
 
 
 def closures(welded: WeldedMechanism) -> list[list[tuple[str, int, Array]]]:
@@ -147,12 +148,12 @@ def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> 
 
 def _add_chain(robot: Element, welded: WeldedMechanism, kept: TreeJoint, origins: list[Array]) -> None:
     """One joint of the tree: a chain from its parent's link to its child's."""
-    names = welded.mechanism.body_names
+    names, joint = welded.mechanism.body_names, welded.mechanism.joints[kept.joint]
     parent, child = names[kept.parent], names[kept.child]
     offset = origins[kept.child] - origins[kept.parent]
     if not kept.motions:
-        _add_joint(robot, "fixed", welded.mechanism.joint_names[kept.joint], parent, child, offset)
-    for name, motion in zip(motion_names(welded, kept), kept.motions, strict=True):
+        _add_joint(robot, "fixed", joint.name, parent, child, offset)
+    for name, motion in zip(motion_names(joint, kept.forward), kept.motions, strict=True):
         last = motion is kept.motions[-1]
         link = child if last else f"{name}_link"
         if not last:

@@ -15,7 +15,7 @@ SCENES: dict[str, Callable[..., Scene]] = {"tracker": tracker}
 """Functions that make a scene, by the scene's name. Their arguments are the scene's options."""
 
 
-def load(name: str, **options: str) -> Scene:
+def load(name: str, /, **options: str) -> Scene:
     """The scene of that name, or of that scene file (.yaml, .yml or .json).
 
     Args:

@@ -1,0 +1,282 @@
+"""Verdicts: sound mechanisms agree however they move or rest, and small errors are found and placed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mechanisms import GRAVITY, REGULAR, bar, pendulum, planar_four_bar, scaled, seven_hinges
+
+import mjcf
+import newton_euler
+from crosscheck.compare import Row, compare, compare_equations, compare_models
+from crosscheck.energy import energy_balance, energy_scale
+from crosscheck.engines import ENGINES
+from crosscheck.scenes import load
+from newton_euler.assemble import random_states
+from newton_euler.joints import Free, Revolute
+from newton_euler.mechanism import Body, Mechanism
+from newton_euler.scene import Scene
+
+EXAMPLE = str(Path(__file__).parents[1] / "examples" / "four_bar.yaml")
+ALL = tuple(ENGINES.values())
+
+
+def verdicts(scene, engines=ALL, states=3):
+    return compare(scene, engines, {engine.name: engine.simulate(scene) for engine in engines}, states)
+
+
+def assert_agrees(rows):
+    assert rows
+    assert [row for row in rows if not row.agrees] == []
+
+
+def figure(rows, level, quantity, *between):
+    (row,) = (row for row in rows if (row.level, row.quantity, row.between) == (level, quantity, between))
+    return row
+
+
+def free_body(gravity=(0.0, 0.0, 0.0)):
+    body = bar("stone", [1.0, 1.0, 1.0], [1.2, 1.0, 1.3])
+    mechanism = Mechanism([Body.ground(), body], [Free("floats", "ground", "stone", [0.0, 0.0, 0.0])])
+    return Scene("free_body", mechanism, 0.2, 0.02, gravity)
+
+
+def truss(gravity=(0.0, 0.0, 0.0)):
+    """Two bars and three parallel hinges: a loop that cannot move."""
+    a, b, c = [0.0, 0.0, 0.0], [0.4, 0.0, 0.5], [1.0, 0.0, 0.0]
+    joints = [
+        Revolute("at_a", "ground", "left", a, axis=[0.0, 1.0, 0.0]),
+        Revolute("at_b", "left", "right", b, axis=[0.0, 1.0, 0.0]),
+        Revolute("at_c", "ground", "right", c, axis=[0.0, 1.0, 0.0]),
+    ]
+    mechanism = Mechanism([Body.ground(), bar("left", a, b), bar("right", b, c)], joints)
+    return Scene("truss", mechanism, 0.2, 0.02, gravity)
+
+
+RESTING = {
+    "free body at rest": free_body,
+    "free fall": lambda: free_body(GRAVITY),
+    "truss": truss,
+    "truss with a weight": lambda: truss(GRAVITY),
+    "hanging pendulum": lambda: pendulum(angle=0.0),
+    "planar four-bar without gravity": lambda: replace(planar_four_bar(), gravity=np.zeros(3)),
+    "seven hinges without gravity": lambda: replace(seven_hinges(), gravity=np.zeros(3)),
+    "four-bar that nothing drives": lambda: replace(load(EXAMPLE), control=(), gravity=np.zeros(3)),
+}
+
+
+@pytest.mark.parametrize("kind", RESTING)
+def test_what_rests_or_falls_agrees(kind):
+    assert_agrees(verdicts(replace(RESTING[kind](), duration=0.2, output_period=0.02)))
+
+
+@pytest.mark.parametrize("build", [*REGULAR, planar_four_bar], ids=lambda build: build.__name__)
+def test_mechanisms_agree(build):
+    assert_agrees(verdicts(replace(build(), duration=0.3, output_period=0.02)))
+
+
+@pytest.mark.parametrize("factor", [0.05, 1e3])
+def test_mechanisms_of_other_sizes_agree(factor):
+    scene = scaled(replace(planar_four_bar(), duration=0.1, output_period=0.02), factor)
+    assert_agrees(verdicts(scene))
+
+
+def test_errors_that_grow_are_measured():
+    """After 3 s the swinging loop has made 1e-10 a step into 3e-8, and MuJoCo's springs into 5e-5."""
+    rows = verdicts(replace(planar_four_bar(), duration=3.0))
+    assert_agrees(rows)
+    own, soft = (
+        figure(rows, "trajectories", "positions, m", "newton_euler", name) for name in ("pinocchio", "mujoco")
+    )
+    assert own.value > 2e-9  # more than the fixed shares of the two
+    assert soft.value > 1e-5
+
+
+def test_tracker_is_held_to_what_it_can_meet(tracker, tracker_run):
+    engines = [ENGINES["newton_euler"], ENGINES["mujoco"]]
+    rows = compare(tracker, engines, {"newton_euler": tracker_run(), "mujoco": mjcf.simulate(tracker)}, 5)
+    assert_agrees(rows)
+    for row in rows:
+        if row.level in ("model", "kinematics", "accelerations and reactions") and not row.informs:
+            assert row.value < 1e-13, row  # round-off at condition 1e4, relative to the mechanism's motion
+    # errors of order 2 in a step of 1 ms: 7.3e-9 m, and a bound three times that
+    assert 1e-8 < figure(rows, "trajectories", "positions, m", "newton_euler", "mujoco").tolerance < 5e-8
+    # a spline through points 10 ms apart misses 1e-6 where the dampers act within 9 ms
+    assert figure(rows, "energy", "energy less work, rel", "newton_euler").tolerance < 5e-5
+
+
+def with_joint(scene, index, **values):
+    joints = list(scene.mechanism.joints)
+    joints[index] = replace(joints[index], **values)
+    return replace(scene, mechanism=Mechanism(scene.mechanism.bodies, joints), initial_state=None)
+
+
+def with_body(scene, index, **values):
+    bodies = list(scene.mechanism.bodies)
+    bodies[index] = replace(bodies[index], **values)
+    return replace(scene, mechanism=Mechanism(bodies, scene.mechanism.joints), initial_state=None)
+
+
+def heavier(scene, share=1e-6):
+    return with_body(scene, 2, mass=(1.0 + share) * scene.mechanism.bodies[2].mass)
+
+
+def with_other_inertia(scene):
+    changed = np.array(scene.mechanism.bodies[2].inertia)
+    changed[1, 1] *= 1.0 + 1e-6
+    return with_body(scene, 2, inertia=changed)
+
+
+def with_other_point(scene):
+    point = scene.mechanism.joints[1].point + np.array([1e-6 * scene.mechanism.size, 0.0, 0.0])
+    return with_joint(scene, 1, point=point, point_on_second=point)
+
+
+def with_other_axis(scene):
+    return with_joint(scene, 3, axis=[1e-6, 1.0, 0.0])
+
+
+def with_other_gain(scene):
+    (law,) = scene.control
+    return replace(scene, control=(replace(law, stiffness=(1.0 + 1e-6) * law.stiffness),))
+
+
+def mistaken(engine, mistake):
+    """An engine that takes every scene for another."""
+    return replace(
+        engine,
+        simulate=lambda scene: engine.simulate(mistake(scene)),
+        refined=lambda scene: engine.refined(mistake(scene)),
+        systems=lambda scene: engine.systems(mistake(scene)),
+        soft_start=None,
+    )
+
+
+MISTAKES = [
+    (heavier, "model", "mass, rel", "coupler"),
+    (with_other_inertia, "model", "inertia, rel", "coupler"),
+    (with_other_point, "kinematics", "constraint Jacobian", None),
+    (with_other_axis, "kinematics", "positions, m", None),
+    (with_other_gain, "accelerations and reactions", "linear acceleration, rel", None),
+]
+
+
+@pytest.mark.parametrize("name", ["newton_euler", "mujoco", "pinocchio"])
+@pytest.mark.parametrize(("mistake", "level", "quantity", "where"), MISTAKES)
+def test_an_error_of_a_millionth_in_one_engine_is_found(name, mistake, level, quantity, where):
+    scene = load(EXAMPLE)
+    engines = [replace(engine, soft_start=None) for engine in ALL]
+    engines = [mistaken(e, mistake) if e.name == name else e for e in engines]
+    systems = {engine.name: engine.systems(scene) for engine in engines}
+    states = [scene.initial_state, *random_states(scene, 5)]
+    rows = [*compare_models(scene, systems), *compare_equations(scene, engines, systems, states)]
+    failed = [row for row in rows if not row.agrees]
+    assert all(name in row.between for row in failed if set(row.between) <= set(ENGINES))
+    assert (failed[0].level, failed[0].quantity) == (level, quantity)
+    if where is not None:
+        assert failed[0].where == where
+
+
+def test_refinement_does_not_excuse_a_wrong_model():
+    """The refined run has the same error; only what the step is to blame for may differ."""
+    scene = replace(load(EXAMPLE), duration=0.3)
+    wrong = mistaken(ENGINES["mujoco"], lambda scene: heavier(scene, 1e-3))
+    rows = verdicts(scene, [ENGINES["newton_euler"], replace(wrong, systems=ENGINES["mujoco"].systems)])
+    assert next(row for row in rows if not row.agrees).level == "trajectories"
+
+
+def test_refinement_excuses_no_more_than_a_hundredth():
+    scene = replace(pendulum(), duration=0.2)
+    own = ENGINES["newton_euler"]
+
+    def elsewhere(scene):
+        run = own.simulate(scene)
+        return replace(run, position=run.position + 1.0)
+
+    rows = verdicts(scene, [own, replace(ENGINES["pinocchio"], simulate=elsewhere)])
+    row = figure(rows, "trajectories", "positions, m", "newton_euler", "pinocchio")
+    assert not row.agrees
+    assert row.tolerance < 0.05
+
+
+def test_systems_are_made_once_and_runs_refined_once_if_at_all():
+    calls = Counter()
+
+    def counted(engine):
+        def count(what):
+            def call(scene):
+                calls[engine.name, what] += 1
+                return getattr(engine, what)(scene)
+
+            return call
+
+        return replace(engine, systems=count("systems"), refined=count("refined"))
+
+    engines = [counted(engine) for engine in ALL]
+    verdicts(replace(pendulum(angle=0.0), duration=0.1), engines)
+    assert calls == {(name, "systems"): 1 for name in ENGINES}
+    calls.clear()
+    verdicts(replace(planar_four_bar(), duration=0.3), engines)
+    assert calls["mujoco", "refined"] == 1
+    assert max(calls.values()) == 1
+
+
+def test_a_figure_that_informs_is_not_judged():
+    row = Row("drift", "open joints, m or rad", ("mujoco",), 0.5, 1e-2, "pin")
+    assert not row.agrees
+    assert replace(row, informs=True).agrees
+    assert not replace(row, value=float("nan")).agrees
+
+
+def example(period, damping=0.5):
+    scene = replace(load(EXAMPLE), output_period=period)
+    return replace(scene, control=(replace(scene.control[0], damping=damping),))
+
+
+def every(run, n):
+    """A run of whose outputs only every n-th is left."""
+    names = ("time", "position", "quaternion", "linear_velocity", "angular_velocity", "actuator_force")
+    energies = ("kinetic_energy", "potential_energy")
+    return replace(run, **{name: getattr(run, name)[::n] for name in (*names, *energies)})
+
+
+@pytest.mark.parametrize("damping", [0.05, 0.5, 5.0, 50.0])
+def test_quadrature_of_the_work_is_not_underestimated(damping):
+    """Down to transients that begin and end between two outputs (50 N m s/rad: about 1 ms)."""
+    scene = example(0.01, damping)
+    run = newton_euler.simulate(scene)
+    for n in (1, 2, 5, 10, 20, 50):
+        balance = energy_balance(scene, every(run, n))
+        # 1e-8 of the energy: what integration at rtol 1e-10 may miss
+        assert np.abs(balance.residual).max() < balance.quadrature + 1e-8 * balance.exchanged, n
+
+
+@pytest.mark.parametrize(("period", "judged"), [(0.01, True), (0.1, True), (0.5, False), (1.0, False)])
+def test_energy_is_judged_where_outputs_are_close_enough(period, judged):
+    rows = verdicts(example(period), [ENGINES["newton_euler"]])
+    assert_agrees(rows)
+    assert ("energy less work, rel" in {row.quantity for row in rows}) == judged
+
+
+def test_energy_balance_sees_missing_energy(tracker, tracker_run):
+    run = tracker_run()
+    lossy = replace(run, kinetic_energy=run.kinetic_energy * (1.0 + 1e-3))
+    scale = energy_scale(tracker, [tracker.initial_state, *random_states(tracker, 5)])
+
+    def excess(run):
+        balance = energy_balance(tracker, run)
+        unit = max(scale, balance.exchanged)
+        return np.abs(balance.residual).max() - balance.quadrature - 1e-8 * unit
+
+    assert excess(run) < 0.0 < excess(lossy)
+
+
+def test_energy_needs_its_outputs():
+    scene = replace(pendulum(), outputs=frozenset({"velocities", "reactions", "violation"}), duration=0.1)
+    rows = verdicts(scene, [ENGINES["newton_euler"], ENGINES["pinocchio"]])
+    assert_agrees(rows)
+    assert "energy" not in {row.level for row in rows}

@@ -1,0 +1,133 @@
+"""Redundant constraints and mechanisms of any size: what is unique must not depend on either."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mechanisms import REGULAR, ball_loop, bolted, pendulum, planar_four_bar, scaled
+
+import newton_euler
+from newton_euler.assemble import random_states
+from newton_euler.cartesian import Cartesian
+from newton_euler.control import PD
+from newton_euler.joints import Fixed, Revolute, Spherical
+from newton_euler.mechanism import Mechanism
+from newton_euler.relative import Relative
+from newton_euler.solve import independent_rows, minimum_norm, rank
+from newton_euler.state import State
+
+FORMULATIONS = (Relative, Cartesian)
+
+
+def accelerations(formulation, scene, state):
+    system = formulation(scene)
+    at = system.evaluate(*system.coordinates(state))
+    return at.linear_acceleration, at.angular_acceleration
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("factor", [1e-3, 0.03, 1.0, 30.0, 1e3])
+@pytest.mark.parametrize("build", [planar_four_bar, ball_loop], ids=lambda build: build.__name__)
+def test_accelerations_scale_with_the_mechanism(formulation, factor, build):
+    scene = build()
+    small = scaled(scene, factor)
+    for state in random_states(scene, 3):
+        grown = replace(
+            state, position=factor * state.position, linear_velocity=factor * state.linear_velocity
+        )
+        linear, angular = accelerations(Relative, scene, state)
+        found = accelerations(formulation, small, grown)
+        # dimensionless systems of condition below 1e5
+        assert np.abs(found[0] / factor - linear).max() < 1e-10 * np.abs(linear).max()
+        assert np.abs(found[1] - angular).max() < 1e-10 * np.abs(angular).max()
+
+
+BOLTS = [(Fixed, {}), (Spherical, {}), (Revolute, {"axis": [0.3, 0.5, -0.2]})]
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize(("kind", "axes"), BOLTS, ids=[kind.kind for kind, _ in BOLTS])
+def test_a_second_bolt_changes_nothing(formulation, kind, axes):
+    one, two = bolted(None), bolted(kind, **axes)
+    for state in random_states(one, 3):
+        for found, wanted in zip(
+            accelerations(formulation, two, state), accelerations(Relative, one, state), strict=True
+        ):
+            assert np.abs(found - wanted).max() < 1e-11 * np.abs(wanted).max()  # condition below 1e4
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_redundant_reactions_are_the_smallest(formulation):
+    """Of all multipliers with the same accelerations: orthogonal to those that do nothing."""
+    system = formulation(planar_four_bar())
+    state = random_states(system.scene, 1)[0]
+    q, v = system.coordinates(state)
+    if formulation is Cartesian:
+        jacobian, units = system.joint_jacobian(q, system.frames(q, v))[0], system.row_units
+        multipliers = system.solve(q, v)[1]
+    else:
+        links = system.links(q, v)
+        jacobian, units = system.loop_terms(links)[1], system.phi_units
+        multipliers = system._solve(q, v, links)[1]
+    left = (jacobian * system.velocity_units / units[:, None]).T
+    _, s, vt = np.linalg.svd(left)
+    idle = vt[np.sum(s > 1e-9) :]
+    assert len(idle) == 3  # a flat loop in space has three equations too many
+    assert np.abs(idle @ (units * multipliers)).max() < 1e-10 * np.abs(units * multipliers).max()
+
+
+def test_rank_is_absolute_as_well_as_relative():
+    assert rank(1e-15 * np.eye(3)) == 0
+    assert rank(np.diag([1e6, 1.0, 1e-8])) == 2
+    assert rank(np.zeros((0, 3))) == 0
+    ones = np.ones(3)
+    assert independent_rows(np.array([[1.0, 0, 0], [2.0, 0, 0], [0, 1e-14, 0]]), ones, ones).shape == (3, 1)
+    x = minimum_norm(np.array([[1.0, 1.0, 0.0]]), np.array([2.0]), np.ones(1), np.array([1.0, 1.0, 5.0]))
+    assert x == pytest.approx([1.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize("formulation", ["relative", "cartesian"])
+@pytest.mark.parametrize("target", [4.0, -7.0])
+def test_a_hinge_is_driven_past_half_a_turn(formulation, target):
+    """The law's angle is the one turned through, not the one that poses show."""
+    scene = pendulum()
+    joint = replace(scene.mechanism.joints[0], actuated=True)
+    driven = replace(
+        scene,
+        mechanism=Mechanism(scene.mechanism.bodies, [joint]),
+        control=(PD("pivot", 20.0, 5.0, target),),
+        gravity=(0.0, 0.0, 0.0),
+        duration=8.0,
+        initial_state=None,
+    )
+    run = newton_euler.simulate(driven, formulation)
+    assert abs(run.actuator_force[0, 0]) == pytest.approx(20.0 * abs(target))
+    assert np.abs(run.actuator_force[-1]).max() < 1e-6  # e^(-4 t) of 140 N m
+    a = np.arctan2(run.position[-1, 1, 0], run.position[-1, 1, 2])
+    b = np.arctan2(run.position[0, 1, 0], run.position[0, 1, 2])
+    assert np.remainder(a - b - target + np.pi, 2 * np.pi) - np.pi == pytest.approx(0.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("build", REGULAR, ids=lambda build: build.__name__)
+def test_assembly_closes_a_disturbed_state(build):
+    scene = build()
+    rng = np.random.default_rng(4)
+    start = State.initial(scene.mechanism)
+    loose = State(
+        start.position
+        + 1e-3 * rng.standard_normal(start.position.shape) * (start.position != 0.0).any(axis=1)[:, None],
+        start.quaternion,
+        rng.standard_normal(start.position.shape),
+        rng.standard_normal(start.position.shape),
+    )
+    state = newton_euler.assemble(scene, loose)
+    frames = state.frames()
+    for equations in scene.mechanism.equations:
+        i, j = frames[equations.first], frames[equations.second]
+        assert np.abs(equations.phi(i, j)).max(initial=0.0) < 1e-14
+        assert np.abs(equations.jacobian(i, j).rate(i, j)).max(initial=0.0) < 1e-13
+    assert np.array_equal(state.position[0], start.position[0])
+    assert np.abs(state.position - loose.position).max() < 1e-2  # no farther than it must
+    assert replace(scene, initial_state=state).initial_state is state
