@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import pytest
+from command_line import short_example
 
 import newton_euler
 from crosscheck.scenes import load
@@ -36,3 +38,9 @@ def tracker_run(tracker: Scene) -> Callable[..., Trajectory]:
         return newton_euler.simulate(tracker, **options)  # type: ignore[arg-type]
 
     return run
+
+
+@pytest.fixture
+def good() -> dict[str, Any]:
+    """The content of a scene file with nothing wrong."""
+    return short_example()

@@ -1,0 +1,203 @@
+"""Scene files: what they can hold, and what is refused in one line."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+
+import pytest
+from command_line import check_refused, command, scene_file
+
+from crosscheck.scenes import load
+
+
+def changed(content, path, value):
+    """A copy of nested content with one element replaced (or removed, for value ...)."""
+    content = copy.deepcopy(content)
+    at = content
+    for key in path[:-1]:
+        at = at[key]
+    if value is ...:
+        del at[path[-1]]
+    else:
+        at[path[-1]] = value
+    return content
+
+
+BAD_SCENES = {
+    "negative mass": (("bodies", 1, "mass"), -1.0, "body 'coupler': mass is -1 kg; needed: a positive"),
+    "zero mass": (("bodies", 1, "mass"), 0.0, "body 'coupler': mass is 0 kg"),
+    "NaN": (("bodies", 0, "mass"), float("nan"), "bodies.0.mass: Input should be a valid number"),
+    "infinite point": (("joints", 0, "point"), [0.0, float("inf"), 0.0], "joints.0.point.1"),
+    "huge point": (("joints", 0, "point"), [0.0, 1e308, 0.0], "point.1: Input should be at most 1e+100"),
+    "truth for a number": (("bodies", 0, "mass"), True, "bodies.0.mass: Input should be a valid number"),
+    "truth for an index": (("control", 0, "coordinate"), True, "control.0.coordinate: Input should be a"),
+    "asymmetric inertia": (("bodies", 1, "inertia", 0, 1), 0.001, "body 'coupler': inertia differs from"),
+    "indefinite inertia": (("bodies", 1, "inertia", 0, 0), -0.004, "a positive definite inertia"),
+    "unrealisable inertia": (("bodies", 1, "inertia", 0, 0), 0.9, "body 'coupler': principal moments"),
+    "quaternion not of unit norm": (("bodies", 1, "quaternion"), [1.0, 0.1, 0, 0], "quaternion has norm"),
+    "quaternion of three": (("bodies", 1, "quaternion"), [1.0, 0.0, 0.0], "bodies.1.quaternion"),
+    "zero axis": (("joints", 0, "axis"), [0.0, 0.0, 0.0], "joint 'motor': axis is [0.0, 0.0, 0.0]; needed"),
+    "missing axis": (("joints", 0, "axis"), ..., "joint 'motor': a revolute joint needs axis, got none"),
+    "slanted universal": (("joints", 2, "axis_on_second"), [1.0, 1.0, 0.0], "perpendicular axes"),
+    "unknown body": (("joints", 1, "second"), "piston", "connects an unknown body 'piston'; needed: one of"),
+    "joint to itself": (("joints", 1, "second"), "crank", "connects 'crank' to itself"),
+    "unknown joint kind": (("joints", 1, "kind"), "rubber", "unknown kind 'rubber'; choose from: fixed,"),
+    "open loop": (("joints", 1, "point_on_second"), [0, 0, 0.201], "joint 'elbow': is open by 0.001 m"),
+    "duplicate body": (("bodies", 1, "name"), "crank", "body 'crank': 2 of that name; needed: unique"),
+    "duplicate joint": (("joints", 1, "name"), "motor", "joint 'motor': 2 of that name"),
+    "unusable name": (("bodies", 1, "name"), "a/b <c>", "has an unusable name"),
+    "control of a passive joint": (("joints", 0, "actuated"), False, "the joint is not actuated"),
+    "control of an unknown joint": (("control", 0, "joint"), "engine", "unknown joint 'engine'; choose"),
+    "zero duration": (("duration",), 0.0, "duration is 0.0; needed: a positive number of seconds"),
+    "a million outputs and more": (("output_period",), 1e-9, "more than 1000000 outputs"),
+    "endless duration": (("duration",), 1e90, "at most 1e+07"),
+    "name that leaves the folder": (("name",), "../../evil", "scene: name is '../../evil'"),
+    "name of markup": (("name",), "[/red]", "scene: name is '[/red]'"),
+    "name with a null": (("name",), "a\0b", "scene: name is 'a\\x00b'"),
+    "description that is no line": (("description",), "a\x1b[31m", "description is 'a\\x1b[31m'"),
+    "unknown output": (("outputs",), ["heat"], "unknown output 'heat'; choose from: velocities,"),
+    "outputs that are not compared": (
+        ("outputs",),
+        ["velocities"],
+        "does not ask for the output 'reactions'",
+    ),
+    "state of an unknown body": (("initial_state",), {"moon": {}}, "unknown body 'moon'"),
+    "state of an open joint": (
+        ("initial_state",),
+        {"crank": {"position": [0.0, 0.0, 0.11]}},
+        "joint 'motor': is open by 0.01 m in the initial state",
+    ),
+    "state of a joint that opens": (
+        ("initial_state",),
+        {"crank": {"linear_velocity": [0.0, 0.5, 0.0]}},
+        "joint 'motor': opens at 0.5 m/s in the initial state",
+    ),
+    "flat box": (
+        ("bodies", 0, "shapes"),
+        [{"kind": "box", "half_sizes": [0.1, 0.1, 0.0], "center": [0, 0, 0]}],
+        "body 'crank': box: half_sizes is [0.1, 0.1, 0.0]; needed",
+    ),
+    "misspelt key": (("gravitty",), [0, 0, 0], "gravitty: Extra inputs are not permitted"),
+    "missing key": (("joints",), ..., "joints: Field required"),
+    "text for a number": (("duration",), "long", "duration: Input should be a valid number"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_SCENES)
+def test_bad_scene_files(capsys, tmp_path, good, kind):
+    path, value, message = BAD_SCENES[kind]
+    check_refused(capsys, tmp_path, scene_file(tmp_path, changed(good, path, value)), message=message)
+
+
+def test_a_body_that_nothing_holds(capsys, tmp_path, good):
+    lonely = copy.deepcopy(good)
+    lonely["bodies"].append(copy.deepcopy(lonely["bodies"][0]) | {"name": "moon"})
+    check_refused(capsys, tmp_path, scene_file(tmp_path, lonely), message="body 'moon': no joint leads to it")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "not YAML"),
+        ("", "Input should be a valid dictionary"),
+        ("- 1\n- 2\n", "Input should be a valid dictionary"),
+        ("[" * 5000, "nested too deeply"),
+        ("a: !!python/object/apply:os.system [true]", "not YAML: line 1: tags are not allowed"),
+        ("name: a\nduration: !!int abc", "not YAML: line 2: tags are not allowed"),
+        ("duration: !!float abc", "not YAML: line 1: tags are not allowed"),
+        ("name: 2001-99-99", "duration: Field required"),
+        (f"duration: {'9' * 5000}", "name: Field required (got {'duration': '99"),
+        ("name: a\nground: b\nname: c", "not YAML: line 3: key 'name' is given twice"),
+        ("? [a]\n: b", "not YAML: line 1: a key is not a text"),
+        ('name: "a\\ud800b"', "duration: Field required"),
+        ("a: " + "x" * 1_000_000, "larger than 1000000 bytes"),
+        # each line doubles the one before: 2^40 numbers
+        ("a: &a0 1\n" + "".join(f"b{k}: &a{k + 1} [*a{k}, *a{k}]\n" for k in range(40)), "aliases are not"),
+    ],
+)
+def test_files_that_are_no_scenes(capsys, tmp_path, text, message):
+    check_refused(capsys, tmp_path, scene_file(tmp_path, text), message=message)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('{\n"a":,\n}', "not JSON: line 2: Expecting value"),
+        ('{"name": "a", "name": "b"}', "key 'name' is given twice"),
+        ('{"a": ' + "9" * 5000 + "}", "not JSON: Exceeds the limit"),
+        ("[" * 100_000, "nested too deeply"),
+    ],
+)
+def test_json_files_that_are_no_scenes(capsys, tmp_path, text, message):
+    check_refused(capsys, tmp_path, scene_file(tmp_path, text, "scene.json"), message=message)
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (True, "a number, not a truth value (got True)"),
+        (10**400, "duration: Input should be a"),
+        (float("nan"), "duration: Input should be a finite number"),
+    ],
+)
+def test_json_numbers(capsys, tmp_path, good, value, message):
+    text = json.dumps(good | {"duration": value})
+    check_refused(capsys, tmp_path, scene_file(tmp_path, text, "scene.json"), message=message)
+
+
+def test_json_is_read_as_json(tmp_path, good):
+    # YAML forbids tabs at the beginning of a line
+    path = scene_file(tmp_path, json.dumps(good, indent="\t"), "scene.json")
+    scene, same = load(str(path)), load(str(scene_file(tmp_path, good)))
+    assert scene.name == same.name == "four_bar"
+    assert [body.mass for body in scene.mechanism.bodies] == [0.0, 0.5, 1.0, 0.8]
+    assert scene.control == same.control
+
+
+def test_everything_that_a_scene_file_can_hold(tmp_path, good):
+    content = copy.deepcopy(good)
+    box = {"kind": "box", "half_sizes": [0.01, 0.02, 0.1], "center": [0.0, 0.0, 0.1]}
+    bar = {"kind": "capsule", "start": [0.0, 0.0, 0.0], "end": [0.0, 0.0, 0.2], "radius": 0.01}
+    content["bodies"][0]["shapes"] = [box, bar]
+    content["bodies"][0]["inertia"][2][2] = 0.01
+    content["bodies"][0]["allow_unrealisable_inertia"] = True
+    content["outputs"] = ["energy", "velocities"]
+    # the coupler may turn about the line from elbow to wrist; both of them and its centre stay in place
+    line = [0.6, 0.1, 0.1]
+    content["bodies"][1]["center_of_mass"] = [0.3, 0.05, 0.25]
+    content["joints"][2] |= {"kind": "spherical"}
+    del content["joints"][2]["axis_on_first"], content["joints"][2]["axis_on_second"]
+    content["initial_state"] = {"coupler": {"angular_velocity": line}}
+    scene = load(str(scene_file(tmp_path, content)))
+    assert [type(shape).__name__ for shape in scene.mechanism.bodies[1].shapes] == ["Box", "Capsule"]
+    assert scene.outputs == {"energy", "velocities"}
+    assert scene.initial_state.angular_velocity.tolist() == [[0.0] * 3, [0.0] * 3, line, [0.0] * 3]
+    assert scene.initial_state.position[2].tolist() == [0.3, 0.05, 0.25]
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [(("control", 0, "stiffness"), 1e99), (("gravity",), [0.0, 0.0, -1e99]), (("bodies", 0, "mass"), 1e99)],
+)
+def test_absurd_magnitudes_are_one_line(tmp_path, good, path, value):
+    done = command(tmp_path, "run", scene_file(tmp_path, changed(good, path, value)))
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("crosscheck: error: ")
+
+
+def test_a_pipe_is_no_scene_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe.yaml")
+    done = command(tmp_path, "run", "pipe.yaml")
+    assert (done.returncode, done.stderr) == (2, "crosscheck: error: pipe.yaml: not a regular file\n")
+
+
+def test_binary_and_missing_files_and_folders(capsys, tmp_path):
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\x00\x80")
+    check_refused(capsys, tmp_path, binary, message="binary.yaml: not")
+    check_refused(capsys, tmp_path, tmp_path / "missing.yaml", message="No such file")
+    (tmp_path / "folder.yaml").mkdir()
+    check_refused(capsys, tmp_path, tmp_path / "folder.yaml", message="not a regular file")
