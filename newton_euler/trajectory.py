@@ -66,7 +66,8 @@ class Trajectory:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the arrays to an .npz; the file appears whole or not at all."""
         content = io.BytesIO()  # a zip file on a full disk would fail once more on its way out
-        np.savez_compressed(content, allow_pickle=False, **self.arrays())
+        arrays: dict[str, Any] = dict(self.arrays())
+        np.savez_compressed(content, **arrays)
         with atomic_file(path) as temporary:
             temporary.write_bytes(content.getbuffer())
 
