@@ -11,8 +11,6 @@ import numpy as np
 
 from newton_euler.scalars import Array
 
-IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
-
 
 def matrix_g(p: Array) -> Array:
     """G = [-e, tilde(e) + e0 I], (3, 4): world angular velocity is omega = 2 G pdot."""

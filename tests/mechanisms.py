@@ -14,6 +14,10 @@ from newton_euler.state import State
 
 GRAVITY = (0.0, 0.0, -9.81)
 
+SLIDER_ACCELERATIONS = (0.277549, 1.394930)
+"""m/s^2, of the tracker's sliders at its start: published with the scene, six digits; three independent
+formulations agree on them to 1e-12."""
+
 
 def inertia(*moments: float, turn: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> np.ndarray:
     """A tensor with these principal moments, about axes turned by a rotation vector."""

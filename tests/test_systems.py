@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from finite_difference import jacobian
-from mechanisms import REGULAR, bar, slider_tree
+from mechanisms import REGULAR, SLIDER_ACCELERATIONS, bar, slider_tree
 
 from crosscheck.engines import ENGINES
 from newton_euler.assemble import random_states
@@ -18,8 +18,6 @@ from newton_euler.scene import Scene
 from newton_euler.state import State
 from newton_euler.system import admissible
 from urdf.errors import UrdfError
-
-SLIDER_ACCELERATIONS = (0.277549, 1.394930)  # published with the scene, six digits
 
 
 def systems(scene):

@@ -11,6 +11,7 @@ from finite_difference import jacobian
 from mechanisms import (
     GRAVITY,
     REGULAR,
+    SLIDER_ACCELERATIONS,
     all_universal_loop,
     ball_loop,
     bar,
@@ -34,7 +35,6 @@ from newton_euler.state import MassProperties, State
 from newton_euler.tree import SpanningTree, weld_loops
 from urdf.dynamics import PinocchioSystem
 
-SLIDER_ACCELERATIONS = (0.277549, 1.394930)
 """Published with the scene: three independent formulations agree on them, six digits printed."""
 
 
