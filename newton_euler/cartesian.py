@@ -20,9 +20,11 @@ from newton_euler.constraints import Frame
 from newton_euler.driven import carried_angles, carried_rates, driven
 from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import matrix_g, matrix_l, rotation
-from newton_euler.scalars import Array, cross, zeros
+from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros
 from newton_euler.scene import Scene
 from newton_euler.solve import independent_rows
+from newton_euler.sparse import Rows, Solution, add, factorise, rows_of, sparse_vector
+from newton_euler.sparse import solve_constrained as sparse_solve
 from newton_euler.state import Evaluation, MassProperties, State, energies
 
 
@@ -99,8 +101,9 @@ class Cartesian:
         ]
         return np.array(forces), np.concatenate(g)
 
-    def joint_phi(self, frames: list[Frame]) -> Array:
+    def joint_phi(self, q: Array) -> Array:
         """Phi(q) (k,), eq. (4)."""
+        frames = self.frames(q, np.zeros(self.nv))
         return np.concatenate([e.phi(frames[e.first], frames[e.second]) for e in self.equations])
 
     def joint_gamma(self, frames: list[Frame]) -> Array:
@@ -145,7 +148,7 @@ class Cartesian:
         frames = self.frames(q, qdot)
         mass, velocity = self.mass_matrix(q), self.velocity_terms(q, qdot)
         g = self.applied(q, frames)[1]
-        phi, gamma = self.joint_phi(frames), self.joint_gamma(frames)
+        phi, gamma = self.joint_phi(q), self.joint_gamma(frames)
         phi_q, b = self.joint_jacobian(q, frames)
         norm, p_matrix, c = self.norm_terms(q, qdot)
         n6, n7 = len(mass), self.nv
@@ -187,6 +190,57 @@ class Cartesian:
             raise SingularityError(self._weakest_joint(q), f"{error} in equation (21)") from error
         return self.velocity_units * unknowns[:n], -(combine @ (unknowns[n:] / share))
 
+    def sparse_solution(self, q: Array, qdot: Array) -> Solution:
+        """(rddot, omegadot'/p^T p) of each body and lambda, by sparse elimination over generic scalars.
+
+        Equation (21) with qddot eliminated: M is block diagonal and B M^-1 Phi_q^T as sparse as the
+        joints. omegadot' = 2 L pddot and Phi_p pddot = Phi_theta R omegadot' / (p^T p).
+        """
+        frames = self.frames(q, qdot)
+        _, b = self.joint_jacobian(q, frames)
+        right = self.joint_gamma(frames)
+        rates = np.concatenate(
+            [
+                e.jacobian(frames[e.first], frames[e.second]).rate(frames[e.first], frames[e.second])
+                for e in self.equations
+            ]
+        )
+        if self.damping or self.stiffness:
+            right = right - self.damping * rates - self.stiffness * self.joint_phi(q)
+        mass: Rows = [{} for _ in range(6 * len(self.bodies))]
+        force = list(self.applied(q, frames)[1])
+        scales = []
+        for k, (body, (_, p), (_, pdot)) in enumerate(
+            zip(self.bodies, self.split(q), self.split(qdot), strict=True)
+        ):
+            omega = 2.0 * matrix_l(p) @ pdot
+            momentum = body.inertia @ omega
+            # L H pdot = omega' x J' omega' + 2 (p^T pdot) J' omega', eqs (12) and (13)
+            gyroscopic = cross(omega, momentum) + 2.0 * (p @ pdot) * momentum
+            scales.append(p @ p)
+            for i in range(3):
+                mass[6 * k + i][6 * k + i] = body.mass
+                force[6 * k + 3 + i] = force[6 * k + 3 + i] - gyroscopic[i]
+                for j in range(3):
+                    add(mass[6 * k + 3 + i], 6 * k + 3 + j, float(body.inertia[i, j]))
+        factor = factorise(mass, range(len(mass)))
+        for k, scale in enumerate(scales):
+            for i in range(6 * k + 3, 6 * k + 6):
+                factor.inverse_pivots[i] = factor.inverse_pivots[i] / scale
+        return sparse_solve(factor, sparse_vector(np.array(force)), rows_of(b), right)
+
+    def sparse_acceleration(self, q: Array, qdot: Array) -> tuple[Array, Scalar]:
+        """qddot (7 n,) and the health of the elimination, over generic scalars."""
+        solution = self.sparse_solution(q, qdot)
+        qddot = []
+        for k, ((_, p), (_, pdot)) in enumerate(zip(self.split(q), self.split(qdot), strict=True)):
+            rddot = [solution.acceleration.get(6 * k + i, 0.0) for i in range(3)]
+            spin = np.array([solution.acceleration.get(6 * k + 3 + i, 0.0) for i in range(3)])
+            c = -(pdot @ pdot) - self.damping * (p @ pdot) - self.stiffness * (0.5 * (p @ p - 1.0))
+            # 2 L pddot = omegadot' and p^T pddot = c
+            qddot.extend([*rddot, *(0.5 * matrix_l(p).T @ spin + p * (c / (p @ p)))])
+        return np.array(qddot), solution.health
+
     def _weakest_joint(self, q: Array) -> str:
         """Name of the joint that weighs most in the dependent combination of constraint rows."""
         frames = self.frames(q, np.zeros(self.nv))
@@ -208,7 +262,7 @@ class Cartesian:
     def phi(self, q: Array) -> Array:
         """All residuals: Phi(q) and 1/2 (p^T p - 1)."""
         zero = np.zeros(self.nv)
-        return np.concatenate([self.joint_phi(self.frames(q, zero)), self.norm_terms(q, zero)[0]])
+        return np.concatenate([self.joint_phi(q), self.norm_terms(q, zero)[0]])
 
     def phi_jacobian(self, q: Array) -> Array:
         """Derivative of `phi` by q."""
@@ -216,14 +270,18 @@ class Cartesian:
         phi_q, _ = self.joint_jacobian(q, self.frames(q, zero))
         return np.concatenate([phi_q, self.norm_terms(q, zero)[1]])
 
+    def phi_and_jacobian(self, q: Array) -> tuple[Array, Array]:
+        """All residuals and their Jacobian."""
+        return self.phi(q), self.phi_jacobian(q)
+
     def retract(self, q: Array, step: Array) -> Array:
-        """q + step; carried angles follow."""
-        carried = (
-            q[self.nv :] + carried_rates(self.driven, self.frames(q, step))
-            if self.nq > self.nv
-            else q[self.nv :]
-        )
-        return np.concatenate([q[: self.nv] + step, carried])
+        """q + step with Euler parameters of norm 1; carried angles follow."""
+        moved = []
+        for r, p in self.split(q[: self.nv] + step):
+            moved.extend([r, p / sqrt(p @ p)])
+        if self.nq > self.nv:
+            moved.append(q[self.nv :] + carried_rates(self.driven, self.frames(q, step)))
+        return np.concatenate(moved)
 
     # Between this formulation's coordinates and what everybody understands
 
@@ -260,8 +318,16 @@ class Cartesian:
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Accelerations, reactions and energies at a state."""
+        return self._evaluation(q, v, *self.solve(q, v))
+
+    def sparse_evaluation(self, q: Array, v: Array) -> Evaluation:
+        """`evaluate` by sparse elimination over generic scalars."""
+        multipliers = self.sparse_solution(q, v).multipliers
+        rows = np.array([multipliers.get(k, 0.0) for k in range(self.rows)])
+        return self._evaluation(q, v, self.sparse_acceleration(q, v)[0], rows)
+
+    def _evaluation(self, q: Array, v: Array, qddot: Array, multipliers: Array) -> Evaluation:
         frames = self.frames(q, v)
-        qddot, multipliers = self.solve(q, v)
         ground = [np.zeros(3)]
         linear = ground + [rddot for rddot, _ in self.split(qddot)]
         angular = ground + [
@@ -278,13 +344,12 @@ class Cartesian:
             s = frames[e.second].rotation @ pose.point_to_body(e.joint.reaction_point)
             forces.append(force)
             torques.append(torque - cross(s, force))
-        state = self.state(q, v)
         return Evaluation(
-            state,
+            self.state(q, v),
             np.array(linear),
             np.array(angular),
             np.array(forces),
             np.array(torques),
             self.applied(q, frames)[0],
-            *energies(self.scene, state),
+            *energies(self.scene, frames, [body.inertia for body in self.mechanism.bodies]),
         )

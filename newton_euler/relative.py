@@ -28,12 +28,15 @@ from newton_euler.constraints import Frame, Jacobian
 from newton_euler.driven import carried_angles, carried_rates, driven
 from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import (
-    from_rotation,
+    IDENTITY,
+    product,
     rotation,
 )
-from newton_euler.scalars import Array, cos, cross, sin, tilde, zeros
+from newton_euler.scalars import Array, Scalar, cos, cross, sin, tilde, zeros
 from newton_euler.scene import Scene
 from newton_euler.solve import solve_constrained
+from newton_euler.sparse import Solution, factorise, rows_of, sparse_vector
+from newton_euler.sparse import solve_constrained as sparse_solve
 from newton_euler.state import Evaluation, MassProperties, State, energies
 from newton_euler.tree import SpanningTree, TreeJoint
 
@@ -47,6 +50,7 @@ class Link:
         acceleration, angular_acceleration: (3,) at qddot = 0: the velocity-product part.
         path: indices of the joint velocities that move the body.
         linear, angular: (3, len(path)) velocity transformation: v = linear @ qdot[path].
+        orientation: (4,) the rotation as Euler parameters, continuous in the joint coordinates.
     """
 
     frame: Frame
@@ -55,6 +59,7 @@ class Link:
     path: list[int]
     linear: Array
     angular: Array
+    orientation: Array
 
 
 def turn(axis: Array, angle: Array) -> Array:
@@ -95,14 +100,8 @@ class Relative:
         """Poses, velocities, velocity-product accelerations and velocity transformations."""
         ground = self.mechanism.bodies[0]
         zero = np.zeros(3)
-        root = Link(
-            Frame(ground.center_of_mass, np.eye(3), zero, zero),
-            zero,
-            zero,
-            [],
-            np.zeros((3, 0)),
-            np.zeros((3, 0)),
-        )
+        frame, none = Frame(ground.center_of_mass, np.eye(3), zero, zero), np.zeros((3, 0))
+        root = Link(frame, zero, zero, [], none, none, IDENTITY)
         links: dict[int, Link] = {0: root}
         for joint in self.tree.joints:
             links[joint.child] = self._child(joint, links[joint.parent], q[joint.q], v[joint.v])
@@ -113,6 +112,7 @@ class Relative:
         point = self.mechanism.joints[joint.joint].reaction_point
         r, a, velocity, omega = parent.frame
         acceleration, alpha = parent.acceleration, parent.angular_acceleration
+        orientation = parent.orientation
 
         def move(s: Array) -> None:
             """Go from the present point to the one at s, fixed in the present frame."""
@@ -139,10 +139,13 @@ class Relative:
                 alpha = alpha + cross(omega, axis * v[iv])
                 omega = omega + axis * v[iv]
                 a = a @ turn(motion.axis, q[iq])
+                half = 0.5 * q[iq]
+                orientation = product(orientation, np.array([cos(half), *(sin(half) * motion.axis)]))
                 columns.append((axis, r))
                 iq, iv = iq + 1, iv + 1
             else:
                 a = a @ rotation(q[iq : iq + 4])
+                orientation = product(orientation, q[iq : iq + 4])
                 relative = a @ v[iv : iv + 3]
                 alpha = alpha + cross(omega, relative)
                 omega = omega + relative
@@ -160,7 +163,8 @@ class Relative:
             linear.append(axis if center is None else cross(axis, r - center))
         path = parent.path + list(range(joint.v.start, joint.v.stop))
         stack = (lambda rows: np.array(rows).T) if path else (lambda rows: np.zeros((3, 0)))
-        return Link(Frame(r, a, velocity, omega), acceleration, alpha, path, stack(linear), stack(angular))
+        frame = Frame(r, a, velocity, omega)
+        return Link(frame, acceleration, alpha, path, stack(linear), stack(angular), orientation)
 
     # Terms of the equations of motion
 
@@ -280,6 +284,23 @@ class Relative:
         (kept,) = (kept for kept in self.tree.joints if kept.v.start <= velocity < kept.v.stop)
         return self.mechanism.joint_names[kept.joint]
 
+    def sparse_solution(self, q: Array, v: Array) -> Solution:
+        """Accelerations and multipliers by sparse elimination, leaves first, over generic scalars."""
+        links = self.links(q, v)
+        mass, force = self.mass_and_force(q, v, links)
+        _, jacobian, gamma = self.loop_terms(links)
+        factor = factorise(rows_of(mass), range(self.nv - 1, -1, -1))
+        return sparse_solve(factor, sparse_vector(force), rows_of(jacobian), gamma)
+
+    def sparse_acceleration(self, q: Array, v: Array) -> tuple[Array, Scalar]:
+        """qddot (nv,) and the health of the elimination, over generic scalars."""
+        solution = self.sparse_solution(q, v)
+        return np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)]), solution.health
+
+    def phi_and_jacobian(self, q: Array) -> tuple[Array, Array]:
+        """Residuals (k,) of the loop closures and their Jacobian (k, nv)."""
+        return self.loop_terms(self.links(q, np.zeros(self.nv)))[:2]
+
     def phi(self, q: Array) -> Array:
         """Residuals (k,) of the loop closures."""
         return self.loop_terms(self.links(q, np.zeros(self.nv)))[0]
@@ -313,8 +334,8 @@ class Relative:
     def _state(self, links: list[Link]) -> State:
         frames = [link.frame for link in links]
         quaternions = [
-            from_rotation(frame.rotation @ initial)
-            for frame, initial in zip(frames, self.tree.initial_rotations, strict=True)
+            product(link.orientation, body.quaternion)
+            for link, body in zip(links, self.mechanism.bodies, strict=True)
         ]
         return State(
             np.array([frame.position for frame in frames]),
@@ -334,21 +355,31 @@ class Relative:
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Accelerations, reactions and energies at a state."""
         links = self.links(q, v)
-        qddot, multipliers = self._solve(q, v, links)
+        return self._evaluation(q, v, links, *self._solve(q, v, links))
+
+    def sparse_evaluation(self, q: Array, v: Array) -> Evaluation:
+        """`evaluate` by sparse elimination over generic scalars."""
+        solution = self.sparse_solution(q, v)
+        qddot = np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)])
+        multipliers = np.array([solution.multipliers.get(k, 0.0) for k in range(len(self.phi_units))])
+        return self._evaluation(q, v, self.links(q, v), qddot, multipliers)
+
+    def _evaluation(
+        self, q: Array, v: Array, links: list[Link], qddot: Array, multipliers: Array
+    ) -> Evaluation:
         actuation = self.actuation(q, v, links)[0]
         linear = np.array([k.acceleration + k.linear @ qddot[k.path] for k in links])
         angular = np.array([k.angular_acceleration + k.angular @ qddot[k.path] for k in links])
         forces, torques = self._reactions(links, linear, angular, multipliers, actuation)
         state = self._state(links)
-        return Evaluation(
-            state,
-            linear,
-            angular,
-            forces,
-            torques,
-            actuation,
-            *energies(self.scene, state),
-        )
+        bodies = energies(self.scene, [link.frame for link in links], self.inertias)
+        return Evaluation(state, linear, angular, forces, torques, actuation, *bodies)
+
+    def joint_phi(self, q: Array) -> Array:
+        """Residuals of all joints, kept ones included."""
+        frames = self._frames(q, np.zeros(self.nv))
+        all_joints = [self.tree.equations(k) for k in range(len(self.mechanism.joints))]
+        return np.concatenate([np.zeros(0), *(e.phi(frames[e.first], frames[e.second]) for e in all_joints)])
 
     def _reactions(
         self, links: list[Link], linear: Array, angular: Array, multipliers: Array, actuation: Array
@@ -359,7 +390,8 @@ class Relative:
         from the leaves to the ground: each carries what its child needs and nothing else supplies.
         """
         joints = self.mechanism.joints
-        forces, torques = np.zeros((len(joints), 3)), np.zeros((len(joints), 3))
+        forces: list[Array] = [np.zeros(3)] * len(joints)
+        torques = list(forces)
         need = [
             np.concatenate(self.inertial_wrench(body, link, linear[body], angular[body]))
             for body, link in enumerate(links)
@@ -369,9 +401,11 @@ class Relative:
             blocks = closure.jacobian(links[closure.first].frame, links[closure.second].frame)
             share = multipliers[row : row + closure.count]
             row += closure.count
-            need[closure.first] -= np.concatenate([blocks.r_first.T @ share, blocks.theta_first.T @ share])
+            need[closure.first] = need[closure.first] - np.concatenate(
+                [blocks.r_first.T @ share, blocks.theta_first.T @ share]
+            )
             on_second = np.concatenate([blocks.r_second.T @ share, blocks.theta_second.T @ share])
-            need[closure.second] -= on_second
+            need[closure.second] = need[closure.second] - on_second
             index = joints.index(closure.joint)
             s = self._reaction_arm(index, links)
             forces[index] = on_second[:3]
@@ -381,12 +415,16 @@ class Relative:
             blocks = equations.coordinates[law.coordinate].jacobian(
                 links[equations.first].frame, links[equations.second].frame
             )
-            need[equations.first] -= u * np.concatenate([blocks.r_first[0], blocks.theta_first[0]])
-            need[equations.second] -= u * np.concatenate([blocks.r_second[0], blocks.theta_second[0]])
+            need[equations.first] = need[equations.first] - u * np.concatenate(
+                [blocks.r_first[0], blocks.theta_first[0]]
+            )
+            need[equations.second] = need[equations.second] - u * np.concatenate(
+                [blocks.r_second[0], blocks.theta_second[0]]
+            )
         for kept in reversed(self.tree.joints):
             force, torque = need[kept.child][:3], need[kept.child][3:]
             arm = links[kept.child].frame.position - links[kept.parent].frame.position
-            need[kept.parent] += np.concatenate([force, torque + cross(arm, force)])
+            need[kept.parent] = need[kept.parent] + np.concatenate([force, torque + cross(arm, force)])
             sign = 1.0 if kept.forward else -1.0
             center = links[kept.child].frame.position
             index = kept.joint
@@ -394,7 +432,7 @@ class Relative:
             point = links[second].frame.position + self._reaction_arm(index, links)
             forces[index] = sign * force
             torques[index] = sign * (torque - cross(point - center, force))
-        return forces, torques
+        return np.array(forces), np.array(torques)
 
     def _reaction_arm(self, joint: int, links: list[Link]) -> Array:
         """From the second body's centre of mass to the joint point, world frame."""

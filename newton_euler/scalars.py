@@ -36,9 +36,21 @@ def cos(x: Scalar) -> Scalar:
     return np.cos(x) if isinstance(x, float) else x.cos()
 
 
+def sqrt(x: Scalar) -> Scalar:
+    """Square root."""
+    return np.sqrt(x) if isinstance(x, float) else x.sqrt()
+
+
 def arctan2(y: Scalar, x: Scalar) -> Scalar:
     """Angle of the point (x, y) in radians, in (-pi, pi]."""
     return np.arctan2(y, x) if isinstance(y, float) else y.arctan2(x)
+
+
+def minimum(x: Scalar, y: Scalar) -> Scalar:
+    """The lesser of two scalars."""
+    if isinstance(x, float) and isinstance(y, float):
+        return min(x, y)
+    return y.minimum(x) if isinstance(x, float) else x.minimum(y)
 
 
 def cross(a: Array, b: Array) -> Array:

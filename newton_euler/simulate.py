@@ -10,8 +10,9 @@ import numpy as np
 from newton_euler.cartesian import Cartesian
 from newton_euler.errors import UnknownNameError
 from newton_euler.euler_parameters import continuous
-from newton_euler.integrate import Options, integrate
+from newton_euler.integrate import Options, Solution, integrate
 from newton_euler.relative import Relative
+from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.stabilize import PAPER_ALPHA, baumgarte_alpha, joint_violations
 from newton_euler.state import Evaluation
@@ -24,7 +25,11 @@ FORMULATIONS: dict[str, type[Relative] | type[Cartesian]] = {
 }
 
 
-def formulate(scene: Scene, formulation: str = "relative", alpha: float = 0.0) -> System:
+COMPILED = ("DOP853", "RK4", "Euler")
+"""Integrators that run in native code; Radau runs through scipy."""
+
+
+def formulate(scene: Scene, formulation: str = "relative", alpha: float = 0.0) -> Relative | Cartesian:
     """Equations of motion of a scene in one of the `FORMULATIONS`; alpha is Baumgarte's, 1/s."""
     if formulation not in FORMULATIONS:
         raise UnknownNameError("formulation", formulation, tuple(FORMULATIONS))
@@ -56,11 +61,43 @@ def simulate(
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
     """
     system = formulate(scene, formulation, baumgarte_alpha(stabilization, alpha))
-    settings: dict[str, Any] = {"formulation": formulation}
+    settings: dict[str, Any] = {"formulation": formulation, "stabilization": stabilization}
     if stabilization == "baumgarte":
         settings["alpha"] = alpha
     options = Options(integrator, rtol, atol, step, stabilization == "projection")
-    return run(system, "newton_euler", options, settings | {"stabilization": stabilization})
+    if integrator not in COMPILED:
+        return run(system, "newton_euler", options, settings)
+
+    from newton_euler.compiled import CompiledSystem
+    from newton_euler.fast import march, outputs
+
+    start = time.perf_counter()
+    compiled = CompiledSystem(system)
+    compiled.load()
+    settings["compile_time"] = time.perf_counter() - start
+    q, v = system.coordinates(scene.initial_state)
+    start = time.perf_counter()
+    solution = march(compiled, q, v, scene.times, options)
+    wall_time = time.perf_counter() - start
+    arrays = outputs(compiled, scene.times, solution)
+    if "violation" in scene.outputs:
+        arrays["constraint_violation"] = _by_joint(scene, arrays.pop("phi"))
+    settings |= _used(options, solution)
+    return _trajectory(scene, "newton_euler", settings, wall_time, arrays)
+
+
+def _by_joint(scene: Scene, phi: Array) -> Array:
+    """(n, j) largest residual of each joint out of all residuals (n, k)."""
+    ends = np.cumsum([equations.count for equations in scene.mechanism.equations])
+    parts = np.split(np.abs(phi), ends[:-1], axis=1)
+    return np.stack([np.max(part, axis=1, initial=0.0) for part in parts], axis=1)
+
+
+def _used(options: Options, solution: Solution) -> dict[str, Any]:
+    """What a run was asked for and what it took."""
+    chosen = {"step": options.step} if options.step else {"rtol": options.rtol, "atol": options.atol}
+    counts = {"steps": solution.steps, "evaluations": solution.evaluations}
+    return {"integrator": options.integrator} | chosen | counts
 
 
 def run(system: System, engine: str, options: Options, settings: dict[str, Any]) -> Trajectory:
@@ -73,15 +110,8 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     start = time.perf_counter()
     solution = integrate(system, q, v, scene.times, options)
     wall_time = time.perf_counter() - start
-    chosen = {"step": options.step} if options.step else {"rtol": options.rtol, "atol": options.atol}
-    counts = {"steps": solution.steps, "evaluations": solution.evaluations}
-    return trajectory_from(
-        scene,
-        engine,
-        settings | {"integrator": options.integrator} | chosen | counts,
-        wall_time,
-        [system.evaluate(*row) for row in zip(solution.q, solution.v, strict=True)],
-    )
+    evaluations = [system.evaluate(*row) for row in zip(solution.q, solution.v, strict=True)]
+    return trajectory_from(scene, engine, settings | _used(options, solution), wall_time, evaluations)
 
 
 def trajectory_from(
@@ -113,15 +143,21 @@ def trajectory_from(
     }
     if "violation" in scene.outputs:
         arrays["constraint_violation"] = np.array([joint_violations(mechanism, s) for s in states])
-    quaternions = np.array([s.quaternion for s in states])
+    arrays["position"] = np.array([s.position for s in states])
+    arrays["quaternion"] = np.array([s.quaternion for s in states])
+    return _trajectory(scene, engine, settings, wall_time, arrays)
+
+
+def _trajectory(
+    scene: Scene, engine: str, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
+) -> Trajectory:
+    arrays["quaternion"] = continuous(arrays["quaternion"], scene.initial_state.quaternion)
     return Trajectory(
         engine=engine,
         settings=settings,
         wall_time=wall_time,
         time=scene.times,
-        body_names=mechanism.body_names,
-        joint_names=mechanism.joint_names,
-        position=np.array([s.position for s in states]),
-        quaternion=continuous(quaternions, scene.initial_state.quaternion),
+        body_names=scene.mechanism.body_names,
+        joint_names=scene.mechanism.joint_names,
         **arrays,
     )

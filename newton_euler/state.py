@@ -10,7 +10,7 @@ import numpy as np
 from newton_euler.constraints import Frame
 from newton_euler.euler_parameters import rotation
 from newton_euler.mechanism import Mechanism
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, Scalar
 
 if TYPE_CHECKING:
     from newton_euler.scene import Scene
@@ -103,12 +103,17 @@ class MassProperties:
         )
 
 
-def energies(scene: Scene, state: State) -> tuple[float, float]:
-    """Kinetic energy and the potential energy of gravity (zero at the world origin), J."""
-    kinetic = potential = 0.0
-    for body, frame in zip(scene.mechanism.bodies[1:], state.frames()[1:], strict=True):
+def energies(scene: Scene, frames: list[Frame], inertias: list[Array]) -> tuple[Scalar, Scalar]:
+    """Kinetic energy and the potential energy of gravity (zero at the world origin), J.
+
+    `inertias` are in the bodies' frames that `frames` give the rotations of.
+    """
+    kinetic: Scalar = 0.0
+    potential: Scalar = 0.0
+    for body, frame, inertia in zip(scene.mechanism.bodies[1:], frames[1:], inertias[1:], strict=True):
         spin = frame.rotation.T @ frame.angular_velocity
-        kinetic += 0.5 * body.mass * float(frame.velocity @ frame.velocity)
-        kinetic += 0.5 * float(spin @ body.inertia @ spin)
-        potential -= body.mass * float(scene.gravity @ frame.position)
+        kinetic = (
+            kinetic + 0.5 * body.mass * (frame.velocity @ frame.velocity) + 0.5 * (spin @ inertia @ spin)
+        )
+        potential = potential - body.mass * (scene.gravity @ frame.position)
     return kinetic, potential

@@ -17,14 +17,12 @@ import numpy as np
 
 from newton_euler.euler_parameters import (
     from_rotation,
-    from_rotation_vector,
     matrix_l,
-    product,
     rotation,
 )
 from newton_euler.joints import Fixed, Joint, JointEquations, Motion, Pose, Spherical
 from newton_euler.mechanism import Mechanism
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, sqrt
 from newton_euler.state import State
 
 
@@ -171,14 +169,14 @@ class SpanningTree:
 
     def retract(self, q: Array, step: Array) -> Array:
         """q moved by a small step (nv,); quaternions come out with norm 1."""
-        moved = np.empty(self.nq)
+        moved = []
         for motion, on_q, on_v in self.motions:
             if motion.kind == "ball":
-                p = product(q[on_q], from_rotation_vector(step[on_v]))
-                moved[on_q] = p / np.linalg.norm(p)
+                p = q[on_q] + 0.5 * (matrix_l(q[on_q]).T @ step[on_v])
+                moved.append(p / sqrt(p @ p))
             else:
-                moved[on_q] = q[on_q] + step[on_v]
-        return moved
+                moved.append(q[on_q] + step[on_v])
+        return np.concatenate([np.zeros(0), *moved])
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """Joint coordinates q (nq,) and velocities v (nv,) of the kept joints in a state."""

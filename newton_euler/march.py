@@ -1,0 +1,75 @@
+"""What all steppers share: guarded evaluation of the derivative, projection, and statuses.
+
+Written for native code, see `newton_euler.native`; it runs as plain Python as well.
+
+A state is a vector of n numbers y = (q, v), followed by the time and the scene's parameters, which
+callbacks read and steppers leave alone. A derivative callback writes n rates and, in place n, its
+health: a number that is not positive where the equations are too close to singular to be trusted.
+"""
+
+from __future__ import annotations
+
+from newton_euler.native import Callback, Vector, native
+
+DONE, NOT_FINITE, SINGULAR, TOO_MANY_STEPS, STEP_TOO_SMALL, OPEN = 0, 1, 2, 3, 4, 5
+"""Statuses: how a march ended."""
+
+STEPS, EVALUATIONS, REJECTED, DENSE_CALLS, REACHED = 0, 1, 2, 3, 4
+"""Places in the vector of counts; REACHED is the time."""
+
+COUNTS = 5
+
+HUGE = 1e300
+NEWTON_STEPS = 10
+
+OPEN_TOLERANCE = 1e-9
+"""m or rad that a constraint may stay open after projection."""
+
+
+@native
+def evaluate(n: int, derivative: Callback, dense: Callback, x: Vector, y: Vector, counts: Vector) -> int:
+    """y = derivative(x), by the dense path where the fast one calls itself unhealthy; returns a status."""
+    derivative(x, y)
+    counts[EVALUATIONS] += 1.0
+    if not y[n] > 0.0:
+        dense(x, y)
+        counts[DENSE_CALLS] += 1.0
+        if not y[n] > 0.0:
+            return SINGULAR
+    size = 0.0
+    for i in range(n):
+        size += abs(y[i])
+    if not size < HUGE:
+        return NOT_FINITE
+    return DONE
+
+
+@native
+def project(
+    n: int, tolerance: float, position: Callback, velocity: Callback, x: Vector, scratch: Vector
+) -> int:
+    """Put a state on the constraints, positions first; returns a status.
+
+    `position` writes the state after one Newton step, `velocity` the state with its velocities
+    projected; both write the residual they found, squared, in place n and their health after it.
+    """
+    before = HUGE
+    for _ in range(NEWTON_STEPS):
+        position(x, scratch)
+        if not scratch[n + 1] > 0.0:
+            return SINGULAR
+        if scratch[n] >= 0.25 * before:  # at round-off
+            break
+        before = scratch[n]
+        for i in range(n):
+            x[i] = scratch[i]
+        if before < tolerance * tolerance:
+            break
+    velocity(x, scratch)
+    if not scratch[n] < HUGE:
+        return NOT_FINITE
+    if scratch[n] > OPEN_TOLERANCE * OPEN_TOLERANCE:
+        return OPEN
+    for i in range(n):
+        x[i] = scratch[i]
+    return DONE

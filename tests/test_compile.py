@@ -1,0 +1,156 @@
+"""Native code: the same numbers as plain Python, and a cache that cannot do harm."""
+
+from __future__ import annotations
+
+import os
+import stat
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from test_expression import everything, traced
+
+from newton_euler.compile import CACHE_VARIABLE, NativeModule, compile_programs
+from newton_euler.native import Callback, NativeError, NativeModuleOf, Vector, native, text
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty cache directory."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def test_native_code_computes_what_the_program_says(cache):
+    program = traced(everything, 3)
+    function = compile_programs({"everything": program})["everything"]
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        x = rng.standard_normal(3)
+        # a product and a sum may be rounded once instead of twice
+        assert function(x) == pytest.approx(program.run(x), rel=1e-14, abs=1e-15)
+    with pytest.raises(ValueError, match=r"needed: \(3,\)"):
+        function(np.zeros(2))
+
+
+SOURCE = "define double @f(double %x) {\n  %y = fadd double %x, 1.0\n  ret double %y\n}"
+
+
+def test_the_second_time_comes_from_the_cache(cache):
+    assert not NativeModule(SOURCE).from_cache
+    assert NativeModule(SOURCE).from_cache
+    assert len(list(cache.iterdir())) == 1
+
+
+@pytest.mark.parametrize("harm", [b"", b"short", os.urandom(5000)])
+def test_a_corrupt_cache_is_compiled_over(cache, harm):
+    NativeModule(SOURCE)
+    (path,) = cache.iterdir()
+    path.write_bytes(harm)
+    assert not NativeModule(SOURCE).from_cache
+    assert NativeModule(SOURCE).from_cache
+
+
+def test_a_truncated_file_is_not_trusted(cache):
+    NativeModule(SOURCE)
+    (path,) = cache.iterdir()
+    path.write_bytes(path.read_bytes()[:-7])
+    assert not NativeModule(SOURCE).from_cache
+
+
+def test_an_unwritable_cache_costs_nothing_else(tmp_path, monkeypatch):
+    blocked = tmp_path / "file"
+    blocked.write_text("")  # not a directory: nothing can be made below it, even by root
+    monkeypatch.setenv(CACHE_VARIABLE, str(blocked / "cache"))
+    assert not NativeModule(SOURCE).from_cache
+    assert not NativeModule(SOURCE).from_cache
+
+
+def test_a_read_only_cache_is_read(cache):
+    NativeModule(SOURCE)
+    cache.chmod(stat.S_IRUSR | stat.S_IXUSR)
+    try:
+        assert NativeModule(SOURCE).from_cache
+    finally:
+        cache.chmod(stat.S_IRWXU)
+
+
+def test_no_cache_if_the_user_wants_none(tmp_path, monkeypatch):
+    monkeypatch.setenv(CACHE_VARIABLE, "")
+    monkeypatch.chdir(tmp_path)
+    assert not NativeModule(SOURCE).from_cache
+    assert not list(tmp_path.iterdir())
+
+
+def test_processes_that_compile_at_once_do_not_disturb_each_other(cache):
+    code = f"from newton_euler.compile import NativeModule\nNativeModule({SOURCE!r})"
+    environment = os.environ | {CACHE_VARIABLE: str(cache)}
+    jobs = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(6)]
+    assert [job.wait() for job in jobs] == [0] * 6
+    assert len(list(cache.iterdir())) == 1
+    assert NativeModule(SOURCE).from_cache
+
+
+TABLE = (1.0, 2.5, -3.0)
+
+
+@native
+def axpy(n: int, a: float, x: Vector, y: Vector) -> None:
+    for k in range(n):
+        y[k] += a * x[k]
+
+
+@native
+def mixture(n: int, x: Vector, y: Vector, f: Callback) -> float:
+    """Every construct once."""
+    total = 0.0
+    k = 0
+    axpy(n - 1, 2, x[1:], y[1:])
+    f(x, y)
+    while k < n:
+        if y[k] > 3.0 and x[k] != 2.0:
+            k += 1
+            continue
+        if not y[k] < 100.0 or k == 50:
+            break
+        total += max(abs(y[k]), 1) * TABLE[k % 3] if k >= 1 else 0.5
+        k += 1
+    for j in range(1, 3):
+        total -= float(j // 2) / 8 + x[j] * int(2.9)
+    return total**2 if total > 0.0 else -total
+
+
+def test_native_functions_mean_what_python_means(cache):
+    program = traced(lambda *x: [x[2] + 1.0, *x[:4]], 5)
+    native_f = compile_programs({"f": program})["f"]
+    module = NativeModuleOf([mixture])
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        x, y = 2.0 * rng.standard_normal((2, 5))
+        copy = y.copy()
+
+        def plain_f(a, b):
+            b[:5] = program.run(a)
+
+        expected = mixture(5, x, y, plain_f)
+        assert module(mixture, 5, x, copy, native_f) == pytest.approx(expected, rel=1e-14, abs=1e-14)
+        assert copy == pytest.approx(y, rel=1e-14)
+
+
+@native
+def with_a_list(x: Vector) -> float:
+    return sum([x[0], 1.0])
+
+
+@native
+def with_a_chain(x: Vector) -> float:
+    if 0.0 < x[0] < 1.0:
+        return 1.0
+    return 0.0
+
+
+@pytest.mark.parametrize(("function", "line"), [(with_a_list, 3), (with_a_chain, 3)])
+def test_other_python_is_refused_with_its_line(function, line):
+    with pytest.raises(NativeError, match=f"{function.__name__}, line {line}"):
+        text([function])
