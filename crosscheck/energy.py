@@ -44,7 +44,8 @@ def energy_scale(scene: Scene, states: list[State]) -> float:
     """
     size = scene.mechanism.size
     mass = sum(body.mass for body in scene.mechanism.bodies[1:])
-    kinetic = max(energies(scene, state)[0] for state in states)
+    inertias = [body.inertia for body in scene.mechanism.bodies]
+    kinetic = max(energies(scene, state.frames(), inertias)[0] for state in states)
     weight = mass * float(np.linalg.norm(scene.gravity))
     return max(kinetic, weight * size, mass * (size * RANDOM_RATE) ** 2)
 

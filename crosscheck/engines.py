@@ -56,7 +56,7 @@ def _newton_euler_refined(scene: Scene) -> Trajectory:
 
 
 def _newton_euler_systems(scene: Scene) -> tuple[System, ...]:
-    from newton_euler.simulate import FORMULATIONS, formulate
+    from newton_euler.compiled import FORMULATIONS, formulate
 
     return tuple(formulate(scene, name) for name in FORMULATIONS)
 

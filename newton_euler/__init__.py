@@ -1,11 +1,11 @@
 """Newton-Euler dynamics of any mechanism with closed loops, written by hand."""
 
 from newton_euler.assemble import assemble
-from newton_euler.control import PD
+from newton_euler.control import PD, Sampled
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.scene import Scene
-from newton_euler.simulate import simulate
+from newton_euler.simulate import compile_scene, simulate
 from newton_euler.state import State
 from newton_euler.trajectory import Trajectory
 
@@ -14,9 +14,11 @@ __all__ = [
     "Body",
     "Mechanism",
     "NewtonEulerError",
+    "Sampled",
     "Scene",
     "State",
     "Trajectory",
     "assemble",
+    "compile_scene",
     "simulate",
 ]

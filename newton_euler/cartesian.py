@@ -23,9 +23,16 @@ from newton_euler.euler_parameters import matrix_g, matrix_l, rotation
 from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros
 from newton_euler.scene import Scene
 from newton_euler.solve import independent_rows
-from newton_euler.sparse import Rows, Solution, add, factorise, rows_of, sparse_vector
+from newton_euler.sparse import Rows, RowsInUse, Solution, add, dense, factorise, sparse_vector
 from newton_euler.sparse import solve_constrained as sparse_solve
 from newton_euler.state import Evaluation, MassProperties, State, energies
+
+
+def _spread(rows: Rows, start: int, block: Array) -> None:
+    """Add a block (rows, columns) whose first column is `start`."""
+    for row, entries in zip(rows, block, strict=True):
+        for k, entry in enumerate(entries):
+            add(row, start + k, entry)
 
 
 class Cartesian:
@@ -91,7 +98,8 @@ class Cartesian:
         forces = []
         for drive in self.driven:
             first, second = drive.bodies
-            u, (r_i, theta_i, r_j, theta_j) = drive.force(q, frames[first], frames[second])
+            x, rate, (r_i, theta_i, r_j, theta_j) = drive.measure(q, frames[first], frames[second])
+            u = drive.law.force(x, rate)
             wrenches[first] = wrenches[first] + u * np.concatenate([r_i[0], theta_i[0]])
             wrenches[second] = wrenches[second] + u * np.concatenate([r_j[0], theta_j[0]])
             forces.append(u)
@@ -100,6 +108,11 @@ class Cartesian:
             for wrench, frame in zip(wrenches[1:], frames[1:], strict=True)
         ]
         return np.array(forces), np.concatenate(g)
+
+    def measure(self, q: Array, qdot: Array) -> list[tuple[Scalar, Scalar]]:
+        """Coordinate (m or rad) and rate of each control law."""
+        frames = self.frames(q, qdot)
+        return [drive.measure(q, *(frames[k] for k in drive.bodies))[:2] for drive in self.driven]
 
     def joint_phi(self, q: Array) -> Array:
         """Phi(q) (k,), eq. (4)."""
@@ -110,38 +123,39 @@ class Cartesian:
         """gamma (k,), eq. (5)."""
         return np.concatenate([e.gamma(frames[e.first], frames[e.second]) for e in self.equations])
 
-    def joint_jacobian(self, q: Array, frames: list[Frame]) -> tuple[Array, Array]:
-        """Phi_q (k, 7 n) and B (k, 6 n).
+    def joint_jacobian(self, q: Array, frames: list[Frame]) -> tuple[Rows, Rows]:
+        """Phi_q (k, 7 n) and B (k, 6 n), as their nonzeros.
 
         Phi_p = 2 Phi_theta G, since delta theta = 2 G delta p. It makes the paper's
         B = [Phi_r, 1/2 Phi_p L^T] equal to [Phi_r, Phi_theta R], with no product to work out,
         because G L^T = R.
         """
-        phi_q, b = zeros((self.rows, self.nv), q), zeros((self.rows, 6 * len(self.bodies)), q)
-        row = 0
+        phi_q: Rows = []
+        b: Rows = []
         for e in self.equations:
-            rows = slice(row, row + e.count)
-            row += e.count
             r_i, theta_i, r_j, theta_j = e.jacobian(frames[e.first], frames[e.second])
+            on_q: Rows = [{} for _ in range(e.count)]
+            on_b: Rows = [{} for _ in range(e.count)]
             for body, phi_r, phi_theta in ((e.first, r_i, theta_i), (e.second, r_j, theta_j)):
                 if body == 0:
                     continue
                 k = body - 1
                 p = q[7 * k + 3 : 7 * k + 7]
-                phi_q[rows, 7 * k : 7 * k + 3] = phi_r
-                phi_q[rows, 7 * k + 3 : 7 * k + 7] = 2.0 * phi_theta @ matrix_g(p)
-                b[rows, 6 * k : 6 * k + 3] = phi_r
-                b[rows, 6 * k + 3 : 6 * k + 6] = phi_theta @ frames[body].rotation
+                _spread(on_q, 7 * k, np.hstack([phi_r, 2.0 * phi_theta @ matrix_g(p)]))
+                _spread(on_b, 6 * k, np.hstack([phi_r, phi_theta @ frames[body].rotation]))
+            phi_q.extend(on_q)
+            b.extend(on_b)
         return phi_q, b
 
-    def norm_terms(self, q: Array, qdot: Array) -> tuple[Array, Array, Array]:
+    def norm_terms(self, q: Array, qdot: Array) -> tuple[Array, Rows, Array]:
         """1/2 (p^T p - 1) (n,), its Jacobian P (n, 7 n) and c = pdot^T pdot (n,), eqs (1) and (2)."""
-        residual, p_matrix, c = [], zeros((len(self.bodies), self.nv), q), []
+        residual, c = [], []
+        p_rows: Rows = [{} for _ in self.bodies]
         for k, ((_, p), (_, pdot)) in enumerate(zip(self.split(q), self.split(qdot), strict=True)):
             residual.append(0.5 * (p @ p - 1.0))
-            p_matrix[k, 7 * k + 3 : 7 * k + 7] = p
+            _spread(p_rows[k : k + 1], 7 * k + 3, p[None])
             c.append(pdot @ pdot)
-        return np.array(residual), p_matrix, np.array(c)
+        return np.array(residual), p_rows, np.array(c)
 
     def system(self, q: Array, qdot: Array) -> tuple[Array, Array]:
         """Matrix and right side of equation (21); its unknowns are (qddot, -lambda)."""
@@ -149,9 +163,10 @@ class Cartesian:
         mass, velocity = self.mass_matrix(q), self.velocity_terms(q, qdot)
         g = self.applied(q, frames)[1]
         phi, gamma = self.joint_phi(q), self.joint_gamma(frames)
-        phi_q, b = self.joint_jacobian(q, frames)
-        norm, p_matrix, c = self.norm_terms(q, qdot)
         n6, n7 = len(mass), self.nv
+        phi_q, b = (dense(rows, n) for rows, n in zip(self.joint_jacobian(q, frames), (n7, n6), strict=True))
+        norm, p_rows, c = self.norm_terms(q, qdot)
+        p_matrix = dense(p_rows, n7)
         matrix = zeros((n7 + self.rows, n7 + self.rows), q)
         matrix[:n6, :n7], matrix[:n6, n7:] = mass, b.T
         matrix[n6:n7, :n7] = p_matrix
@@ -190,8 +205,10 @@ class Cartesian:
             raise SingularityError(self._weakest_joint(q), f"{error} in equation (21)") from error
         return self.velocity_units * unknowns[:n], -(combine @ (unknowns[n:] / share))
 
-    def sparse_solution(self, q: Array, qdot: Array) -> Solution:
+    def sparse_solution(self, q: Array, qdot: Array, rows: RowsInUse) -> Solution:
         """(rddot, omegadot'/p^T p) of each body and lambda, by sparse elimination over generic scalars.
+
+        `rows` of `phi` are used; the others must follow from them.
 
         Equation (21) with qddot eliminated: M is block diagonal and B M^-1 Phi_q^T as sparse as the
         joints. omegadot' = 2 L pddot and Phi_p pddot = Phi_theta R omegadot' / (p^T p).
@@ -222,16 +239,21 @@ class Cartesian:
                 mass[6 * k + i][6 * k + i] = body.mass
                 force[6 * k + 3 + i] = force[6 * k + 3 + i] - gyroscopic[i]
                 for j in range(3):
-                    add(mass[6 * k + 3 + i], 6 * k + 3 + j, float(body.inertia[i, j]))
+                    add(mass[6 * k + 3 + i], 6 * k + 3 + j, body.inertia[i, j])
         factor = factorise(mass, range(len(mass)))
         for k, scale in enumerate(scales):
             for i in range(6 * k + 3, 6 * k + 6):
                 factor.inverse_pivots[i] = factor.inverse_pivots[i] / scale
-        return sparse_solve(factor, sparse_vector(np.array(force)), rows_of(b), right)
+        # the rows of the norms of p are met by construction
+        count = sum(number < self.rows for number in rows.numbers)
+        rows = RowsInUse(rows.numbers[:count], rows.scales and rows.scales[:count])
+        return sparse_solve(factor, sparse_vector(np.array(force)), b, right, rows, refine=True)
 
-    def sparse_acceleration(self, q: Array, qdot: Array) -> tuple[Array, Scalar]:
+    def sparse_acceleration(self, q: Array, qdot: Array, rows: RowsInUse) -> tuple[Array, Scalar]:
         """qddot (7 n,) and the health of the elimination, over generic scalars."""
-        solution = self.sparse_solution(q, qdot)
+        return self._qddot(q, qdot, self.sparse_solution(q, qdot, rows))
+
+    def _qddot(self, q: Array, qdot: Array, solution: Solution) -> tuple[Array, Scalar]:
         qddot = []
         for k, ((_, p), (_, pdot)) in enumerate(zip(self.split(q), self.split(qdot), strict=True)):
             rddot = [solution.acceleration.get(6 * k + i, 0.0) for i in range(3)]
@@ -241,10 +263,16 @@ class Cartesian:
             qddot.extend([*rddot, *(0.5 * matrix_l(p).T @ spin + p * (c / (p @ p)))])
         return np.array(qddot), solution.health
 
+    def fastest_joint(self, q: Array, v: Array) -> str:
+        """Name of a joint of the body whose dimensionless velocity is largest."""
+        body = int(np.argmax(np.abs(v) / self.velocity_units)) // 7 + 1
+        joints = (e.joint.name for e in self.equations if body in (e.first, e.second))
+        return next(joints)
+
     def _weakest_joint(self, q: Array) -> str:
         """Name of the joint that weighs most in the dependent combination of constraint rows."""
         frames = self.frames(q, np.zeros(self.nv))
-        left = np.linalg.svd(self.joint_jacobian(q, frames)[1])[0][:, -1]
+        left = np.linalg.svd(dense(self.joint_jacobian(q, frames)[1], 6 * len(self.bodies)))[0][:, -1]
         owners = np.repeat(np.arange(len(self.equations)), [e.count for e in self.equations])
         weights = np.bincount(owners, weights=left**2, minlength=len(self.equations))
         return self.mechanism.joint_names[int(np.argmax(weights))]
@@ -266,13 +294,13 @@ class Cartesian:
 
     def phi_jacobian(self, q: Array) -> Array:
         """Derivative of `phi` by q."""
+        return dense(self.phi_and_jacobian(q)[1], self.nv)
+
+    def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
+        """All residuals and the nonzeros of their Jacobian."""
         zero = np.zeros(self.nv)
         phi_q, _ = self.joint_jacobian(q, self.frames(q, zero))
-        return np.concatenate([phi_q, self.norm_terms(q, zero)[1]])
-
-    def phi_and_jacobian(self, q: Array) -> tuple[Array, Array]:
-        """All residuals and their Jacobian."""
-        return self.phi(q), self.phi_jacobian(q)
+        return self.phi(q), [*phi_q, *self.norm_terms(q, zero)[1]]
 
     def retract(self, q: Array, step: Array) -> Array:
         """q + step with Euler parameters of norm 1; carried angles follow."""
@@ -320,11 +348,11 @@ class Cartesian:
         """Accelerations, reactions and energies at a state."""
         return self._evaluation(q, v, *self.solve(q, v))
 
-    def sparse_evaluation(self, q: Array, v: Array) -> Evaluation:
-        """`evaluate` by sparse elimination over generic scalars."""
-        multipliers = self.sparse_solution(q, v).multipliers
-        rows = np.array([multipliers.get(k, 0.0) for k in range(self.rows)])
-        return self._evaluation(q, v, self.sparse_acceleration(q, v)[0], rows)
+    def sparse_evaluation(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Evaluation, Scalar]:
+        """`evaluate` by sparse elimination over generic scalars, and the health of that."""
+        solution = self.sparse_solution(q, v, rows)
+        multipliers = np.array([solution.multipliers.get(k, 0.0) for k in range(self.rows)])
+        return self._evaluation(q, v, self._qddot(q, v, solution)[0], multipliers), solution.health
 
     def _evaluation(self, q: Array, v: Array, qddot: Array, multipliers: Array) -> Evaluation:
         frames = self.frames(q, v)

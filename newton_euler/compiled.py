@@ -1,107 +1,229 @@
 """A scene compiled: its equations traced, pruned to what is wanted, and turned into native code.
 
-All functions take one vector x = (q, v, time, parameters) and write one vector. `derivative` and the
-two projection functions follow the conventions of `newton_euler.march`.
+All functions take one vector x = (q, v, time, parameters) and write one vector. Those that steppers
+call follow the conventions of `newton_euler.steppers.march`.
 """
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from newton_euler.cartesian import Cartesian
-from newton_euler.compile import NativeFunction, compile_programs
-from newton_euler.expression import Graph, Program
+from newton_euler.compile import NativeFunction
+from newton_euler.errors import UnknownNameError
+from newton_euler.expression import Graph, Program, differentiate
+from newton_euler.parameters import parameter_values, place_of, with_values
+from newton_euler.redundancy import rows_in_use
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array, Scalar, minimum
-from newton_euler.sparse import dot, factorise, minimum_degree, rows_of, sparse_vector
+from newton_euler.scene import Scene
+from newton_euler.sparse import RowsInUse, least_squares
+from newton_euler.stabilize import PAPER_ALPHA, baumgarte_alpha
 
 Formulation = Relative | Cartesian
 
+FORMULATIONS: dict[str, type[Relative] | type[Cartesian]] = {
+    "relative": Relative,
+    "cartesian": Cartesian,
+}
 
-class CompiledSystem:
-    """Native functions of one formulation of a scene.
+
+def formulate(scene: Scene, formulation: str = "relative", alpha: float = 0.0) -> Formulation:
+    """Equations of motion of a scene in one of the `FORMULATIONS`; alpha is Baumgarte's, 1/s."""
+    if formulation not in FORMULATIONS:
+        raise UnknownNameError("formulation", formulation, tuple(FORMULATIONS))
+    return FORMULATIONS[formulation](scene, alpha)
+
+
+class Code:
+    """Native functions of one formulation of a scene. Each is traced and compiled when first needed.
 
     Attributes:
-        system: the formulation, whose float form is the reference.
-        programs: what was traced, by name.
+        scene: what was compiled.
+        system: its formulation, whose float form is the reference.
+        formulation, stabilization, alpha: as asked for.
+        parameters: names of the parameters that are inputs of the code, with their shapes.
+        size: length of (q, v).
+        inputs: length of (q, v, time, parameters).
+        programs: what has been traced, by name: derivative, position, velocity, rate, jacobian, output.
         functions: the same in native code.
+        trace_time, compile_time: s that it took so far; loading from the cache counts as compiling.
     """
 
-    def __init__(self, system: Formulation) -> None:
-        self.system = system
-        self.size = system.nq + system.nv
+    def __init__(
+        self,
+        scene: Scene,
+        formulation: str = "relative",
+        stabilization: str = "projection",
+        alpha: float = PAPER_ALPHA,
+        parameters: Sequence[str] = (),
+    ) -> None:
+        self.scene = scene
+        self.formulation, self.stabilization, self.alpha = formulation, stabilization, alpha
+        self._alpha = baumgarte_alpha(stabilization, alpha)
+        self.system = formulate(scene, formulation, self._alpha)
+        own = parameter_values(scene)
+        for name in parameters:
+            if name not in own:
+                raise UnknownNameError("parameter", name, tuple(own))
+        self.parameters = {name: own[name].shape for name in parameters}
+        self.parameters |= {f"{place_of(law)}.held": () for law in scene.sampled}
+        self.size = self.system.nq + self.system.nv
+        self.inputs = self.size + 1 + sum(int(np.prod(shape)) for shape in self.parameters.values())
+        self.programs: dict[str, Program] = {}
+        self.functions: dict[str, NativeFunction] = {}
+        self.trace_time = self.compile_time = 0.0
+
+    @property
+    def operations(self) -> dict[str, int]:
+        """Floating-point operations of each program."""
+        return {name: program.operations for name, program in self.programs.items()}
+
+    @property
+    def code_size(self) -> int:
+        """Bytes of object code."""
+        return sum(function.module.size for function in self.functions.values())
+
+    @property
+    def from_cache(self) -> bool:
+        """Whether all of it came from the cache."""
+        return all(function.module.from_cache for function in self.functions.values())
+
+    @property
+    def projects(self) -> bool:
+        """Whether runs are projected onto the constraints."""
+        return self.stabilization == "projection" and bool(len(self.system.phi_units))
+
+    def load(self, integrator: str = "DOP853") -> None:
+        """Trace and compile now what a run needs."""
+        names = ["derivative", "output"] + ["position", "velocity"] * self.projects
+        names += {"Euler": ["rate"], "Radau": ["jacobian"]}.get(integrator, [])
+        names += ["measured"] * bool(self.scene.sampled)
+        for name in names:
+            self.function(name)
+
+    def function(self, name: str) -> NativeFunction:
+        """One of the functions, traced and compiled if it has not been."""
+        if name not in self.functions:
+            program = self.program(name)
+            function = self.functions[name] = NativeFunction(program)
+            self.compile_time += function.module.time
+        return self.functions[name]
+
+    def program(self, name: str) -> Program:
+        """One of the programs, traced if it has not been."""
+        if name not in self.programs:
+            start = time.perf_counter()
+            self.programs[name] = self._trace(name)
+            self.trace_time += time.perf_counter() - start
+        return self.programs[name]
 
     @cached_property
-    def programs(self) -> dict[str, Program]:
-        """Traced and pruned: derivative, position, velocity."""
-        return {
-            "derivative": self._trace(self._derivative),
-            "position": self._trace(self._position),
-            "velocity": self._trace(self._velocity),
-            "rate": self._trace(self._rate),
-        }
+    def _rows(self) -> tuple[RowsInUse, bool]:
+        return rows_in_use(self.system)
 
-    @cached_property
-    def functions(self) -> dict[str, NativeFunction]:
-        return compile_programs(self.programs | {"output": self.output[1]})
+    @property
+    def rows(self) -> RowsInUse:
+        """Constraint rows that imply all others."""
+        return self._rows[0]
 
-    def load(self) -> None:
-        """Trace and compile now, so that no run has to wait for it."""
-        assert self.functions
+    @property
+    def redundant(self) -> bool:
+        """Whether reactions are not unique."""
+        return self._rows[1]
 
-    def _trace(self, function: Any) -> Program:
+    def packed(self, q: Array, v: Array, time: float = 0.0, values: dict[str, Array] | None = None) -> Array:
+        """x (inputs,) for native functions; parameters not in `values` are the scene's own."""
+        own = parameter_values(self.scene) | (values or {})
+        given = [np.ravel(own.get(name, 0.0)) for name in self.parameters]  # nothing is held at first
+        return np.concatenate([q, v, [time], *given])
+
+    def float_system(self, x: Array) -> Formulation:
+        """The float form at the parameters in x (inputs,)."""
+        if not self.parameters:
+            return self.system
+        scene = with_values(self.scene, self._values(x))
+        return formulate(scene, self.formulation, self._alpha)
+
+    def place(self, parameter: str) -> int:
+        """Where a parameter begins in x (inputs,)."""
+        start = self.size + 1
+        for name, shape in self.parameters.items():
+            if name == parameter:
+                return start
+            start += int(np.prod(shape))
+        raise UnknownNameError("parameter", parameter, tuple(self.parameters))
+
+    def _values(self, x: Array) -> dict[str, Any]:
+        """The parameters in x (inputs,), by name."""
+        values = {}
+        for name, shape in self.parameters.items():
+            start = self.place(name)
+            values[name] = x[start : start + int(np.prod(shape))].reshape(shape) if shape else x[start]
+        return values
+
+    # Tracing
+
+    def _trace(self, name: str) -> Program:
         graph = Graph()
-        y = graph.variables(self.size + 1)
-        return graph.prune(function(y[: self.system.nq], y[self.system.nq : self.size]))
+        x = graph.variables(self.inputs)
+        scene = with_values(self.scene, self._values(x))
+        system = formulate(scene, self.formulation, self._alpha)
+        q, v = x[: system.nq], x[system.nq : self.size]
+        return graph.prune(getattr(self, f"_trace_{name}")(system, q, v))
 
-    def _derivative(self, q: Array, v: Array) -> list[Scalar]:
+    def _trace_derivative(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """(qdot, vdot, health)."""
-        acceleration, health = self.system.sparse_acceleration(q, v)
-        return [*self.system.rate(q, v), *acceleration, health]
+        acceleration, health = system.sparse_acceleration(q, v, self.rows)
+        return [*system.rate(q, v), *acceleration, minimum(health, 1.0)]
 
-    def _rate(self, q: Array, v: Array) -> list[Scalar]:
+    def _trace_jacobian(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
+        """(n, n) derivative of (qdot, vdot) by (q, v), row by row."""
+        acceleration, _ = system.sparse_acceleration(q, v, self.rows)
+        rates = [*system.rate(q, v), *acceleration]
+        return list(differentiate(q[0].graph, rates, [*q, *v]).ravel())
+
+    def _trace_rate(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """qdot."""
-        return [*self.system.rate(q, v)]
+        return [*system.rate(q, v)]
 
-    def _position(self, q: Array, v: Array) -> list[Scalar]:
+    def _trace_position(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """(q after one Newton step, v, squared residual before it, health)."""
-        q = self.system.retract(q, np.zeros(self.system.nv))  # quaternions of norm 1
-        phi, jacobian = self.system.phi_and_jacobian(q)
-        step, health = self._least(jacobian, phi)
-        return [*self.system.retract(q, -step), *v, phi @ phi, health]
+        q = system.retract(q, np.zeros(system.nv))  # quaternions of norm 1
+        phi, step, health = self._correction(system, q, None)
+        return [*system.retract(q, -step), *v, phi @ phi, health]
 
-    def _velocity(self, q: Array, v: Array) -> list[Scalar]:
+    def _trace_velocity(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """(q, v on the constraints, squared residual of positions, health)."""
-        phi, jacobian = self.system.phi_and_jacobian(q)
-        step, health = self._least(jacobian, jacobian @ v)
+        phi, step, health = self._correction(system, q, v)
         return [*q, *(v - step), phi @ phi, health]
 
-    def _least(self, jacobian: Array, right: Array) -> tuple[Array, Scalar]:
-        """The shortest dimensionless x with J x = right, and the health of J J^T."""
-        units = self.system.velocity_units
-        rows = rows_of(jacobian * units)
-        gram = [{j: dot(a, b) for j, b in enumerate(rows) if a.keys() & b.keys()} for a in rows]
-        factor = factorise(gram, minimum_degree([set(row) for row in gram]))
-        weights = factor.solve(sparse_vector(right))
-        x: list[Scalar] = [0.0] * len(units)
-        for i, weight in weights.items():
-            for k, entry in rows[i].items():
-                x[k] = x[k] + entry * weight
-        return np.array([units[k] * value for k, value in enumerate(x)]), minimum(factor.health, 1.0)
+    def _correction(self, system: Formulation, q: Array, v: Array | None) -> tuple[Array, Array, Scalar]:
+        """Residuals, the least step (nv,) that removes them or J v, and its health; all dimensionless
+        but the step."""
+        units = system.velocity_units
+        phi, jacobian = system.phi_and_jacobian(q)
+        rows = [
+            {k: x * (units[k] / system.phi_units[i]) for k, x in jacobian[i].items()}
+            for i in self.rows.numbers
+        ]
+        phi = phi / system.phi_units
+        right = phi[self.rows.numbers]
+        if v is not None:
+            right = np.array([sum(x * (v[k] / units[k]) for k, x in row.items()) for row in rows])
+        step, health = least_squares(rows, right)
+        return phi, np.array([units[k] * step.get(k, 0.0) for k in range(system.nv)]), minimum(health, 1.0)
 
-    # Outputs
-
-    @cached_property
-    def output(self) -> tuple[dict[str, tuple[slice, tuple[int, ...]]], Program]:
-        """What the scene asks for at a state: where each array is in the outputs, its shape, the program."""
-        graph = Graph()
-        y = graph.variables(self.size + 1)
-        q, v = y[: self.system.nq], y[self.system.nq : self.size]
-        e, wanted = self.system.sparse_evaluation(q, v), self.system.scene.outputs
-        arrays = {"position": e.state.position, "quaternion": e.state.quaternion}
+    def _trace_output(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
+        """The arrays that the scene asks for, one after the other: see `places`."""
+        e, health = system.sparse_evaluation(q, v, self.rows)
+        wanted = self.scene.outputs
+        arrays: dict[str, Any] = {"position": e.state.position, "quaternion": e.state.quaternion}
         if "velocities" in wanted:
             arrays["linear_velocity"] = e.state.linear_velocity
             arrays["angular_velocity"] = e.state.angular_velocity
@@ -113,10 +235,16 @@ class CompiledSystem:
             arrays["kinetic_energy"] = np.array(e.kinetic_energy)
             arrays["potential_energy"] = np.array(e.potential_energy)
         if "violation" in wanted:
-            arrays["phi"] = self.system.joint_phi(q)
-        places: dict[str, tuple[slice, tuple[int, ...]]] = {}
+            arrays["phi"] = system.joint_phi(q)
+        arrays["health"] = np.array(minimum(health, 1.0) if "reactions" in wanted else 1.0)
+        self.places: dict[str, tuple[slice, tuple[int, ...]]] = {}
         scalars: list[Scalar] = []
         for name, array in arrays.items():
-            places[name] = (slice(len(scalars), len(scalars) + array.size), array.shape)
+            self.places[name] = (slice(len(scalars), len(scalars) + array.size), array.shape)
             scalars.extend(array.ravel())
-        return places, graph.prune(scalars)
+        return scalars
+
+    def _trace_measured(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
+        """Coordinates of all control laws, then their rates."""
+        seen = system.measure(q, v)
+        return [*(x for x, _ in seen), *(rate for _, rate in seen)]

@@ -1,14 +1,16 @@
-"""Declared control laws: those that every engine can take into its own equations."""
+"""Control laws: declared ones, which every engine takes into its own equations, and sampled ones."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Integral, Real
+from typing import ClassVar
 
 import numpy as np
 
 from newton_euler.errors import MechanismError
-from newton_euler.scalars import Scalar
+from newton_euler.scalars import Array, Scalar
 
 
 def is_finite_number(value: object) -> bool:
@@ -40,16 +42,65 @@ class PD:
     target: float
     coordinate: int = 0
 
+    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "target")
+
     def __post_init__(self) -> None:
         where = f"control of joint {self.joint!r}"
-        for name in ("stiffness", "damping", "target"):
+        for name in self.parameters:
             value = getattr(self, name)
             if not is_finite_number(value):
                 raise MechanismError(where, f"{name} is {value!r}", "a finite number")
             object.__setattr__(self, name, float(value))
-        if not isinstance(self.coordinate, Integral) or isinstance(self.coordinate, bool):
-            raise MechanismError(where, f"coordinate is {self.coordinate!r}", "an index from 0")
+        _check_coordinate(where, self.coordinate)
 
     def force(self, x: Scalar, x_rate: Scalar) -> Scalar:
         """The generalized force (N or N m) at coordinate x (m or rad) and its rate."""
         return -(self.stiffness * (x - self.target) + self.damping * x_rate)
+
+
+Controller = Callable[[float, Array, Array], float]
+"""time (s), coordinates (a,) and their rates (a,) of all laws of the scene, in order -> force, N or N m."""
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A controller in discrete time: called at its period, its force held in between.
+
+    Attributes:
+        joint: name of the joint it drives.
+        controller: a `Controller`; it may keep a state of its own.
+        period: s between its calls; the first is at time 0.
+        coordinate: which of the joint's coordinates, from 0.
+        held: N or N m, the force at present.
+
+    Raises:
+        MechanismError: naming the joint and the value at fault.
+    """
+
+    joint: str
+    controller: Controller
+    period: float
+    coordinate: int = 0
+    held: float = 0.0
+
+    parameters: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        where = f"control of joint {self.joint!r}"
+        if not callable(self.controller):
+            raise MechanismError(where, f"controller is {self.controller!r}", "something to call")
+        if not is_finite_number(self.period) or self.period <= 0.0:
+            raise MechanismError(where, f"period is {self.period!r}", "a positive number of seconds")
+        _check_coordinate(where, self.coordinate)
+
+    def force(self, x: Scalar, x_rate: Scalar) -> Scalar:
+        """The generalized force (N or N m): what is held."""
+        return self.held
+
+
+Law = PD | Sampled
+
+
+def _check_coordinate(where: str, coordinate: object) -> None:
+    if not isinstance(coordinate, Integral) or isinstance(coordinate, bool):
+        raise MechanismError(where, f"coordinate is {coordinate!r}", "an index from 0")

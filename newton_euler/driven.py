@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from newton_euler.constraints import Constraint, Frame, Jacobian
-from newton_euler.control import PD
+from newton_euler.control import Law
 from newton_euler.joints import JointEquations
 from newton_euler.scalars import Array, Scalar
 
@@ -27,7 +27,7 @@ class Driven:
         carried: where in q its angle is carried; None for a slide.
     """
 
-    law: PD
+    law: Law
     equations: JointEquations
     carried: int | None
 
@@ -39,14 +39,14 @@ class Driven:
     def bodies(self) -> tuple[int, int]:
         return self.equations.first, self.equations.second
 
-    def force(self, q: Array, first: Frame, second: Frame) -> tuple[Scalar, Jacobian]:
-        """The law's force (N or N m), and the Jacobian through which it acts on the two bodies."""
+    def measure(self, q: Array, first: Frame, second: Frame) -> tuple[Scalar, Scalar, Jacobian]:
+        """The coordinate (m or rad), its rate, and the Jacobian through which a force on it acts."""
         jacobian = self.coordinate.jacobian(first, second)
         x = self.coordinate.phi(first, second)[0] if self.carried is None else q[self.carried]
-        return self.law.force(x, jacobian.rate(first, second)[0]), jacobian
+        return x, jacobian.rate(first, second)[0], jacobian
 
 
-def driven(laws: list[tuple[PD, JointEquations]], size: int) -> tuple[Driven, ...]:
+def driven(laws: list[tuple[Law, JointEquations]], size: int) -> tuple[Driven, ...]:
     """What these laws drive; angles are carried from place `size` of q on."""
     found: list[Driven] = []
     for law, equations in laws:

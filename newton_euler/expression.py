@@ -280,11 +280,11 @@ def _mul(graph: Graph, a: int, b: int, x: float | None, y: float | None) -> Expr
     minus = graph.negated(a)
     if minus is not None:
         return -graph.binary("mul", minus, b)
-    if x is not None:
-        node = graph.nodes[b]
-        factor = graph.value(node.a) if node.op == "mul" else None
-        if factor is not None:  # c (d z) = (c d) z
-            return graph.binary("mul", graph.constant(x * factor).index, node.b)
+    if x is not None and graph.nodes[b].op == "mul":  # c (d z) = (c d) z
+        for factor, rest in (operands(graph.nodes[b]), operands(graph.nodes[b])[::-1]):
+            known = graph.value(factor)
+            if known is not None:
+                return graph.binary("mul", graph.constant(x * known).index, rest)
     return graph.record("mul", a, b)
 
 

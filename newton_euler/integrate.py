@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -67,6 +68,11 @@ class Options:
                 raise OptionError("step", self.step, f"a positive number of seconds for {self.integrator}")
         elif self.step is not None:
             raise OptionError("step", self.step, f"none: {self.integrator} chooses its own steps")
+
+    def chosen(self) -> dict[str, Any]:
+        """What a run was asked for, by name."""
+        control = {"step": self.step} if self.step else {"rtol": self.rtol, "atol": self.atol}
+        return {"integrator": self.integrator} | control
 
 
 def integrate(system: System, q: Array, v: Array, times: Array, options: Options) -> Solution:

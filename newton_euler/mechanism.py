@@ -7,6 +7,7 @@ its origin at the centre of mass, as in the paper, and the orientation `Body.qua
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -121,13 +122,15 @@ class Mechanism:
             raise MechanismError(
                 "mechanism", f"has {len(self.bodies)} bodies", "the ground and at least one more"
             )
+        for joint in self.joints:
+            if not isinstance(joint.name, str) or not _NAME.fullmatch(joint.name):
+                raise MechanismError(
+                    f"joint {joint.name!r}", "has an unusable name", "letters, digits, _, . and - only"
+                )
         for what, elements in (("body", self.bodies), ("joint", self.joints)):
-            names = [element.name for element in elements]
-            for name in names:
-                if names.count(name) > 1:
-                    raise MechanismError(
-                        f"{what} {name!r}", f"{names.count(name)} of that name", "unique names"
-                    )
+            for name, count in Counter(element.name for element in elements).items():
+                if count > 1:
+                    raise MechanismError(f"{what} {name!r}", f"{count} of that name", "unique names")
         for body in self.bodies:
             norm = float(np.linalg.norm(body.quaternion))
             if abs(norm - 1.0) > UNIT_TOLERANCE:
@@ -139,35 +142,34 @@ class Mechanism:
         self._check_joints()
 
     def _check_joints(self) -> None:
-        names = self.body_names
         for joint in self.joints:
             where = f"joint {joint.name!r}"
-            if not isinstance(joint.name, str) or not _NAME.fullmatch(joint.name):
-                raise MechanismError(where, "has an unusable name", "letters, digits, _, . and - only")
             for body in (joint.first, joint.second):
-                if body not in names:
+                if not isinstance(body, str) or body not in self._body_indices:
                     raise MechanismError(
-                        where, f"connects an unknown body {body!r}", f"one of {', '.join(names)}"
+                        where, f"connects an unknown body {body!r}", f"one of {', '.join(self.body_names)}"
                     )
             if joint.first == joint.second:
                 raise MechanismError(where, f"connects {joint.first!r} to itself", "two bodies")
-        reached, grown = {names[0]}, True
-        while grown:
-            grown = False
-            for joint in self.joints:
-                if (joint.first in reached) != (joint.second in reached):
-                    reached |= {joint.first, joint.second}
-                    grown = True
-        for name in names:
-            if name not in reached:
-                raise MechanismError(
-                    f"body {name!r}", "no joint leads to it from the ground", "a joint, `free` if it floats"
-                )
+        self._check_connected()
         frames = [
             Frame(body.center_of_mass, rotation(body.quaternion), np.zeros(3), np.zeros(3))
             for body in self.bodies
         ]
         self.check_closed(frames, "at the initial pose")
+
+    def _check_connected(self) -> None:
+        reached, ahead = {0}, [0]
+        while ahead:
+            joints = [self.joints[k] for k in self.joints_at[ahead.pop()]]
+            near = {self.body_index(name) for joint in joints for name in (joint.first, joint.second)}
+            ahead.extend(near - reached)
+            reached |= near
+        for index, name in enumerate(self.body_names):
+            if index not in reached:
+                raise MechanismError(
+                    f"body {name!r}", "no joint leads to it from the ground", "a joint, `free` if it floats"
+                )
 
     def check_closed(self, frames: list[Frame], when: str) -> None:
         """Raise `MechanismError` for the first joint open by more than `CLOSURE_TOLERANCE`."""
@@ -199,17 +201,34 @@ class Mechanism:
         spread = float(np.max(np.linalg.norm(points - points.mean(axis=0), axis=1)))
         return spread if spread > 0.0 else 1.0
 
+    @cached_property
+    def _body_indices(self) -> dict[str, int]:
+        return {name: index for index, name in enumerate(self.body_names)}
+
+    @cached_property
+    def _joint_indices(self) -> dict[str, int]:
+        return {name: index for index, name in enumerate(self.joint_names)}
+
     def body_index(self, name: str) -> int:
         """Index of a body; raises `UnknownNameError`."""
-        if name not in self.body_names:
+        if name not in self._body_indices:
             raise UnknownNameError("body", name, self.body_names)
-        return self.body_names.index(name)
+        return self._body_indices[name]
 
     def joint_index(self, name: str) -> int:
         """Index of a joint; raises `UnknownNameError`."""
-        if name not in self.joint_names:
+        if name not in self._joint_indices:
             raise UnknownNameError("joint", name, self.joint_names)
-        return self.joint_names.index(name)
+        return self._joint_indices[name]
+
+    @cached_property
+    def joints_at(self) -> tuple[tuple[int, ...], ...]:
+        """For each body the indices of its joints, in order."""
+        found: list[list[int]] = [[] for _ in self.bodies]
+        for index, joint in enumerate(self.joints):
+            for name in (joint.first, joint.second):
+                found[self.body_index(name)].append(index)
+        return tuple(map(tuple, found))
 
     def attach(self, poses: list[Pose]) -> tuple[JointEquations, ...]:
         """All joints' equations, tied to bodies with these reference poses (one for each body)."""
@@ -229,11 +248,8 @@ class Mechanism:
         body = self.bodies[index]
         if body.shapes or index == 0:
             return body.shapes
-        points = [
-            joint.point if joint.first == body.name else joint.reaction_point
-            for joint in self.joints
-            if body.name in (joint.first, joint.second)
-        ]
+        joints = [self.joints[k] for k in self.joints_at[index]]
+        points = [joint.point if joint.first == body.name else joint.reaction_point for joint in joints]
         return tuple(
             Capsule(body.center_of_mass, point, 0.02 * self.size)
             for point in points

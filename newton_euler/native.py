@@ -21,8 +21,9 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from newton_euler.compile import NativeModule, literal
+from newton_euler.compile import NativeModule
 from newton_euler.scalars import Array
+from newton_euler.trigonometry import literal
 
 Vector = Array
 """A vector of doubles; native code gets its address."""
@@ -459,7 +460,7 @@ class NativeModuleOf:
     """Native functions compiled together, to be called with numbers and arrays from Python."""
 
     def __init__(self, functions: list[Callable[..., Any]]) -> None:
-        self._module = NativeModule(text(functions), level=3)
+        self._module = NativeModule(text(functions), optimise=True)
         self._calls = {
             function.__name__: _ctypes(_SIGNATURES[function])(self._module.address(function.__name__))
             for function in functions

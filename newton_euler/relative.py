@@ -20,22 +20,20 @@ Body frames are those of the tree: parallel to the world at the initial pose.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from newton_euler.constraints import Frame, Jacobian
 from newton_euler.driven import carried_angles, carried_rates, driven
 from newton_euler.errors import SingularityError
-from newton_euler.euler_parameters import (
-    IDENTITY,
-    product,
-    rotation,
-)
+from newton_euler.euler_parameters import product, rotation
 from newton_euler.scalars import Array, Scalar, cos, cross, sin, tilde, zeros
 from newton_euler.scene import Scene
 from newton_euler.solve import solve_constrained
-from newton_euler.sparse import Solution, factorise, rows_of, sparse_vector
+from newton_euler.sparse import Rows, RowsInUse, Solution, add, dense, factorise, sparse_vector
 from newton_euler.sparse import solve_constrained as sparse_solve
 from newton_euler.state import Evaluation, MassProperties, State, energies
 from newton_euler.tree import SpanningTree, TreeJoint
@@ -60,6 +58,14 @@ class Link:
     linear: Array
     angular: Array
     orientation: Array
+
+
+class Measured(NamedTuple):
+    """The joint coordinate (m or rad) of a control law, its rate, and that as a row over v."""
+
+    coordinate: Scalar
+    rate: Scalar
+    jacobian: dict[int, Scalar]
 
 
 def turn(axis: Array, angle: Array) -> Array:
@@ -101,7 +107,7 @@ class Relative:
         ground = self.mechanism.bodies[0]
         zero = np.zeros(3)
         frame, none = Frame(ground.center_of_mass, np.eye(3), zero, zero), np.zeros((3, 0))
-        root = Link(frame, zero, zero, [], none, none, IDENTITY)
+        root = Link(frame, zero, zero, [], none, none, np.array([1.0, 0.0, 0.0, 0.0]))
         links: dict[int, Link] = {0: root}
         for joint in self.tree.joints:
             links[joint.child] = self._child(joint, links[joint.parent], q[joint.q], v[joint.v])
@@ -182,66 +188,100 @@ class Relative:
         force = self.mechanism.bodies[body].mass * (acceleration - self.scene.gravity)
         return force, inertia @ alpha + cross(omega, inertia @ omega)
 
-    def mass_and_force(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
-        """M (nv, nv) and f (nv,) of the tree, actuation included."""
-        mass, force = zeros((self.nv, self.nv), v), zeros(self.nv, v)
+    def body_terms(self, links: list[Link]) -> Iterator[tuple[list[int], Array, Array]]:
+        """What each body adds to M and to f: (path, block (p, p), (p,))."""
         for body, link in enumerate(links[1:], start=1):
-            on = np.ix_(link.path, link.path)
             inertia = self.world_inertia(body, link)
-            mass[on] += (
+            block = (
                 self.mechanism.bodies[body].mass * (link.linear.T @ link.linear)
                 + link.angular.T @ inertia @ link.angular
             )
             f, n = self.inertial_wrench(body, link, link.acceleration, link.angular_acceleration)
-            force[link.path] -= link.linear.T @ f + link.angular.T @ n
-        return mass, force + self.actuation(q, v, links)[1]
+            yield link.path, block, -(link.linear.T @ f + link.angular.T @ n)
 
-    def actuation(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
-        """Actuator forces (a,), and what they do to the joint coordinates (nv,)."""
-        forces, generalized = [], zeros(self.nv, q, v)
+    def mass_and_force(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
+        """M (nv, nv) and f (nv,) of the tree, actuation included."""
+        mass, force = np.zeros((self.nv, self.nv)), self.actuation(q, v, links)[1]
+        for path, block, share in self.body_terms(links):
+            mass[np.ix_(path, path)] += block
+            force[path] += share
+        return mass, force
+
+    def sparse_mass_and_force(self, q: Array, v: Array, links: list[Link]) -> tuple[Rows, Array]:
+        """The same over generic scalars, M as its nonzeros."""
+        mass: Rows = [{} for _ in range(self.nv)]
+        force = self.actuation(q, v, links)[1].astype(object)
+        for path, block, share in self.body_terms(links):
+            for n, i in enumerate(path):
+                force[i] = force[i] + share[n]
+                for m, j in enumerate(path):
+                    add(mass[i], j, block[n, m])
+        return mass, force
+
+    def measured(self, q: Array, v: Array, links: list[Link]) -> list[Measured]:
+        """What each control law sees, and how a force on it acts on the joint coordinates."""
+        found = []
         cut = iter(self.driven)
         for law in self.scene.control:
             place = self.tree.place(law.joint, law.coordinate)
             if place is not None:
-                u = law.force(q[place[0]], v[place[1]])
-                generalized[place[1]] += u
+                found.append(Measured(q[place[0]], v[place[1]], {place[1]: 1.0}))
             else:
                 drive = next(cut)
                 first, second = (links[body] for body in drive.bodies)
-                u, jacobian = drive.force(q, first.frame, second.frame)
-                generalized += self._project(jacobian, first, second)[0] * u
+                x, rate, jacobian = drive.measure(q, first.frame, second.frame)
+                found.append(Measured(x, rate, self._project(jacobian, first, second)[0]))
+        return found
+
+    def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
+        """Coordinate (m or rad) and rate of each control law."""
+        return [(seen.coordinate, seen.rate) for seen in self.measured(q, v, self.links(q, v))]
+
+    def actuation(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
+        """Actuator forces (a,), and what they do to the joint coordinates (nv,)."""
+        forces, generalized = [], zeros(self.nv, q, v)
+        for law, seen in zip(self.scene.control, self.measured(q, v, links), strict=True):
+            u = law.force(seen.coordinate, seen.rate)
+            for k, entry in seen.jacobian.items():
+                generalized[k] += entry * u
             forces.append(u)
         return np.array(forces), generalized
 
-    def _project(self, jacobian: Jacobian, first: Link, second: Link) -> Array:
-        """The rows of a two-body Jacobian in joint coordinates."""
+    def _project(self, jacobian: Jacobian, first: Link, second: Link) -> Rows:
+        """The rows of a two-body Jacobian in joint coordinates, as their nonzeros."""
         r_i, theta_i, r_j, theta_j = jacobian
-        rows = zeros((len(r_i), self.nv), r_i, theta_i, first.linear, second.linear)
-        rows[:, first.path] += r_i @ first.linear + theta_i @ first.angular
-        rows[:, second.path] += r_j @ second.linear + theta_j @ second.angular
+        rows: Rows = [{} for _ in r_i]
+        for link, block in (
+            (first, r_i @ first.linear + theta_i @ first.angular),
+            (second, r_j @ second.linear + theta_j @ second.angular),
+        ):
+            for row, entries in zip(rows, block, strict=True):
+                for k, entry in zip(link.path, entries, strict=True):
+                    add(row, k, entry)
         return rows
 
-    def loop_terms(self, links: list[Link]) -> tuple[Array, Array, Array]:
-        """Phi (k,), J (k, nv) and the stabilised gamma (k,) of the loop closures."""
-        like = [link.frame.position for link in links[1:]]
-        phis, jacobians, gammas = [np.zeros(0)], [zeros((0, self.nv), *like)], [np.zeros(0)]
+    def loop_terms(self, links: list[Link]) -> tuple[Array, Rows, Array]:
+        """Phi (k,), the nonzeros of J (k, nv) and the stabilised gamma (k,) of the loop closures."""
+        phis, gammas = [np.zeros(0)], [np.zeros(0)]
+        jacobian: Rows = []
         for closure in self.closures:
             first, second = links[closure.first], links[closure.second]
             blocks = closure.jacobian(first.frame, second.frame)
-            rows = self._project(blocks, first, second)
             phi = closure.phi(first.frame, second.frame)
-            phis.append(phi)
-            jacobians.append(rows)
-            gammas.append(
+            gamma = (
                 closure.gamma(first.frame, second.frame)
                 - blocks.r_first @ first.acceleration
                 - blocks.theta_first @ first.angular_acceleration
                 - blocks.r_second @ second.acceleration
                 - blocks.theta_second @ second.angular_acceleration
-                - self.damping * blocks.rate(first.frame, second.frame)
-                - self.stiffness * phi
             )
-        return np.concatenate(phis), np.concatenate(jacobians), np.concatenate(gammas)
+            if self.damping or self.stiffness:
+                rate = blocks.rate(first.frame, second.frame)
+                gamma = gamma - self.damping * rate - self.stiffness * phi
+            phis.append(phi)
+            gammas.append(gamma)
+            jacobian.extend(self._project(blocks, first, second))
+        return np.concatenate(phis), jacobian, np.concatenate(gammas)
 
     # What integrators, projection and assembly ask for
 
@@ -261,7 +301,8 @@ class Relative:
 
     def _solve(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
         mass, force = self.mass_and_force(q, v, links)
-        _, jacobian, gamma = self.loop_terms(links)
+        _, rows, gamma = self.loop_terms(links)
+        jacobian = dense(rows, self.nv)
         try:
             return solve_constrained(mass, force, jacobian, gamma, self.phi_units, self.velocity_units)
         except np.linalg.LinAlgError as error:
@@ -284,30 +325,37 @@ class Relative:
         (kept,) = (kept for kept in self.tree.joints if kept.v.start <= velocity < kept.v.stop)
         return self.mechanism.joint_names[kept.joint]
 
-    def sparse_solution(self, q: Array, v: Array) -> Solution:
-        """Accelerations and multipliers by sparse elimination, leaves first, over generic scalars."""
-        links = self.links(q, v)
-        mass, force = self.mass_and_force(q, v, links)
-        _, jacobian, gamma = self.loop_terms(links)
-        factor = factorise(rows_of(mass), range(self.nv - 1, -1, -1))
-        return sparse_solve(factor, sparse_vector(force), rows_of(jacobian), gamma)
+    def fastest_joint(self, q: Array, v: Array) -> str:
+        """Name of the joint whose dimensionless velocity is largest."""
+        return self._joint_of(int(np.argmax(np.abs(v) / self.velocity_units)))
 
-    def sparse_acceleration(self, q: Array, v: Array) -> tuple[Array, Scalar]:
+    def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution:
+        """Accelerations and multipliers by sparse elimination, leaves first, over generic scalars.
+
+        `rows` of `phi` are used; the others must follow from them.
+        """
+        links = self.links(q, v)
+        mass, force = self.sparse_mass_and_force(q, v, links)
+        _, jacobian, gamma = self.loop_terms(links)
+        factor = factorise(mass, range(self.nv - 1, -1, -1))
+        return sparse_solve(factor, sparse_vector(force), jacobian, gamma, rows, refine=False)
+
+    def sparse_acceleration(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Array, Scalar]:
         """qddot (nv,) and the health of the elimination, over generic scalars."""
-        solution = self.sparse_solution(q, v)
+        solution = self.sparse_solution(q, v, rows)
         return np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)]), solution.health
 
-    def phi_and_jacobian(self, q: Array) -> tuple[Array, Array]:
-        """Residuals (k,) of the loop closures and their Jacobian (k, nv)."""
+    def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
+        """Residuals (k,) of the loop closures and the nonzeros of their Jacobian (k, nv)."""
         return self.loop_terms(self.links(q, np.zeros(self.nv)))[:2]
 
     def phi(self, q: Array) -> Array:
         """Residuals (k,) of the loop closures."""
-        return self.loop_terms(self.links(q, np.zeros(self.nv)))[0]
+        return self.phi_and_jacobian(q)[0]
 
     def phi_jacobian(self, q: Array) -> Array:
         """Derivative (k, nv) of `phi` along `retract`, and of `phi`'s rate by v."""
-        return self.loop_terms(self.links(q, np.zeros(self.nv)))[1]
+        return dense(self.phi_and_jacobian(q)[1], self.nv)
 
     def retract(self, q: Array, step: Array) -> Array:
         """q moved by a small step (nv,); quaternions come out with norm 1."""
@@ -357,12 +405,12 @@ class Relative:
         links = self.links(q, v)
         return self._evaluation(q, v, links, *self._solve(q, v, links))
 
-    def sparse_evaluation(self, q: Array, v: Array) -> Evaluation:
-        """`evaluate` by sparse elimination over generic scalars."""
-        solution = self.sparse_solution(q, v)
+    def sparse_evaluation(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Evaluation, Scalar]:
+        """`evaluate` by sparse elimination over generic scalars, and the health of that."""
+        solution = self.sparse_solution(q, v, rows)
         qddot = np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)])
         multipliers = np.array([solution.multipliers.get(k, 0.0) for k in range(len(self.phi_units))])
-        return self._evaluation(q, v, self.links(q, v), qddot, multipliers)
+        return self._evaluation(q, v, self.links(q, v), qddot, multipliers), solution.health
 
     def _evaluation(
         self, q: Array, v: Array, links: list[Link], qddot: Array, multipliers: Array

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from newton_euler.control import PD, is_finite_number
+from newton_euler.control import Law, Sampled, is_finite_number
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.scalars import Array
@@ -57,7 +58,7 @@ class Scene:
     duration: float
     output_period: float
     gravity: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
-    control: tuple[PD, ...] = ()
+    control: tuple[Law, ...] = ()
     initial_state: State = field(default=None)  # type: ignore[assignment]
     outputs: frozenset[str] = frozenset(OUTPUTS)
     description: str = ""
@@ -117,17 +118,16 @@ class Scene:
 
     def _check_control(self) -> None:
         laws = self.control
-        if not isinstance(laws, Iterable) or not all(isinstance(law, PD) for law in laws):
-            raise MechanismError(f"scene {self.name!r}", f"control is {laws!r}", "a tuple of PD laws")
+        if not isinstance(laws, Iterable) or not all(isinstance(law, Law) for law in laws):
+            raise MechanismError(f"scene {self.name!r}", f"control is {laws!r}", "a tuple of control laws")
         object.__setattr__(self, "control", tuple(laws))
+        driven = Counter((law.joint, law.coordinate) for law in self.control)
         for law in self.control:
             where = f"control of joint {law.joint!r}"
             joint = self.mechanism.joints[self.mechanism.joint_index(law.joint)]
             if not joint.actuated:
                 raise MechanismError(where, "the joint is not actuated", "an actuated joint")
-            if [(other.joint, other.coordinate) for other in self.control].count(
-                (law.joint, law.coordinate)
-            ) > 1:
+            if driven[law.joint, law.coordinate] > 1:
                 raise MechanismError(where, "has several laws for one coordinate", "one law a coordinate")
             kinds = [m.kind for m in joint.motions if m.kind != "ball"]
             if not 0 <= law.coordinate < len(kinds):
@@ -202,6 +202,11 @@ class Scene:
                     f"opens at {rates[worst]:.3g} {unit} in the initial state",
                     f"at most {allowed[worst]:.3g} {unit}, as newton_euler.assemble(scene, guess) makes it",
                 )
+
+    @property
+    def sampled(self) -> tuple[Sampled, ...]:
+        """The sampled controllers among the control laws."""
+        return tuple(law for law in self.control if isinstance(law, Sampled))
 
     @cached_property
     def times(self) -> Array:

@@ -3,37 +3,20 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from newton_euler.cartesian import Cartesian
-from newton_euler.errors import UnknownNameError
+from newton_euler.compiled import Code
 from newton_euler.euler_parameters import continuous
-from newton_euler.integrate import Options, Solution, integrate
-from newton_euler.relative import Relative
+from newton_euler.integrate import Options, integrate
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
-from newton_euler.stabilize import PAPER_ALPHA, baumgarte_alpha, joint_violations
+from newton_euler.stabilize import PAPER_ALPHA, joint_violations
 from newton_euler.state import Evaluation
 from newton_euler.system import System
 from newton_euler.trajectory import Trajectory
-
-FORMULATIONS: dict[str, type[Relative] | type[Cartesian]] = {
-    "relative": Relative,
-    "cartesian": Cartesian,
-}
-
-
-COMPILED = ("DOP853", "RK4", "Euler")
-"""Integrators that run in native code; Radau runs through scipy."""
-
-
-def formulate(scene: Scene, formulation: str = "relative", alpha: float = 0.0) -> Relative | Cartesian:
-    """Equations of motion of a scene in one of the `FORMULATIONS`; alpha is Baumgarte's, 1/s."""
-    if formulation not in FORMULATIONS:
-        raise UnknownNameError("formulation", formulation, tuple(FORMULATIONS))
-    return FORMULATIONS[formulation](scene, alpha)
 
 
 def simulate(
@@ -46,7 +29,7 @@ def simulate(
     stabilization: str = "projection",
     alpha: float = PAPER_ALPHA,
 ) -> Trajectory:
-    """Run a scene with this package's own equations.
+    """Run a scene with this package's own equations, in native code.
 
     Args:
         scene: what to run.
@@ -60,29 +43,72 @@ def simulate(
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
     """
-    system = formulate(scene, formulation, baumgarte_alpha(stabilization, alpha))
-    settings: dict[str, Any] = {"formulation": formulation, "stabilization": stabilization}
-    if stabilization == "baumgarte":
-        settings["alpha"] = alpha
-    options = Options(integrator, rtol, atol, step, stabilization == "projection")
-    if integrator not in COMPILED:
-        return run(system, "newton_euler", options, settings)
+    options = Options(integrator, rtol, atol, step)
+    return CompiledScene(scene, formulation, stabilization, alpha)._run(options)
 
-    from newton_euler.compiled import CompiledSystem
-    from newton_euler.fast import march, outputs
 
-    start = time.perf_counter()
-    compiled = CompiledSystem(system)
+def compile_scene(
+    scene: Scene,
+    formulation: str = "relative",
+    stabilization: str = "projection",
+    alpha: float = PAPER_ALPHA,
+    parameters: Sequence[str] = (),
+) -> CompiledScene:
+    """Trace and compile a scene, for many runs; arguments as of `simulate`.
+
+    Args:
+        parameters: names of what may differ from run to run, see `newton_euler.parameters`.
+
+    Raises:
+        NewtonEulerError: for an unknown name or an impossible option.
+    """
+    compiled = CompiledScene(scene, formulation, stabilization, alpha, parameters)
     compiled.load()
-    settings["compile_time"] = time.perf_counter() - start
-    q, v = system.coordinates(scene.initial_state)
-    start = time.perf_counter()
-    solution = march(compiled, q, v, scene.times, options)
-    wall_time = time.perf_counter() - start
-    arrays = outputs(compiled, scene.times, solution)
+    return compiled
+
+
+class CompiledScene(Code):
+    """A scene in native code, to be run many times; see `compile_scene`."""
+
+    def simulate(
+        self,
+        integrator: str = "DOP853",
+        rtol: float = 1e-10,
+        atol: float = 1e-12,
+        step: float | None = None,
+    ) -> Trajectory:
+        """Run the scene; arguments and errors as of `newton_euler.simulate`."""
+        return self._run(Options(integrator, rtol, atol, step))
+
+    def repeat(self, count: int, q: Array, v: Array) -> float:
+        """s that `count` right-hand sides at one state q, v take, called from native code."""
+        from newton_euler.steppers.run import time_function
+
+        return time_function(self.function("derivative"), self.packed(q, v), count)
+
+    def _run(self, options: Options) -> Trajectory:
+        from newton_euler.sampling import march_sampled
+        from newton_euler.steppers.run import load
+
+        load(self, options.integrator)
+        x = self.packed(*self.system.coordinates(self.scene.initial_state))
+        start = time.perf_counter()
+        arrays, counts = march_sampled(self, x, options)
+        wall_time = time.perf_counter() - start
+        settings: dict[str, Any] = {"formulation": self.formulation, "stabilization": self.stabilization}
+        if self.stabilization == "baumgarte":
+            settings["alpha"] = self.alpha
+        settings |= options.chosen() | counts
+        settings |= {"trace_time": self.trace_time, "compile_time": self.compile_time}
+        return native_trajectory(self.scene, settings, wall_time, arrays)
+
+
+def native_trajectory(
+    scene: Scene, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
+) -> Trajectory:
+    """The trajectory of a run in native code from what `newton_euler.steppers.run.outputs` gave."""
     if "violation" in scene.outputs:
         arrays["constraint_violation"] = _by_joint(scene, arrays.pop("phi"))
-    settings |= _used(options, solution)
     return _trajectory(scene, "newton_euler", settings, wall_time, arrays)
 
 
@@ -93,15 +119,8 @@ def _by_joint(scene: Scene, phi: Array) -> Array:
     return np.stack([np.max(part, axis=1, initial=0.0) for part in parts], axis=1)
 
 
-def _used(options: Options, solution: Solution) -> dict[str, Any]:
-    """What a run was asked for and what it took."""
-    chosen = {"step": options.step} if options.step else {"rtol": options.rtol, "atol": options.atol}
-    counts = {"steps": solution.steps, "evaluations": solution.evaluations}
-    return {"integrator": options.integrator} | chosen | counts
-
-
 def run(system: System, engine: str, options: Options, settings: dict[str, Any]) -> Trajectory:
-    """Integrate any system of equations over its scene.
+    """Integrate any system of equations over its scene, in floats.
 
     `settings` describes the system; the integrator's options and counts are added to it.
     """
@@ -111,7 +130,8 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     solution = integrate(system, q, v, scene.times, options)
     wall_time = time.perf_counter() - start
     evaluations = [system.evaluate(*row) for row in zip(solution.q, solution.v, strict=True)]
-    return trajectory_from(scene, engine, settings | _used(options, solution), wall_time, evaluations)
+    counts = {"steps": solution.steps, "evaluations": solution.evaluations}
+    return trajectory_from(scene, engine, settings | options.chosen() | counts, wall_time, evaluations)
 
 
 def trajectory_from(

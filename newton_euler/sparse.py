@@ -7,16 +7,17 @@ algorithm. No pivoting: `Factor.health` says how close to singular the matrix ha
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from newton_euler.scalars import Array, Scalar, minimum
 
 SINGULAR = 1e-11
-"""A pivot below this share of the diagonal element it came from counts as zero."""
+"""A pivot below this share of what the diagonal element usually is counts as zero."""
 
 
 def is_zero(scalar: Scalar) -> bool:
@@ -28,9 +29,13 @@ Rows = list[dict[int, Any]]
 """A matrix as one dictionary a row: column to scalar."""
 
 
-def rows_of(matrix: Array) -> Rows:
-    """The nonzeros of a dense array."""
-    return [{j: x for j, x in enumerate(row) if not is_zero(x)} for row in matrix]
+def dense(rows: Rows, columns: int) -> Array:
+    """(rows, columns) array of floats."""
+    matrix = np.zeros((len(rows), columns))
+    for i, row in enumerate(rows):
+        for j, x in row.items():
+            matrix[i, j] = x
+    return matrix
 
 
 def sparse_vector(vector: Array) -> dict[int, Any]:
@@ -51,15 +56,19 @@ def minimum_degree(pattern: Sequence[set[int]]) -> list[int]:
     fill at all (George and Liu, SIAM Review 31, 1989).
     """
     neighbours = [set(columns) - {i} for i, columns in enumerate(pattern)]
-    remaining = set(range(len(neighbours)))
-    order = []
-    while remaining:
-        k = min(remaining, key=lambda i: (len(neighbours[i]), i))
-        remaining.remove(k)
+    waiting = [(len(others), i) for i, others in enumerate(neighbours)]
+    heapq.heapify(waiting)
+    order, done = [], set()
+    while waiting:
+        degree, k = heapq.heappop(waiting)
+        if k in done or degree != len(neighbours[k]):
+            continue  # an entry that has been replaced
+        done.add(k)
         order.append(k)
         for i in neighbours[k]:
             neighbours[i] |= neighbours[k]
             neighbours[i] -= {i, k}
+            heapq.heappush(waiting, (len(neighbours[i]), i))
     return order
 
 
@@ -71,7 +80,7 @@ class Factor:
         order: rows in the order of their elimination.
         columns: for each row k the entries of L below it, {row: l}.
         inverse_pivots: 1 / d for each row.
-        health: the least of d - `SINGULAR` times the diagonal; not positive if singular.
+        health: the least of d - `SINGULAR` times the usual diagonal; not positive if singular.
     """
 
     order: list[int]
@@ -106,28 +115,43 @@ class Factor:
         return self.upper(self.scaled(self.lower(right)))
 
 
-def factorise(matrix: Rows, order: Sequence[int]) -> Factor:
-    """Eliminate the rows of a symmetric matrix in the given order."""
+def factorise(
+    matrix: Rows, order: Sequence[int], scales: Sequence[float] | None = None, drop: bool = False
+) -> Factor:
+    """Eliminate the rows of a symmetric matrix in the given order.
+
+    Args:
+        matrix: all nonzeros.
+        order: in which to eliminate.
+        scales: what the diagonal elements usually are; those of this matrix if not given.
+        drop: whether to leave out rows that depend on those before them, of `Factor.order` too; only
+            numbers can tell.
+    """
     work = [dict(row) for row in matrix]
-    diagonal = [row[k] for k, row in enumerate(work)]
+    usual = [row.get(k, 0.0) for k, row in enumerate(work)] if scales is None else scales
     columns: Rows = [{} for _ in work]
     inverse_pivots: list[Any] = [0.0] * len(work)
     health: Scalar = np.inf
+    done = []
     for k in order:
-        pivot = work[k][k]
-        health = minimum(health, pivot - SINGULAR * diagonal[k])
-        inverse_pivots[k] = 1.0 / pivot
+        pivot = work[k].get(k, 0.0)
+        margin = pivot - SINGULAR * usual[k]
         below = [(i, entry) for i, entry in work[k].items() if i != k]
+        for i, _ in below:
+            del work[i][k]
+        if drop and not margin > 0.0:
+            continue
+        done.append(k)
+        health = minimum(health, margin)
+        inverse_pivots[k] = 1.0 / pivot
         for i, entry in below:
             columns[k][i] = entry * inverse_pivots[k]
-            del work[i][k]
         for n, (i, _) in enumerate(below):
             for j, entry in below[n:]:
-                update = -(columns[k][i] * entry)
-                add(work[i], j, update)
-                if i != j:
+                add(work[i], j, -(columns[k][i] * entry))
+                if i != j and j in work[i]:
                     work[j][i] = work[i][j]
-    return Factor(list(order), columns, inverse_pivots, health)
+    return Factor(done, columns, inverse_pivots, health)
 
 
 def dot(a: dict[int, Any], b: dict[int, Any]) -> Scalar:
@@ -141,40 +165,99 @@ def dot(a: dict[int, Any], b: dict[int, Any]) -> Scalar:
     return total
 
 
+def gram(rows: Rows, others: Rows) -> Rows:
+    """The inner products of rows with other rows of the same pattern, where those are symmetric."""
+    touching: dict[int, list[int]] = {}
+    for i, row in enumerate(rows):
+        for k in row:
+            touching.setdefault(k, []).append(i)
+    products: Rows = [{} for _ in rows]
+    for i, row in enumerate(rows):
+        for j in sorted({j for k in row for j in touching[k] if j <= i}):
+            entry = dot(row, others[j])
+            if not is_zero(entry):
+                products[i][j] = products[j][i] = entry
+    return products
+
+
+def pattern_order(matrix: Rows) -> list[int]:
+    """`minimum_degree` of a matrix."""
+    return minimum_degree([set(row) for row in matrix])
+
+
+class RowsInUse(NamedTuple):
+    """Constraint rows that imply all others.
+
+    Attributes:
+        numbers: which they are.
+        scales: what the diagonal of their Schur complement usually is; None where that is unknown.
+    """
+
+    numbers: list[int]
+    scales: list[float] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Acceleration and multipliers, and how close to singular it was."""
+    """Acceleration and multipliers of `solve_constrained`.
+
+    Attributes:
+        acceleration, multipliers: their nonzeros.
+        health: how close to singular it was, as of `Factor`.
+        diagonal: of the Schur complement, for the rows in use.
+    """
 
     acceleration: dict[int, Any]
     multipliers: dict[int, Any]
     health: Scalar
+    diagonal: list[Any]
 
 
-def solve_constrained(factor: Factor, force: dict[int, Any], jacobian: Rows, gamma: Array) -> Solution:
-    """M a = f + J^T lambda, J a = gamma, M factorised, by the Schur complement J M^-1 J^T, all sparse."""
-    half_force = factor.lower(force)
-    if not jacobian:
-        return Solution(factor.upper(factor.scaled(half_force)), {}, factor.health)
-    kept = [i for i, row in enumerate(jacobian) if row]  # an equation that nothing can move does nothing
+def solve_constrained(
+    factor: Factor, force: dict[int, Any], jacobian: Rows, gamma: Array, rows: RowsInUse, refine: bool
+) -> Solution:
+    """M a = f + J^T lambda, J a = gamma, M factorised, by the Schur complement J M^-1 J^T, all sparse.
+
+    Args:
+        factor: of M.
+        force: f.
+        jacobian: J.
+        gamma: (k,).
+        rows: which rows of both to use; the others must follow from them.
+        refine: whether to solve once more for the remaining J a - gamma, which regains the digits
+            that a badly conditioned complement loses.
+    """
+    kept = rows.numbers
+    total = factor.lower(force)
+    acceleration = factor.upper(factor.scaled(total)) if not kept else {}
+    if not kept:
+        return Solution(acceleration, {}, factor.health, [])
     half = [factor.lower(jacobian[i]) for i in kept]
     weighted = [factor.scaled(row) for row in half]
-    touching: dict[int, list[int]] = {}
-    for i, row in enumerate(half):
-        for k in row:
-            touching.setdefault(k, []).append(i)
-    schur: Rows = [{} for _ in half]
-    for i, row in enumerate(half):
-        for j in sorted({j for k in row for j in touching[k] if j <= i}):
-            entry = dot(row, weighted[j])
-            if not is_zero(entry):
-                schur[i][j] = schur[j][i] = entry
-    right = {i: gamma[kept[i]] - dot(weighted[i], half_force) for i in range(len(half))}
-    complement = factorise(schur, minimum_degree([set(row) for row in schur]))
-    multipliers = complement.solve({i: x for i, x in right.items() if not is_zero(x)})
-    total = dict(half_force)
-    for i, x in multipliers.items():
-        for k, entry in half[i].items():
-            add(total, k, entry * x)
-    acceleration = factor.upper(factor.scaled(total))
-    multipliers = {kept[i]: x for i, x in multipliers.items()}
-    return Solution(acceleration, multipliers, minimum(factor.health, complement.health))
+    schur = gram(half, weighted)
+    complement = factorise(schur, pattern_order(schur), rows.scales)
+    right = {n: gamma[i] - dot(weighted[n], total) for n, i in enumerate(kept)}
+    multipliers: dict[int, Any] = {}
+    for _ in range(2 if refine else 1):
+        change = complement.solve({n: x for n, x in right.items() if not is_zero(x)})
+        total = dict(total)
+        for n, x in change.items():
+            add(multipliers, kept[n], x)
+            for k, entry in half[n].items():
+                add(total, k, entry * x)
+        acceleration = factor.upper(factor.scaled(total))
+        right = {n: gamma[i] - dot(jacobian[i], acceleration) for n, i in enumerate(kept)}
+    diagonal = [row.get(n, 0.0) for n, row in enumerate(schur)]
+    return Solution(acceleration, multipliers, minimum(factor.health, complement.health), diagonal)
+
+
+def least_squares(rows: Rows, right: Array) -> tuple[dict[int, Any], Scalar]:
+    """The shortest x with rows @ x = right (k,), and the health of the Gram matrix; dimensionless."""
+    products = gram(rows, rows)
+    factor = factorise(products, pattern_order(products), [1.0] * len(rows))
+    weights = factor.solve(sparse_vector(right))
+    x: dict[int, Any] = {}
+    for i, weight in weights.items():
+        for k, entry in rows[i].items():
+            add(x, k, entry * weight)
+    return x, factor.health

@@ -9,7 +9,8 @@ coordinates are zero there.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -49,6 +50,15 @@ class TreeJoint:
     q: slice
     v: slice
 
+    @property
+    def places(self) -> Iterator[tuple[Motion, slice, slice]]:
+        """The motions with their places in q and in v."""
+        iq, iv = self.q.start, self.v.start
+        for motion in self.motions:
+            nq, nv = (4, 3) if motion.kind == "ball" else (1, 1)
+            yield motion, slice(iq, iq + nq), slice(iv, iv + nv)
+            iq, iv = iq + nq, iv + nv
+
 
 def motion_names(joint: Joint, forward: bool = True) -> list[str]:
     """A name for each of a joint's motions: the joint's own, numbered from 1 if there are several.
@@ -78,8 +88,9 @@ class SpanningTree:
         nq = nv = 0
 
         def offer(body: int) -> None:
-            for index, equations in enumerate(self._equations):
-                if body in (equations.first, equations.second) and equations.joint.name not in never:
+            for index in mechanism.joints_at[body]:
+                equations = self._equations[index]
+                if equations.joint.name not in never:
                     passive = not equations.joint.actuated
                     heapq.heappush(candidates, (-equations.count, passive, reached[body], index, body))
 
@@ -106,8 +117,8 @@ class SpanningTree:
             offer(child)
         self.joints = tuple(kept)
         self.nq, self.nv = nq, nv
-        in_tree = {kept_joint.joint for kept_joint in kept}
-        self.cuts = tuple(k for k in range(len(mechanism.joints)) if k not in in_tree)
+        self._kept = {joint.joint: joint for joint in kept}
+        self.cuts = tuple(k for k in range(len(mechanism.joints)) if k not in self._kept)
 
     @cached_property
     def _equations(self) -> tuple[JointEquations, ...]:
@@ -126,14 +137,7 @@ class SpanningTree:
     @cached_property
     def motions(self) -> tuple[tuple[Motion, slice, slice], ...]:
         """All motions of the tree with their places in q and in v."""
-        found = []
-        for joint in self.joints:
-            iq, iv = joint.q.start, joint.v.start
-            for motion in joint.motions:
-                nq, nv = (4, 3) if motion.kind == "ball" else (1, 1)
-                found.append((motion, slice(iq, iq + nq), slice(iv, iv + nv)))
-                iq, iv = iq + nq, iv + nv
-        return tuple(found)
+        return tuple(place for joint in self.joints for place in joint.places)
 
     @cached_property
     def velocity_units(self) -> Array:
@@ -146,15 +150,11 @@ class SpanningTree:
 
     def place(self, joint: str, coordinate: int) -> tuple[int, int] | None:
         """Where a joint's hinge or slide number `coordinate` is in q and in v; None if it is cut."""
-        for kept in self.joints:
-            if self.mechanism.joint_names[kept.joint] == joint:
-                places = [
-                    (on_q.start, on_v.start)
-                    for motion, on_q, on_v in self.motions
-                    if motion.kind != "ball" and kept.v.start <= on_v.start < kept.v.stop
-                ]
-                return places[coordinate if kept.forward else -1 - coordinate]
-        return None
+        kept = self._kept.get(self.mechanism.joint_index(joint))
+        if kept is None:
+            return None
+        single = [(on_q.start, on_v.start) for motion, on_q, on_v in kept.places if motion.kind != "ball"]
+        return single[coordinate if kept.forward else -1 - coordinate]
 
     def rate(self, q: Array, v: Array) -> Array:
         """qdot (nq,): v itself, and pdot = 1/2 L^T omega' for quaternions."""
@@ -253,8 +253,9 @@ def weld_loops(mechanism: Mechanism) -> WeldedMechanism:
         welds.append(weld.name)
         bodies.append(replace(mechanism.bodies[whole], name=half, shapes=()))
         origin.append(whole)
+    parts = Counter(origin)
     for number, whole in enumerate(origin):
-        share = 1.0 / origin.count(whole)
+        share = 1.0 / parts[whole]
         if share < 1.0:
             body = bodies[number]
             bodies[number] = replace(body, mass=share * body.mass, inertia=share * body.inertia)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from test_expression import everything, traced
 
-from newton_euler.compile import CACHE_VARIABLE, NativeModule, compile_programs
+from newton_euler.cache import CACHE_VARIABLE
+from newton_euler.compile import NativeFunction, NativeModule
 from newton_euler.native import Callback, NativeError, NativeModuleOf, Vector, native, text
 
 
@@ -24,7 +25,7 @@ def cache(tmp_path, monkeypatch):
 
 def test_native_code_computes_what_the_program_says(cache):
     program = traced(everything, 3)
-    function = compile_programs({"everything": program})["everything"]
+    function = NativeFunction(program)
     rng = np.random.default_rng(0)
     for _ in range(20):
         x = rng.standard_normal(3)
@@ -38,40 +39,40 @@ SOURCE = "define double @f(double %x) {\n  %y = fadd double %x, 1.0\n  ret doubl
 
 
 def test_the_second_time_comes_from_the_cache(cache):
-    assert not NativeModule(SOURCE).from_cache
-    assert NativeModule(SOURCE).from_cache
+    assert not NativeModule(SOURCE, optimise=True).from_cache
+    assert NativeModule(SOURCE, optimise=True).from_cache
     assert len(list(cache.iterdir())) == 1
 
 
 @pytest.mark.parametrize("harm", [b"", b"short", os.urandom(5000)])
 def test_a_corrupt_cache_is_compiled_over(cache, harm):
-    NativeModule(SOURCE)
+    NativeModule(SOURCE, optimise=True)
     (path,) = cache.iterdir()
     path.write_bytes(harm)
-    assert not NativeModule(SOURCE).from_cache
-    assert NativeModule(SOURCE).from_cache
+    assert not NativeModule(SOURCE, optimise=True).from_cache
+    assert NativeModule(SOURCE, optimise=True).from_cache
 
 
 def test_a_truncated_file_is_not_trusted(cache):
-    NativeModule(SOURCE)
+    NativeModule(SOURCE, optimise=True)
     (path,) = cache.iterdir()
     path.write_bytes(path.read_bytes()[:-7])
-    assert not NativeModule(SOURCE).from_cache
+    assert not NativeModule(SOURCE, optimise=True).from_cache
 
 
 def test_an_unwritable_cache_costs_nothing_else(tmp_path, monkeypatch):
     blocked = tmp_path / "file"
     blocked.write_text("")  # not a directory: nothing can be made below it, even by root
     monkeypatch.setenv(CACHE_VARIABLE, str(blocked / "cache"))
-    assert not NativeModule(SOURCE).from_cache
-    assert not NativeModule(SOURCE).from_cache
+    assert not NativeModule(SOURCE, optimise=True).from_cache
+    assert not NativeModule(SOURCE, optimise=True).from_cache
 
 
 def test_a_read_only_cache_is_read(cache):
-    NativeModule(SOURCE)
+    NativeModule(SOURCE, optimise=True)
     cache.chmod(stat.S_IRUSR | stat.S_IXUSR)
     try:
-        assert NativeModule(SOURCE).from_cache
+        assert NativeModule(SOURCE, optimise=True).from_cache
     finally:
         cache.chmod(stat.S_IRWXU)
 
@@ -79,17 +80,17 @@ def test_a_read_only_cache_is_read(cache):
 def test_no_cache_if_the_user_wants_none(tmp_path, monkeypatch):
     monkeypatch.setenv(CACHE_VARIABLE, "")
     monkeypatch.chdir(tmp_path)
-    assert not NativeModule(SOURCE).from_cache
+    assert not NativeModule(SOURCE, optimise=True).from_cache
     assert not list(tmp_path.iterdir())
 
 
 def test_processes_that_compile_at_once_do_not_disturb_each_other(cache):
-    code = f"from newton_euler.compile import NativeModule\nNativeModule({SOURCE!r})"
+    code = f"from newton_euler.compile import NativeModule\nNativeModule({SOURCE!r}, optimise=True)"
     environment = os.environ | {CACHE_VARIABLE: str(cache)}
     jobs = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(6)]
     assert [job.wait() for job in jobs] == [0] * 6
     assert len(list(cache.iterdir())) == 1
-    assert NativeModule(SOURCE).from_cache
+    assert NativeModule(SOURCE, optimise=True).from_cache
 
 
 TABLE = (1.0, 2.5, -3.0)
@@ -123,7 +124,7 @@ def mixture(n: int, x: Vector, y: Vector, f: Callback) -> float:
 
 def test_native_functions_mean_what_python_means(cache):
     program = traced(lambda *x: [x[2] + 1.0, *x[:4]], 5)
-    native_f = compile_programs({"f": program})["f"]
+    native_f = NativeFunction(program)
     module = NativeModuleOf([mixture])
     rng = np.random.default_rng(1)
     for _ in range(20):

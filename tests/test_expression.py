@@ -22,7 +22,7 @@ def traced(function, count):
     ("function", "operations"),
     [
         (lambda x, y: [0.0 * x + y], 0),
-        (lambda x, y: [1.0 * x, x / 1.0, x + 0.0, x - 0.0, --x], 0),
+        (lambda x, y: [1.0 * x, x / 1.0, x + 0.0, x - 0.0, 0.0 - (0.0 - x)], 0),
         (lambda x, y: [x - x, 0.0 / y], 0),
         (lambda x, y: [x * y, y * x], 1),  # one order of operands
         (lambda x, y: [x - y, -(y - x) + 0.0], 2),

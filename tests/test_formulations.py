@@ -12,6 +12,7 @@ from newton_euler.cartesian import Cartesian
 from newton_euler.euler_parameters import matrix_l, rotation
 from newton_euler.relative import Relative
 from newton_euler.scalars import tilde
+from newton_euler.sparse import dense
 from newton_euler.system import admissible
 
 
@@ -78,7 +79,11 @@ def test_blocks_of_equation_21_are_the_papers(tracker, tracker_states):
     system = Cartesian(tracker)
     q, qdot = system.coordinates(tracker_states[0])
     frames = system.frames(q, qdot)
-    phi_q, b = system.joint_jacobian(q, frames)
+    n = len(system.bodies)
+    phi_q, b = (
+        dense(rows, columns)
+        for rows, columns in zip(system.joint_jacobian(q, frames), (7 * n, 6 * n), strict=True)
+    )
     tangents = np.zeros((system.nq, 6 * len(system.bodies)))
     for k, (_, p) in enumerate(system.split(q)):
         columns = slice(7 * k + 3, 7 * k + 7)
@@ -102,7 +107,8 @@ def test_blocks_of_equation_21_are_the_papers(tracker, tracker_states):
         assert np.allclose(velocity_terms[6 * k + 3 : 6 * k + 6], expected, rtol=0, atol=1e-15)
     mass = system.mass_matrix(q)
     assert np.allclose(mass[3:6, 3:7], 2.0 * system.bodies[0].inertia @ matrix_l(q[3:7]))
-    norm, p_matrix, c = system.norm_terms(q, qdot)
+    norm, p_rows, c = system.norm_terms(q, qdot)
+    p_matrix = dense(p_rows, 7 * n)
     assert np.allclose(p_matrix @ qdot, 0.0, atol=1e-15)
     assert np.allclose(norm, 0.0, atol=1e-15)
     assert c[-1] == pytest.approx(qdot[-4:] @ qdot[-4:])
@@ -113,7 +119,7 @@ def test_multipliers_are_the_papers_reaction_signs(tracker):
     system = Cartesian(tracker)
     q, qdot = system.coordinates(tracker.initial_state)
     qddot, multipliers = system.solve(q, qdot)
-    b = system.joint_jacobian(q, system.frames(q, qdot))[1]
+    b = dense(system.joint_jacobian(q, system.frames(q, qdot))[1], 36)
     panel = tracker.mechanism.bodies[6]
     force = b[:, 30:33].T @ multipliers
     moment = b[:, 33:36].T @ multipliers
@@ -129,11 +135,12 @@ def test_baumgarte_terms(tracker, tracker_states, alpha):
     q, v = cartesian.coordinates(tracker_states[1])
     q, v = q + 1e-3 * rng.standard_normal(q.size), v + 1e-3 * rng.standard_normal(v.size)
     a = cartesian.acceleration(q, v)
-    norm, p_matrix, c = cartesian.norm_terms(q, v)
+    norm, p_rows, c = cartesian.norm_terms(q, v)
+    p_matrix = dense(p_rows, q.size)
     second_rate = p_matrix @ a + c
     assert np.allclose(second_rate, -2 * alpha * (p_matrix @ v) - alpha**2 * norm, atol=1e-11)
     phi, gamma = cartesian.joint_phi(q), cartesian.joint_gamma(cartesian.frames(q, v))
-    phi_q = cartesian.joint_jacobian(q, cartesian.frames(q, v))[0]
+    phi_q = dense(cartesian.joint_jacobian(q, cartesian.frames(q, v))[0], q.size)
     expected = -2 * alpha * (phi_q @ v) - alpha**2 * phi
     # accelerations are of order 1e2 and the matrix has condition 1e4
     assert np.allclose(phi_q @ a - gamma, expected, atol=1e-9)

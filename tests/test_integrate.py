@@ -15,6 +15,7 @@ from newton_euler.errors import IntegrationError, OptionError, UnknownNameError
 from newton_euler.euler_parameters import angle_between
 from newton_euler.integrate import INTEGRATORS, Options, integrate
 from newton_euler.relative import Relative
+from newton_euler.simulate import run
 from newton_euler.stabilize import STABILIZATIONS
 
 
@@ -117,6 +118,9 @@ def test_impossible_options_are_refused(options, message):
 def test_a_run_that_gets_nowhere_says_so(monkeypatch):
     monkeypatch.setattr("newton_euler.integrate.MOST_STEPS", 5)
     with pytest.raises(IntegrationError, match="more than 5 steps of DOP853"):
+        run(Relative(pendulum()), "newton_euler", Options(), {})
+    monkeypatch.setattr("newton_euler.steppers.run.MOST_STEPS", 5)
+    with pytest.raises(IntegrationError, match=r"more than 5 steps; .* at joint 'pivot'"):
         newton_euler.simulate(pendulum())
 
 

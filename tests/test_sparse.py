@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 
 from newton_euler.sparse import (
+    RowsInUse,
     factorise,
     minimum_degree,
-    rows_of,
     solve_constrained,
     sparse_vector,
 )
+
+
+def rows_of(matrix):
+    """The nonzeros of a dense array, row by row."""
+    return [{j: x for j, x in enumerate(row) if x != 0.0} for row in matrix]
 
 
 def tree_matrix(rng, parents):
@@ -56,7 +61,9 @@ def test_constrained_solution_is_the_saddle_points():
     jacobian[0, 4:] = jacobian[1, :4] = 0.0
     force, gamma = rng.standard_normal(8), rng.standard_normal(3)
     factor = factorise(rows_of(mass), range(7, -1, -1))
-    solution = solve_constrained(factor, sparse_vector(force), rows_of(jacobian), gamma)
+    solution = solve_constrained(
+        factor, sparse_vector(force), rows_of(jacobian), gamma, RowsInUse([0, 1, 2]), refine=False
+    )
     saddle = np.block([[mass, -jacobian.T], [jacobian, np.zeros((3, 3))]])
     expected = np.linalg.solve(saddle, np.concatenate([force, gamma]))
     assert [solution.acceleration[k] for k in range(8)] == pytest.approx(expected[:8], rel=1e-11)
@@ -71,5 +78,32 @@ def test_health_sees_dependent_constraints():
     factor = factorise(rows_of(mass), range(7, -1, -1))
     for size, healthy in ((1e-3, True), (1e-8, False), (0.0, False)):
         jacobian = np.array([row, 2.0 * row + size * rng.standard_normal(8)])
-        solution = solve_constrained(factor, {}, rows_of(jacobian), np.ones(2))
+        solution = solve_constrained(
+            factor, {}, rows_of(jacobian), np.ones(2), RowsInUse([0, 1]), refine=False
+        )
         assert (solution.health > 0.0) == healthy
+
+
+def test_refinement_regains_the_digits_of_a_badly_conditioned_complement():
+    """Masses far apart: the complement has condition 1e10, J and a harmless one."""
+    rng = np.random.default_rng(4)
+    masses = np.geomspace(1e-5, 1e5, 8)
+    jacobian, force = rng.standard_normal((3, 8)), rng.standard_normal(8)
+    gamma = rng.standard_normal(3)
+    factor = factorise(rows_of(np.diag(masses)), range(8))
+    errors = []
+    for refine in (False, True):
+        rows = RowsInUse([0, 1, 2])
+        solution = solve_constrained(factor, sparse_vector(force), rows_of(jacobian), gamma, rows, refine)
+        acceleration = np.array([solution.acceleration[k] for k in range(8)])
+        errors.append(np.abs(jacobian @ acceleration - gamma).max() / np.abs(acceleration).max())
+    assert errors[1] < 1e-15  # a few roundings of the product J a itself
+    assert errors[1] < 0.1 * errors[0]
+
+
+def test_dependent_rows_are_dropped_and_nothing_else():
+    rng = np.random.default_rng(5)
+    rows = rng.standard_normal((4, 8))
+    rows = np.vstack([rows[0], rows[1], rows[0] - 2.0 * rows[1], rows[2], np.zeros(8), rows[3]])
+    factor = factorise(rows_of(rows @ rows.T), range(6), drop=True)
+    assert factor.order == [0, 1, 3, 5]

@@ -23,7 +23,7 @@ HUGE = 1e300
 NEWTON_STEPS = 10
 
 OPEN_TOLERANCE = 1e-9
-"""m or rad that a constraint may stay open after projection."""
+"""Sizes of the mechanism, or rad, that a constraint may stay open after projection."""
 
 
 @native
@@ -45,19 +45,37 @@ def evaluate(n: int, derivative: Callback, dense: Callback, x: Vector, y: Vector
 
 
 @native
+def project_densely(n: int, closing: Callback, x: Vector, scratch: Vector) -> int:
+    """The same by the dense path."""
+    closing(x, scratch)
+    if not scratch[n] > 0.0:
+        return OPEN
+    for i in range(n):
+        x[i] = scratch[i]
+    return DONE
+
+
+@native
 def project(
-    n: int, tolerance: float, position: Callback, velocity: Callback, x: Vector, scratch: Vector
+    n: int,
+    tolerance: float,
+    position: Callback,
+    velocity: Callback,
+    closing: Callback,
+    x: Vector,
+    scratch: Vector,
 ) -> int:
     """Put a state on the constraints, positions first; returns a status.
 
     `position` writes the state after one Newton step, `velocity` the state with its velocities
     projected; both write the residual they found, squared, in place n and their health after it.
+    `closing` does all of it where they are unhealthy, and writes a number above 0 in place n if it could.
     """
     before = HUGE
     for _ in range(NEWTON_STEPS):
         position(x, scratch)
         if not scratch[n + 1] > 0.0:
-            return SINGULAR
+            return project_densely(n, closing, x, scratch)
         if scratch[n] >= 0.25 * before:  # at round-off
             break
         before = scratch[n]
@@ -68,8 +86,57 @@ def project(
     velocity(x, scratch)
     if not scratch[n] < HUGE:
         return NOT_FINITE
+    if not scratch[n + 1] > 0.0:
+        return project_densely(n, closing, x, scratch)
     if scratch[n] > OPEN_TOLERANCE * OPEN_TOLERANCE:
         return OPEN
     for i in range(n):
         x[i] = scratch[i]
     return DONE
+
+
+@native
+def begin(
+    n: int,
+    projecting: int,
+    tolerance: float,
+    position: Callback,
+    velocity: Callback,
+    closing: Callback,
+    now: Vector,
+    scratch: Vector,
+    table: Vector,
+) -> int:
+    """Put the first state on the constraints if wanted, and into the table; returns a status."""
+    status = DONE
+    if projecting == 1:
+        status = project(n, tolerance, position, velocity, closing, now, scratch)
+    for i in range(n):
+        table[i] = now[i]
+    return status
+
+
+@native
+def map_rows(
+    rows: int,
+    n: int,
+    m: int,
+    function: Callback,
+    x: Vector,
+    times: Vector,
+    table: Vector,
+    results: Vector,
+) -> None:
+    """results (rows, m) = function of each row of a table (rows, n) at its time, put into x in turn."""
+    for row in range(rows):
+        for i in range(n):
+            x[i] = table[n * row + i]
+        x[n] = times[row]
+        function(x, results[m * row :])
+
+
+@native
+def repeat(count: int, function: Callback, x: Vector, y: Vector) -> None:
+    """The same function of the same x again and again, for benchmarks."""
+    for _k in range(count):
+        function(x, y)

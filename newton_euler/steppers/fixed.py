@@ -6,8 +6,8 @@ two outputs is divided into equal steps of at most the wanted size.
 
 from __future__ import annotations
 
-from newton_euler.march import DONE, REACHED, STEPS, TOO_MANY_STEPS, evaluate, project
 from newton_euler.native import Callback, Vector, native
+from newton_euler.steppers.march import DONE, REACHED, STEPS, TOO_MANY_STEPS, begin, evaluate, project
 
 
 @native
@@ -32,6 +32,7 @@ def march_rk4(
     tolerance: float,
     position: Callback,
     velocity: Callback,
+    closing: Callback,
     now: Vector,
     at: Vector,
     k: Vector,
@@ -43,8 +44,9 @@ def march_rk4(
 
     `now` and `at` are states with time and parameters; k and total (n + 2) are scratch.
     """
-    for i in range(n):
-        table[i] = now[i]
+    status = begin(n, projecting, tolerance, position, velocity, closing, now, total, table)
+    if status != DONE:
+        return status
     for due in range(1, outputs):
         count = divisions(times[due] - times[due - 1], step)
         h = (times[due] - times[due - 1]) / count
@@ -70,7 +72,7 @@ def march_rk4(
             now[n] = times[due - 1] + (j + 1) * h
             counts[STEPS] += 1.0
             if projecting == 1:
-                status = project(n, tolerance, position, velocity, now, total)
+                status = project(n, tolerance, position, velocity, closing, now, total)
                 if status != DONE:
                     return status
         for i in range(n):
@@ -82,26 +84,28 @@ def march_rk4(
 @native
 def march_euler(
     n: int,
-    nq: int,
     outputs: int,
     times: Vector,
+    nq: int,
     step: float,
     most: int,
+    rate: Callback,
     derivative: Callback,
     dense: Callback,
-    rate: Callback,
     projecting: int,
     tolerance: float,
     position: Callback,
     velocity: Callback,
+    closing: Callback,
     now: Vector,
     k: Vector,
     table: Vector,
     counts: Vector,
 ) -> int:
     """As `march_rk4`: velocities first, then positions with the new velocities; k (n + 2) is scratch."""
-    for i in range(n):
-        table[i] = now[i]
+    status = begin(n, projecting, tolerance, position, velocity, closing, now, k, table)
+    if status != DONE:
+        return status
     for due in range(1, outputs):
         count = divisions(times[due] - times[due - 1], step)
         h = (times[due] - times[due - 1]) / count
@@ -120,21 +124,10 @@ def march_euler(
             now[n] = times[due - 1] + (j + 1) * h
             counts[STEPS] += 1.0
             if projecting == 1:
-                status = project(n, tolerance, position, velocity, now, k)
+                status = project(n, tolerance, position, velocity, closing, now, k)
                 if status != DONE:
                     return status
         for i in range(n):
             table[n * due + i] = now[i]
     counts[REACHED] = now[n]
     return DONE
-
-
-@native
-def map_rows(
-    rows: int, n: int, m: int, function: Callback, x: Vector, table: Vector, results: Vector
-) -> None:
-    """results (rows, m) = function of each row of a table (rows, n), put into x in turn."""
-    for row in range(rows):
-        for i in range(n):
-            x[i] = table[n * row + i]
-        function(x, results[m * row :])

@@ -7,18 +7,19 @@ from __future__ import annotations
 
 from math import sqrt
 
-from newton_euler.dop853 import STAGES, error_norm, interpolate, prepare_dense, stage
-from newton_euler.march import (
+from newton_euler.native import Callback, Vector, native
+from newton_euler.steppers.dop853 import STAGES, error_norm, interpolate, prepare_dense, stage
+from newton_euler.steppers.march import (
     DONE,
     REACHED,
     REJECTED,
     STEP_TOO_SMALL,
     STEPS,
     TOO_MANY_STEPS,
+    begin,
     evaluate,
     project,
 )
-from newton_euler.native import Callback, Vector, native
 
 SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 """Factors of the step-size control, as in scipy."""
@@ -79,6 +80,7 @@ def march_dop853(
     tolerance: float,
     position: Callback,
     velocity: Callback,
+    closing: Callback,
     now: Vector,
     at: Vector,
     end: Vector,
@@ -91,11 +93,11 @@ def march_dop853(
 
     `now`, `at` and `end` are states with time and parameters; k (16, n + 1) and terms (7, n) are scratch.
     """
-    status = evaluate(n, derivative, dense, now, k, counts)
+    status = begin(n, projecting, tolerance, position, velocity, closing, now, k, table)
+    if status == DONE:
+        status = evaluate(n, derivative, dense, now, k, counts)
     if status != DONE:
         return status
-    for i in range(n):
-        table[i] = now[i]
     stop = times[outputs - 1]
     h = first_step(n, stop - now[n], rtol, atol, derivative, dense, now, at, k, counts)
     due = 1
@@ -133,7 +135,7 @@ def march_dop853(
                 interpolate(n, (times[due] - now[n]) / h, now, terms, at)
                 at[n] = times[due]
                 if projecting == 1:
-                    status = project(n, tolerance, position, velocity, at, k[(n + 1) * 13 :])
+                    status = project(n, tolerance, position, velocity, closing, at, k[(n + 1) * 13 :])
                     if status != DONE:
                         return status
                 for i in range(n):
@@ -143,7 +145,7 @@ def march_dop853(
             now[i] = end[i]
         now[n] = now[n] + h
         if projecting == 1:
-            status = project(n, tolerance, position, velocity, now, k[(n + 1) * 13 :])
+            status = project(n, tolerance, position, velocity, closing, now, k[(n + 1) * 13 :])
             if status == DONE:
                 status = evaluate(n, derivative, dense, now, k, counts)
             if status != DONE:

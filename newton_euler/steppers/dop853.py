@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from math import sqrt
 
-from newton_euler.march import evaluate
 from newton_euler.native import Callback, Vector, native
+from newton_euler.steppers.march import evaluate
 
 STAGES = 12
 """Stages of a step; stage 12 is the derivative at its end, stages 13 to 15 serve dense output."""

@@ -1,0 +1,76 @@
+"""Machine code kept on disk, by name.
+
+A file holds its own SHA-256 and then the code, so that a damaged one counts as missing; it is written
+beside and renamed, so that no reader ever sees half of it, whoever else writes at the same time and
+wherever a run is killed. A cache that cannot be read or written costs a compilation, never a run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+
+CACHE_VARIABLE = "NEWTON_EULER_CACHE"
+"""Environment variable that names the cache directory; empty for no cache."""
+
+_UNFINISHED = ".new-"
+_ABANDONED = 3600.0
+"""s after which an unfinished file is that of a run that was killed."""
+
+
+def cache_directory() -> Path | None:
+    """Where machine code is kept; None if the user wants no cache."""
+    chosen = os.environ.get(CACHE_VARIABLE)
+    if chosen is not None:
+        return Path(chosen) if chosen else None
+    if sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return base / "newton_euler"
+
+
+def read_cache(key: str) -> bytes | None:
+    """The code kept under a key; None if there is none, or none that can be trusted."""
+    directory = cache_directory()
+    if directory is None:
+        return None
+    try:
+        content = (directory / key).read_bytes()
+    except OSError:
+        return None
+    digest, code = content[:32], content[32:]
+    return code if hashlib.sha256(code).digest() == digest else None
+
+
+def write_cache(key: str, code: bytes) -> None:
+    """Keep code under a key, if the disk lets us."""
+    directory = cache_directory()
+    if directory is None:
+        return
+    with suppress(OSError):  # a full or read-only disk: the next run compiles again
+        directory.mkdir(parents=True, exist_ok=True)
+        _remove_abandoned(directory)
+        handle, name = tempfile.mkstemp(dir=directory, prefix=_UNFINISHED)
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(hashlib.sha256(code).digest() + code)
+            Path(name).replace(directory / key)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+
+
+def _remove_abandoned(directory: Path) -> None:
+    """Remove what runs that were killed left unfinished."""
+    for path in directory.glob(_UNFINISHED + "*"):
+        with suppress(OSError):  # another process may have been quicker
+            if time.time() - path.stat().st_mtime > _ABANDONED:
+                path.unlink()

@@ -1,0 +1,1 @@
+"""Integrators that run in native code, written once for all scenes."""
