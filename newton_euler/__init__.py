@@ -1,6 +1,7 @@
 """Newton-Euler dynamics of any mechanism with closed loops, written by hand."""
 
 from newton_euler.assemble import assemble
+from newton_euler.batch import simulate_batch
 from newton_euler.control import PD, Sampled
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mechanism import Body, Mechanism
@@ -21,4 +22,5 @@ __all__ = [
     "assemble",
     "compile_scene",
     "simulate",
+    "simulate_batch",
 ]

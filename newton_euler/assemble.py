@@ -9,7 +9,7 @@ from newton_euler.errors import AssemblyError
 from newton_euler.mechanism import CLOSURE_TOLERANCE
 from newton_euler.relative import Relative
 from newton_euler.scene import Scene
-from newton_euler.stabilize import project_position, project_velocity
+from newton_euler.stabilize import project_position, project_velocity, worst_joint
 from newton_euler.state import State
 
 RANDOM_AMPLITUDE = 0.2
@@ -41,27 +41,32 @@ def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:
     Raises:
         AssemblyError: if the mechanism hardly ever closes from nearby.
     """
-    system = Relative(scene)
+    from newton_euler.compiled import Code
+    from newton_euler.steppers.run import Projection
+
+    code = Code(scene)
+    assert isinstance(code.system, Relative)
+    system, project = code.system, Projection(code)
     tree, unit = system.tree, system.velocity_units
     single = [(on_q.start, on_v.start) for motion, on_q, on_v in tree.motions if motion.kind != "ball"]
     single_q, single_v = [place[0] for place in single], [place[1] for place in single]
     start, _ = system.coordinates(scene.initial_state)
     rng = np.random.default_rng(seed)
     states: list[State] = []
-    failure = AssemblyError(scene.mechanism.joint_names[0], np.inf, CLOSURE_TOLERANCE)
+    x = code.packed(start, np.zeros(tree.nv))
     for _ in range(ATTEMPTS * count):
         if len(states) == count:
             break
         step = RANDOM_AMPLITUDE * unit * rng.uniform(-1.0, 1.0, tree.nv)
         v = unit * rng.standard_normal(tree.nv)
-        try:
-            q = project_position(system, system.retract(start, step))
-        except AssemblyError as error:
-            failure = error
+        x[: code.size] = np.concatenate([system.retract(start, step), v])
+        if not project(x):
             continue
+        q, v = x[: system.nq], x[system.nq : code.size]
         if np.abs((q - start)[single_q] / unit[single_v]).max(initial=0.0) > STRAY * RANDOM_AMPLITUDE:
             continue  # closed on another branch, perhaps folded flat
-        states.append(system.state(q, project_velocity(system, q, v)))
+        states.append(system.state(q, v))
     if len(states) < count:
-        raise failure
+        joint, gap = worst_joint(system, system.state(x[: system.nq], x[system.nq : code.size]))
+        raise AssemblyError(joint, gap, CLOSURE_TOLERANCE)
     return states

@@ -236,7 +236,8 @@ class Code:
             arrays["potential_energy"] = np.array(e.potential_energy)
         if "violation" in wanted:
             arrays["phi"] = system.joint_phi(q)
-        arrays["health"] = np.array(minimum(health, 1.0) if "reactions" in wanted else 1.0)
+        if "reactions" in wanted:
+            arrays["health"] = np.array(minimum(health, 1.0))
         self.places: dict[str, tuple[slice, tuple[int, ...]]] = {}
         scalars: list[Scalar] = []
         for name, array in arrays.items():

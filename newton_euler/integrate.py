@@ -46,7 +46,7 @@ class Options:
         integrator: one of `INTEGRATORS`.
         rtol, atol: error control of the adaptive methods, per step and component.
         step: s, of the methods with fixed steps; made smaller where it does not divide the time
-            between outputs.
+            between outputs, or sampling instants of controllers.
         projection: whether to project onto the constraints after each step and at outputs.
     """
 

@@ -460,15 +460,24 @@ class NativeModuleOf:
     """Native functions compiled together, to be called with numbers and arrays from Python."""
 
     def __init__(self, functions: list[Callable[..., Any]]) -> None:
-        self._module = NativeModule(text(functions), optimise=True)
+        self.module = NativeModule(text(functions), optimise=True)
         self._calls = {
-            function.__name__: _ctypes(_SIGNATURES[function])(self._module.address(function.__name__))
+            function.__name__: _ctypes(_SIGNATURES[function])(self.module.address(function.__name__))
             for function in functions
         }
 
+    def bind(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
+        """A call of one of the functions with these arguments, arrays and native functions by address."""
+        call, given = self._calls[function.__name__], [_address(argument) for argument in arguments]
+
+        def bound(keep: tuple[Any, ...] = arguments) -> Any:  # what is passed by address stays alive
+            return call(*given)
+
+        return bound
+
     def __call__(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call one of the functions; arrays and native functions are passed by address."""
-        return self._calls[function.__name__](*(_address(argument) for argument in arguments))
+        """Call one of the functions."""
+        return self.bind(function, *arguments)()
 
 
 def _ctypes(signature: Signature) -> Any:
@@ -479,5 +488,7 @@ def _ctypes(signature: Signature) -> Any:
 
 def _address(argument: Any) -> Any:
     if isinstance(argument, np.ndarray):
+        if argument.dtype != np.float64 or not argument.flags.c_contiguous:
+            raise TypeError(f"got an array of {argument.dtype}; needed: contiguous doubles")
         return argument.ctypes.data
     return getattr(argument, "address", argument)

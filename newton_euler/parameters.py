@@ -60,7 +60,9 @@ def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
             needed = f"finite numbers of shape {own[name].shape}"
             raise MechanismError(f"parameter {name!r}", f"is {value!r:.200}", needed)
         arrays[name] = array
-    _substitute(scene, arrays, _rebuilt)
+    _substitute(
+        scene, {name: array if array.ndim else float(array) for name, array in arrays.items()}, _rebuilt
+    )
     return arrays
 
 

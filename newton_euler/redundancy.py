@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from newton_euler.scalars import Array
-from newton_euler.sparse import Rows, RowsInUse, factorise, gram, pattern_order, sparse_vector
+from newton_euler.sparse import (
+    Factor,
+    Rows,
+    RowsInUse,
+    add,
+    dot,
+    factorise,
+    gram,
+    pattern_order,
+    sparse_vector,
+)
 
 if TYPE_CHECKING:
     from newton_euler.compiled import Formulation
@@ -22,6 +32,12 @@ CONFIGURATIONS = 4
 
 REACH = 0.1
 """How far they lie apart: radians, and sizes of the mechanism."""
+
+DOUBTFUL = 1e-7
+"""Share of its Gram matrix' diagonal below which a pivot may be round-off, in rows of thousands."""
+
+DEPENDENT = 1e-9
+"""Length of what a dimensionless row adds to the others, below which it adds nothing."""
 
 NEWTON_STEPS = 4
 """Enough for round-off from a tangential step of that length."""
@@ -60,8 +76,35 @@ def _dimensionless(system: Formulation, jacobian: Rows) -> Rows:
 
 
 def _independent(rows: Rows) -> list[int]:
+    """Numbers of rows that imply all others.
+
+    Pivots of the Gram matrix are squares of what a row adds to those before it, so that they tell
+    little adds from none only roughly. What they leave in doubt, the row's remainder decides.
+    """
     products = gram(rows, rows)
-    return sorted(factorise(products, pattern_order(products), drop=True).order)
+    factor = factorise(products, pattern_order(products), drop=DOUBTFUL)
+    kept = set(factor.order)
+    doubtful = [i for i, row in enumerate(rows) if row and i not in kept]
+    # a random combination of rows adds nothing only if none of them does: one look for all of them
+    weights = np.random.default_rng(1).uniform(1.0, 2.0, len(doubtful))
+    together: dict[int, float] = {}
+    for i, weight in zip(doubtful, weights, strict=True):
+        for k, x in rows[i].items():
+            add(together, k, weight * x)
+    if _remainder(rows, factor, together) > DEPENDENT:
+        kept.update(i for i in doubtful if _remainder(rows, factor, rows[i]) > DEPENDENT)
+    return sorted(kept)
+
+
+def _remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
+    """Length of what a row adds to the rows of a factor; solved twice, for the digits lost by squaring."""
+    left = dict(row)
+    for _ in range(2):
+        right = {j: dot(rows[j], left) for j in factor.order}
+        for j, share in factor.solve({j: x for j, x in right.items() if x != 0.0}).items():
+            for k, x in rows[j].items() if share != 0.0 else ():
+                left[k] = left.get(k, 0.0) - share * x
+    return float(np.sqrt(sum(x * x for x in left.values())))
 
 
 def _neighbour(system: Formulation, q: Array, rng: np.random.Generator) -> Array:
@@ -80,7 +123,7 @@ def _least(system: Formulation, jacobian: Rows, right: Array) -> Array:
     """The shortest dimensionless step (nv,) with J step = right, dependent rows left out."""
     rows = _dimensionless(system, jacobian)
     products = gram(rows, rows)
-    factor = factorise(products, pattern_order(products), drop=True)
+    factor = factorise(products, pattern_order(products), drop=DOUBTFUL)
     weights = factor.solve(sparse_vector(right / system.phi_units))
     step = np.zeros(system.nv)
     for i in factor.order:

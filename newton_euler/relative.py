@@ -373,6 +373,8 @@ class Relative:
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """q and v of a state; carried angles within half a turn."""
         q, v = self.tree.coordinates(state)
+        if self.nq == self.tree.nq:
+            return q, v
         return np.concatenate([q, carried_angles(self.driven, self._frames(q, v))]), v
 
     def state(self, q: Array, v: Array) -> State:

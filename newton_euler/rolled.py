@@ -22,8 +22,11 @@ from newton_euler.trigonometry import literal
 WINDOW = 8
 """How many operations decide whether the program is cut after them."""
 
-SHORTEST, ABOUT, LONGEST = 24, 64, 2_000
-"""Lengths of pieces: the least, what is usually added to that, and the most."""
+SHORTEST = 48
+"""Operations of a piece at least; calling a shorter one would cost as much as running it."""
+
+REACH = 32
+"""A cut has the least checksum of so many operations before and after it."""
 
 COMMON = 0.002
 """A constant with this share of all operands is part of the code; a rarer one is data."""
@@ -67,19 +70,16 @@ class Piece:
 
 def cut(program: Program) -> list[list[int]]:
     """The operations of a program in pieces."""
+    operations = [k for k, node in enumerate(program.nodes) if operands(node)]
+    words = [program.nodes[k].op for k in operations]
+    sums = [_checksum(words[max(0, n + 1 - WINDOW) : n + 1]) for n in range(len(words))]
     pieces: list[list[int]] = []
-    piece: list[int] = []
-    recent: list[str] = []
-    for k, node in enumerate(program.nodes):
-        if not operands(node):
-            continue
-        piece.append(k)
-        recent.append(node.op)
-        here = _checksum(recent[-WINDOW:]) % ABOUT == 0
-        if (here and len(piece) >= SHORTEST) or len(piece) >= LONGEST:
-            pieces.append(piece)
-            piece = []
-    return [*pieces, piece] if piece else pieces
+    start = 0
+    for n, checksum in enumerate(sums):
+        if n + 1 - start >= SHORTEST and checksum == min(sums[max(0, n - REACH) : n + REACH + 1]):
+            pieces.append(operations[start : n + 1])
+            start = n + 1
+    return [*pieces, operations[start:]] if start < len(operations) else pieces
 
 
 def _checksum(words: Iterable[str]) -> int:

@@ -1,67 +1,138 @@
-"""Runs of compiled scenes from sample to sample: controllers in Python, what lies between in native code."""
+"""Runs with sampled controllers, from one sampling instant to the next, whatever integrates in between."""
 
 from __future__ import annotations
 
+import copy
 from collections import Counter
-from itertools import pairwise
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from newton_euler.compiled import Code
-from newton_euler.control import is_finite_number
+from newton_euler.control import Sampled, is_finite_number
 from newton_euler.errors import IntegrationError
 from newton_euler.integrate import Options
-from newton_euler.parameters import place_of
+from newton_euler.parameters import place_of, with_values
 from newton_euler.scalars import Array
-from newton_euler.steppers.run import march, outputs
+from newton_euler.scene import Scene
+
+if TYPE_CHECKING:
+    from newton_euler.compiled import Code
+
+SAME = 1e-9
+"""Times that differ by less than this share of a controller's period are one: multiples of different
+periods meet only up to round-off."""
 
 
-def march_sampled(code: Code, x: Array, options: Options) -> tuple[dict[str, Array], dict[str, int]]:
-    """The arrays that the scene asks for at its output times, and the counts of all marches.
+class Interval(NamedTuple):
+    """A part of a run in which forces are held.
 
-    At a sampling instant the new force holds already. `x` (inputs,) is the start; it ends up at the end.
+    Attributes:
+        due: laws whose controllers are called where it begins.
+        times: (n,) s, n >= 2: where it begins, the output times in it, where it ends.
+        wanted: (n,) which of `times` are outputs of this interval. One where the next interval begins
+            belongs to that: at a sampling instant the new force holds already.
     """
-    times = code.scene.times
-    if not code.scene.sampled:
-        table, counts = march(code, x, times, options)
-        return outputs(code, x, times, table), counts
-    parts: list[dict[str, Array]] = []
-    total: Counter[str] = Counter()
-    for begin, end in pairwise(instants(code, float(times[-1]))):
-        sample(code, x, begin)
-        last = end == times[-1]
-        due = times[(times >= begin) & ((times < end) | last)]
-        stops = np.union1d(due, [begin, end])
-        table, counts = march(code, x, stops, options)
-        parts.append(outputs(code, x, due, table[np.isin(stops, due)]))
-        total.update(counts)
-    arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return arrays, dict(total)
+
+    due: tuple[Sampled, ...]
+    times: Array
+    wanted: Array
 
 
-def instants(code: Code, end: float) -> list[float]:
-    """When some controller is due, from 0 on, and the end."""
-    laws = code.scene.sampled
-    due = {0.0, *(k * law.period for law in laws for k in range(int(np.ceil(end / law.period))))}
-    return [*sorted(t for t in due if t < end * (1.0 - 1e-12)), end]
+def intervals(scene: Scene) -> Iterator[Interval]:
+    """What a run of the scene consists of; a single interval if nothing is sampled.
+
+    Controllers are called at multiples of their periods from 0 on, but not at the end of the run.
+    """
+    outputs, laws = scene.times, scene.sampled
+    end = float(outputs[-1])
+    begin, due, calls = 0.0, list(range(len(laws))), [0] * len(laws)
+    while begin < end:
+        for k in due:
+            calls[k] += 1
+        upcoming = [_instant(law, number, outputs) for law, number in zip(laws, calls, strict=True)]
+        stop = min([*upcoming, end])
+        first, last = np.searchsorted(outputs, [begin, stop])
+        inside = outputs[first:] if stop == end else outputs[first:last]
+        times = np.union1d(inside, [begin, stop])
+        yield Interval(tuple(laws[k] for k in due), times, np.isin(times, inside))
+        begin, due = stop, [k for k, law in enumerate(laws) if upcoming[k] - stop < SAME * law.period]
 
 
-def sample(code: Code, x: Array, time: float) -> None:
-    """Call the controllers that are due at a time, and write their forces into x (inputs,).
+def _instant(law: Sampled, number: int, outputs: Array) -> float:
+    """When a controller is called for that time, from 0; an output time is met exactly."""
+    time, slack = number * law.period, SAME * law.period
+    k = int(np.searchsorted(outputs, time - slack))
+    return float(outputs[k]) if k < len(outputs) and outputs[k] < time + slack else time
+
+
+def sample(due: tuple[Sampled, ...], time: float, x: Array, x_rate: Array) -> dict[str, float]:
+    """Call controllers, and return their forces (N or N m) by the names of `newton_euler.parameters`.
+
+    Args:
+        due: whose controllers.
+        time: s.
+        x, x_rate: (a,) coordinates of all control laws of the scene (m or rad) and their rates.
 
     Raises:
         IntegrationError: for a controller that fails, or returns something else than a finite number.
     """
-    seen = code.function("measured")(x)
-    coordinates, rates = np.split(seen, 2)
-    for law in code.scene.sampled:
-        if abs(time / law.period - round(time / law.period)) > 1e-9:
-            continue
+    forces = {}
+    for law in due:
         try:
-            force = law.controller(time, coordinates.copy(), rates.copy())
+            force = law.controller(time, x.copy(), x_rate.copy())
         except Exception as error:
             reason = f"controller of joint {law.joint!r} failed: {type(error).__name__}: {error}"
-            raise IntegrationError(time, reason) from error
+            raise IntegrationError(time, _one_line(reason)) from error
         if not is_finite_number(force):
-            raise IntegrationError(time, f"controller of joint {law.joint!r} returned {force!r}")
-        x[code.place(f"{place_of(law)}.held")] = force
+            reason = f"controller of joint {law.joint!r} returned {force!r:.200}"
+            raise IntegrationError(time, _one_line(reason))
+        forces[f"{place_of(law)}.held"] = float(force)
+    return forces
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+class OfScene(Protocol):
+    """Equations of a scene, which take control laws from it whenever they are evaluated."""
+
+    scene: Scene
+
+
+S = TypeVar("S", bound=OfScene)
+
+
+def holding(system: S, forces: Mapping[str, float]) -> S:
+    """The same equations with these forces held, as `sample` returns them; models are shared."""
+    changed = copy.copy(system)
+    changed.scene = with_values(system.scene, forces)
+    return changed
+
+
+def march_sampled(code: Code, x: Array, options: Options) -> tuple[dict[str, Array], dict[str, int]]:
+    """A run in native code: the arrays that the scene asks for at its output times, and all counts.
+
+    `x` (inputs,) is the start; it ends up at the end.
+    """
+    from newton_euler.steppers.run import March, outputs
+
+    times = code.scene.times
+    if not code.scene.sampled:
+        march = March(code, times, options)
+        march(x)
+        return outputs(code, x, times, march.table), march.counted
+    parts: list[dict[str, Array]] = []
+    total: Counter[str] = Counter()
+    for interval in intervals(code.scene):
+        seen = np.split(code.function("measured")(x), 2)
+        for name, force in sample(interval.due, float(interval.times[0]), *seen).items():
+            x[code.place(name)] = force
+        march = March(code, interval.times, options)
+        march(x)
+        parts.append(outputs(code, x, interval.times[interval.wanted], march.table[interval.wanted]))
+        total.update(march.counted)
+        x[:] = march.x
+    arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return arrays, dict(total)

@@ -11,6 +11,7 @@ import numpy as np
 from newton_euler.compiled import Code
 from newton_euler.euler_parameters import continuous
 from newton_euler.integrate import Options, integrate
+from newton_euler.sampling import holding, intervals, sample
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.stabilize import PAPER_ALPHA, joint_violations
@@ -107,6 +108,7 @@ def native_trajectory(
     scene: Scene, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
 ) -> Trajectory:
     """The trajectory of a run in native code from what `newton_euler.steppers.run.outputs` gave."""
+    arrays.pop("health", None)
     if "violation" in scene.outputs:
         arrays["constraint_violation"] = _by_joint(scene, arrays.pop("phi"))
     return _trajectory(scene, "newton_euler", settings, wall_time, arrays)
@@ -127,10 +129,20 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     scene = system.scene
     q, v = system.coordinates(scene.initial_state)
     start = time.perf_counter()
-    solution = integrate(system, q, v, scene.times, options)
+    rows: list[tuple[System, Array, Array]] = []
+    counts = {"steps": 0, "evaluations": 0}
+    for interval in intervals(scene):
+        if interval.due:
+            x, x_rate = np.array(system.measure(q, v), dtype=float).T
+            system = holding(system, sample(interval.due, float(interval.times[0]), x, x_rate))
+        solution = integrate(system, q, v, interval.times, options)
+        q, v = solution.q[-1], solution.v[-1]
+        wanted = zip(solution.q[interval.wanted], solution.v[interval.wanted], strict=True)
+        rows.extend((system, *row) for row in wanted)
+        counts["steps"] += solution.steps
+        counts["evaluations"] += solution.evaluations
     wall_time = time.perf_counter() - start
-    evaluations = [system.evaluate(*row) for row in zip(solution.q, solution.v, strict=True)]
-    counts = {"steps": solution.steps, "evaluations": solution.evaluations}
+    evaluations = [system.evaluate(q, v) for system, q, v in rows]
     return trajectory_from(scene, engine, settings | options.chosen() | counts, wall_time, evaluations)
 
 

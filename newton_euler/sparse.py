@@ -116,7 +116,7 @@ class Factor:
 
 
 def factorise(
-    matrix: Rows, order: Sequence[int], scales: Sequence[float] | None = None, drop: bool = False
+    matrix: Rows, order: Sequence[int], scales: Sequence[float] | None = None, drop: float = 0.0
 ) -> Factor:
     """Eliminate the rows of a symmetric matrix in the given order.
 
@@ -124,8 +124,8 @@ def factorise(
         matrix: all nonzeros.
         order: in which to eliminate.
         scales: what the diagonal elements usually are; those of this matrix if not given.
-        drop: whether to leave out rows that depend on those before them, of `Factor.order` too; only
-            numbers can tell.
+        drop: share of its diagonal element below which a pivot shows that the row depends on those
+            before it, so that it is left out, of `Factor.order` too; only numbers can tell.
     """
     work = [dict(row) for row in matrix]
     usual = [row.get(k, 0.0) for k, row in enumerate(work)] if scales is None else scales
@@ -139,7 +139,7 @@ def factorise(
         below = [(i, entry) for i, entry in work[k].items() if i != k]
         for i, _ in below:
             del work[i][k]
-        if drop and not margin > 0.0:
+        if drop and not pivot > drop * usual[k]:
             continue
         done.append(k)
         health = minimum(health, margin)

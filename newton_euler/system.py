@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from newton_euler.mechanism import Mechanism
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, Scalar
 from newton_euler.scene import Scene
 from newton_euler.solve import orthonormal_null, orthonormal_range
 from newton_euler.state import Evaluation, MassProperties, State
@@ -38,6 +38,9 @@ class System(Protocol):
 
     def state(self, q: Array, v: Array) -> State:
         """Body poses and velocities, by this system's own kinematics."""
+
+    def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
+        """Coordinate (m or rad) and rate of each control law."""
 
     def rate(self, q: Array, v: Array) -> Array:
         """qdot (nq,)."""

@@ -3,8 +3,8 @@
 Mechanisms need both of every hinge angle; calling the C library for each would be a good part of a
 right-hand side. The angle is reduced by multiples of pi/2 kept in three parts (Cody and Waite, Software
 Manual for the Elementary Functions, 1980, chapter 8), and what is left goes into the polynomials of
-FDLIBM (Sun Microsystems, 1993, k_sin.c and k_cos.c). Within 1 unit in the last place; angles beyond
-`FAR` go to the C library.
+FDLIBM (Sun Microsystems, 1993, k_sin.c and k_cos.c). At most 2 units in the last place off; angles
+beyond `FAR` go to the C library.
 """
 
 from __future__ import annotations
@@ -37,9 +37,6 @@ COSINE = (
     -1.13596475577881948265e-11,
 )
 """Coefficients in rising powers of the squared angle, from x^3 and x^4 on."""
-
-OPERATIONS = 34
-"""Floating-point operations of one call."""
 
 
 def literal(value: float) -> str:

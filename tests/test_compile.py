@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import stat
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from test_expression import everything, traced
 
 from newton_euler.cache import CACHE_VARIABLE
 from newton_euler.compile import NativeFunction, NativeModule
+from newton_euler.expression import Graph
 from newton_euler.native import Callback, NativeError, NativeModuleOf, Vector, native, text
 
 
@@ -91,6 +94,59 @@ def test_processes_that_compile_at_once_do_not_disturb_each_other(cache):
     assert [job.wait() for job in jobs] == [0] * 6
     assert len(list(cache.iterdir())) == 1
     assert NativeModule(SOURCE, optimise=True).from_cache
+
+
+def test_runs_that_are_killed_leave_the_cache_usable(cache):
+    """Killed at random moments while they compile and write, again and again."""
+    code = "from newton_euler.compile import NativeModule\nk = 0\nwhile True:\n    k += 1\n" + (
+        f"    NativeModule({SOURCE!r} + '; %d' % (k % 7), optimise=True)\n"
+        "    import shutil, os\n"
+        "    for name in os.listdir(os.environ['NEWTON_EULER_CACHE'])[:3]:\n"
+        "        if not name.startswith('.'): os.unlink(os.environ['NEWTON_EULER_CACHE'] + '/' + name)\n"
+    )
+    environment = os.environ | {CACHE_VARIABLE: str(cache)}
+    rng = np.random.default_rng(0)
+    sources = [f"{SOURCE}; {k}" for k in range(7)]
+    for _ in range(15):
+        job = subprocess.Popen([sys.executable, "-c", code], env=environment)
+        time.sleep(rng.uniform(0.15, 0.5))
+        job.kill()
+        job.wait()
+        for source in sources:
+            assert NativeModule(source, optimise=True).address("f")
+    assert all(NativeModule(source, optimise=True).from_cache for source in sources)
+
+
+def test_what_a_killed_run_left_is_removed_in_time(cache):
+    NativeModule(SOURCE, optimise=True)
+    old, new = cache / ".new-old", cache / ".new-new"
+    for path in (old, new):
+        path.write_bytes(b"half")
+    os.utime(old, (time.time() - 7200.0,) * 2)
+    NativeModule(SOURCE + "; other", optimise=True)
+    assert not old.exists()
+    assert new.exists()  # its run may still be writing
+
+
+def test_sine_and_cosine_are_the_librarys():
+    graph = Graph()
+    (x,) = graph.variables(1)
+    function = NativeFunction(graph.prune([x.sin(), x.cos()]))
+    rng = np.random.default_rng(0)
+    angles = np.concatenate(
+        [
+            rng.uniform(-10.0, 10.0, 2000),
+            rng.uniform(-1e5, 1e5, 2000),
+            0.5 * np.pi * np.arange(-200, 201),
+            10.0 ** rng.uniform(-300.0, 5.0, 500),
+            rng.uniform(1e5, 1e15, 100),
+            [0.0],
+        ]
+    )
+    for angle in angles:
+        for found, exact in zip(function(np.array([angle])), (math.sin(angle), math.cos(angle)), strict=True):
+            assert abs(found - exact) <= 2.0 * math.ulp(exact)  # half a unit is the library's own
+    assert np.all(np.isnan(function(np.array([np.inf]))))
 
 
 TABLE = (1.0, 2.5, -3.0)

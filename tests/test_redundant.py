@@ -16,6 +16,7 @@ from newton_euler.joints import Fixed, Revolute, Spherical
 from newton_euler.mechanism import Mechanism
 from newton_euler.relative import Relative
 from newton_euler.solve import independent_rows, minimum_norm, rank
+from newton_euler.sparse import dense
 from newton_euler.state import State
 
 FORMULATIONS = (Relative, Cartesian)
@@ -65,13 +66,13 @@ def test_redundant_reactions_are_the_smallest(formulation):
     state = random_states(system.scene, 1)[0]
     q, v = system.coordinates(state)
     if formulation is Cartesian:
-        jacobian, units = system.joint_jacobian(q, system.frames(q, v))[0], system.row_units
+        rows, units = system.joint_jacobian(q, system.frames(q, v))[0], system.row_units
         multipliers = system.solve(q, v)[1]
     else:
         links = system.links(q, v)
-        jacobian, units = system.loop_terms(links)[1], system.phi_units
+        rows, units = system.loop_terms(links)[1], system.phi_units
         multipliers = system._solve(q, v, links)[1]
-    left = (jacobian * system.velocity_units / units[:, None]).T
+    left = (dense(rows, system.nv) * system.velocity_units / units[:, None]).T
     _, s, vt = np.linalg.svd(left)
     idle = vt[np.sum(s > 1e-9) :]
     assert len(idle) == 3  # a flat loop in space has three equations too many

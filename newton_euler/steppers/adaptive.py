@@ -11,6 +11,7 @@ from newton_euler.native import Callback, Vector, native
 from newton_euler.steppers.dop853 import STAGES, error_norm, interpolate, prepare_dense, stage
 from newton_euler.steppers.march import (
     DONE,
+    INTERRUPTED,
     REACHED,
     REJECTED,
     STEP_TOO_SMALL,
@@ -18,6 +19,7 @@ from newton_euler.steppers.march import (
     TOO_MANY_STEPS,
     begin,
     evaluate,
+    interrupted,
     project,
 )
 
@@ -81,6 +83,7 @@ def march_dop853(
     position: Callback,
     velocity: Callback,
     closing: Callback,
+    pause: Callback,
     now: Vector,
     at: Vector,
     end: Vector,
@@ -106,6 +109,8 @@ def march_dop853(
         counts[REACHED] = now[n]
         if counts[STEPS] + counts[REJECTED] >= most:
             return TOO_MANY_STEPS
+        if interrupted(pause, counts) == 1:
+            return INTERRUPTED
         if h < 10.0 * SPACING * max(abs(now[n]), h):
             return STEP_TOO_SMALL
         if now[n] + h > stop or stop - now[n] - h < 1e-3 * h:

@@ -7,7 +7,16 @@ two outputs is divided into equal steps of at most the wanted size.
 from __future__ import annotations
 
 from newton_euler.native import Callback, Vector, native
-from newton_euler.steppers.march import DONE, REACHED, STEPS, TOO_MANY_STEPS, begin, evaluate, project
+from newton_euler.steppers.march import (
+    DONE,
+    INTERRUPTED,
+    REACHED,
+    STEPS,
+    begin,
+    evaluate,
+    interrupted,
+    project,
+)
 
 
 @native
@@ -25,7 +34,6 @@ def march_rk4(
     outputs: int,
     times: Vector,
     step: float,
-    most: int,
     derivative: Callback,
     dense: Callback,
     projecting: int,
@@ -33,6 +41,7 @@ def march_rk4(
     position: Callback,
     velocity: Callback,
     closing: Callback,
+    pause: Callback,
     now: Vector,
     at: Vector,
     k: Vector,
@@ -52,8 +61,8 @@ def march_rk4(
         h = (times[due] - times[due - 1]) / count
         for j in range(count):
             counts[REACHED] = now[n]
-            if counts[STEPS] >= most:
-                return TOO_MANY_STEPS
+            if interrupted(pause, counts) == 1:
+                return INTERRUPTED
             for i in range(n + 1):
                 at[i] = now[i]
                 total[i] = 0.0
@@ -86,9 +95,8 @@ def march_euler(
     n: int,
     outputs: int,
     times: Vector,
-    nq: int,
     step: float,
-    most: int,
+    nq: int,
     rate: Callback,
     derivative: Callback,
     dense: Callback,
@@ -97,6 +105,7 @@ def march_euler(
     position: Callback,
     velocity: Callback,
     closing: Callback,
+    pause: Callback,
     now: Vector,
     k: Vector,
     table: Vector,
@@ -111,8 +120,8 @@ def march_euler(
         h = (times[due] - times[due - 1]) / count
         for j in range(count):
             counts[REACHED] = now[n]
-            if counts[STEPS] >= most:
-                return TOO_MANY_STEPS
+            if interrupted(pause, counts) == 1:
+                return INTERRUPTED
             status = evaluate(n, derivative, dense, now, k, counts)
             if status != DONE:
                 return status

@@ -11,13 +11,16 @@ from __future__ import annotations
 
 from newton_euler.native import Callback, Vector, native
 
-DONE, NOT_FINITE, SINGULAR, TOO_MANY_STEPS, STEP_TOO_SMALL, OPEN = 0, 1, 2, 3, 4, 5
+DONE, NOT_FINITE, SINGULAR, TOO_MANY_STEPS, STEP_TOO_SMALL, OPEN, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6
 """Statuses: how a march ended."""
 
-STEPS, EVALUATIONS, REJECTED, DENSE_CALLS, REACHED = 0, 1, 2, 3, 4
-"""Places in the vector of counts; REACHED is the time."""
+STEPS, EVALUATIONS, REJECTED, DENSE_CALLS, REACHED, WISH = 0, 1, 2, 3, 4, 5
+"""Places in the vector of counts; REACHED is the time, WISH is 1 to stop."""
 
-COUNTS = 5
+COUNTS = 6
+
+PATIENCE = 4096
+"""Steps after which Python is given a chance to see that the user wants to stop."""
 
 HUGE = 1e300
 NEWTON_STEPS = 10
@@ -93,6 +96,14 @@ def project(
     for i in range(n):
         x[i] = scratch[i]
     return DONE
+
+
+@native
+def interrupted(pause: Callback, counts: Vector) -> int:
+    """1 if the user wants to stop, which is asked now and then, else 0."""
+    if int(counts[STEPS] + counts[REJECTED]) % PATIENCE == PATIENCE - 1:
+        pause(counts, counts[WISH:])
+    return int(counts[WISH])
 
 
 @native

@@ -18,6 +18,7 @@ from newton_euler.steppers.linear import factor_complex, factor_real, solve_comp
 from newton_euler.steppers.march import (
     DONE,
     HUGE,
+    INTERRUPTED,
     REACHED,
     REJECTED,
     STEP_TOO_SMALL,
@@ -25,6 +26,7 @@ from newton_euler.steppers.march import (
     TOO_MANY_STEPS,
     begin,
     evaluate,
+    interrupted,
     project,
 )
 
@@ -217,6 +219,7 @@ def march_radau(
     position: Callback,
     velocity: Callback,
     closing: Callback,
+    pause: Callback,
     now: Vector,
     at: Vector,
     slope: Vector,
@@ -257,6 +260,8 @@ def march_radau(
         counts[REACHED] = now[n]
         if counts[STEPS] + counts[REJECTED] >= most:
             return TOO_MANY_STEPS
+        if interrupted(pause, counts) == 1:
+            return INTERRUPTED
         if h < 10.0 * SPACING * max(abs(now[n]), h):
             return STEP_TOO_SMALL
         if now[n] + h > stop or stop - now[n] - h < 1e-3 * h:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import signal
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -19,11 +23,13 @@ from newton_euler.stabilize import ROUND_OFF, project_position, project_velocity
 from newton_euler.steppers import march as m
 from newton_euler.steppers.adaptive import march_dop853
 from newton_euler.steppers.fixed import march_euler, march_rk4
-from newton_euler.steppers.march import map_rows, repeat
 from newton_euler.steppers.radau import march_radau
 
-MOST_STEPS = 10_000_000
-"""Steps after which a run is taken to be getting nowhere; some ten seconds of the tracker's."""
+MOST_STEPS = 1_000_000
+"""Steps after which an adaptive method is taken to be getting nowhere."""
+
+COUNTED = {"steps": m.STEPS, "rejected": m.REJECTED, "evaluations": m.EVALUATIONS, "dense": m.DENSE_CALLS}
+"""Places of counts, by name."""
 
 MARCHES: dict[str, Callable[..., int]] = {
     "DOP853": march_dop853,
@@ -42,7 +48,7 @@ def stepper(integrator: str) -> NativeModuleOf:
 @lru_cache
 def loops() -> NativeModuleOf:
     """Loops over states."""
-    return NativeModuleOf([map_rows, repeat])
+    return NativeModuleOf([m.map_rows, m.repeat, m.project])
 
 
 def load(code: Code, integrator: str) -> None:
@@ -52,20 +58,22 @@ def load(code: Code, integrator: str) -> None:
         assert module
 
 
-class DensePath:
-    """The dense, rank-revealing float form, for states where the compiled form is near singular.
+class Python:
+    """What native code leaves to Python: states near singular, by the dense float form, and interrupts.
 
     Attributes:
-        derivative, closing: addresses of native callbacks.
+        derivative, closing, pause: addresses of native callbacks.
         error: what that form raised last, if it did.
     """
 
     def __init__(self, code: Code) -> None:
         self._code = code
+        self._interrupted = False
         self.error: NewtonEulerError | None = None
         kind = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
-        self._callbacks = (kind(self._derivative), kind(self._closing))  # alive as long as this object
-        self.derivative, self.closing = (
+        # alive as long as this object
+        self._callbacks = (kind(self._derivative), kind(self._closing), kind(self._pause))
+        self.derivative, self.closing, self.pause = (
             ctypes.cast(callback, ctypes.c_void_p).value for callback in self._callbacks
         )
 
@@ -78,6 +86,28 @@ class DensePath:
             return [q, project_velocity(system, q, v)]
 
         self._guarded(x, y, project)
+
+    def _pause(self, counts: int, wish: int) -> None:
+        """Python runs signal handlers here, between two of its own instructions."""
+        _vector(wish, 1)[0] = float(self._interrupted)
+
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Turn an interrupt during native code into a wish to stop, and raise it afterwards."""
+        if threading.current_thread() is not threading.main_thread():  # which alone handles signals
+            yield
+            return
+
+        def note(number: int, frame: object) -> None:
+            self._interrupted = True
+
+        before = signal.signal(signal.SIGINT, note)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+            if self._interrupted:
+                raise KeyboardInterrupt
 
     def _guarded(self, x: int, y: int, function: Callable[[Formulation, Array, Array], list[Array]]) -> None:
         """Write n results and 1.0, or anything and -1.0 if the float form fails too."""
@@ -100,49 +130,94 @@ def _vector(address: int, size: int) -> Array:
     return np.ctypeslib.as_array((ctypes.c_double * size).from_address(address))
 
 
-def march(code: Code, x: Array, times: Array, options: Options) -> tuple[Array, dict[str, int]]:
-    """Integrate from times[0] and return the states (n, size) at all times, and the counts.
+class March:
+    """A march over given times, ready to be run from many starts; one thread at a time.
 
-    `x` (inputs,) is the state with time and parameters; it ends up at the last time.
-
-    Raises:
-        IntegrationError: with the time reached, the reason and the joint.
+    Attributes:
+        x: (inputs,) the state with time and parameters: the start, and after the run where it ended.
+        table: (n, size) the states at all times after a run.
+        counts: what the run took.
     """
-    n, nq = code.size, code.system.nq
-    dense = DensePath(code)
-    derivative = code.function("derivative")
-    position, velocity = (code.function("position"), code.function("velocity")) if code.projects else (0, 0)
-    table, counts = np.empty((len(times), n)), np.zeros(m.COUNTS)
-    scene = (
-        derivative, dense.derivative, int(code.projects), ROUND_OFF, position, velocity, dense.closing,
-    )  # fmt: skip
-    outputs = (n, len(times), times)
-    module = stepper(options.integrator)
-    if options.integrator == "DOP853":
-        status = module(
-            march_dop853, *outputs, options.rtol, options.atol, MOST_STEPS, *scene,
-            x, x.copy(), x.copy(), np.empty(16 * (n + 1) + 1), np.empty(7 * n), table, counts,
-        )  # fmt: skip
-    elif options.integrator == "Radau":
-        status = module(
-            march_radau, *outputs, options.rtol, options.atol, MOST_STEPS, code.function("jacobian"), *scene,
-            x, x.copy(), np.empty(n + 2), np.empty(3 * n), np.empty(4 * n), np.empty(3 * n + 3),
-            np.empty(3 * n + 2), np.empty(3 * n), np.empty(4 * n * n), np.empty(2 * n), table, counts,
-        )  # fmt: skip
-    elif options.integrator == "RK4":
-        status = module(
-            march_rk4, *outputs, options.step, MOST_STEPS, *scene,
-            x, x.copy(), np.empty(n + 2), np.empty(n + 2), table, counts,
-        )  # fmt: skip
-    else:
-        status = module(
-            march_euler, *outputs, nq, options.step, MOST_STEPS, code.function("rate"), *scene,
-            x, np.empty(n + 2), table, counts,
-        )  # fmt: skip
-    if status != m.DONE:
-        raise _failure(code, status, x, counts, dense.error)
-    names = {"steps": m.STEPS, "rejected": m.REJECTED, "evaluations": m.EVALUATIONS, "dense": m.DENSE_CALLS}
-    return table, {name: int(counts[place]) for name, place in names.items()}
+
+    def __init__(self, code: Code, times: Array, options: Options) -> None:
+        self._code, self._python = code, Python(code)
+        n, outputs, empty = code.size, len(times), np.empty
+        self.x, self.table, self.counts = np.zeros(code.inputs), empty((outputs, n)), np.zeros(m.COUNTS)
+        at, end = np.zeros(code.inputs), np.zeros(code.inputs)
+        self._copies = (at, end)  # of the parameters
+        adaptive = (n, outputs, times, options.rtol, options.atol, MOST_STEPS)
+        fixed = (n, outputs, times, options.step)
+        derivative = (code.function("derivative"), self._python.derivative)
+        system = (*derivative, *_projection(code, self._python), self._python.pause)
+        result = (self.table, self.counts)
+        arguments: dict[str, Callable[[], tuple[Any, ...]]] = {
+            "DOP853": lambda: (
+                *adaptive, *system, self.x, at, end, empty(16 * (n + 1) + 1), empty(7 * n), *result,
+            ),
+            "Radau": lambda: (
+                *adaptive, code.function("jacobian"), *system, self.x, at, empty(n + 2), empty(3 * n),
+                empty(4 * n), empty(3 * n + 3), empty(3 * n + 2), empty(3 * n), empty(4 * n * n),
+                empty(2 * n), *result,
+            ),
+            "RK4": lambda: (*fixed, *system, self.x, at, empty(n + 2), empty(n + 2), *result),
+            "Euler": lambda: (
+                *fixed, code.system.nq, code.function("rate"), *system, self.x, empty(n + 2), *result,
+            ),
+        }  # fmt: skip
+        self._run = stepper(options.integrator).bind(
+            MARCHES[options.integrator], *arguments[options.integrator]()
+        )
+
+    def __call__(self, x: Array) -> None:
+        """Run from x (inputs,).
+
+        Raises:
+            IntegrationError: with the time reached, the reason and the joint.
+        """
+        for copy in (self.x, *self._copies):
+            copy[:] = x
+        self.counts[:] = 0.0
+        with self._python.interruptible():
+            status = self._run()
+        if status != m.DONE:
+            raise _failure(self._code, status, self.x, self.counts, self._python.error)
+
+    @property
+    def counted(self) -> dict[str, int]:
+        """What the run took, by name."""
+        names = {
+            "steps": m.STEPS,
+            "rejected": m.REJECTED,
+            "evaluations": m.EVALUATIONS,
+            "dense": m.DENSE_CALLS,
+        }
+        return {name: int(self.counts[place]) for name, place in names.items()}
+
+
+def _projection(code: Code, python: Python) -> tuple[Any, ...]:
+    """What marches need to keep a state on the constraints."""
+    if not code.projects:
+        return 0, ROUND_OFF, 0, 0, 0
+    return 1, ROUND_OFF, code.function("position"), code.function("velocity"), python.closing
+
+
+class Projection:
+    """Puts states on the constraints of a scene."""
+
+    def __init__(self, code: Code) -> None:
+        self._python = Python(code)
+        self.x = np.zeros(code.inputs)
+        functions = (code.function("position"), code.function("velocity"), self._python.closing)
+        scratch = np.zeros(code.size + 2)
+        self._run = loops().bind(m.project, code.size, ROUND_OFF, *functions, self.x, scratch)
+
+    def __call__(self, x: Array) -> bool:
+        """Change x (inputs,) by the least that meets the constraints; whether that could be done."""
+        self.x[:] = x
+        if self._run() != m.DONE:
+            return False
+        x[:] = self.x
+        return True
 
 
 def _failure(
@@ -169,24 +244,36 @@ def _failure(
 def outputs(code: Code, x: Array, times: Array, table: Array) -> dict[str, Array]:
     """The arrays that the scene asks for, by name, of the states (n, size) at these times.
 
-    `x` (inputs,) holds the parameters. Reactions near singular or under redundant constraints come
-    from the float form, which knows the smallest ones.
+    `x` (inputs,) holds the parameters.
+    """
+    results = np.empty((len(times), code.function("output").outputs))
+    write_outputs(code, x.copy(), times, table, results)
+    return named(code, results)
+
+
+def write_outputs(code: Code, x: Array, times: Array, table: Array, results: Array) -> None:
+    """Write `results` (n, outputs); `x` (inputs,) holds the parameters, its state is overwritten.
+
+    Reactions near singular or under redundant constraints come from the float form, which knows the
+    smallest ones.
     """
     function = code.function("output")
-    results = np.empty((len(times), function.outputs))
-    given = (x.copy(), times, np.ascontiguousarray(table), results)
-    loops()(map_rows, len(times), code.size, function.outputs, function, *given)
-    arrays = {
-        name: results[:, place].reshape(len(times), *shape) for name, (place, shape) in code.places.items()
+    loops()(m.map_rows, len(times), code.size, function.outputs, function, x, times, table, results)
+    if "reactions" not in code.scene.outputs:
+        return
+    arrays = named(code, results)
+    system = code.float_system(x)
+    for row in range(len(times)) if code.redundant else np.flatnonzero(~(arrays["health"] > 0.0)):
+        evaluation = system.evaluate(table[row, : system.nq], table[row, system.nq :])
+        arrays["reaction_force"][row] = evaluation.reaction_force
+        arrays["reaction_torque"][row] = evaluation.reaction_torque
+
+
+def named(code: Code, results: Array) -> dict[str, Array]:
+    """Views of results (n, outputs) by name."""
+    return {
+        name: results[:, place].reshape(len(results), *shape) for name, (place, shape) in code.places.items()
     }
-    healthy = arrays.pop("health") > 0.0
-    if "reactions" in code.scene.outputs and (code.redundant or not np.all(healthy)):
-        system = code.float_system(x)
-        for row in range(len(times)) if code.redundant else np.flatnonzero(~healthy):
-            evaluation = system.evaluate(table[row, : system.nq], table[row, system.nq :])
-            arrays["reaction_force"][row] = evaluation.reaction_force
-            arrays["reaction_torque"][row] = evaluation.reaction_torque
-    return arrays
 
 
 def time_function(function: NativeFunction, x: Array, count: int) -> float:
@@ -195,5 +282,5 @@ def time_function(function: NativeFunction, x: Array, count: int) -> float:
     x = np.ascontiguousarray(x, dtype=float)
     module = loops()
     start = time.perf_counter()
-    module(repeat, count, function, x, y)
+    module(m.repeat, count, function, x, y)
     return time.perf_counter() - start

@@ -1,0 +1,167 @@
+"""Many runs of one scene, over threads: native code lets go of Python's lock."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from newton_euler.errors import IntegrationError, OptionError
+from newton_euler.integrate import Options
+from newton_euler.parameters import checked
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.simulate import CompiledScene, native_trajectory
+from newton_euler.stabilize import PAPER_ALPHA
+from newton_euler.state import State
+from newton_euler.trajectory import Trajectory
+
+PIECES = 8
+"""Into how many pieces a thread's share is cut, so that no thread waits long for the last one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch(Sequence[Trajectory]):
+    """Runs of one scene; `batch[k]` is the trajectory of run k, or raises what ended it.
+
+    Attributes:
+        wall_time: s, of all runs together.
+        errors: what ended runs that could not go on, by number of the run.
+    """
+
+    scene: Scene
+    settings: dict[str, Any]
+    wall_time: float
+    errors: dict[int, IntegrationError]
+    _compiled: CompiledScene
+    _results: Array
+    _counts: list[dict[str, int]]
+
+    def __len__(self) -> int:
+        return len(self._results)
+
+    def __getitem__(self, run: Any) -> Any:
+        if isinstance(run, slice):
+            return [self[k] for k in range(len(self))[run]]
+        number = range(len(self))[run]
+        if number in self.errors:
+            raise self.errors[number]
+        from newton_euler.steppers.run import named
+
+        arrays = named(self._compiled, self._results[number])
+        settings = self.settings | self._counts[number]
+        return native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        return (self[k] for k in range(len(self)))
+
+
+def simulate_batch(
+    scene: Scene,
+    states: Sequence[State] | None = None,
+    parameters: Mapping[str, Sequence[Any]] | None = None,
+    threads: int | None = None,
+    formulation: str = "relative",
+    integrator: str = "DOP853",
+    rtol: float = 1e-10,
+    atol: float = 1e-12,
+    step: float | None = None,
+    stabilization: str = "projection",
+    alpha: float = PAPER_ALPHA,
+) -> Batch:
+    """Run a scene many times, from other states or with other parameters; compiled once.
+
+    Results do not depend on the number of threads.
+
+    Args:
+        scene: what to run.
+        states: initial states, one a run; the scene's own for all if not given.
+        parameters: values, one a run, by name; see `newton_euler.parameters`.
+        threads: how many; as many as there are processors if not given.
+        formulation, integrator, rtol, atol, step, stabilization, alpha: as of `simulate`.
+
+    Raises:
+        NewtonEulerError: for an unknown name, an impossible option, state or value; a run that
+            cannot go on is in `Batch.errors`.
+    """
+    from newton_euler.steppers.run import March, load, write_outputs
+
+    options = Options(integrator, rtol, atol, step)
+    parameters = dict(parameters or {})
+    if scene.sampled:
+        raise OptionError("control", scene.sampled[0], "no sampled controller: Python would run in every run")
+    workers = _threads(threads)
+    compiled = CompiledScene(scene, formulation, stabilization, alpha, tuple(parameters))
+    load(compiled, integrator)
+    starts = _starts(compiled, states, parameters)
+    times = scene.times
+    results = np.empty((len(starts), len(times), compiled.function("output").outputs))
+    counts: list[dict[str, int]] = [{} for _ in starts]
+    errors: dict[int, IntegrationError] = {}
+    stopped: list[bool] = []
+
+    def run(piece: tuple[int, int]) -> None:
+        march = March(compiled, times, options)
+        for k in range(*piece):
+            if stopped:
+                return
+            try:
+                march(starts[k])
+            except IntegrationError as error:
+                errors[k] = error
+                continue
+            counts[k] = march.counted
+            write_outputs(compiled, march.x, times, march.table, results[k])
+
+    edges = np.linspace(0, len(starts), min(len(starts), PIECES * workers) + 1).astype(int)
+    start = time.perf_counter()
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            list(pool.map(run, pairwise(edges.tolist())))
+        except BaseException:
+            stopped.append(True)
+            raise
+    wall_time = time.perf_counter() - start
+    settings = {
+        "formulation": formulation,
+        "stabilization": stabilization,
+        "threads": workers,
+    } | options.chosen()
+    return Batch(scene, settings, wall_time, dict(sorted(errors.items())), compiled, results, counts)
+
+
+def _threads(threads: int | None) -> int:
+    if threads is None:
+        return os.cpu_count() or 1
+    if not isinstance(threads, int) or isinstance(threads, bool) or threads < 1:
+        raise OptionError("threads", threads, "a whole number, 1 or more")
+    return threads
+
+
+def _starts(
+    compiled: CompiledScene, states: Sequence[State] | None, parameters: Mapping[str, Sequence[Any]]
+) -> Array:
+    """x (runs, inputs) of all runs."""
+    scene = compiled.scene
+    lengths = {name: len(values) for name, values in parameters.items()}
+    if states is not None:
+        lengths["states"] = len(states)
+    if not lengths or min(lengths.values()) < 1 or len(set(lengths.values())) > 1:
+        raise OptionError("states and parameters", lengths, "one state or value a run, of one length")
+    rows = []
+    own = compiled.system.coordinates(scene.initial_state)
+    for k in range(next(iter(lengths.values()))):
+        q, v = own
+        if states is not None:
+            state = states[k]
+            if state is not scene.initial_state:
+                q, v = compiled.system.coordinates(replace(scene, initial_state=state).initial_state)
+        values = checked(scene, {name: given[k] for name, given in parameters.items()})
+        rows.append(compiled.packed(q, v, values=values))
+    return np.array(rows)

@@ -1,0 +1,92 @@
+"""Many runs at once: the same as one by one, whatever the number of threads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import newton_euler
+from newton_euler import simulate_batch
+from newton_euler.errors import IntegrationError, MechanismError, OptionError, UnknownNameError
+from newton_euler.parameters import parameter_values
+
+
+@pytest.fixture(scope="module")
+def short(tracker):
+    return replace(tracker, duration=0.5, output_period=0.1)
+
+
+def same(a, b) -> bool:
+    """Whether two trajectories are equal to the last bit."""
+    return all(np.array_equal(x, b.arrays()[name]) for name, x in a.arrays().items())
+
+
+def test_runs_are_those_one_by_one(short, tracker_states):
+    batch = simulate_batch(short, tracker_states[:6], threads=1)
+    assert len(batch) == 6
+    for run, state in zip(batch, tracker_states, strict=False):
+        assert same(run, newton_euler.simulate(replace(short, initial_state=state)))
+    assert batch[-1].settings["steps"] > 0
+    assert len(batch[1:3]) == 2
+
+
+def test_threads_change_nothing(short, tracker_states):
+    one, three = (simulate_batch(short, tracker_states[:10], threads=n) for n in (1, 3))
+    assert all(same(a, b) for a, b in zip(one, three, strict=True))
+
+
+@pytest.mark.parametrize("formulation", ["relative", "cartesian"])
+def test_parameters_are_those_of_a_scene_made_with_them(short, formulation):
+    inertia = 1.5 * short.mechanism.bodies[6].inertia
+    values = {"panel_7.mass": 30.0, "panel_7.inertia": inertia, "gravity": [0.0, 0.5, -9.0]}
+    values |= {"slide_12.stiffness": 70.0, "slide_13.damping": 40.0, "slide_13.target": 0.01}
+    batch = simulate_batch(short, parameters={k: [v] for k, v in values.items()}, formulation=formulation)
+    bodies = list(short.mechanism.bodies)
+    bodies[6] = replace(bodies[6], mass=30.0, inertia=inertia)
+    law_12, law_13 = short.control
+    control = (replace(law_12, stiffness=70.0), replace(law_13, damping=40.0, target=0.01))
+    mechanism = newton_euler.Mechanism(bodies, short.mechanism.joints)
+    other = replace(
+        short, mechanism=mechanism, gravity=values["gravity"], control=control, initial_state=None
+    )
+    expected = newton_euler.simulate(other, formulation)
+    # other constants are folded, so rounding differs; it grows a hundredfold in half a second
+    assert np.abs(batch[0].position - expected.position).max() < 1e-11
+    assert np.abs(batch[0].reaction_force - expected.reaction_force).max() < 1e-8
+
+
+def test_a_run_that_fails_does_not_end_the_others(short):
+    batch = simulate_batch(short, parameters={"slide_12.damping": [50.0, -1e6, 60.0]})
+    assert list(batch.errors) == [1]
+    with pytest.raises(IntegrationError, match="stopped at t = "):
+        batch[1]
+    assert np.all(np.isfinite(batch[2].position))
+
+
+def test_every_parameter_has_the_scenes_own_value(short):
+    values = parameter_values(short)
+    assert values["panel_7.mass"] == short.mechanism.bodies[6].mass
+    assert values["slide_13.target"] == short.control[1].target
+    run = simulate_batch(short, parameters={name: [value] for name, value in values.items()})[0]
+    assert np.abs(run.position - newton_euler.simulate(short).position).max() < 1e-11  # as above
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({}, OptionError, "one state or value a run"),
+        ({"states": []}, OptionError, "one state or value a run"),
+        ({"parameters": {"gravity": [[0, 0, 1]], "panel_7.mass": [1.0, 2.0]}}, OptionError, "of one length"),
+        ({"parameters": {"panel_7.color": [1.0]}}, UnknownNameError, "unknown parameter 'panel_7.color'"),
+        ({"parameters": {"panel_7.mass": [-1.0]}}, MechanismError, "positive mass"),
+        ({"parameters": {"panel_7.mass": ["heavy"]}}, MechanismError, "parameter 'panel_7.mass'"),
+        ({"parameters": {"gravity": [[0.0, np.nan, 0.0]]}}, MechanismError, "parameter 'gravity'"),
+        ({"parameters": {"gravity": [[0.0, 0.0, 0.0]]}, "threads": 0}, OptionError, "threads is 0"),
+    ],
+)
+def test_bad_batches_are_refused(short, options, error, message):
+    with pytest.raises(error) as caught:
+        simulate_batch(short, **options)
+    assert message in str(caught.value)
