@@ -1,4 +1,4 @@
-"""The command line: `crosscheck run`, `list`, `view`, `figures`.
+"""The command line: `crosscheck run`, `list`, `explain`, `view`, `figures`.
 
 Click parses it. Exit status: 0 agree, 1 disagree, 2 bad input or usage, with one line saying what.
 Heavy packages are imported by the commands, so that what goes wrong in an import is one line too.
@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -21,7 +21,8 @@ import click
 from crosscheck.errors import CrosscheckError
 
 if TYPE_CHECKING:
-    from crosscheck.run import Crosscheck
+    from rich.table import Table
+    from rich.text import Text
 
 TABLE_WIDTH = 100
 """Columns that the tables of a run need; a narrower terminal wraps them itself."""
@@ -66,7 +67,7 @@ def run_command(
 ) -> int:
     """Run SCENE (a name or a scene file) through the engines and compare them."""
     from crosscheck.engines import choose
-    from crosscheck.report import markdown, settings_lines
+    from crosscheck.report import markdown, settings_lines, terminal_tables
     from crosscheck.run import check_writable, crosscheck, write
     from crosscheck.scenes import load
 
@@ -83,7 +84,7 @@ def run_command(
         result = crosscheck(loaded, chosen, progress, scene, options)
         progress("writing")
         written = write(result, folder, recording, markdown(result))
-    click.echo(_rendered_tables(result), nl=False)
+    click.echo(_rendered(terminal_tables(result)), nl=False)
     for line in settings_lines(result):
         click.echo(line)
     click.echo("wrote " + ", ".join(str(path) for path in written))
@@ -101,15 +102,13 @@ def _progress() -> Iterator[Callable[[str], None]]:
         yield lambda message: status.update(Text(message))
 
 
-def _rendered_tables(result: Crosscheck) -> str:
+def _rendered(parts: Iterable[Table | Text]) -> str:
     from rich.console import Console
-
-    from crosscheck.report import terminal_tables
 
     console = Console(width=max(TABLE_WIDTH, Console().width))
     with console.capture() as capture:
-        for table in terminal_tables(result):
-            console.print(table)
+        for part in parts:
+            console.print(part)
     return capture.get()
 
 
@@ -117,13 +116,31 @@ def _rendered_tables(result: Crosscheck) -> str:
 def list_command() -> int:
     """List the scenes and engines."""
     from crosscheck.engines import ENGINES
-    from crosscheck.scenes import SCENES, load, option_values
+    from crosscheck.scenes import SCENES
+    from crosscheck.scenes.options import options_of
 
-    for name in SCENES:
-        click.echo(f"{name}: {load(name).description}")
-        for option, values in option_values(name).items():
-            click.echo(f"    --set {option}={'|'.join(values)}")
+    for name, scene in SCENES.items():
+        click.echo(f"{name}: {scene().description}")
+        for key, option in options_of(scene).items():
+            click.echo(f"    --set {key}={option.values}  [default: {option.default}]")
     click.echo(f"engines: {', '.join(ENGINES)}")
+    return AGREE
+
+
+@cli.command("explain")
+@click.argument("scene", default="tracker")
+@click.option(
+    "--set", "settings", multiple=True, metavar="OPTION=VALUE", help="Option of the scene; repeatable."
+)
+def explain_command(scene: str, settings: tuple[str, ...]) -> int:
+    """Say what the compiler keeps of SCENE, what it leaves out, and what each feature costs."""
+    from crosscheck.explain import explain
+    from crosscheck.scenes import load
+
+    loaded = load(scene, **_options(settings))
+    with _progress() as progress:
+        parts = list(explain(loaded, progress))
+    click.echo(_rendered(parts), nl=False)
     return AGREE
 
 
@@ -159,6 +176,37 @@ def figures_command(output: Path) -> int:
         written = draw(output, progress)
     for path in written:
         click.echo(f"wrote {path}")
+    return AGREE
+
+
+@cli.command("bench")
+@click.argument("scene", default="tracker")
+@click.option(
+    "--set", "settings", multiple=True, metavar="OPTION=VALUE", help="Option of the scene; repeatable."
+)
+@click.option(
+    "--error", type=float, default=1e-6, show_default=True, help="Error to name the cheapest settings for."
+)
+@click.option("--repeats", type=click.IntRange(3, 1000), default=15, show_default=True)
+@click.option("--rhs", is_flag=True, help="Time one right-hand side of each engine instead of whole runs.")
+@click.option(
+    "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/bench/SCENE]"
+)
+def bench_command(
+    scene: str, settings: tuple[str, ...], error: float, repeats: int, rhs: bool, output: Path | None
+) -> int:
+    """Measure run time against error on SCENE, for every engine and setting."""
+    from crosscheck.benchmark_run import bench, bench_rhs
+
+    options = _options(settings)
+    with _progress() as progress:
+        if rhs:
+            lines, written = bench_rhs(scene, options, output, progress)
+        else:
+            lines, written = bench(scene, options, error, repeats, output, progress)
+    for line in lines:
+        click.echo(line)
+    click.echo("wrote " + ", ".join(str(path) for path in written))
     return AGREE
 
 

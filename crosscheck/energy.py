@@ -74,10 +74,12 @@ def energy_balance(scene: Scene, run: Trajectory) -> Balance | None:
     error is estimated from every other output: `COARSE_SHARE` of what they make of the work, and
     `JUMP_SHARE` of how far they miss the residual in between, because what a transient shorter than
     an output period takes or gives shows in no power but as a jump of the residual. A leak shows as
-    neither. None if the run holds no energies, velocities or actuator forces.
+    neither. None if the run holds no energies, velocities or actuator forces, and for sampled
+    controllers, whose forces jump where no output may be.
     """
     if (
-        run.kinetic_energy is None
+        scene.sampled
+        or run.kinetic_energy is None
         or run.potential_energy is None
         or run.actuator_force is None
         or run.linear_velocity is None

@@ -69,9 +69,9 @@ def _mujoco_run(scene: Scene) -> Trajectory:
 
 def _mujoco_refined(scene: Scene) -> Trajectory:
     import mjcf
-    from mjcf.write import TIMESTEP
+    from mjcf.simulate import default_timestep
 
-    return mjcf.simulate(scene, timestep=TIMESTEP / 2)
+    return mjcf.simulate(scene, timestep=0.5 * default_timestep(scene))
 
 
 def _mujoco_systems(scene: Scene) -> tuple[System, ...]:

@@ -10,9 +10,9 @@ import numpy as np
 from mjcf.errors import ModelError
 from mjcf.layout import Layout
 from mjcf.motion import body_velocity
-from mjcf.write import welded_to_xml
+from mjcf.write import controls, welded_to_xml
 from newton_euler.euler_parameters import rotation
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, Scalar
 from newton_euler.scene import Scene
 from newton_euler.state import MassProperties, State
 from newton_euler.tree import weld_loops
@@ -46,7 +46,7 @@ class CompiledScene:
             raise ModelError(scene.name, " ".join(str(error).split())) from error
         self.data: Any = mujoco.MjData(self.model)
         self._restore_inertias()
-        self.data.ctrl[:] = [law.target for law in scene.control]
+        self.actuate()
 
     def _restore_inertias(self) -> None:
         """Put back moments of inertia that had to be raised, or lost digits, on the way in."""
@@ -77,9 +77,24 @@ class CompiledScene:
         return self.tree.coordinates(self.welded.state(state))
 
     def place(self, q: Array, v: Array) -> None:
-        """Give MuJoCo a state."""
+        """Give MuJoCo a state, and what its actuators are to do in it."""
         self.data.qpos[:] = self.layout.to_qpos @ q
         self.data.qvel[:] = self.layout.to_qvel @ v
+        self.actuate()
+
+    def actuate(self) -> None:
+        """Give MuJoCo's actuators the targets and the held forces of the scene's control laws."""
+        self.data.ctrl[:] = controls(self.scene)
+
+    def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
+        """Coordinate (m or rad) and rate of each control law, where MuJoCo's actuators have theirs."""
+        self.place(q, v)
+        return list(zip(*self.read_measured(), strict=True))
+
+    def read_measured(self) -> tuple[Array, Array]:
+        """Coordinates (a,) of the control laws (m or rad) and their rates (a,), at MuJoCo's state."""
+        model, driven = self.model, self.model.actuator_trnid[:, 0]
+        return self.data.qpos[model.jnt_qposadr[driven]], self.data.qvel[model.jnt_dofadr[driven]]
 
     def state(self, q: Array, v: Array) -> State:
         """Body poses and velocities by MuJoCo's kinematics."""

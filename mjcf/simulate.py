@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ import numpy as np
 from mjcf.errors import DivergenceError
 from mjcf.write import SOLIMP, TIMESTEP
 from newton_euler.errors import OptionError, UnknownNameError
+from newton_euler.sampling import Interval, holding, intervals, sample
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.simulate import trajectory_from
@@ -20,6 +22,9 @@ from newton_euler.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from mjcf.soft import SoftMuJoCo
+
+LEAST_TIMESTEP = 1e-6
+"""s, below which no step is made for the sake of periods that hardly divide each other."""
 
 INTEGRATORS = ("RK4", "Euler", "implicit", "implicitfast")
 """MuJoCo's integrators by the names that MJCF gives them."""
@@ -37,17 +42,23 @@ def simulate(
 
     Args:
         scene: what to run.
-        timestep: s; must divide the time between outputs. If not given, the largest of at most 1 ms
-            that does, and for a last output out of period the largest of at most that.
+        timestep: s; must divide the time between outputs and the periods of sampled controllers. If
+            not given, the largest of at most 1 ms that does, and for a last output out of period the
+            largest of at most that.
         integrator: one of `INTEGRATORS`.
         solref: of the loop closures: time constant (s) and damping ratio, (2 timestep, 1) if not
             given, which is as stiff as MuJoCo allows; or stiffness and damping, both negative.
 
     Raises:
-        NewtonEulerError: for an unknown name or an impossible option; `MjcfError` for a scene that
-            MuJoCo refuses, or a run that diverges.
+        NewtonEulerError: for an unknown name, an impossible option or a controller that fails;
+            `MjcfError` for a scene that MuJoCo refuses, or a run that diverges.
     """
-    steps = _steps_between(scene.times, timestep)
+    wanted = _step(scene, timestep)
+    plan = [
+        (interval, [_fitting(float(length), wanted) for length in np.diff(interval.times)])
+        for interval in intervals(scene)
+    ]
+    steps = [step for _, between in plan for step in between]
     largest = max(step.size for step in steps)
     if integrator not in INTEGRATORS:
         raise UnknownNameError("integrator", integrator, INTEGRATORS)
@@ -61,7 +72,7 @@ def simulate(
     system.model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
 
     start = time.perf_counter()
-    states = _run(system, steps, stiffness)
+    states = _run(system, plan, stiffness)
     wall_time = time.perf_counter() - start
     settings: dict[str, Any] = {
         "timestep": largest,
@@ -73,14 +84,14 @@ def simulate(
     if steps[-1].size != largest:
         settings["last_timestep"] = steps[-1].size
     evaluations = []
-    for (q, v), step in zip(states, [steps[0], *steps], strict=True):
-        _use(system.model, step.size, stiffness)
+    for system, q, v, size in states:
+        _use(system.model, size, stiffness)
         evaluations.append(system.evaluate(q, v))
     return trajectory_from(scene, "mujoco", settings, wall_time, evaluations)
 
 
 class Steps(NamedTuple):
-    """Equal steps from one output to the next."""
+    """Equal steps from one time to the next."""
 
     number: int
     size: float
@@ -94,24 +105,45 @@ def _fitting(interval: float, largest: float) -> Steps:
     return Steps(number, largest if divides else interval / number)
 
 
-def _steps_between(times: Array, timestep: float | None) -> list[Steps]:
-    """The steps between each output and the next; an explicit `timestep` (s) is taken or refused."""
-    intervals = [float(interval) for interval in np.diff(times)]
+def _common_divisor(first: float, second: float) -> float:
+    """The largest that divides both, by Euclid's algorithm; far below both if there is none."""
+    round_off = 1e-9 * max(first, second)
+    while second > round_off:
+        first, second = second, abs(math.remainder(first, second))
+    return first
+
+
+def default_timestep(scene: Scene) -> float:
+    """The step, s, that `simulate` takes if none is given."""
+    return _step(scene, None)
+
+
+def _step(scene: Scene, timestep: float | None) -> float:
+    """The step, s, between outputs and between samples; an explicit `timestep` is taken or refused."""
+    repeated = [law for law in scene.sampled if law.period < scene.duration]
+    lengths = [scene.output_period] if scene.output_period < scene.duration else []
+    lengths += [law.period for law in repeated]
+    common = lengths[0] if lengths else scene.duration
+    for law in repeated:
+        common = _common_divisor(common, law.period)
+        if common < min(LEAST_TIMESTEP, *lengths) * (1.0 - 1e-9):
+            needed = f"one that has a time step of {LEAST_TIMESTEP:g} s or more in common with "
+            needed += f"the {scene.output_period:.9g} s between outputs and other periods"
+            raise OptionError(f"period of joint {law.joint!r}", law.period, needed)
     if timestep is None:
-        regular = _fitting(intervals[0], TIMESTEP).size
-        return [_fitting(interval, regular) for interval in intervals]
+        return _fitting(common, TIMESTEP).size
     is_number = isinstance(timestep, Real) and not isinstance(timestep, bool)
     if not is_number or not 0.0 < float(timestep) < np.inf:
         raise OptionError("timestep", timestep, "a positive number of seconds")
-    steps = [_fitting(interval, float(timestep)) for interval in intervals]
-    for step, interval in zip(steps, intervals, strict=True):
-        if step.size != float(timestep):
-            raise OptionError(
-                "timestep",
-                timestep,
-                f"a divisor of the {interval:.9g} s between outputs, such as {step.size:.9g}",
-            )
-    return steps
+    step = float(timestep)
+    wanted = [(float(interval), "between outputs") for interval in np.diff(scene.times)]
+    wanted += [(law.period, f"period of joint {law.joint!r}") for law in repeated]
+    for length, what in wanted:
+        if _fitting(length, step).size != step:
+            fitting = _fitting(_common_divisor(common, length), step).size
+            needed = f"a divisor of the {length:.9g} s {what}, such as {fitting:.9g}"
+            raise OptionError("timestep", timestep, needed)
+    return step
 
 
 def _stiffest(timestep: float) -> tuple[float, float]:
@@ -144,27 +176,39 @@ def _checked_solref(solref: Sequence[float], timestep: float) -> tuple[float, fl
 
 
 def _run(
-    system: SoftMuJoCo, steps: list[Steps], solref: tuple[float, float] | None
-) -> list[tuple[Array, Array]]:
-    """Tree coordinates and velocities at all outputs."""
+    system: SoftMuJoCo, plan: list[tuple[Interval, list[Steps]]], solref: tuple[float, float] | None
+) -> list[tuple[SoftMuJoCo, Array, Array, float]]:
+    """At all outputs: the system as it is controlled, tree coordinates, velocities and the step before."""
     import mujoco
 
-    model, data = system.model, system.data
+    model, data, layout = system.model, system.data, system.layout
     q, v = system.coordinates(system.scene.initial_state)
     system.place(q, v)
-    rows = [(data.qpos.copy(), data.qvel.copy())]
+    size = plan[0][1][0].size
+    rows: list[tuple[SoftMuJoCo, Array, Array, float]] = []
+
+    def record() -> None:
+        rows.append((system, layout.to_qpos.T @ data.qpos, layout.to_qvel.T @ data.qvel, size))
+
     with _collected_warnings(data) as warnings:
-        for number, size in steps:
-            _use(model, size, solref)
-            mujoco.mj_step(model, data, number)
-            # a step checks the state that it starts from
-            mujoco.mj_checkPos(model, data)
-            mujoco.mj_checkVel(model, data)
-            if warnings:  # after one MuJoCo starts again from its initial state
-                raise DivergenceError(*warnings[0])
-            rows.append((data.qpos.copy(), data.qvel.copy()))
-    layout = system.layout
-    return [(layout.to_qpos.T @ qpos, layout.to_qvel.T @ qvel) for qpos, qvel in rows]
+        for interval, steps in plan:
+            if interval.due:
+                forces = sample(interval.due, float(interval.times[0]), *system.read_measured())
+                system = holding(system, forces)
+                system.actuate()
+            if interval.wanted[0]:
+                record()
+            for (number, size), wanted in zip(steps, interval.wanted[1:], strict=True):
+                _use(model, size, solref)
+                mujoco.mj_step(model, data, number)
+                # a step checks the state that it starts from
+                mujoco.mj_checkPos(model, data)
+                mujoco.mj_checkVel(model, data)
+                if warnings:  # after one MuJoCo starts again from its initial state
+                    raise DivergenceError(*warnings[0])
+                if wanted:
+                    record()
+    return rows
 
 
 @contextmanager

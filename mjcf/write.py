@@ -2,8 +2,9 @@
 
 Body frames are the mechanism's own: origin at the centre of mass, orientation `Body.quaternion`.
 The mechanism's ground is MuJoCo's world body. Loops close at `<connect>` and `<weld>` equality
-constraints, PD laws become native `<position>` actuators, and the keyframe `start` holds the
-initial state with the actuators' targets, so a stock viewer runs the scene once it loads the key.
+constraints, PD laws become native `<position>` actuators and sampled controllers `<motor>`s, whose
+control is the force. The keyframe `start` holds the initial state with targets and held forces, so a
+stock viewer runs the scene once it loads the key.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 
 from mjcf.errors import MjcfError, ModelError
 from mjcf.layout import Layout, coordinate_name
+from newton_euler.control import Sampled
 from newton_euler.euler_parameters import conjugate, product
 from newton_euler.joints import Pose, Spherical
 from newton_euler.mechanism import Body
@@ -274,6 +276,9 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
     mechanism = scene.mechanism
     for law in scene.control:
         name = coordinate_name(mechanism.joints[mechanism.joint_index(law.joint)], law.coordinate)
+        if isinstance(law, Sampled):
+            ET.SubElement(actuator, "motor", name=name, joint=name)
+            continue
         if law.damping < 0.0:
             reason = f"damping of joint {law.joint!r} is {law.damping:g}; MuJoCo takes none below 0"
             raise ModelError(scene.name, reason)
@@ -287,6 +292,11 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
         )
 
 
+def controls(scene: Scene) -> list[float]:
+    """(a,) what MuJoCo's actuators are given as ctrl: targets of PD laws (m or rad), held forces."""
+    return [law.held if isinstance(law, Sampled) else law.target for law in scene.control]
+
+
 def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
     q, v = welded.tree.coordinates(welded.state(scene.initial_state))
     attributes = {"name": KEY}
@@ -294,5 +304,5 @@ def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
         attributes["qpos"] = _numbers(layout.to_qpos @ q)
         attributes["qvel"] = _numbers(layout.to_qvel @ v)
     if scene.control:
-        attributes["ctrl"] = _numbers(law.target for law in scene.control)
+        attributes["ctrl"] = _numbers(controls(scene))
     ET.SubElement(ET.SubElement(root, "keyframe"), "key", attributes)

@@ -56,6 +56,7 @@ class Cartesian:
         size, mass = self.mechanism.size, sum(body.mass for body in self.bodies)
         self.row_units = np.concatenate([np.zeros(0), *(e.units(size) for e in self.equations)])
         self.phi_units = np.concatenate([self.row_units, np.ones(len(self.bodies))])
+        self.quaternions = [slice(k + 3, k + 7) for k in range(0, self.nv, 7)]
         self.velocity_units = np.tile([size] * 3 + [1.0] * 4, len(self.bodies))
         self.force_units = np.tile([mass * size] * 3 + [mass * size**2] * 3, len(self.bodies))
 
@@ -96,10 +97,10 @@ class Cartesian:
         weights = [body.mass * self.scene.gravity for body in self.mechanism.bodies]
         wrenches = [np.concatenate([weight, np.zeros(3)]) for weight in weights]
         forces = []
-        for drive in self.driven:
+        for law, drive in zip(self.scene.control, self.driven, strict=True):
             first, second = drive.bodies
             x, rate, (r_i, theta_i, r_j, theta_j) = drive.measure(q, frames[first], frames[second])
-            u = drive.law.force(x, rate)
+            u = law.force(x, rate)
             wrenches[first] = wrenches[first] + u * np.concatenate([r_i[0], theta_i[0]])
             wrenches[second] = wrenches[second] + u * np.concatenate([r_j[0], theta_j[0]])
             forces.append(u)

@@ -96,8 +96,9 @@ class Code:
 
     @property
     def projects(self) -> bool:
-        """Whether runs are projected onto the constraints."""
-        return self.stabilization == "projection" and bool(len(self.system.phi_units))
+        """Whether runs are projected onto the constraints, or quaternions at least onto norm 1."""
+        closes = len(self.system.phi_units) > 0 or len(self.system.quaternions) > 0
+        return self.stabilization == "projection" and closes
 
     def load(self, integrator: str = "DOP853") -> None:
         """Trace and compile now what a run needs."""
@@ -167,6 +168,11 @@ class Code:
             values[name] = x[start : start + int(np.prod(shape))].reshape(shape) if shape else x[start]
         return values
 
+    @cached_property
+    def start(self) -> Array:
+        """x (inputs,) at the scene's initial state."""
+        return self.packed(*self.system.coordinates(self.scene.initial_state))
+
     # Tracing
 
     def _trace(self, name: str) -> Program:
@@ -194,9 +200,10 @@ class Code:
 
     def _trace_position(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """(q after one Newton step, v, squared residual before it, health)."""
+        norms = [q[place] @ q[place] - 1.0 for place in system.quaternions]
         q = system.retract(q, np.zeros(system.nv))  # quaternions of norm 1
         phi, step, health = self._correction(system, q, None)
-        return [*system.retract(q, -step), *v, phi @ phi, health]
+        return [*system.retract(q, -step), *v, phi @ phi + sum(norm * norm for norm in norms), health]
 
     def _trace_velocity(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """(q, v on the constraints, squared residual of positions, health)."""

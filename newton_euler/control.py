@@ -62,14 +62,19 @@ Controller = Callable[[float, Array, Array], float]
 """time (s), coordinates (a,) and their rates (a,) of all laws of the scene, in order -> force, N or N m."""
 
 
+SHORTEST_PERIOD = 1e-6
+"""s; no digital controller is quicker, and Python would be called a million times a second."""
+
+
 @dataclass(frozen=True)
 class Sampled:
     """A controller in discrete time: called at its period, its force held in between.
 
     Attributes:
         joint: name of the joint it drives.
-        controller: a `Controller`; it may keep a state of its own.
-        period: s between its calls; the first is at time 0.
+        controller: a `Controller`; one with a state of its own has to begin anew at time 0, because a
+            scene may be run several times.
+        period: s between its calls, at least `SHORTEST_PERIOD`; the first is at time 0.
         coordinate: which of the joint's coordinates, from 0.
         held: N or N m, the force at present.
 
@@ -89,8 +94,10 @@ class Sampled:
         where = f"control of joint {self.joint!r}"
         if not callable(self.controller):
             raise MechanismError(where, f"controller is {self.controller!r}", "something to call")
-        if not is_finite_number(self.period) or self.period <= 0.0:
-            raise MechanismError(where, f"period is {self.period!r}", "a positive number of seconds")
+        if not is_finite_number(self.period) or self.period < SHORTEST_PERIOD:
+            needed = f"a number of seconds, at least {SHORTEST_PERIOD:g}"
+            raise MechanismError(where, f"period is {self.period!r}", needed)
+        object.__setattr__(self, "period", float(self.period))
         _check_coordinate(where, self.coordinate)
 
     def force(self, x: Scalar, x_rate: Scalar) -> Scalar:

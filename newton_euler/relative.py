@@ -99,6 +99,7 @@ class Relative:
         size = self.mechanism.size
         self.phi_units = np.concatenate([np.zeros(0), *(closure.units(size) for closure in self.closures)])
         self.velocity_units = self.tree.velocity_units
+        self.quaternions = [on_q for motion, on_q, _ in self.tree.motions if motion.kind == "ball"]
 
     # Kinematics
 

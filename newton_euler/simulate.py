@@ -15,7 +15,7 @@ from newton_euler.sampling import holding, intervals, sample
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.stabilize import PAPER_ALPHA, joint_violations
-from newton_euler.state import Evaluation
+from newton_euler.state import Evaluation, State
 from newton_euler.system import System
 from newton_euler.trajectory import Trajectory
 
@@ -81,6 +81,15 @@ class CompiledScene(Code):
         """Run the scene; arguments and errors as of `newton_euler.simulate`."""
         return self._run(Options(integrator, rtol, atol, step))
 
+    def linearize(self, state: State) -> Array:
+        """(n, n) derivative of (qdot, vdot) by (q, v) at a state, from the traced derivatives.
+
+        Constraints are eliminated: for independent coordinates restrict it to motions that keep the
+        loops closed.
+        """
+        x = self.packed(*self.system.coordinates(state))
+        return self.function("jacobian")(x).reshape(self.size, self.size)
+
     def repeat(self, count: int, q: Array, v: Array) -> float:
         """s that `count` right-hand sides at one state q, v take, called from native code."""
         from newton_euler.steppers.run import time_function
@@ -92,7 +101,7 @@ class CompiledScene(Code):
         from newton_euler.steppers.run import load
 
         load(self, options.integrator)
-        x = self.packed(*self.system.coordinates(self.scene.initial_state))
+        x = self.start.copy()
         start = time.perf_counter()
         arrays, counts = march_sampled(self, x, options)
         wall_time = time.perf_counter() - start

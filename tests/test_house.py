@@ -37,7 +37,7 @@ def test_imports_point_one_way(package):
 
 @pytest.mark.parametrize("package", ["newton_euler", "mjcf", "urdf", "crosscheck.scenes", "crosscheck.cli"])
 def test_importing_a_package_loads_nothing_heavy(package):
-    heavy = "{'scipy', 'mujoco', 'pinocchio', 'rerun', 'matplotlib', 'pydantic', 'numba'}"
+    heavy = "{'scipy', 'mujoco', 'pinocchio', 'rerun', 'matplotlib', 'pydantic', 'numba', 'llvmlite'}"
     code = f"import sys, {package}; print(*sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
     assert done.stdout.strip() == ""

@@ -65,7 +65,7 @@ def test_the_jacobian_is_the_derivatives(tracker_states, tracker):
     derivative = compiled.function("derivative")
     for state in tracker_states[:3]:
         x = compiled.packed(*compiled.system.coordinates(state))
-        found = compiled.function("jacobian")(x).reshape(n, n)
+        found = compiled.linearize(state)
 
         def along(step, x=x):
             return derivative(x + np.append(step, 0.0))[:n]
@@ -81,10 +81,10 @@ def test_measured_order(tracker):
     reference = newton_euler.simulate(scene, rtol=1e-13, atol=1e-15)
     compiled = compile_scene(scene)
     steps, errors = [], []
-    for rtol in (1e-7, 1e-8, 1e-9, 1e-10):
+    for rtol in (1e-4, 1e-5, 1e-6, 1e-7):
         run = compiled.simulate("Radau", rtol=rtol, atol=1e-2 * rtol)
         steps.append(run.settings["steps"])
-        errors.append(np.abs(run.position[-1] - reference.position[-1]).max())
+        errors.append(np.abs(run.quaternion[-1] - reference.quaternion[-1]).max())
     order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert 4.5 < order < 6.0
 

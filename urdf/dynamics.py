@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import from_rotation
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, Scalar
 from newton_euler.scene import Scene
 from newton_euler.solve import rank
 from newton_euler.state import Evaluation, MassProperties, State
@@ -151,10 +151,14 @@ class PinocchioSystem:
         """q moved by a small step (nv,)."""
         return self._tree.retract(q, step)
 
+    def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
+        """Coordinate (m or rad) and rate of each control law."""
+        return [(q[actuator.on_q], v[actuator.on_v]) for actuator in self._actuators]
+
     def actuation(self, q: Array, v: Array) -> Array:
         """Actuator forces (a,), N or N m, in the order of the scene's control laws."""
-        laws = zip(self.scene.control, self._actuators, strict=True)
-        return np.array([law.force(q[actuator.on_q], v[actuator.on_v]) for law, actuator in laws])
+        laws = zip(self.scene.control, self.measure(q, v), strict=True)
+        return np.array([law.force(*seen) for law, seen in laws])
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """vdot (nv,); raises `SingularityError` where Pinocchio has no finite answer."""

@@ -154,9 +154,8 @@ def prepare_dense(n: int, h: float, now: Vector, end: Vector, k: Vector, terms: 
 @native
 def interpolate(n: int, share: float, now: Vector, terms: Vector, y: Vector) -> None:
     """The state at a share (0 to 1) of the step."""
+    left = 1.0 - share
     for i in range(n):
-        value = 0.0
-        for back in range(7):
-            value += terms[(6 - back) * n + i]
-            value *= share if back % 2 == 0 else 1.0 - share
-        y[i] = now[i] + value
+        high = terms[4 * n + i] + left * (terms[5 * n + i] + share * terms[6 * n + i])
+        low = terms[n + i] + share * (terms[2 * n + i] + left * (terms[3 * n + i] + share * high))
+        y[i] = now[i] + share * (terms[i] + left * low)

@@ -79,13 +79,11 @@ def project(
         position(x, scratch)
         if not scratch[n + 1] > 0.0:
             return project_densely(n, closing, x, scratch)
-        if scratch[n] >= 0.25 * before:  # at round-off
+        if scratch[n] < tolerance * tolerance or scratch[n] >= 0.25 * before:  # at round-off
             break
         before = scratch[n]
         for i in range(n):
             x[i] = scratch[i]
-        if before < tolerance * tolerance:
-            break
     velocity(x, scratch)
     if not scratch[n] < HUGE:
         return NOT_FINITE

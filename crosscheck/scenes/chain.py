@@ -1,0 +1,42 @@
+"""N rods in a row on hinges: an open tree of any size."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+
+from crosscheck.scenes.options import Range
+from crosscheck.scenes.rod import LENGTH, rod
+from newton_euler.joints import Revolute
+from newton_euler.mechanism import Body, Mechanism
+from newton_euler.scene import Scene
+
+X, Y, Z = np.eye(3)
+
+AXES = (Y + Z, Y - Z)
+"""Of the hinges in turn, across the rods and each other. Hinges along y would keep the fall in a plane;
+so would y and z in turn, as no force turns the hinges along z."""
+
+
+def chain(N: Annotated[int, Range(1, 1000)] = 10) -> Scene:
+    """N rods of 1 m and 1 kg that fall from rest, stretched out along x from a wall, 1 s.
+
+    Args:
+        N: rods, each with one hinge.
+    """
+    names = ["ground", *(f"rod_{k}" for k in range(N))]
+    starts = [k * LENGTH * X for k in range(N)]
+    bodies = [Body.ground(), *(rod(name, start, X) for name, start in zip(names[1:], starts, strict=True))]
+    joints = [
+        Revolute(f"hinge_{k}", names[k], names[k + 1], start, axis=AXES[k % 2])
+        for k, start in enumerate(starts)
+    ]
+    return Scene(
+        "chain",
+        Mechanism(bodies, joints),
+        duration=1.0,
+        output_period=0.01,
+        gravity=-9.81 * Z,
+        description="N rods on hinges that alternate between two axes, falling from horizontal",
+    )
