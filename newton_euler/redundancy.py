@@ -62,9 +62,15 @@ def rows_in_use(system: Formulation) -> tuple[RowsInUse, bool]:
             break  # all that can be
         q = _neighbour(system, q, rng)
     rest = np.zeros(system.nv)
-    diagonals = [system.sparse_solution(q, rest, RowsInUse(best)).diagonal for q in seen]
-    scales = [float(max(column)) for column in zip(*diagonals, strict=True)]
-    return RowsInUse(best, scales), len(best) < len(alive)
+    solutions = [system.sparse_solution(q, rest, RowsInUse(best)) for q in seen]
+    scales, mass_scales = (
+        [float(max(column)) for column in zip(*diagonals, strict=True)]
+        for diagonals in (
+            [solution.diagonal for solution in solutions],
+            [solution.mass_diagonal for solution in solutions],
+        )
+    )
+    return RowsInUse(best, scales, mass_scales), len(best) < len(alive)
 
 
 def _dimensionless(system: Formulation, jacobian: Rows) -> Rows:

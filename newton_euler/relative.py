@@ -338,7 +338,7 @@ class Relative:
         links = self.links(q, v)
         mass, force = self.sparse_mass_and_force(q, v, links)
         _, jacobian, gamma = self.loop_terms(links)
-        factor = factorise(mass, range(self.nv - 1, -1, -1))
+        factor = factorise(mass, range(self.nv - 1, -1, -1), rows.mass_scales)
         return sparse_solve(factor, sparse_vector(force), jacobian, gamma, rows, refine=False)
 
     def sparse_acceleration(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Array, Scalar]:

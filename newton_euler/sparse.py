@@ -80,13 +80,16 @@ class Factor:
         order: rows in the order of their elimination.
         columns: for each row k the entries of L below it, {row: l}.
         inverse_pivots: 1 / d for each row.
-        health: the least of d - `SINGULAR` times the usual diagonal; not positive if singular.
+        health: the least share of a pivot in what its diagonal element usually is, less `SINGULAR`; not
+            positive if singular.
+        diagonal: of the matrix itself.
     """
 
     order: list[int]
     columns: Rows
     inverse_pivots: list[Any]
     health: Scalar
+    diagonal: list[Any]
 
     def lower(self, right: dict[int, Any]) -> dict[int, Any]:
         """L^-1 b for a sparse b."""
@@ -128,21 +131,21 @@ def factorise(
             before it, so that it is left out, of `Factor.order` too; only numbers can tell.
     """
     work = [dict(row) for row in matrix]
-    usual = [row.get(k, 0.0) for k, row in enumerate(work)] if scales is None else scales
+    diagonal = [row.get(k, 0.0) for k, row in enumerate(work)]
+    usual = diagonal if scales is None else scales
     columns: Rows = [{} for _ in work]
     inverse_pivots: list[Any] = [0.0] * len(work)
     health: Scalar = np.inf
     done = []
     for k in order:
         pivot = work[k].get(k, 0.0)
-        margin = pivot - SINGULAR * usual[k]
         below = [(i, entry) for i, entry in work[k].items() if i != k]
         for i, _ in below:
             del work[i][k]
         if drop and not pivot > drop * usual[k]:
             continue
         done.append(k)
-        health = minimum(health, margin)
+        health = minimum(health, pivot / usual[k] - SINGULAR)
         inverse_pivots[k] = 1.0 / pivot
         for i, entry in below:
             columns[k][i] = entry * inverse_pivots[k]
@@ -151,7 +154,7 @@ def factorise(
                 add(work[i], j, -(columns[k][i] * entry))
                 if i != j and j in work[i]:
                     work[j][i] = work[i][j]
-    return Factor(done, columns, inverse_pivots, health)
+    return Factor(done, columns, inverse_pivots, health, diagonal)
 
 
 def dot(a: dict[int, Any], b: dict[int, Any]) -> Scalar:
@@ -191,10 +194,12 @@ class RowsInUse(NamedTuple):
     Attributes:
         numbers: which they are.
         scales: what the diagonal of their Schur complement usually is; None where that is unknown.
+        mass_scales: the same for the mass matrix.
     """
 
     numbers: list[int]
     scales: list[float] | None = None
+    mass_scales: list[float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,12 +210,14 @@ class Solution:
         acceleration, multipliers: their nonzeros.
         health: how close to singular it was, as of `Factor`.
         diagonal: of the Schur complement, for the rows in use.
+        mass_diagonal: of the mass matrix.
     """
 
     acceleration: dict[int, Any]
     multipliers: dict[int, Any]
     health: Scalar
     diagonal: list[Any]
+    mass_diagonal: list[Any]
 
 
 def solve_constrained(
@@ -231,7 +238,7 @@ def solve_constrained(
     total = factor.lower(force)
     acceleration = factor.upper(factor.scaled(total)) if not kept else {}
     if not kept:
-        return Solution(acceleration, {}, factor.health, [])
+        return Solution(acceleration, {}, factor.health, [], factor.diagonal)
     half = [factor.lower(jacobian[i]) for i in kept]
     weighted = [factor.scaled(row) for row in half]
     schur = gram(half, weighted)
@@ -247,8 +254,8 @@ def solve_constrained(
                 add(total, k, entry * x)
         acceleration = factor.upper(factor.scaled(total))
         right = {n: gamma[i] - dot(jacobian[i], acceleration) for n, i in enumerate(kept)}
-    diagonal = [row.get(n, 0.0) for n, row in enumerate(schur)]
-    return Solution(acceleration, multipliers, minimum(factor.health, complement.health), diagonal)
+    health = minimum(factor.health, complement.health)
+    return Solution(acceleration, multipliers, health, complement.diagonal, factor.diagonal)
 
 
 def least_squares(rows: Rows, right: Array) -> tuple[dict[int, Any], Scalar]:

@@ -27,6 +27,19 @@ SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 """Factors of the step-size control, as in scipy."""
 
 EXPONENT = -1.0 / 8.0
+
+NEAR = 1e-3
+"""Health below which a configuration is near a singular one. Round-off in accelerations grows with its
+power -3/2 there, and so does what off the constraints they are worth."""
+
+HOP = 0.8
+"""Factor for a step that comes near a singular configuration: another try, whose stages lie elsewhere."""
+
+HOPS = 25
+"""So many tries; a step is 1/250 of the first one then."""
+
+TINY, PATIENT = 1e-10, 1000
+"""A march gets nowhere if so many steps in a row are below this share of the whole."""
 SPACING = 2.3e-16
 
 
@@ -105,6 +118,8 @@ def march_dop853(
     h = first_step(n, stop - now[n], rtol, atol, derivative, dense, now, at, k, counts)
     due = 1
     growing = LARGEST
+    hops = 0
+    short = 0
     while due < outputs:
         counts[REACHED] = now[n]
         if counts[STEPS] + counts[REJECTED] >= most:
@@ -115,13 +130,25 @@ def march_dop853(
             return STEP_TOO_SMALL
         if now[n] + h > stop or stop - now[n] - h < 1e-3 * h:
             h = stop - now[n]
+        short = short + 1 if h < TINY * (stop - times[0]) else 0
+        if short > PATIENT:
+            return STEP_TOO_SMALL
+        health = k[n]
         for s in range(1, STAGES + 1):
             status = stage(n, s, h, derivative, dense, now, end if s == STAGES else at, k, counts)
             if status != DONE:
                 break
+            health = min(health, k[(n + 1) * s + n])
         error = 1e10
         if status == DONE:
             error = error_norm(n, h, rtol, atol, now, end, k)
+        # noise is no reason for much smaller steps, and no step should begin where noise is worst
+        last = k[(n + 1) * STAGES + n]
+        if health < NEAR and hops < HOPS and (not error < 1.0 or (last < NEAR and k[n] >= NEAR)):
+            counts[REJECTED] += 1.0
+            hops += 1
+            h = HOP * h
+            continue
         if not error < 1.0:
             counts[REJECTED] += 1.0
             if status != DONE and h < 1e-10 * (stop - times[0]):
@@ -130,6 +157,7 @@ def march_dop853(
             growing = 1.0
             continue
         counts[STEPS] += 1.0
+        hops = 0
         if times[due] <= now[n] + h:
             for s in range(STAGES + 1, 16):
                 status = stage(n, s, h, derivative, dense, now, at, k, counts)

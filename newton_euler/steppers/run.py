@@ -21,7 +21,7 @@ from newton_euler.native import NativeModuleOf
 from newton_euler.scalars import Array
 from newton_euler.stabilize import ROUND_OFF, project_position, project_velocity, worst_joint
 from newton_euler.steppers import march as m
-from newton_euler.steppers.adaptive import march_dop853
+from newton_euler.steppers.adaptive import NEAR, march_dop853
 from newton_euler.steppers.fixed import march_euler, march_rk4
 from newton_euler.steppers.radau import march_radau
 
@@ -232,11 +232,13 @@ def _failure(
         joint, gap = worst_joint(system, system.state(q, v))
         reason = f"projection cannot close joint {joint!r}, which is open by {gap:.3g} (m or rad)"
         return IntegrationError(reached, reason)
+    near = code.function("derivative")(x)[-1] < NEAR
     reasons = {
         m.NOT_FINITE: "the solution is not finite",
         m.SINGULAR: "the equations of motion are singular",
         m.TOO_MANY_STEPS: f"more than {MOST_STEPS} steps; for stiff equations use Radau",
-        m.STEP_TOO_SMALL: "steps have become too small for double precision",
+        m.STEP_TOO_SMALL: "steps have become too small"
+        + (", the configuration is near a singular one" if near else ""),
     }
     return IntegrationError(reached, f"{reasons[status]}; fastest at joint {system.fastest_joint(q, v)!r}")
 
