@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -90,6 +89,8 @@ def simulate_batch(
         NewtonEulerError: for an unknown name, an impossible option, state or value; a run that
             cannot go on is in `Batch.errors`.
     """
+    from concurrent.futures import ThreadPoolExecutor
+
     from newton_euler.steppers.run import March, load, write_outputs
 
     options = Options(integrator, rtol, atol, step)

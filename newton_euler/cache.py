@@ -7,10 +7,8 @@ wherever a run is killed. A cache that cannot be read or written costs a compila
 
 from __future__ import annotations
 
-import hashlib
 import os
 import sys
-import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -21,6 +19,16 @@ CACHE_VARIABLE = "NEWTON_EULER_CACHE"
 _UNFINISHED = ".new-"
 _ABANDONED = 3600.0
 """s after which an unfinished file is that of a run that was killed."""
+
+
+_DIGEST = 32
+"""Bytes of a SHA-256."""
+
+
+def _digest(code: bytes) -> bytes:
+    import hashlib
+
+    return hashlib.sha256(code).digest()
 
 
 def cache_directory() -> Path | None:
@@ -46,8 +54,8 @@ def read_cache(key: str) -> bytes | None:
         content = (directory / key).read_bytes()
     except OSError:
         return None
-    digest, code = content[:32], content[32:]
-    return code if hashlib.sha256(code).digest() == digest else None
+    digest, code = content[:_DIGEST], content[_DIGEST:]
+    return code if _digest(code) == digest else None
 
 
 def write_cache(key: str, code: bytes) -> None:
@@ -55,13 +63,15 @@ def write_cache(key: str, code: bytes) -> None:
     directory = cache_directory()
     if directory is None:
         return
+    import tempfile
+
     with suppress(OSError):  # a full or read-only disk: the next run compiles again
         directory.mkdir(parents=True, exist_ok=True)
         _remove_abandoned(directory)
         handle, name = tempfile.mkstemp(dir=directory, prefix=_UNFINISHED)
         try:
             with os.fdopen(handle, "wb") as stream:
-                stream.write(hashlib.sha256(code).digest() + code)
+                stream.write(_digest(code) + code)
             Path(name).replace(directory / key)
         except BaseException:
             Path(name).unlink(missing_ok=True)

@@ -8,9 +8,9 @@ cache directory by a hash of that text, of the versions and of the processor.
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -34,12 +34,17 @@ class NativeModule:
         size: bytes of the object code.
     """
 
-    def __init__(self, text: str, optimise: bool) -> None:
+    def __init__(self, identity: str, text: Callable[[], str], optimise: bool) -> None:
         """Compile LLVM text, or take its machine code from the cache.
 
-        `optimise` is for code with variables and loops; in a program all that it could do is done.
+        Args:
+            identity: what the text depends on, or the text itself.
+            text: makes the text.
+            optimise: for code with variables and loops; in a program all that it could do is done.
         """
         start = time.perf_counter()
+        import hashlib
+
         import llvmlite.binding as llvm
 
         llvm.initialize_native_target()
@@ -49,16 +54,16 @@ class NativeModule:
             cpu=processor, features=features, opt=2
         )
         versions = (optimise, llvm.llvm_version_info, sys.version, processor, features)
-        key = hashlib.sha256("\n".join([text, *map(str, versions)]).encode()).hexdigest()
+        key = hashlib.sha256("\n".join([identity, *map(str, versions)]).encode()).hexdigest()
         code = read_cache(key)
         self.from_cache = code is not None
         if code is None:
-            module = llvm.parse_assembly(text)
+            module = llvm.parse_assembly(text())
             module.verify()
             if optimise:
-                # unrolling and inlining make integrators three times as large and no faster
+                # unrolling, inlining and vectorising make integrators three times as large and no faster
                 options = llvm.create_pipeline_tuning_options(speed_level=2)
-                options.slp_vectorization = options.loop_unrolling = False
+                options.slp_vectorization = options.loop_vectorization = options.loop_unrolling = False
                 options.inlining_threshold = 0
                 builder = llvm.create_pass_builder(machine, options)
                 builder.getModulePassManager().run(module, builder)
@@ -88,7 +93,8 @@ class NativeFunction:
         """Compile a program: straight-line code, or loops over repeated pieces if it is `LARGE`."""
         self.inputs, self.outputs = program.inputs, len(program.outputs)
         emit = emit_straight if program.operations < LARGE else emit_rolled
-        self.module = NativeModule(DECLARATIONS + emit(program, "f"), optimise=False)
+        text = DECLARATIONS + emit(program, "f")
+        self.module = NativeModule(text, lambda: text, optimise=False)
         self.address = self.module.address("f")
         self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
 

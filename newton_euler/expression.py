@@ -57,61 +57,98 @@ class Graph:
     def __init__(self) -> None:
         self.nodes: list[Node] = []
         self.inputs = 0
-        self._known: dict[Node, int] = {}
+        self._known: dict[tuple[str, Any, int], int] = {}
+        self._constants: dict[int, float] = {}
+        self._negated: dict[int, int] = {}
 
     def variables(self, count: int) -> Array:
         """(count,) new inputs."""
         first = self.inputs
         self.inputs += count
-        return _objects([Expression(self, self._add(Node("input", first + k))) for k in range(count)])
+        return _objects([self.record("input", first + k) for k in range(count)])
 
-    def constant(self, value: float) -> Expression:
-        return Expression(self, self._add(Node("const", float(value))))
+    def constant(self, value: float) -> int:
+        """The node of a constant."""
+        index = self.record("const", float(value)).index
+        self._constants[index] = float(value)
+        return index
 
     def index(self, scalar: Expression | float) -> int:
         """The node of a scalar, a float becoming a constant."""
-        return scalar.index if isinstance(scalar, Expression) else self.constant(scalar).index
+        return scalar.index if isinstance(scalar, Expression) else self.constant(scalar)
 
-    def _add(self, node: Node) -> int:
-        found = self._known.get(node)
+    def scalar(self, index: int) -> Any:
+        """What stands at a node: a float if it is a constant."""
+        value = self._constants.get(index)
+        return Expression(self, index) if value is None else value
+
+    def record(self, op: str, a: Any, b: int = -1) -> Expression:
+        """An operation as it is, found again if it was done before; operands of sums and products in
+        one order."""
+        if b < a and op in COMMUTATIVE:
+            a, b = b, a
+        key = (op, a, b)
+        found = self._known.get(key)
         if found is None:
-            found = self._known[node] = len(self.nodes)
-            self.nodes.append(node)
+            found = self._known[key] = len(self.nodes)
+            self.nodes.append(Node(op, a, b))
+        return Expression(self, found)
+
+    def neg(self, a: int) -> Expression:
+        inner = self._negated.get(a)
+        if inner is not None:  # --x = x
+            return Expression(self, inner)
+        found = self.record("neg", a)
+        self._negated[found.index] = a
         return found
 
-    def value(self, index: int) -> float | None:
-        """The value of a constant node, else None."""
-        node = self.nodes[index]
-        return node.a if node.op == "const" else None
+    def sin(self, a: int) -> Expression:
+        inner = self._negated.get(a)  # sin(-x) = -sin x
+        return self.record("sin", a) if inner is None else self.neg(self.sin(inner).index)
 
-    def unary(self, op: str, a: int) -> Expression | float:
-        value = self.value(a)
-        if value is not None:
-            return UNARY[op](value)
-        node = self.nodes[a]
-        if node.op == "neg" and op != "sqrt":
-            inner = Expression(self, node.a)  # --x = x, cos(-x) = cos x, sin(-x) = -sin x
-            if op == "neg":
-                return inner
-            return inner.cos() if op == "cos" else -inner.sin()
-        return Expression(self, self._add(Node(op, a)))
+    def cos(self, a: int) -> Expression:
+        inner = self._negated.get(a)  # cos(-x) = cos x
+        return self.record("cos", a if inner is None else inner)
 
-    def binary(self, op: str, a: int, b: int) -> Expression | float:
-        x, y = self.value(a), self.value(b)
-        if x is not None and y is not None:
-            return BINARY[op](x, y)
-        return _SIMPLER[op](self, a, b, x, y) if op in _SIMPLER else self.record(op, a, b)
+    def add(self, a: int, b: int) -> Any:
+        minus = self._negated.get(b)
+        if minus is not None:
+            return self.sub(a, minus)
+        minus = self._negated.get(a)
+        return self.record("add", a, b) if minus is None else self.sub(b, minus)
 
-    def record(self, op: str, a: int, b: int) -> Expression:
-        """An operation as it is, operands of commutative ones in one order."""
-        if op in COMMUTATIVE and b < a:
-            a, b = b, a
-        return Expression(self, self._add(Node(op, a, b)))
+    def sub(self, a: int, b: int) -> Any:
+        if a == b:
+            return 0.0
+        minus = self._negated.get(b)
+        if minus is not None:
+            return self.add(a, minus)
+        minus = self._negated.get(a)
+        return self.record("sub", a, b) if minus is None else -self.add(minus, b)
 
-    def negated(self, index: int) -> int | None:
-        """x for a node -x, else None."""
-        node = self.nodes[index]
-        return node.a if node.op == "neg" else None
+    def mul(self, a: int, b: int) -> Any:
+        minus = self._negated.get(b)
+        if minus is not None:
+            return -self.mul(a, minus)
+        minus = self._negated.get(a)
+        return self.record("mul", a, b) if minus is None else -self.mul(minus, b)
+
+    def scale(self, x: float, b: int) -> Any:
+        """A constant, neither 0 nor 1, times a node."""
+        if x == -1.0:
+            return self.neg(b)
+        minus = self._negated.get(b)
+        if minus is not None:
+            return self.scale(-x, minus)
+        op, first, second = self.nodes[b]
+        if op == "mul":  # c (d z) = (c d) z
+            known = self._constants.get(first)
+            if known is not None:
+                return _scaled(self, x * known, second)
+            known = self._constants.get(second)
+            if known is not None:
+                return _scaled(self, x * known, first)
+        return self.record("mul", self.constant(x), b)
 
     def prune(self, outputs: Iterable[Any]) -> Program:
         """The operations that these outputs (scalars) need, and nothing else."""
@@ -177,132 +214,77 @@ class Expression:
         self.graph = graph
         self.index = index
 
-    def _with(self, op: str, other: Any, swap: bool = False) -> Any:
-        if not isinstance(other, Expression | float | int):
-            return NotImplemented
-        a, b = self.index, self.graph.index(other)
-        return self.graph.binary(op, b, a) if swap else self.graph.binary(op, a, b)
-
     def __add__(self, other: Any) -> Any:
-        return self._with("add", other)
+        if type(other) is Expression:
+            return self.graph.add(self.index, other.index)
+        if not isinstance(other, float | int):
+            return NotImplemented
+        return self if other == 0.0 else self.graph.add(self.index, self.graph.constant(other))
 
     __radd__ = __add__
 
     def __sub__(self, other: Any) -> Any:
-        return self._with("sub", other)
+        if type(other) is Expression:
+            return self.graph.sub(self.index, other.index)
+        if not isinstance(other, float | int):
+            return NotImplemented
+        return self if other == 0.0 else self.graph.sub(self.index, self.graph.constant(other))
 
     def __rsub__(self, other: Any) -> Any:
-        return self._with("sub", other, swap=True)
+        if not isinstance(other, float | int):
+            return NotImplemented
+        return -self if other == 0.0 else self.graph.sub(self.graph.constant(other), self.index)
 
     def __mul__(self, other: Any) -> Any:
-        return self._with("mul", other)
+        if type(other) is Expression:
+            return self.graph.mul(self.index, other.index)
+        return _scaled(self.graph, other, self.index) if isinstance(other, float | int) else NotImplemented
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Any) -> Any:
-        return self._with("div", other)
+        if type(other) is Expression:
+            return self.graph.record("div", self.index, other.index)
+        return self * (1.0 / other) if isinstance(other, float | int) else NotImplemented
 
     def __rtruediv__(self, other: Any) -> Any:
-        return self._with("div", other, swap=True)
+        if not isinstance(other, float | int):
+            return NotImplemented
+        return 0.0 if other == 0.0 else self.graph.record("div", self.graph.constant(other), self.index)
 
-    def __neg__(self) -> Any:
-        return self.graph.unary("neg", self.index)
+    def __neg__(self) -> Expression:
+        return self.graph.neg(self.index)
 
     def __pos__(self) -> Expression:
         return self
 
-    def sqrt(self) -> Any:
-        return self.graph.unary("sqrt", self.index)
+    def sqrt(self) -> Expression:
+        return self.graph.record("sqrt", self.index)
 
-    def sin(self) -> Any:
-        return self.graph.unary("sin", self.index)
+    def sin(self) -> Expression:
+        return self.graph.sin(self.index)
 
-    def cos(self) -> Any:
-        return self.graph.unary("cos", self.index)
+    def cos(self) -> Expression:
+        return self.graph.cos(self.index)
 
-    def arctan2(self, other: Any) -> Any:
-        return self._with("arctan2", other)
+    def arctan2(self, other: Any) -> Expression:
+        return self.graph.record("arctan2", self.index, self.graph.index(other))
 
-    def minimum(self, other: Any) -> Any:
-        return self._with("minimum", other)
+    def minimum(self, other: Any) -> Expression:
+        if isinstance(other, float | int) and other == math.inf:
+            return self
+        other = self.graph.index(other)
+        return self if other == self.index else self.graph.record("minimum", self.index, other)
 
     def __repr__(self) -> str:
         return f"Expression({self.graph.nodes[self.index]})"
 
 
-# Simplifications; x and y are the operands' values where they are constants.
-
-
-def _add(graph: Graph, a: int, b: int, x: float | None, y: float | None) -> Expression:
-    if x == 0.0:
-        return Expression(graph, b)
-    if y == 0.0:
-        return Expression(graph, a)
-    minus = graph.negated(b)
-    if minus is not None:
-        return graph.binary("sub", a, minus)  # type: ignore[return-value]
-    minus = graph.negated(a)
-    if minus is not None:
-        return graph.binary("sub", b, minus)  # type: ignore[return-value]
-    return graph.record("add", a, b)
-
-
-def _sub(graph: Graph, a: int, b: int, x: float | None, y: float | None) -> Expression | float:
-    if a == b:
-        return 0.0
-    if y == 0.0:
-        return Expression(graph, a)
-    if x == 0.0:
-        return graph.unary("neg", b)
-    minus = graph.negated(b)
-    if minus is not None:
-        return graph.binary("add", a, minus)
-    minus = graph.negated(a)
-    if minus is not None:
-        return -graph.binary("add", minus, b)
-    return graph.record("sub", a, b)
-
-
-def _mul(graph: Graph, a: int, b: int, x: float | None, y: float | None) -> Expression | float:
-    if y is not None:
-        a, b, x, y = b, a, y, x
+def _scaled(graph: Graph, x: float, b: int) -> Expression | float:
+    """Any constant times a node."""
     if x == 0.0:
         return 0.0
-    if x == 1.0:
-        return Expression(graph, b)
-    if x == -1.0:
-        return graph.unary("neg", b)
-    minus = graph.negated(b)
-    if minus is not None:
-        if x is not None:
-            return graph.binary("mul", graph.constant(-x).index, minus)
-        return -graph.binary("mul", a, minus)
-    minus = graph.negated(a)
-    if minus is not None:
-        return -graph.binary("mul", minus, b)
-    if x is not None and graph.nodes[b].op == "mul":  # c (d z) = (c d) z
-        for factor, rest in (operands(graph.nodes[b]), operands(graph.nodes[b])[::-1]):
-            known = graph.value(factor)
-            if known is not None:
-                return graph.binary("mul", graph.constant(x * known).index, rest)
-    return graph.record("mul", a, b)
-
-
-def _minimum(graph: Graph, a: int, b: int, x: float | None, y: float | None) -> Expression:
-    if x == math.inf or a == b:
-        return Expression(graph, b)
-    return Expression(graph, a) if y == math.inf else graph.record("minimum", a, b)
-
-
-def _div(graph: Graph, a: int, b: int, x: float | None, y: float | None) -> Expression | float:
-    if x == 0.0:
-        return 0.0
-    if y is not None:
-        return graph.binary("mul", a, graph.constant(1.0 / y).index)
-    return graph.record("div", a, b)
-
-
-_SIMPLER = {"minimum": _minimum, "add": _add, "sub": _sub, "mul": _mul, "div": _div}
+    return Expression(graph, b) if x == 1.0 else graph.scale(x, b)
 
 
 def _objects(scalars: Sequence[Any]) -> Array:
@@ -335,7 +317,7 @@ def _rate(graph: Graph, index: int, rates: dict[int, Any]) -> Any:
     if not any(end in rates for end in ends):
         return 0.0
     da = rates.get(ends[0], 0.0)
-    a, itself = Expression(graph, ends[0]), Expression(graph, index)
+    a, itself = graph.scalar(ends[0]), graph.scalar(index)
     if node.op == "neg":
         return -da
     if node.op == "sqrt":
@@ -344,7 +326,7 @@ def _rate(graph: Graph, index: int, rates: dict[int, Any]) -> Any:
         return a.cos() * da
     if node.op == "cos":
         return -a.sin() * da
-    b, db = Expression(graph, ends[1]), rates.get(ends[1], 0.0)
+    b, db = graph.scalar(ends[1]), rates.get(ends[1], 0.0)
     if node.op == "add":
         return da + db
     if node.op == "sub":

@@ -27,7 +27,7 @@ from newton_euler.constraints import (
     Reversed,
 )
 from newton_euler.errors import MechanismError
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, cross
 
 AXIS_TOLERANCE = 1e-9
 """How far from perpendicular (radians) a universal joint's axes may be at the initial pose."""
@@ -100,9 +100,9 @@ def perpendicular_pair(axis: Array) -> tuple[Array, Array]:
     """Unit vectors u and w that make (u, w, axis) right-handed and orthonormal; axis (3,) unit."""
     helper = np.zeros(3)
     helper[int(np.argmin(np.abs(axis)))] = 1.0
-    w = np.cross(axis, helper)
+    w = cross(axis, helper)
     w /= np.linalg.norm(w)
-    return np.cross(w, axis), w
+    return cross(w, axis), w
 
 
 def _vector(joint: str, name: str, value: object) -> Array:
@@ -223,7 +223,7 @@ class Joint:
         """The angle about `axis`, seen on `pointer`, a vector of the second body across it."""
         return Angle(
             first.vector_to_body(pointer),
-            first.vector_to_body(np.cross(axis, pointer)),
+            first.vector_to_body(cross(axis, pointer)),
             second.vector_to_body(pointer),
         )
 

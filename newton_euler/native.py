@@ -15,8 +15,10 @@ from __future__ import annotations
 import ast
 import ctypes
 import inspect
+import sys
 import textwrap
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -90,16 +92,26 @@ def native(function: F) -> F:
 def text(functions: list[Callable[..., Any]]) -> str:
     """LLVM text of these native functions and of all they call."""
     done: dict[str, str] = {}
+    entries = [function.__name__ for function in functions]
     tables: dict[str, str] = {}
     waiting = list(functions)
     while waiting:
         function = waiting.pop()
         if function.__name__ not in done:
             translator = Translator(function)
-            done[function.__name__] = translator.translate()
+            inner = function.__name__ not in entries
+            done[function.__name__] = translator.translate("internal " if inner else "")
             tables.update(translator.tables)
             waiting.extend(translator.callees)
     return "\n".join([DECLARATIONS, *tables.values(), *done.values()])
+
+
+def sources(functions: list[Callable[..., Any]]) -> str:
+    """The source of all that these functions may call, translator included: what their text depends on."""
+    modules = {__name__, *(function.__module__ for function in _SIGNATURES)}
+    files = {str(sys.modules[name].__file__) for name in modules if name in sys.modules}
+    own = {str(sys.modules[function.__module__].__file__) for function in functions}
+    return "".join(Path(file).read_text() for file in sorted(files | own))
 
 
 class Value(NamedTuple):
@@ -124,7 +136,7 @@ class Translator:
         self._count = 0
         self._open = True
 
-    def translate(self) -> str:
+    def translate(self, linkage: str = "") -> str:
         """The whole function."""
         (definition,) = ast.parse(textwrap.dedent(inspect.getsource(self.function))).body
         assert isinstance(definition, ast.FunctionDef)
@@ -137,9 +149,8 @@ class Translator:
             if self.signature.result != "void":
                 raise self._error(definition, "ends without a return")
             self._emit("ret void")
-        head = (
-            f"define {_machine(self.signature.result)} @{self.function.__name__}({', '.join(arguments)}) {{"
-        )
+        result, name = _machine(self.signature.result), self.function.__name__
+        head = f"define {linkage}{result} @{name}({', '.join(arguments)}) {{"
         return "\n".join([head, "entry:", *self._slots, *self._lines, "}"])
 
     # Statements
@@ -460,7 +471,8 @@ class NativeModuleOf:
     """Native functions compiled together, to be called with numbers and arrays from Python."""
 
     def __init__(self, functions: list[Callable[..., Any]]) -> None:
-        self.module = NativeModule(text(functions), optimise=True)
+        names = " ".join(function.__name__ for function in functions)
+        self.module = NativeModule(names + sources(functions), lambda: text(functions), optimise=True)
         self._calls = {
             function.__name__: _ctypes(_SIGNATURES[function])(self.module.address(function.__name__))
             for function in functions

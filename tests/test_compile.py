@@ -38,44 +38,48 @@ def test_native_code_computes_what_the_program_says(cache):
         function(np.zeros(2))
 
 
+def compiled(text):
+    return NativeModule(text, lambda: text, optimise=True)
+
+
 SOURCE = "define double @f(double %x) {\n  %y = fadd double %x, 1.0\n  ret double %y\n}"
 
 
 def test_the_second_time_comes_from_the_cache(cache):
-    assert not NativeModule(SOURCE, optimise=True).from_cache
-    assert NativeModule(SOURCE, optimise=True).from_cache
+    assert not compiled(SOURCE).from_cache
+    assert compiled(SOURCE).from_cache
     assert len(list(cache.iterdir())) == 1
 
 
 @pytest.mark.parametrize("harm", [b"", b"short", os.urandom(5000)])
 def test_a_corrupt_cache_is_compiled_over(cache, harm):
-    NativeModule(SOURCE, optimise=True)
+    compiled(SOURCE)
     (path,) = cache.iterdir()
     path.write_bytes(harm)
-    assert not NativeModule(SOURCE, optimise=True).from_cache
-    assert NativeModule(SOURCE, optimise=True).from_cache
+    assert not compiled(SOURCE).from_cache
+    assert compiled(SOURCE).from_cache
 
 
 def test_a_truncated_file_is_not_trusted(cache):
-    NativeModule(SOURCE, optimise=True)
+    compiled(SOURCE)
     (path,) = cache.iterdir()
     path.write_bytes(path.read_bytes()[:-7])
-    assert not NativeModule(SOURCE, optimise=True).from_cache
+    assert not compiled(SOURCE).from_cache
 
 
 def test_an_unwritable_cache_costs_nothing_else(tmp_path, monkeypatch):
     blocked = tmp_path / "file"
     blocked.write_text("")  # not a directory: nothing can be made below it, even by root
     monkeypatch.setenv(CACHE_VARIABLE, str(blocked / "cache"))
-    assert not NativeModule(SOURCE, optimise=True).from_cache
-    assert not NativeModule(SOURCE, optimise=True).from_cache
+    assert not compiled(SOURCE).from_cache
+    assert not compiled(SOURCE).from_cache
 
 
 def test_a_read_only_cache_is_read(cache):
-    NativeModule(SOURCE, optimise=True)
+    compiled(SOURCE)
     cache.chmod(stat.S_IRUSR | stat.S_IXUSR)
     try:
-        assert NativeModule(SOURCE, optimise=True).from_cache
+        assert compiled(SOURCE).from_cache
     finally:
         cache.chmod(stat.S_IRWXU)
 
@@ -83,23 +87,24 @@ def test_a_read_only_cache_is_read(cache):
 def test_no_cache_if_the_user_wants_none(tmp_path, monkeypatch):
     monkeypatch.setenv(CACHE_VARIABLE, "")
     monkeypatch.chdir(tmp_path)
-    assert not NativeModule(SOURCE, optimise=True).from_cache
+    assert not compiled(SOURCE).from_cache
     assert not list(tmp_path.iterdir())
 
 
 def test_processes_that_compile_at_once_do_not_disturb_each_other(cache):
-    code = f"from newton_euler.compile import NativeModule\nNativeModule({SOURCE!r}, optimise=True)"
+    code = "from newton_euler.compile import NativeModule\n"
+    code += f"NativeModule({SOURCE!r}, lambda: {SOURCE!r}, optimise=True)"
     environment = os.environ | {CACHE_VARIABLE: str(cache)}
     jobs = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(6)]
     assert [job.wait() for job in jobs] == [0] * 6
     assert len(list(cache.iterdir())) == 1
-    assert NativeModule(SOURCE, optimise=True).from_cache
+    assert compiled(SOURCE).from_cache
 
 
 def test_runs_that_are_killed_leave_the_cache_usable(cache):
     """Killed at random moments while they compile and write, again and again."""
     code = "from newton_euler.compile import NativeModule\nk = 0\nwhile True:\n    k += 1\n" + (
-        f"    NativeModule({SOURCE!r} + '; %d' % (k % 7), optimise=True)\n"
+        f"    NativeModule({SOURCE!r} + '; %d' % (k % 7), lambda: {SOURCE!r}, optimise=True)\n"
         "    import shutil, os\n"
         "    for name in os.listdir(os.environ['NEWTON_EULER_CACHE'])[:3]:\n"
         "        if not name.startswith('.'): os.unlink(os.environ['NEWTON_EULER_CACHE'] + '/' + name)\n"
@@ -113,17 +118,17 @@ def test_runs_that_are_killed_leave_the_cache_usable(cache):
         job.kill()
         job.wait()
         for source in sources:
-            assert NativeModule(source, optimise=True).address("f")
-    assert all(NativeModule(source, optimise=True).from_cache for source in sources)
+            assert compiled(source).address("f")
+    assert all(compiled(source).from_cache for source in sources)
 
 
 def test_what_a_killed_run_left_is_removed_in_time(cache):
-    NativeModule(SOURCE, optimise=True)
+    compiled(SOURCE)
     old, new = cache / ".new-old", cache / ".new-new"
     for path in (old, new):
         path.write_bytes(b"half")
     os.utime(old, (time.time() - 7200.0,) * 2)
-    NativeModule(SOURCE + "; other", optimise=True)
+    compiled(SOURCE + "; other")
     assert not old.exists()
     assert new.exists()  # its run may still be writing
 

@@ -46,9 +46,15 @@ def stepper(integrator: str) -> NativeModuleOf:
 
 
 @lru_cache
+def projector() -> NativeModuleOf:
+    """Projection by itself."""
+    return NativeModuleOf([m.project])
+
+
+@lru_cache
 def loops() -> NativeModuleOf:
     """Loops over states."""
-    return NativeModuleOf([m.map_rows, m.repeat, m.project])
+    return NativeModuleOf([m.map_rows, m.repeat])
 
 
 def load(code: Code, integrator: str) -> None:
@@ -209,7 +215,7 @@ class Projection:
         self.x = np.zeros(code.inputs)
         functions = (code.function("position"), code.function("velocity"), self._python.closing)
         scratch = np.zeros(code.size + 2)
-        self._run = loops().bind(m.project, code.size, ROUND_OFF, *functions, self.x, scratch)
+        self._run = projector().bind(m.project, code.size, ROUND_OFF, *functions, self.x, scratch)
 
     def __call__(self, x: Array) -> bool:
         """Change x (inputs,) by the least that meets the constraints; whether that could be done."""
