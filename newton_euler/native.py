@@ -13,7 +13,6 @@ Integers are 64 bit; `//` and `%` round towards zero and are meant for numbers t
 from __future__ import annotations
 
 import ast
-import ctypes
 import inspect
 import sys
 import textwrap
@@ -21,9 +20,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-import numpy as np
-
-from newton_euler.compile import NativeModule
 from newton_euler.scalars import Array
 from newton_euler.trigonometry import literal
 
@@ -87,6 +83,11 @@ def native(function: F) -> F:
         raise NativeError(f"{function.__name__}: unknown type {error}") from error
     _SIGNATURES[function] = Signature(arguments, result)
     return function
+
+
+def signature_of(function: Callable[..., Any]) -> Signature:
+    """LLVM types of a native function."""
+    return _SIGNATURES[function]
 
 
 def text(functions: list[Callable[..., Any]]) -> str:
@@ -465,42 +466,3 @@ def _loaded(target: ast.expr) -> ast.expr:
     """The target of an assignment as an expression to read."""
     copy = ast.parse(ast.unparse(target), mode="eval").body
     return ast.copy_location(copy, target)
-
-
-class NativeModuleOf:
-    """Native functions compiled together, to be called with numbers and arrays from Python."""
-
-    def __init__(self, functions: list[Callable[..., Any]]) -> None:
-        names = " ".join(function.__name__ for function in functions)
-        self.module = NativeModule(names + sources(functions), lambda: text(functions), optimise=True)
-        self._calls = {
-            function.__name__: _ctypes(_SIGNATURES[function])(self.module.address(function.__name__))
-            for function in functions
-        }
-
-    def bind(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
-        """A call of one of the functions with these arguments, arrays and native functions by address."""
-        call, given = self._calls[function.__name__], [_address(argument) for argument in arguments]
-
-        def bound(keep: tuple[Any, ...] = arguments) -> Any:  # what is passed by address stays alive
-            return call(*given)
-
-        return bound
-
-    def __call__(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call one of the functions."""
-        return self.bind(function, *arguments)()
-
-
-def _ctypes(signature: Signature) -> Any:
-    kinds: dict[str, Any] = {"double": ctypes.c_double, "i64": ctypes.c_int64, "void": None}
-    arguments = [kinds.get(kind, ctypes.c_void_p) for kind in signature.arguments.values()]
-    return ctypes.CFUNCTYPE(kinds[signature.result], *arguments)
-
-
-def _address(argument: Any) -> Any:
-    if isinstance(argument, np.ndarray):
-        if argument.dtype != np.float64 or not argument.flags.c_contiguous:
-            raise TypeError(f"got an array of {argument.dtype}; needed: contiguous doubles")
-        return argument.ctypes.data
-    return getattr(argument, "address", argument)

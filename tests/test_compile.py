@@ -16,7 +16,8 @@ from test_expression import everything, traced
 from newton_euler.cache import CACHE_VARIABLE
 from newton_euler.compile import NativeFunction, NativeModule
 from newton_euler.expression import Graph
-from newton_euler.native import Callback, NativeError, NativeModuleOf, Vector, native, text
+from newton_euler.native import Callback, NativeError, Vector, native, text
+from newton_euler.native_module import NativeModuleOf
 
 
 @pytest.fixture

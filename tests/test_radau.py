@@ -12,7 +12,7 @@ import newton_euler
 from newton_euler import PD, compile_scene
 from newton_euler.joints import Prismatic
 from newton_euler.mechanism import Body, Mechanism
-from newton_euler.native import NativeModuleOf
+from newton_euler.native_module import NativeModuleOf
 from newton_euler.scene import Scene
 from newton_euler.steppers.linear import factor_complex, factor_real, solve_complex, solve_real
 from newton_euler.steppers.radau import ALPHA, BETA, GAMMA

@@ -17,7 +17,7 @@ from newton_euler.compile import NativeFunction
 from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import IntegrationError, NewtonEulerError
 from newton_euler.integrate import Options
-from newton_euler.native import NativeModuleOf
+from newton_euler.native_module import NativeModuleOf
 from newton_euler.scalars import Array
 from newton_euler.stabilize import ROUND_OFF, project_position, project_velocity, worst_joint
 from newton_euler.steppers import march as m

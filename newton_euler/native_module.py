@@ -1,0 +1,51 @@
+"""Native functions compiled, to be called from Python."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from newton_euler.compile import NativeModule
+from newton_euler.native import Signature, signature_of, sources, text
+
+
+class NativeModuleOf:
+    """Native functions compiled together, to be called with numbers and arrays from Python."""
+
+    def __init__(self, functions: list[Callable[..., Any]]) -> None:
+        names = " ".join(function.__name__ for function in functions)
+        self.module = NativeModule(names + sources(functions), lambda: text(functions), optimise=True)
+        self._calls = {
+            function.__name__: _ctypes(signature_of(function))(self.module.address(function.__name__))
+            for function in functions
+        }
+
+    def bind(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
+        """A call of one of the functions with these arguments, arrays and native functions by address."""
+        call, given = self._calls[function.__name__], [_address(argument) for argument in arguments]
+
+        def bound(keep: tuple[Any, ...] = arguments) -> Any:  # what is passed by address stays alive
+            return call(*given)
+
+        return bound
+
+    def __call__(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Call one of the functions."""
+        return self.bind(function, *arguments)()
+
+
+def _ctypes(signature: Signature) -> Any:
+    kinds: dict[str, Any] = {"double": ctypes.c_double, "i64": ctypes.c_int64, "void": None}
+    arguments = [kinds.get(kind, ctypes.c_void_p) for kind in signature.arguments.values()]
+    return ctypes.CFUNCTYPE(kinds[signature.result], *arguments)
+
+
+def _address(argument: Any) -> Any:
+    if isinstance(argument, np.ndarray):
+        if argument.dtype != np.float64 or not argument.flags.c_contiguous:
+            raise TypeError(f"got an array of {argument.dtype}; needed: contiguous doubles")
+        return argument.ctypes.data
+    return getattr(argument, "address", argument)
