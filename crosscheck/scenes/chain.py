@@ -19,7 +19,7 @@ AXES = (Y + Z, Y - Z)
 so would y and z in turn, as no force turns the hinges along z."""
 
 
-def chain(N: Annotated[int, Range(1, 1000)] = 10) -> Scene:
+def chain(N: Annotated[int, Range(1, 1000)] = 5) -> Scene:
     """N rods of 1 m and 1 kg that fall from rest, stretched out along x from a wall, 1 s.
 
     Args:
