@@ -1,4 +1,4 @@
-"""The command line: `crosscheck run`, `list`, `explain`, `view`, `figures`.
+"""The command line: `crosscheck run`, `list`, `explain`, `view`, `figures`, `bench`.
 
 Click parses it. Exit status: 0 agree, 1 disagree, 2 bad input or usage, with one line saying what.
 Heavy packages are imported by the commands, so that what goes wrong in an import is one line too.
@@ -189,21 +189,41 @@ def figures_command(output: Path) -> int:
 )
 @click.option("--repeats", type=click.IntRange(3, 1000), default=15, show_default=True)
 @click.option("--rhs", is_flag=True, help="Time one right-hand side of each engine instead of whole runs.")
+@click.option("--scaling", is_flag=True, help="The same over the scene's option N, from 1 to 1000.")
+@click.option(
+    "--batch",
+    type=click.IntRange(2, 10_000_000),
+    metavar="RUNS",
+    help="Runs per second from random states instead.",
+)
 @click.option(
     "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/bench/SCENE]"
 )
 def bench_command(
-    scene: str, settings: tuple[str, ...], error: float, repeats: int, rhs: bool, output: Path | None
+    scene: str,
+    settings: tuple[str, ...],
+    error: float,
+    repeats: int,
+    rhs: bool,
+    scaling: bool,
+    batch: int | None,
+    output: Path | None,
 ) -> int:
     """Measure run time against error on SCENE, for every engine and setting."""
-    from crosscheck.benchmark_run import bench, bench_rhs
+    from crosscheck import benchmark_run as run
 
     options = _options(settings)
+    if rhs + scaling + (batch is not None) > 1:
+        raise CrosscheckError("--rhs, --scaling and --batch are different benchmarks; choose one")
     with _progress() as progress:
         if rhs:
-            lines, written = bench_rhs(scene, options, output, progress)
+            lines, written = run.bench_rhs(scene, options, output, progress)
+        elif scaling:
+            lines, written = run.bench_scaling(scene, options, output, progress)
+        elif batch is not None:
+            lines, written = run.bench_batch(scene, options, batch, error, output, progress)
         else:
-            lines, written = bench(scene, options, error, repeats, output, progress)
+            lines, written = run.bench(scene, options, error, repeats, output, progress)
     for line in lines:
         click.echo(line)
     click.echo("wrote " + ", ".join(str(path) for path in written))

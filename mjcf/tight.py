@@ -1,0 +1,250 @@
+"""The tightest loops around MuJoCo: whole runs, and many at once, with nothing but poses kept.
+
+Features that no scene has a use for are switched off. So is the warm start: the constraints are linear in
+the accelerations, so one Newton step from anywhere solves them. Constraints are as stiff as the step
+allows, with a time constant of two steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import repeat
+from typing import Any
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+
+from mjcf.errors import DivergenceError
+from mjcf.soft import SoftMuJoCo
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+
+UNUSED = (
+    "CONTACT",
+    "LIMIT",
+    "FRICTIONLOSS",
+    "SENSOR",
+    "CLAMPCTRL",
+    "MIDPHASE",
+    "NATIVECCD",
+    "SPRING",
+    "DAMPER",
+    "ISLAND",
+    "WARMSTART",
+    "AUTORESET",
+)
+"""Features that no scene has, or that cost more than they save."""
+
+PORTION = 32_000_000
+"""Bytes of states that `mujoco.rollout` may fill at a time: it writes one a step."""
+
+
+def compiled(scene: Scene) -> SoftMuJoCo:
+    """The scene in MuJoCo with everything off that it does not need."""
+    system = SoftMuJoCo(scene)
+    disabled = list(UNUSED) if np.any(scene.gravity) else [*UNUSED, "GRAVITY"]
+    flags = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in disabled)
+    system.model.opt.disableflags = sum(flags)
+    return system
+
+
+def forward(scene: Scene) -> Any:
+    """A call of no arguments: one right-hand side at the initial state, `mj_forward`."""
+    system = compiled(scene)
+    system.place(*system.coordinates(scene.initial_state))
+    model, data, call = system.model, system.data, mujoco.mj_forward
+    return lambda: call(model, data)
+
+
+def steps(scene: Scene) -> Any:
+    """A call that makes so many steps by `mj_step` with Euler's method from the initial state."""
+    system = compiled(scene)
+    system.place(*system.coordinates(scene.initial_state))
+    model, data = system.model, system.data
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    qpos, qvel = data.qpos.copy(), data.qvel.copy()
+
+    def call(count: int) -> None:
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        mujoco.mj_step(model, data, count)
+
+    return call
+
+
+class Stepper:
+    """A run at `number` steps from one output to the next: `reset`, then `run`, then `poses`.
+
+    Attributes:
+        position, quaternion: (n, nbody, 3) m and (n, nbody, 4) of MuJoCo's bodies at outputs, after `run`.
+    """
+
+    def __init__(
+        self,
+        system: SoftMuJoCo,
+        integrator: str,
+        intervals: list[tuple[int, float]],
+        number: int,
+        damping_ratio: float,
+    ) -> None:
+        """`intervals` are numbers of equal intervals, s, between outputs, one after the other."""
+        self._system, self._intervals, self._number, self._ratio = system, intervals, number, damping_ratio
+        self._integrator = _integrator(integrator)
+        outputs = 1 + sum(count for count, _ in intervals)
+        self.position = np.empty((outputs, system.model.nbody, 3))
+        self.quaternion = np.empty((outputs, system.model.nbody, 4))
+        self._march = _march_whole if integrator == "RK4" else _march_split
+
+    def reset(self) -> None:
+        """Put everything back to the start."""
+        system = self._system
+        mujoco.mj_resetData(system.model, system.data)
+        system.place(*system.coordinates(system.scene.initial_state))
+        system.model.opt.integrator = self._integrator
+
+    def run(self) -> None:
+        """Fill `position` and `quaternion`."""
+        model, data = self._system.model, self._system.data
+        rows = zip(self.position, self.quaternion, strict=True)
+        with _no_warnings():
+            for count, interval in self._intervals:
+                _use(model, interval / self._number, self._ratio)
+                self._march(model, data, rows, count, self._number)
+            mujoco.mj_kinematics(model, data)
+        self.position[-1], self.quaternion[-1] = data.xpos, data.xquat
+
+    def poses(self) -> tuple[Array, Array]:
+        """Positions (n, b, 3) and quaternions (n, b, 4) of the scene's bodies, ground first.
+
+        Raises:
+            DivergenceError: for a run that is not finite.
+        """
+        return _of_scene(self._system, self.position, self.quaternion)
+
+
+def _march_split(model: Any, data: Any, rows: Iterator[Any], count: int, number: int) -> None:
+    """Poses at the beginnings of `count` intervals, and `number` steps after each.
+
+    Halfway through its first step MuJoCo has worked out where the bodies are before it.
+    """
+    first, second, step, rest = mujoco.mj_step1, mujoco.mj_step2, mujoco.mj_step, number - 1
+    xpos, xquat = data.xpos, data.xquat
+    for _ in repeat(None, count):
+        position, quaternion = next(rows)
+        first(model, data)
+        position[...], quaternion[...] = xpos, xquat
+        second(model, data)
+        if rest:
+            step(model, data, rest)
+
+
+def _march_whole(model: Any, data: Any, rows: Iterator[Any], count: int, number: int) -> None:
+    """The same for RK4, which has no halves of steps."""
+    step, kinematics = mujoco.mj_step, mujoco.mj_kinematics
+    xpos, xquat = data.xpos, data.xquat
+    for _ in repeat(None, count):
+        position, quaternion = next(rows)
+        kinematics(model, data)
+        position[...], quaternion[...] = xpos, xquat
+        step(model, data, number)
+
+
+class Rollout:
+    """Many runs at once by `mujoco.rollout`, `number` steps from one output to the next.
+
+    It writes time, qpos and qvel after every step; of those, qpos at outputs is kept.
+    """
+
+    def __init__(
+        self, system: SoftMuJoCo, integrator: str, number: int, damping_ratio: float, threads: int
+    ) -> None:
+        """For a scene with equal intervals between outputs."""
+        self._system, self._number = system, number
+        model, times = system.model, system.scene.times
+        model.opt.integrator = _integrator(integrator)
+        _use(model, float(times[1] - times[0]) / number, damping_ratio)
+        self._datas = [mujoco.MjData(model) for _ in range(threads)]
+        self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
+        steps = number * (len(times) - 1)
+        size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        runs = max(10 * threads, PORTION // (8 * steps * size))
+        self._states = np.empty((runs, steps, size))
+        self._control = np.tile(system.data.ctrl, (runs, steps, 1)) if model.nu else None
+
+    def start(self, q: Array, v: Array) -> Array:
+        """The full physics state (size,) of tree coordinates and velocities."""
+        self._system.place(q, v)
+        state = np.empty(self._states.shape[-1])
+        mujoco.mj_getState(self._system.model, self._system.data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+        return state
+
+    def __call__(self, starts: Array) -> Array:
+        """qpos (runs, n, nq) at all outputs, of runs from full physics states (runs, size)."""
+        model, number = self._system.model, self._number
+        kept = np.empty((len(starts), len(self._system.scene.times), model.nq))
+        kept[:, 0] = starts[:, 1 : 1 + model.nq]
+        steps = self._states.shape[1]
+        with _no_warnings():
+            for begin in range(0, len(starts), len(self._states)):
+                portion = starts[begin : begin + len(self._states)]
+                runs = len(portion)
+                states = self._states[:runs]
+                self._pool.rollout(
+                    [model] * runs,
+                    self._datas,
+                    portion,
+                    None if self._control is None else self._control[:runs],
+                    nstep=steps,
+                    state=states,
+                    sensordata=np.empty((runs, steps, model.nsensordata)),
+                    skip_checks=True,
+                )
+                kept[begin : begin + runs, 1:] = states[:, number - 1 :: number, 1 : 1 + model.nq]
+        return kept
+
+    def poses(self, qpos: Array) -> tuple[Array, Array]:
+        """Positions (n, b, 3) and quaternions (n, b, 4) of the scene's bodies of one run's qpos (n, nq).
+
+        Raises:
+            DivergenceError: for a run that is not finite.
+        """
+        model, data = self._system.model, self._system.data
+        position, quaternion = np.empty((len(qpos), model.nbody, 3)), np.empty((len(qpos), model.nbody, 4))
+        for k, row in enumerate(qpos):
+            data.qpos[:] = row
+            mujoco.mj_kinematics(model, data)
+            position[k], quaternion[k] = data.xpos, data.xquat
+        return _of_scene(self._system, position, quaternion)
+
+
+def _integrator(name: str) -> Any:
+    return getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}")
+
+
+def _use(model: Any, step: float, damping_ratio: float) -> None:
+    model.opt.timestep = step
+    model.eq_solref[:] = 2.0 * step, damping_ratio
+
+
+def _of_scene(system: SoftMuJoCo, position: Array, quaternion: Array) -> tuple[Array, Array]:
+    """The poses of the scene's bodies out of those of MuJoCo's, which start with the world."""
+    ground = system.mechanism.bodies[0]
+    finite = np.all(np.isfinite(position), axis=(1, 2)) & np.all(np.isfinite(quaternion), axis=(1, 2))
+    if not np.all(finite):
+        raise DivergenceError(float(system.scene.times[np.argmin(finite)]), "its motion is not finite")
+    bodies = system.body_id[: len(system.mechanism.bodies)]
+    position, quaternion = position[:, bodies], quaternion[:, bodies]
+    position[:, 0], quaternion[:, 0] = ground.center_of_mass, ground.quaternion
+    return position, quaternion
+
+
+@contextmanager
+def _no_warnings() -> Iterator[None]:
+    """No warnings on the terminal and in a file of MuJoCo's own; what diverges is seen in its numbers."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)

@@ -1,0 +1,195 @@
+"""Right-hand sides, sizes and batches: what their benchmarks measure and make of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import newton_euler
+from crosscheck import benchmark, benchmark_batch, benchmark_reference, benchmark_rhs, benchmark_scaling
+from crosscheck.benchmark import Measurement
+from crosscheck.benchmark_engines import poses_only
+from crosscheck.benchmark_rhs import (
+    Timing,
+    fastest_other,
+    rhs_json,
+    rhs_table,
+    rhs_words,
+    time_right_hand_sides,
+)
+from crosscheck.errors import CrosscheckError
+
+
+@pytest.fixture(scope="module")
+def short(tracker):
+    return poses_only(dataclasses.replace(tracker, duration=0.04))
+
+
+# Right-hand sides
+
+TIMINGS = (
+    Timing("newton_euler", "relative", 1800, (3e-7, 3e-7), 0.4, 120_000_000, 80_000_000),
+    Timing("newton_euler", "cartesian", reason="too large"),
+    Timing("mujoco", "mj_forward", None, (6e-6, 6e-6), 0.1, 90_000_000, 40_000_000),
+    Timing("pinocchio", "constraintDynamics", None, (5e-6, 5e-6), 0.1, 90_000_000, 40_000_000),
+)
+
+
+def test_right_hand_sides_are_compared_with_the_fastest_of_the_others():
+    assert fastest_other(TIMINGS).way == "constraintDynamics"
+    assert rhs_words(TIMINGS) == [
+        "newton_euler (relative) takes 0.06 times as long as pinocchio (constraintDynamics)",
+        "newton_euler (cartesian) cannot run the scene: too large",
+    ]
+    table = rhs_table(TIMINGS)
+    assert [next(iter(column.cells)) for column in table.columns] == [
+        *("newton_euler", "relative", "1800", "0.3", "0.3 to 0.3", "0.06", "0.40", "120", "80")
+    ]
+    assert {list(column.cells)[1] for column in table.columns[2:]} == {"-"}
+    assert json.loads(rhs_json("tracker", {}, TIMINGS))["right_hand_sides"][0]["memory"] == 120_000_000
+
+
+def test_right_hand_sides_are_timed_here_and_weighed_in_processes_of_their_own(monkeypatch):
+    wanted = {("mujoco", "mj_forward"), ("pinocchio", "constraintDynamics")}
+    ways = {way: make for way, make in benchmark_rhs.WAYS.items() if way in wanted}
+    monkeypatch.setattr(benchmark_rhs, "WAYS", ways)
+    monkeypatch.setattr(benchmark_rhs, "BATCH", 1e-4)
+    timings = time_right_hand_sides("tracker", {}, lambda message: None)
+    assert {(t.engine, t.way) for t in timings} == wanted
+    for t in timings:
+        assert not t.reason
+        assert len(t.times) == benchmark_rhs.ROUNDS
+        assert 0 < t.own_memory < t.memory
+
+
+def test_a_process_that_fails_says_why():
+    found = benchmark_rhs._probe(("mujoco", "mj_forward"), "nowhere.yaml", {}, 60.0)
+    assert "nowhere.yaml" in found.reason
+    assert found.times == ()
+
+
+# Sizes
+
+
+def timing(way, seconds):
+    return Timing(*way, 100, (seconds,) * 2, 0.1, 120_000_000, 80_000_000)
+
+
+OWN, OTHER = ("newton_euler", "relative"), ("mujoco", "mj_forward")
+
+SIZES = benchmark_scaling.Scaling(
+    "chain",
+    {},
+    benchmark.machine(),
+    {
+        1: (timing(OWN, 1e-6), timing(OTHER, 4e-6)),
+        10: (timing(OWN, 1e-5), timing(OTHER, 4e-4)),
+        100: (timing(OWN, 1e-3), Timing(*OTHER, reason="too large")),
+    },
+)
+
+
+def test_growth_is_the_exponent_between_sizes():
+    assert list(SIZES.growth(OWN)) == [(1, 10, pytest.approx(1.0)), (10, 100, pytest.approx(2.0))]
+    assert list(SIZES.growth(OTHER)) == [(1, 10, pytest.approx(2.0))]
+
+
+def test_sizes_as_table_words_json_and_picture():
+    cells = [list(column.cells) for column in benchmark_scaling.scaling_table(SIZES).columns]
+    assert [column[0] for column in cells[2:6]] == ["1", "10", "1000", "1.00, 2.00"]
+    assert [column[1] for column in cells[2:6]] == ["4", "400", "-", "2.00"]
+    words = benchmark_scaling.scaling_words(SIZES)
+    assert "newton_euler (relative) grows with exponents 1.00 from 1 to 10, 2.00 from 10 to 100" in words
+    assert "N = 10: newton_euler (relative) takes 0.025 times as long as mujoco (mj_forward)" in words
+    assert "N = 100: mujoco (mj_forward) cannot run: too large" in words
+    assert json.loads(benchmark_scaling.scaling_json(SIZES))["sizes"]["100"][1]["reason"] == "too large"
+    assert benchmark_scaling.scaling_picture(SIZES).startswith(b"\x89PNG")
+
+
+def test_what_fails_at_a_size_is_not_tried_at_larger_ones(monkeypatch):
+    asked = []
+
+    def made_up_timings(source, options, progress, ways, limit):
+        asked.append((options, ways))
+        return [timing(OWN, 1e-6), Timing(*OTHER, reason="too large")]
+
+    monkeypatch.setattr(benchmark_scaling, "time_right_hand_sides", made_up_timings)
+    monkeypatch.setattr(benchmark_scaling, "SIZES", (1, 10))
+    benchmark_scaling.measure_sizes("chain", {}, lambda message: None)
+    assert asked == [({"N": "1"}, list(benchmark_scaling.WAYS)), ({"N": "10"}, [OWN])]
+
+
+# Batches
+
+
+def test_outputs_are_as_rare_as_memory_needs(tracker):
+    assert benchmark_batch.rarer(tracker, 10).times == pytest.approx(tracker.times)
+    rare = benchmark_batch.rarer(tracker, 10_000)
+    size = 10_000 * len(rare.times) * len(tracker.mechanism.bodies) * 7 * 8
+    # one output more would be too much
+    assert 0.9 * benchmark_batch.MOST < size <= benchmark_batch.MOST
+    assert benchmark.intervals(rare.times) == [(len(rare.times) - 1, pytest.approx(rare.output_period))]
+    with pytest.raises(CrosscheckError, match="--batch 1000000"):
+        benchmark_batch.rarer(tracker, 1_000_000)
+
+
+def test_batches_that_differ_in_one_bit_are_not_identical(short, tracker_states):
+    one, other = (newton_euler.simulate_batch(short, tracker_states[:3], threads=2) for _ in range(2))
+    assert benchmark_batch.identical(one, other)
+    other._results[1, 2] = np.nextafter(other._results[1, 2], np.inf)
+    assert not benchmark_batch.identical(one, other)
+
+
+def test_rollouts_are_the_runs_one_by_one(short, tracker_states):
+    from mjcf.tight import Rollout, Stepper, compiled
+
+    system = compiled(short)
+    rollout = Rollout(system, "RK4", 2, 1.0, 2)
+    states = tracker_states[:25]
+    starts = np.array([rollout.start(*system.coordinates(state)) for state in states])
+    found = rollout(starts)
+    for k in (0, 24):
+        single = compiled(dataclasses.replace(short, initial_state=states[k]))
+        stepper = Stepper(single, "RK4", benchmark.intervals(short.times), 2, 1.0)
+        stepper.reset()
+        stepper.run()
+        # round-off of eight steps
+        assert max(benchmark.pose_errors(rollout.poses(found[k]), stepper.poses())) < 1e-13
+
+
+def test_a_batch_is_measured_for_both_engines(monkeypatch):
+    monkeypatch.setattr(benchmark_batch, "LIMIT", 0.5)
+    monkeypatch.setattr(benchmark_batch, "SAMPLE", 2)
+    monkeypatch.setattr(benchmark_batch, "REPEATS", 1)
+
+    def found(scene, period, error, progress):
+        own = {"formulation": "relative", "stabilization": "projection", "rtol": 1e-8}
+        other = {"integrator": "RK4", "number": 2, "damping_ratio": 0.6}
+        names = (
+            Measurement("newton_euler", "m", "a", 1e-7, 1e-7, 100, 1e-3, (1e-3,)),
+            Measurement("mujoco", "m", "b", 1e-7, 1e-7, 100, 2e-2, (2e-2,)),
+        )
+        return dict(zip(("newton_euler", "mujoco"), zip(names, (own, other), strict=True), strict=True))
+
+    monkeypatch.setattr(benchmark_batch, "_cheapest_settings", found)
+    result = benchmark_batch.benchmark_batch("tracker", {}, 4, 1e-6, lambda message: None)
+    own, other = result.sides
+    assert [(t.threads, t.runs) for t in own.throughputs] == [(n, 4) for n in benchmark_batch.thread_counts()]
+    # an order above the tolerances; MuJoCo RK4 at 5 ms is 3e-6 off
+    assert own.error < 1e-6
+    assert other.error < 1e-5
+    assert result.uncertainty < 1e-9
+    rows = list(benchmark_batch.batch_table(result).columns[0].cells)
+    assert len(rows) == 2 * len(benchmark_batch.thread_counts())
+    assert "mujoco is" in benchmark_batch.batch_words(result)[-1]
+    content = json.loads(benchmark_batch.batch_json(result))
+    assert content["sides"][0]["throughputs"][0]["rate"] == own.throughputs[0].rate
+
+
+def test_a_batch_without_a_reference_is_refused(short, tracker_states, monkeypatch):
+    monkeypatch.setattr(benchmark_reference, "LIMIT", 1e-3)
+    with pytest.raises(CrosscheckError, match=r"none of 1 random runs has a reference.*0\.001 s"):
+        benchmark_batch._references(short, tracker_states[:1])

@@ -1,0 +1,301 @@
+"""The tightest loops around Pinocchio: right-hand sides and whole runs, with nothing but poses kept.
+
+State y = (q, v) is in Pinocchio's own order, SI units, so that nothing is converted on the way, and what
+can be made before is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from itertools import repeat
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.lib.stride_tricks import as_strided
+
+from newton_euler.control import PD
+from newton_euler.errors import IntegrationError
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.solve import rank
+from newton_euler.tree import weld_loops
+from urdf.dynamics import PinocchioSystem
+from urdf.loops import parse_loops
+from urdf.model import build
+from urdf.write import to_loops, to_urdf
+
+PROXIMAL = ((0.0, 1), (1e-8, 1), (1e-8, 3), (1e-6, 3), (1e-6, 10), (1e-6, 30), (1e-4, 30))
+"""Regularisations (mu, iterations) of `constraintDynamics`, cheapest first; redundant closures need one."""
+
+ACCURATE = 1e-9
+"""Relative error of accelerations that a regularisation may leave."""
+
+MOST_STEPS = 1000
+"""Of LSODA from one output to the next, and a tenth of what scipy's own solvers may make altogether."""
+
+Rates = Callable[[float, Array], Array]
+
+
+class Equations(NamedTuple):
+    """The equations of motion, ready to be called over and over.
+
+    Attributes:
+        system: the scene with all its checks.
+        acceleration: of no arguments, at the initial state: one right-hand side and nothing else.
+        rates: ydot (nq + nv,) at t, y; always in the same array.
+        start: (nq + nv,) initial y.
+        nq: how much of y is q.
+    """
+
+    system: PinocchioSystem
+    acceleration: Callable[[], Array]
+    rates: Rates
+    start: Array
+    nq: int
+
+
+def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) -> Equations:
+    """The equations of motion by `constraintDynamics`, or by `lcaba` with (mu, iterations)."""
+    system = PinocchioSystem(scene, alpha)
+    closed = build(to_urdf(scene), parse_loops(to_loops(scene), f"{scene.name}.loops.yaml"), alpha)
+    model, constraints = closed.model, closed.constraints
+    model.gravity = pin.Motion(scene.gravity, np.zeros(3))
+    data = model.createData()
+    nq, nv = model.nq, model.nv
+    gains, constant = _laws(scene, system)
+    tau, rates = np.zeros(nv), np.empty(nq + nv)
+    qdot, vdot = rates[:nq], rates[nq:]
+    q, v = system.coordinates(scene.initial_state)
+    start = np.concatenate([system.map.q_to_pinocchio(q), system.map.v_to_pinocchio(v)])
+    tau[:] = gains @ start + constant
+    if lcaba:
+        pin.computeJointMinimalOrdering(model, data, constraints)
+    datas = pin.StdVec_RigidConstraintData([constraint.createData() for constraint in constraints])
+    if not lcaba:
+        pin.initConstraintDynamics(model, data, constraints, datas)
+    solve = pin.lcaba if lcaba else pin.constraintDynamics
+
+    def accelerate(settings: Any) -> Array:
+        return solve(model, data, start[:nq], start[nq:], tau, constraints, datas, settings)
+
+    proximal = _proximal(*lcaba) if lcaba else _chosen(system, accelerate)
+    joints = list(model.joints)[1:]
+    balls = [(joint.idx_q, joint.idx_v) for joint in joints if joint.nq == 4]
+    plain_q = [joint.idx_q for joint in joints if joint.nq == 1]
+    plain_v = [joint.idx_v for joint in joints if joint.nq == 1]
+    actuated = bool(scene.control)
+    dot, add = np.dot, np.add
+
+    def rates_at(t: float, y: Array) -> Array:
+        v = y[nq:]
+        if actuated:
+            dot(gains, y, tau)
+            add(tau, constant, tau)
+        if balls:
+            qdot[plain_q] = v[plain_v]
+            for on_q, on_v in balls:
+                qdot[on_q : on_q + 4] = _turned(y[on_q : on_q + 4].tolist(), v[on_v : on_v + 3].tolist())
+        else:
+            qdot[:] = v
+        vdot[:] = solve(model, data, y[:nq], v, tau, constraints, datas, proximal)
+        return rates
+
+    q0, v0, tau0 = start[:nq].copy(), start[nq:].copy(), tau.copy()
+    arguments = (model, data, q0, v0, tau0, constraints, datas, proximal)
+    return Equations(system, partial(solve, *arguments), rates_at, start, nq)
+
+
+def _laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
+    """Actuation as an affine function of y: (nv, nq + nv) and (nv,)."""
+    order_q = list(system.map.q_to_pinocchio(np.arange(system.nq)))
+    order_v = list(system.map.v_to_pinocchio(np.arange(system.nv)))
+    gains, constant = np.zeros((system.nv, system.nq + system.nv)), np.zeros(system.nv)
+    tree = weld_loops(scene.mechanism).tree
+    for law in scene.control:
+        place = tree.place(law.joint, law.coordinate)
+        assert place is not None  # only balls are ever cut
+        assert isinstance(law, PD)  # sampled controllers are not benchmarked
+        row = order_v.index(place[1])
+        gains[row, order_q.index(place[0])] -= law.stiffness
+        gains[row, system.nq + row] -= law.damping
+        constant[row] += law.stiffness * law.target
+    return gains, constant
+
+
+def _proximal(mu: float, iterations: int) -> Any:
+    return pin.ProximalSettings(0.0, 1e-13, mu, iterations)
+
+
+def _chosen(system: PinocchioSystem, accelerate: Callable[[Any], Array]) -> Any:
+    """Plain elimination for independent closures, else the cheapest regularisation that is accurate."""
+    q, v = system.coordinates(system.scene.initial_state)
+    jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
+    exact = system.map.v_to_pinocchio(system.acceleration(q, v))
+    candidates = PROXIMAL[:1] if rank(jacobian) == len(jacobian) else PROXIMAL[1:]
+    for mu, iterations in candidates:
+        settings = _proximal(mu, iterations)
+        error = np.max(np.abs(accelerate(settings) - exact))
+        if error <= ACCURATE * max(float(np.max(np.abs(exact))), 1e-6):
+            break
+    return settings
+
+
+def _turned(p: list[float], omega: list[float]) -> tuple[float, float, float, float]:
+    """Rate of a quaternion x-y-z-w at an angular velocity (rad/s) in its body's frame."""
+    x, y, z, w = p
+    a, b, c = omega
+    return (
+        0.5 * (w * a + y * c - z * b),
+        0.5 * (w * b + z * a - x * c),
+        0.5 * (w * c + x * b - y * a),
+        -0.5 * (x * a + y * b + z * c),
+    )
+
+
+# Marches over the output times
+
+
+def lsoda(equations: Equations, rtol: float, atol: float) -> tuple[Array, int]:
+    """Adams and BDF methods of variable order, compiled, with interpolated outputs.
+
+    Raises:
+        IntegrationError: with LSODA's reason.
+    """
+    from scipy.integrate import odeint
+
+    rows, told = odeint(
+        equations.rates,
+        equations.start,
+        equations.system.scene.times,
+        tfirst=True,
+        rtol=rtol,
+        atol=atol,
+        full_output=True,
+        mxstep=MOST_STEPS,
+    )
+    if told["message"] != "Integration successful.":
+        raise IntegrationError(float(told["tcur"].max()), f"LSODA: {told['message']}")
+    return rows, int(told["nfe"][-1])
+
+
+def scipy_solver(equations: Equations, name: str, rtol: float, atol: float) -> tuple[Array, int]:
+    """One of scipy's solvers written in Python, stepped directly.
+
+    Raises:
+        IntegrationError: with the solver's reason.
+    """
+    from scipy import integrate
+
+    times, rates = equations.system.scene.times, equations.rates
+    # these solvers keep what they are given
+    solver = getattr(integrate, name)(
+        lambda t, y: rates(t, y).copy(), 0.0, equations.start, times[-1], rtol=rtol, atol=atol
+    )
+    rows = np.empty((len(times), len(equations.start)))
+    rows[0] = equations.start
+    due, steps = 1, 0
+    while due < len(times):
+        message = solver.step()
+        steps += 1
+        if solver.status == "failed" or steps > 10 * MOST_STEPS:
+            raise IntegrationError(solver.t, f"{name}: {message or 'too many steps'}")
+        reached = int(np.searchsorted(times, solver.t, side="right"))
+        if reached > due:
+            rows[due:reached] = solver.dense_output()(times[due:reached]).T
+            due = reached
+    return rows, int(solver.nfev)
+
+
+def fixed(
+    equations: Equations, name: str, intervals: list[tuple[int, float]], number: int
+) -> tuple[Array, int]:
+    """ "RK4" or "Euler" (semi-implicit), `number` steps from one output to the next.
+
+    `intervals` are numbers of equal intervals, s, between outputs, one after the other.
+    """
+    advance, evaluations = {"RK4": (_rk4, 4), "Euler": (_semi_implicit_euler, 1)}[name]
+    rates, nq = equations.rates, equations.nq
+    outputs = 1 + sum(count for count, _ in intervals)
+    rows = np.empty((outputs, len(equations.start)))
+    rows[0] = y = equations.start.copy()
+    k = 1
+    for count, interval in intervals:
+        h = interval / number
+        for _ in repeat(None, count):
+            for _ in repeat(None, number):
+                advance(rates, y, h, nq)
+            rows[k] = y
+            k += 1
+    return rows, evaluations * number * (outputs - 1)
+
+
+def _rk4(rates: Rates, y: Array, h: float, nq: int) -> None:
+    """Classical Runge-Kutta of order 4, in place; `rates` overwrites what it gave before."""
+    k = rates(0.0, y)
+    total = k.copy()
+    k = rates(0.0, y + (0.5 * h) * k)
+    total += 2.0 * k
+    k = rates(0.0, y + (0.5 * h) * k)
+    total += 2.0 * k
+    total += rates(0.0, y + h * k)
+    total *= h / 6.0
+    y += total
+
+
+def _semi_implicit_euler(rates: Rates, y: Array, h: float, nq: int) -> None:
+    """Velocities first, then positions with the new velocities, in place."""
+    y[nq:] += h * rates(0.0, y)[nq:]
+    y[:nq] += h * y[nq:]
+
+
+class Kinematics:
+    """Where joints are at every output, through a view of Pinocchio's placements that is kept.
+
+    A placement is 12 numbers: the columns of its rotation matrix and its translation, m, world frame.
+    """
+
+    def __init__(self, equations: Equations) -> None:
+        self._equations = equations
+        self._model = equations.system.closed.model
+        self._data = self._model.createData()
+        first, size = self._data.oMi[1], pin.SE3.Identity().homogeneous[:3].nbytes
+        # Pinocchio keeps placements side by side, each as rotation and translation
+        self._placements = as_strided(first.rotation, (self._model.njoints - 1, 12), (size, 8))
+        joints = list(self._model.joints)[1:]
+        self._balls = [slice(joint.idx_q, joint.idx_q + 4) for joint in joints if joint.nq == 4]
+
+    def __call__(self, rows: Array) -> Array:
+        """Placements (n, joints, 12) of all joints but the universe, of y (n, nq + nv) at n times."""
+        for ball in self._balls:
+            rows[:, ball] /= np.linalg.norm(rows[:, ball], axis=1, keepdims=True)
+        model, data, view, nq = self._model, self._data, self._placements, self._equations.nq
+        forward = pin.forwardKinematics
+        found = np.empty((len(rows), *view.shape))
+        for placements, q in zip(found, rows[:, :nq], strict=True):
+            forward(model, data, q)
+            placements[...] = view
+        return found
+
+    def poses(self, placements: Array) -> tuple[Array, Array]:
+        """Positions (n, b, 3) and quaternions (n, b, 4) of the scene's bodies, ground first.
+
+        Raises:
+            IntegrationError: for a run that is not finite.
+        """
+        finite = np.all(np.isfinite(placements), axis=(1, 2))
+        if not np.all(finite):
+            reached = float(self._equations.system.scene.times[np.argmin(finite)])
+            raise IntegrationError(reached, "its motion is not finite")
+        bodies = self._equations.system.mechanism.bodies
+        found = np.empty((len(placements), len(bodies), 7))
+        for k, body in enumerate(bodies):
+            frame = self._model.frames[self._model.getFrameId(f"{body.name}_body", pin.FrameType.OP_FRAME)]
+            if frame.parentJoint == 0:
+                found[:, k] = pin.SE3ToXYZQUAT(frame.placement)
+                continue
+            for pose, placement in zip(found[:, k], placements[:, frame.parentJoint - 1], strict=True):
+                joint = pin.SE3(placement[:9].reshape(3, 3).T, placement[9:])
+                pose[:] = pin.SE3ToXYZQUAT(joint * frame.placement)
+        return found[..., :3], found[..., [6, 3, 4, 5]]
