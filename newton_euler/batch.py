@@ -108,17 +108,16 @@ def simulate_batch(
     stopped: list[bool] = []
 
     def run(piece: tuple[int, int]) -> None:
-        march = March(compiled, times, options)
+        march = March(compiled, times, options, stopped)
         for k in range(*piece):
             if stopped:
                 return
             try:
                 march(starts[k])
+                write_outputs(compiled, march.x, times, march.table, results[k])
             except IntegrationError as error:
                 errors[k] = error
-                continue
             counts[k] = march.counted
-            write_outputs(compiled, march.x, times, march.table, results[k])
 
     edges = np.linspace(0, len(starts), min(len(starts), PIECES * workers) + 1).astype(int)
     start = time.perf_counter()

@@ -190,6 +190,8 @@ class Code:
 
     def _trace_jacobian(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """(n, n) derivative of (qdot, vdot) by (q, v), row by row."""
+        if self.size == 0:
+            return []
         acceleration, _ = system.sparse_acceleration(q, v, self.rows)
         rates = [*system.rate(q, v), *acceleration]
         return list(differentiate(q[0].graph, rates, [*q, *v]).ravel())

@@ -150,14 +150,18 @@ class Graph:
                 return _scaled(self, x * known, first)
         return self.record("mul", self.constant(x), b)
 
-    def prune(self, outputs: Iterable[Any]) -> Program:
-        """The operations that these outputs (scalars) need, and nothing else."""
-        roots = [self.index(scalar) for scalar in outputs]
+    def ancestors(self, roots: Iterable[int]) -> set[int]:
+        """The nodes that these nodes need, themselves included."""
         needed = set(roots)
         for index in range(len(self.nodes) - 1, -1, -1):
             if index in needed:
                 needed.update(operands(self.nodes[index]))
-        kept = sorted(needed)
+        return needed
+
+    def prune(self, outputs: Iterable[Any]) -> Program:
+        """The operations that these outputs (scalars) need, and nothing else."""
+        roots = [self.index(scalar) for scalar in outputs]
+        kept = sorted(self.ancestors(roots))
         place = {index: k for k, index in enumerate(kept)}
         nodes = []
         for index in kept:
@@ -296,17 +300,16 @@ def _objects(scalars: Sequence[Any]) -> Array:
 
 def differentiate(graph: Graph, outputs: Sequence[Any], variables: Sequence[Expression]) -> Array:
     """(outputs, variables) partial derivatives, forward mode, as scalars of the same graph."""
-    columns = []
-    for variable in variables:
+    roots = [graph.index(output) for output in outputs]
+    needed = sorted(graph.ancestors(roots))
+    table = np.zeros((len(outputs), len(variables)), dtype=object)
+    for column, variable in enumerate(variables):
         rates: dict[int, Any] = {variable.index: 1.0}
-        for index in range(variable.index + 1, max((graph.index(o) for o in outputs), default=0) + 1):
+        for index in needed:
             rate = _rate(graph, index, rates)
             if not isinstance(rate, float) or rate != 0.0:
                 rates[index] = rate
-        columns.append([rates.get(graph.index(output), 0.0) for output in outputs])
-    table = np.empty((len(outputs), len(columns)), dtype=object)
-    for k, column in enumerate(columns):
-        table[:, k] = column
+        table[:, column] = [rates.get(root, 0.0) for root in roots]
     return table
 
 
@@ -335,4 +338,6 @@ def _rate(graph: Graph, index: int, rates: dict[int, Any]) -> Any:
         return da * b + a * db
     if node.op == "div":
         return (da - itself * db) / b
-    return (b * da - a * db) / (a * a + b * b)  # arctan2
+    if node.op == "arctan2":
+        return (b * da - a * db) / (a * a + b * b)
+    raise TypeError(f"{node.op} has no derivative")

@@ -93,16 +93,22 @@ def signature_of(function: Callable[..., Any]) -> Signature:
 def text(functions: list[Callable[..., Any]]) -> str:
     """LLVM text of these native functions and of all they call."""
     done: dict[str, str] = {}
+    owners: dict[str, Callable[..., Any]] = {}
     entries = [function.__name__ for function in functions]
     tables: dict[str, str] = {}
     waiting = list(functions)
     while waiting:
         function = waiting.pop()
+        known = owners.setdefault(function.__name__, function)
+        if known is not function:
+            raise NativeError(f"two functions are called {function.__name__}")
         if function.__name__ not in done:
             translator = Translator(function)
             inner = function.__name__ not in entries
             done[function.__name__] = translator.translate("internal " if inner else "")
-            tables.update(translator.tables)
+            for name, table in translator.tables.items():
+                if tables.setdefault(name, table) != table:
+                    raise NativeError(f"two tables are called {name}")
             waiting.extend(translator.callees)
     return "\n".join([DECLARATIONS, *tables.values(), *done.values()])
 

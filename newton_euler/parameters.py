@@ -3,7 +3,8 @@
 A parameter has a name, `gravity`, `BODY.mass`, `BODY.inertia`, `JOINT.stiffness`, `JOINT.damping` or
 `JOINT.target` (of the control law at a joint; `JOINT.1.target` for its second coordinate), and a value
 of the shape that the scene has there. Geometry is not among them: it moves the closed configurations,
-so that a run would need another start.
+so that a run would need another start. How near a configuration is to a singular one is judged by the
+scene's own values: masses that are many orders away from them make runs slower, not wrong.
 """
 
 from __future__ import annotations

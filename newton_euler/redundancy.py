@@ -33,14 +33,20 @@ CONFIGURATIONS = 4
 REACH = 0.1
 """How far they lie apart: radians, and sizes of the mechanism."""
 
-DOUBTFUL = 1e-7
-"""Share of its Gram matrix' diagonal below which a pivot may be round-off, in rows of thousands."""
+EMPTY = 1e-12
+"""Length of a dimensionless row below which it is round-off."""
 
-DEPENDENT = 1e-9
-"""Length of what a dimensionless row adds to the others, below which it adds nothing."""
+CERTAIN = 1e-4
+"""Share of its diagonal element in the Gram matrix above which a pivot is no round-off; a pivot is the
+square of what its row adds to those before it, so that smaller ones leave doubt."""
 
-NEWTON_STEPS = 4
-"""Enough for round-off from a tangential step of that length."""
+DEPENDENT = 1e-7
+"""Share of a row that it must add to the others at least; round-off is below that if all rows in use
+are certain, and a row that adds less is near singular anyway."""
+
+NEWTON_STEPS = 8
+CLOSED = 1e-11
+"""Residual, dimensionless, of a configuration that is near enough to the constraints to be looked at."""
 
 
 def rows_in_use(system: Formulation) -> tuple[RowsInUse, bool]:
@@ -54,20 +60,22 @@ def rows_in_use(system: Formulation) -> tuple[RowsInUse, bool]:
     alive: set[int] = set()  # rows that are not zero everywhere
     seen = []
     for number in range(CONFIGURATIONS):
-        seen.append(q)
-        _, jacobian = system.phi_and_jacobian(q)
-        alive.update(i for i, row in enumerate(jacobian) if row)
-        best = max(best, _independent(_dimensionless(system, jacobian)), key=len)
+        phi, jacobian = system.phi_and_jacobian(q)
+        if number == 0 or np.max(np.abs(phi / system.phi_units), initial=0.0) < CLOSED:
+            seen.append(q)
+            rows = _dimensionless(system, jacobian)
+            alive.update(i for i, row in enumerate(rows) if _length(row) > EMPTY)
+            best = max(best, sorted(_independent(rows).order), key=len)
         if number > 0 and len(best) == len(alive):
             break  # all that can be
         q = _neighbour(system, q, rng)
     rest = np.zeros(system.nv)
     solutions = [system.sparse_solution(q, rest, RowsInUse(best)) for q in seen]
     scales, mass_scales = (
-        [float(max(column)) for column in zip(*diagonals, strict=True)]
-        for diagonals in (
-            [solution.diagonal for solution in solutions],
-            [solution.mass_diagonal for solution in solutions],
+        [float(max(column)) for column in zip(*pivots, strict=True)]
+        for pivots in (
+            [solution.pivots for solution in solutions],
+            [solution.mass_pivots for solution in solutions],
         )
     )
     return RowsInUse(best, scales, mass_scales), len(best) < len(alive)
@@ -81,36 +89,41 @@ def _dimensionless(system: Formulation, jacobian: Rows) -> Rows:
     ]
 
 
-def _independent(rows: Rows) -> list[int]:
-    """Numbers of rows that imply all others.
+def _length(row: dict[int, float]) -> float:
+    return float(np.sqrt(sum(x * x for x in row.values())))
 
-    Pivots of the Gram matrix are squares of what a row adds to those before it, so that they tell
-    little adds from none only roughly. What they leave in doubt, the row's remainder decides.
-    """
+
+def _independent(rows: Rows) -> Factor:
+    """Factor of the Gram matrix of rows that imply all others; `Factor.order` are these rows."""
+    rows = [row if _length(row) > EMPTY else {} for row in rows]
     products = gram(rows, rows)
-    factor = factorise(products, pattern_order(products), drop=DOUBTFUL)
-    kept = set(factor.order)
-    doubtful = [i for i, row in enumerate(rows) if row and i not in kept]
+    order = [i for i in pattern_order(products) if rows[i]]
+    factor = factorise(products, order, drop=CERTAIN)
+    doubtful = [i for i in order if i not in set(factor.order)]
     # a random combination of rows adds nothing only if none of them does: one look for all of them
     weights = np.random.default_rng(1).uniform(1.0, 2.0, len(doubtful))
     together: dict[int, float] = {}
     for i, weight in zip(doubtful, weights, strict=True):
         for k, x in rows[i].items():
             add(together, k, weight * x)
-    if _remainder(rows, factor, together) > DEPENDENT:
-        kept.update(i for i in doubtful if _remainder(rows, factor, rows[i]) > DEPENDENT)
-    return sorted(kept)
+    while doubtful and _remainder(rows, factor, together) > DEPENDENT:
+        shares = [_remainder(rows, factor, rows[i]) for i in doubtful]
+        if max(shares) <= DEPENDENT:
+            break
+        found = doubtful.pop(int(np.argmax(shares)))
+        factor = factorise(products, [*factor.order, found])
+    return factor
 
 
 def _remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
-    """Length of what a row adds to the rows of a factor; solved twice, for the digits lost by squaring."""
+    """Share of a row that is new to those of a factor; solved twice, for the digits lost by squaring."""
     left = dict(row)
     for _ in range(2):
         right = {j: dot(rows[j], left) for j in factor.order}
         for j, share in factor.solve({j: x for j, x in right.items() if x != 0.0}).items():
             for k, x in rows[j].items() if share != 0.0 else ():
                 left[k] = left.get(k, 0.0) - share * x
-    return float(np.sqrt(sum(x * x for x in left.values())))
+    return _length(left) / _length(row)
 
 
 def _neighbour(system: Formulation, q: Array, rng: np.random.Generator) -> Array:
@@ -121,6 +134,8 @@ def _neighbour(system: Formulation, q: Array, rng: np.random.Generator) -> Array
     q = system.retract(q, step - _least(system, jacobian, rate))
     for _ in range(NEWTON_STEPS):
         phi, jacobian = system.phi_and_jacobian(q)
+        if np.max(np.abs(phi / system.phi_units), initial=0.0) < 0.01 * CLOSED:
+            break
         q = system.retract(q, -_least(system, jacobian, phi))
     return q
 
@@ -128,9 +143,9 @@ def _neighbour(system: Formulation, q: Array, rng: np.random.Generator) -> Array
 def _least(system: Formulation, jacobian: Rows, right: Array) -> Array:
     """The shortest dimensionless step (nv,) with J step = right, dependent rows left out."""
     rows = _dimensionless(system, jacobian)
-    products = gram(rows, rows)
-    factor = factorise(products, pattern_order(products), drop=DOUBTFUL)
-    weights = factor.solve(sparse_vector(right / system.phi_units))
+    factor = _independent(rows)
+    scaled = sparse_vector(right / system.phi_units)
+    weights = factor.solve({i: x for i, x in scaled.items() if i in set(factor.order)})
     step = np.zeros(system.nv)
     for i in factor.order:
         for k, x in rows[i].items():

@@ -17,7 +17,7 @@ import numpy as np
 from newton_euler.scalars import Array, Scalar, minimum
 
 SINGULAR = 1e-11
-"""A pivot below this share of what the diagonal element usually is counts as zero."""
+"""A pivot below this share of what it usually is counts as zero."""
 
 
 def is_zero(scalar: Scalar) -> bool:
@@ -79,17 +79,16 @@ class Factor:
     Attributes:
         order: rows in the order of their elimination.
         columns: for each row k the entries of L below it, {row: l}.
-        inverse_pivots: 1 / d for each row.
-        health: the least share of a pivot in what its diagonal element usually is, less `SINGULAR`; not
+        pivots, inverse_pivots: d and 1 / d for each row.
+        health: the least share of a pivot in what it usually is, less `SINGULAR`; not
             positive if singular.
-        diagonal: of the matrix itself.
     """
 
     order: list[int]
     columns: Rows
+    pivots: list[Any]
     inverse_pivots: list[Any]
     health: Scalar
-    diagonal: list[Any]
 
     def lower(self, right: dict[int, Any]) -> dict[int, Any]:
         """L^-1 b for a sparse b."""
@@ -126,13 +125,13 @@ def factorise(
     Args:
         matrix: all nonzeros.
         order: in which to eliminate.
-        scales: what the diagonal elements usually are; those of this matrix if not given.
+        scales: what the pivots usually are; the diagonal elements if not given.
         drop: share of its diagonal element below which a pivot shows that the row depends on those
             before it, so that it is left out, of `Factor.order` too; only numbers can tell.
     """
     work = [dict(row) for row in matrix]
-    diagonal = [row.get(k, 0.0) for k, row in enumerate(work)]
-    usual = diagonal if scales is None else scales
+    usual = [row.get(k, 0.0) for k, row in enumerate(work)] if scales is None else scales
+    pivots: list[Any] = [0.0] * len(work)
     columns: Rows = [{} for _ in work]
     inverse_pivots: list[Any] = [0.0] * len(work)
     health: Scalar = np.inf
@@ -145,6 +144,7 @@ def factorise(
         if drop and not pivot > drop * usual[k]:
             continue
         done.append(k)
+        pivots[k] = pivot
         health = minimum(health, pivot / usual[k] - SINGULAR)
         inverse_pivots[k] = 1.0 / pivot
         for i, entry in below:
@@ -154,7 +154,7 @@ def factorise(
                 add(work[i], j, -(columns[k][i] * entry))
                 if i != j and j in work[i]:
                     work[j][i] = work[i][j]
-    return Factor(done, columns, inverse_pivots, health, diagonal)
+    return Factor(done, columns, pivots, inverse_pivots, health)
 
 
 def dot(a: dict[int, Any], b: dict[int, Any]) -> Scalar:
@@ -193,7 +193,7 @@ class RowsInUse(NamedTuple):
 
     Attributes:
         numbers: which they are.
-        scales: what the diagonal of their Schur complement usually is; None where that is unknown.
+        scales: what the pivots of their Schur complement usually are; None where that is unknown.
         mass_scales: the same for the mass matrix.
     """
 
@@ -209,15 +209,15 @@ class Solution:
     Attributes:
         acceleration, multipliers: their nonzeros.
         health: how close to singular it was, as of `Factor`.
-        diagonal: of the Schur complement, for the rows in use.
-        mass_diagonal: of the mass matrix.
+        pivots: of the Schur complement, for the rows in use.
+        mass_pivots: of the mass matrix.
     """
 
     acceleration: dict[int, Any]
     multipliers: dict[int, Any]
     health: Scalar
-    diagonal: list[Any]
-    mass_diagonal: list[Any]
+    pivots: list[Any]
+    mass_pivots: list[Any]
 
 
 def solve_constrained(
@@ -238,7 +238,7 @@ def solve_constrained(
     total = factor.lower(force)
     acceleration = factor.upper(factor.scaled(total)) if not kept else {}
     if not kept:
-        return Solution(acceleration, {}, factor.health, [], factor.diagonal)
+        return Solution(acceleration, {}, factor.health, [], factor.pivots)
     half = [factor.lower(jacobian[i]) for i in kept]
     weighted = [factor.scaled(row) for row in half]
     schur = gram(half, weighted)
@@ -255,7 +255,7 @@ def solve_constrained(
         acceleration = factor.upper(factor.scaled(total))
         right = {n: gamma[i] - dot(jacobian[i], acceleration) for n, i in enumerate(kept)}
     health = minimum(factor.health, complement.health)
-    return Solution(acceleration, multipliers, health, complement.diagonal, factor.diagonal)
+    return Solution(acceleration, multipliers, health, complement.pivots, factor.pivots)
 
 
 def least_squares(rows: Rows, right: Array) -> tuple[dict[int, Any], Scalar]:

@@ -92,6 +92,16 @@ def test_no_cache_if_the_user_wants_none(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_user_without_a_home_has_no_cache(monkeypatch):
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    for variable in (CACHE_VARIABLE, "XDG_CACHE_HOME"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr("pathlib.Path.home", homeless)
+    assert not compiled(SOURCE).from_cache
+
+
 def test_processes_that_compile_at_once_do_not_disturb_each_other(cache):
     code = "from newton_euler.compile import NativeModule\n"
     code += f"NativeModule({SOURCE!r}, lambda: {SOURCE!r}, optimise=True)"

@@ -12,10 +12,13 @@ from newton_euler.steppers.dop853 import STAGES, error_norm, interpolate, prepar
 from newton_euler.steppers.march import (
     DONE,
     INTERRUPTED,
+    PATIENT,
     REACHED,
     REJECTED,
+    SPACING,
     STEP_TOO_SMALL,
     STEPS,
+    TINY,
     TOO_MANY_STEPS,
     begin,
     evaluate,
@@ -37,10 +40,6 @@ HOP = 0.8
 
 HOPS = 25
 """So many tries; a step is 1/250 of the first one then."""
-
-TINY, PATIENT = 1e-10, 1000
-"""A march gets nowhere if so many steps in a row are below this share of the whole."""
-SPACING = 2.3e-16
 
 
 @native

@@ -22,6 +22,12 @@ COUNTS = 6
 PATIENCE = 4096
 """Steps after which Python is given a chance to see that the user wants to stop."""
 
+SPACING = 2.3e-16
+"""Of doubles near 1."""
+
+TINY, PATIENT = 1e-10, 1000
+"""An adaptive march gets nowhere if so many steps in a row are below this share of the whole."""
+
 HUGE = 1e300
 NEWTON_STEPS = 10
 

@@ -1,9 +1,10 @@
 """Radau IIA of order 5, stiffly accurate, with the traced Jacobian.
 
 E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, second edition, Springer 1996, section
-IV.8. The three stages are one linear system of 3 n unknowns in Newton's iteration; the eigenvectors of
-A^-1 make it one real system and one complex one of n unknowns each. Written for native code, see
-`newton_euler.native`; it runs as plain Python as well.
+IV.8. The Jacobian need not be exact, so its health is not asked for. The three stages are one linear
+system of 3 n unknowns in Newton's iteration; the eigenvectors of A^-1 make it one real system and one
+complex one of n unknowns each. Written for native code, see `newton_euler.native`; it runs as plain
+Python as well.
 """
 
 from __future__ import annotations
@@ -19,10 +20,13 @@ from newton_euler.steppers.march import (
     DONE,
     HUGE,
     INTERRUPTED,
+    PATIENT,
     REACHED,
     REJECTED,
+    SPACING,
     STEP_TOO_SMALL,
     STEPS,
+    TINY,
     TOO_MANY_STEPS,
     begin,
     evaluate,
@@ -70,7 +74,6 @@ DENSE = tuple(float(x) for x in _collocation()[1].ravel())
 NEWTON_STEPS = 6
 FASTEST = 10.0
 SMALLEST = 0.2
-SPACING = 2.3e-16
 
 
 @native
@@ -93,6 +96,8 @@ def prepare(n: int, h: float, jacobian: Vector, real: Vector, re: Vector, im: Ve
 def scaled_norm(n: int, x: Vector, now: Vector, rtol: float, atol: float) -> float:
     """Root mean square of x in units of the tolerance."""
     total = 0.0
+    if n == 0:
+        return total
     for i in range(n):
         share = x[i] / (atol + rtol * abs(now[i]))
         total += share * share
@@ -251,6 +256,7 @@ def march_radau(
     due = 1
     fresh = 1
     factored = 0
+    short = 0
     before_h = 0.0
     before_error = 0.0
     rejected = 0
@@ -262,7 +268,8 @@ def march_radau(
             return TOO_MANY_STEPS
         if interrupted(pause, counts) == 1:
             return INTERRUPTED
-        if h < 10.0 * SPACING * max(abs(now[n]), h):
+        short = short + 1 if h < TINY * (stop - times[0]) else 0
+        if short > PATIENT or h < 10.0 * SPACING * max(abs(now[n]), h):
             return STEP_TOO_SMALL
         if now[n] + h > stop or stop - now[n] - h < 1e-3 * h:
             h = stop - now[n]
@@ -272,6 +279,7 @@ def march_radau(
                 n, h, matrices, matrices[n * n :], matrices[2 * n * n :], matrices[3 * n * n :], pivots
             )
             if singular == 1:
+                counts[REJECTED] += 1.0
                 h = 0.5 * h
                 continue
             factored = 1

@@ -6,7 +6,7 @@ import ctypes
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
@@ -72,10 +72,10 @@ class Python:
         error: what that form raised last, if it did.
     """
 
-    def __init__(self, code: Code) -> None:
-        self._code = code
+    def __init__(self, code: Code, stopped: Sequence[bool] = ()) -> None:
+        self._code, self._stopped = code, stopped
         self._interrupted = False
-        self.error: NewtonEulerError | None = None
+        self.error: Exception | None = None
         kind = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
         # alive as long as this object
         self._callbacks = (kind(self._derivative), kind(self._closing), kind(self._pause))
@@ -95,12 +95,13 @@ class Python:
 
     def _pause(self, counts: int, wish: int) -> None:
         """Python runs signal handlers here, between two of its own instructions."""
-        _vector(wish, 1)[0] = float(self._interrupted)
+        _vector(wish, 1)[0] = float(self._interrupted or len(self._stopped) > 0)
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
         """Turn an interrupt during native code into a wish to stop, and raise it afterwards."""
-        if threading.current_thread() is not threading.main_thread():  # which alone handles signals
+        in_main = threading.current_thread() is threading.main_thread()  # which alone handles signals
+        if not in_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
             yield
             return
 
@@ -120,12 +121,12 @@ class Python:
         code = self._code
         state, results = _vector(x, code.inputs).copy(), _vector(y, code.size + 1)
         system = code.float_system(state)
+        results[-1] = -1.0
         try:
             with np.errstate(all="ignore"):  # the march checks what comes back
                 found = function(system, state[: system.nq], state[system.nq : code.size])
-        except NewtonEulerError as error:
+        except Exception as error:  # nothing may pass through native code
             self.error = error
-            results[-1] = -1.0
         else:
             results[:-1] = np.concatenate(found)
             results[-1] = 1.0
@@ -145,8 +146,9 @@ class March:
         counts: what the run took.
     """
 
-    def __init__(self, code: Code, times: Array, options: Options) -> None:
-        self._code, self._python = code, Python(code)
+    def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
+        """Make everything ready; a run stops if `stopped`, which other threads may fill, holds something."""
+        self._code, self._python, self._integrator = code, Python(code, stopped), options.integrator
         n, outputs, empty = code.size, len(times), np.empty
         self.x, self.table, self.counts = np.zeros(code.inputs), empty((outputs, n)), np.zeros(m.COUNTS)
         at, end = np.zeros(code.inputs), np.zeros(code.inputs)
@@ -183,10 +185,13 @@ class March:
         for copy in (self.x, *self._copies):
             copy[:] = x
         self.counts[:] = 0.0
+        self._python.error = None
         with self._python.interruptible():
             status = self._run()
+        if status == m.INTERRUPTED:
+            raise KeyboardInterrupt
         if status != m.DONE:
-            raise _failure(self._code, status, self.x, self.counts, self._python.error)
+            raise _failure(self._code, self._integrator, status, self.x, self.counts, self._python.error)
 
     @property
     def counted(self) -> dict[str, int]:
@@ -227,12 +232,14 @@ class Projection:
 
 
 def _failure(
-    code: Code, status: int, x: Array, counts: Array, error: NewtonEulerError | None
+    code: Code, integrator: str, status: int, x: Array, counts: Array, error: Exception | None
 ) -> IntegrationError:
     """What to say of a march that could not go on; x is the last state that it reached."""
     system, reached = code.float_system(x), float(counts[m.REACHED])
     q, v = x[: system.nq], x[system.nq : code.size]
     if error is not None and status in (m.SINGULAR, m.OPEN):
+        if not isinstance(error, NewtonEulerError | np.linalg.LinAlgError):
+            raise error
         return IntegrationError(reached, str(error))
     if status == m.OPEN:
         joint, gap = worst_joint(system, system.state(q, v))
@@ -242,10 +249,12 @@ def _failure(
     reasons = {
         m.NOT_FINITE: "the solution is not finite",
         m.SINGULAR: "the equations of motion are singular",
-        m.TOO_MANY_STEPS: f"more than {MOST_STEPS} steps; for stiff equations use Radau",
+        m.TOO_MANY_STEPS: f"more than {MOST_STEPS} steps",
         m.STEP_TOO_SMALL: "steps have become too small"
         + (", the configuration is near a singular one" if near else ""),
     }
+    if status in (m.TOO_MANY_STEPS, m.STEP_TOO_SMALL) and integrator == "DOP853":
+        reasons[status] += "; for stiff equations use Radau"
     return IntegrationError(reached, f"{reasons[status]}; fastest at joint {system.fastest_joint(q, v)!r}")
 
 
@@ -272,7 +281,10 @@ def write_outputs(code: Code, x: Array, times: Array, table: Array, results: Arr
     arrays = named(code, results)
     system = code.float_system(x)
     for row in range(len(times)) if code.redundant else np.flatnonzero(~(arrays["health"] > 0.0)):
-        evaluation = system.evaluate(table[row, : system.nq], table[row, system.nq :])
+        try:
+            evaluation = system.evaluate(table[row, : system.nq], table[row, system.nq :])
+        except NewtonEulerError as error:
+            raise IntegrationError(float(times[row]), str(error)) from error
         arrays["reaction_force"][row] = evaluation.reaction_force
         arrays["reaction_torque"][row] = evaluation.reaction_torque
 
