@@ -62,8 +62,13 @@ def _cell(row: Row) -> Text:
 def settings_lines(result: Crosscheck) -> Iterator[str]:
     """One line an engine: what it ran with and how long."""
     for name, run in result.runs.items():
-        settings = ", ".join(f"{key} {value}" for key, value in run.settings.items())
-        yield f"{name}: {settings}; {run.wall_time:.2f} s"
+        settings = ", ".join(f"{key} {_short(value)}" for key, value in run.settings.items())
+        yield f"{name}: {settings}; {run.wall_time:.2g} s"
+
+
+def _short(value: object) -> object:
+    """A setting with as many digits as people read."""
+    return f"{value:.3g}" if isinstance(value, float) else value
 
 
 def markdown(result: Crosscheck) -> str:
