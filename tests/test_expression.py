@@ -96,3 +96,12 @@ def test_programs_mean_what_floats_do():
         values = rng.standard_normal(3)
         expected = [float(v) for v in everything(*map(np.float64, values))]
         assert program.run(values) == pytest.approx(expected, rel=1e-14, abs=1e-15)
+
+
+def test_constants_of_a_product_meet_whatever_came_first():
+    graph = Graph()
+    x, y = graph.variables(2)
+    early = 3.0 * x  # 3.0 is a node before x y is
+    program = graph.prune([early, 2.0 * (3.0 * (x * y)), 2.0 * (y * 5.0)])
+    assert program.run([0.5, 7.0]) == pytest.approx([1.5, 21.0, 70.0], rel=1e-15)
+    assert program.operations == 4

@@ -39,10 +39,28 @@ MISTAKES = {
         "test_joints.py",
     ),
     "a missing Coriolis term of slides": (
-        "newton_euler/relative.py",
+        "newton_euler/links.py",
         "acceleration = acceleration + coriolis",
         "acceleration = acceleration + 0.0 * coriolis",
         "test_formulations.py",
+    ),
+    "products that fold a constant wrongly": (
+        "newton_euler/expression.py",
+        "return _scaled(self, x * known, second)",
+        "return _scaled(self, x / known, second)",
+        "test_expression.py",
+    ),
+    "a piece of rolled code that keeps too little": (
+        "newton_euler/rolled.py",
+        "used: set[int] = set(program.outputs)",
+        "used: set[int] = set(program.outputs[1:])",
+        "test_rolled.py",
+    ),
+    "rows of round-off taken for constraints": (
+        "newton_euler/redundancy.py",
+        "rows = [row if _length(row) > EMPTY else {} for row in rows]",
+        "rows = list(rows)",
+        "test_compiled.py",
     ),
     "a missing gyroscopic torque": (
         "newton_euler/relative.py",
