@@ -37,9 +37,13 @@ BUDGET = 20.0
 """s after which a model begins no further ladder."""
 
 SHARE = 0.15
-"""s that the repeats of one setting may take together, if `LEAST_REPEATS` of them do not take longer."""
+"""s that the repeats of one setting should take together, if `LEAST_REPEATS` of them do not take longer."""
 
 LEAST_REPEATS = 3
+
+SAMPLE = 0.02
+"""s that runs follow one another for one repeat at least; its time is their mean. A single run of less
+than a millisecond would be timed with the processor's caches full of another engine."""
 
 PACKAGES = ("crosscheck", "numpy", "scipy", "llvmlite", "mujoco", "pin")
 """Whose versions are recorded."""
@@ -120,7 +124,7 @@ class Measurement:
         error_position, error_angle: largest over bodies and output times, m and rad.
         evaluations: of the equations of motion, in one run.
         first: s, of the first run, which is not among the repeats.
-        times: s, of the repeats.
+        times: s, of the repeats, each a mean over `SAMPLE`.
     """
 
     engine: str
@@ -271,13 +275,21 @@ def _in_turns(climbed: Sequence[_Climbed], repeats: int, progress: Progress) -> 
         for c, count, row in zip(climbed, counts, times, strict=True):
             if turn * count % rounds < count:
                 with steady():
-                    row.append(c.setting.run().seconds)
+                    row.append(_sample(c.setting))
     return times
+
+
+def _sample(setting: Setting) -> float:
+    """Mean time of runs one after the other, s."""
+    seconds = [setting.run().seconds]
+    while sum(seconds) < SAMPLE:
+        seconds.append(setting.run().seconds)
+    return sum(seconds) / len(seconds)
 
 
 def repeats_of(first: float, repeats: int) -> int:
     """How often a setting is repeated whose first run took `first` seconds."""
-    return min(repeats, max(LEAST_REPEATS, int(SHARE / max(first, 1e-9))))
+    return min(repeats, max(LEAST_REPEATS, int(SHARE / max(first, SAMPLE))))
 
 
 @contextmanager

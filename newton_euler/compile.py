@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from newton_euler.cache import read_cache, write_cache
-from newton_euler.emit import DECLARATIONS, emit_straight
+from newton_euler.emit import LANES, declarations, emit_straight
 from newton_euler.expression import Program
 from newton_euler.rolled import emit_rolled
 from newton_euler.scalars import Array
@@ -40,7 +40,7 @@ class NativeModule:
         Args:
             identity: what the text depends on, or the text itself.
             text: makes the text.
-            optimise: for code with variables and loops; in a program all that it could do is done.
+            optimise: for code with variables, which are to live in registers; a program has none.
         """
         start = time.perf_counter()
         import hashlib
@@ -59,14 +59,13 @@ class NativeModule:
         self.from_cache = code is not None
         if code is None:
             module = llvm.parse_assembly(text())
-            module.verify()
             if optimise:
-                # unrolling, inlining and vectorising make integrators three times as large and no faster
-                options = llvm.create_pipeline_tuning_options(speed_level=2)
-                options.slp_vectorization = options.loop_vectorization = options.loop_unrolling = False
-                options.inlining_threshold = 0
-                builder = llvm.create_pass_builder(machine, options)
-                builder.getModulePassManager().run(module, builder)
+                # LLVM's own selection of passes takes ten times as long and gains nothing
+                passes = llvm.create_new_module_pass_manager()
+                passes.add_sroa_pass()
+                passes.add_simplify_cfg_pass()
+                passes.add_instruction_combine_pass()
+                passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
             code = machine.emit_object(module)
             write_cache(key, code)
         self.size = len(code)
@@ -85,24 +84,31 @@ class NativeFunction:
 
     Attributes:
         inputs, outputs: lengths of x and y.
+        lanes: how many x are taken at once, values of all of them side by side, and so many y made.
         address: of `void f(double *x, double *y)`, for native callers.
         module: what it was compiled in.
     """
 
-    def __init__(self, program: Program) -> None:
-        """Compile a program: straight-line code, or loops over repeated pieces if it is `LARGE`."""
+    def __init__(self, program: Program, many: bool = False) -> None:
+        """Compile a program: straight-line code, or loops over repeated pieces if it is `LARGE`.
+
+        `many` makes straight-line code for several x at once.
+        """
         self.inputs, self.outputs = program.inputs, len(program.outputs)
-        emit = emit_straight if program.operations < LARGE else emit_rolled
-        text = DECLARATIONS + emit(program, "f")
+        straight = program.operations < LARGE
+        self.lanes = LANES if many and straight else 1
+        body = emit_straight(program, "f", self.lanes) if straight else emit_rolled(program, "f")
+        text = declarations(self.lanes) + body
         self.module = NativeModule(text, lambda: text, optimise=False)
         self.address = self.module.address("f")
         self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
 
     def __call__(self, x: Array) -> Array:
-        """(outputs,) for x (inputs,)."""
+        """(outputs,) for x (inputs,), or with several lanes (outputs, lanes) for x (inputs, lanes)."""
+        lanes = (self.lanes,) if self.lanes > 1 else ()
         x = np.ascontiguousarray(x, dtype=float)
-        if x.shape != (self.inputs,):
-            raise ValueError(f"got inputs of shape {x.shape}; needed: ({self.inputs},)")
-        y = np.empty(self.outputs)
+        if x.shape != (self.inputs, *lanes):
+            raise ValueError(f"got inputs of shape {x.shape}; needed: {(self.inputs, *lanes)}")
+        y = np.empty((self.outputs, *lanes))
         self._call(x.ctypes.data, y.ctypes.data)
         return y

@@ -13,10 +13,9 @@ Integers are 64 bit; `//` and `%` round towards zero and are meant for numbers t
 from __future__ import annotations
 
 import ast
-import inspect
 import sys
-import textwrap
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -145,8 +144,7 @@ class Translator:
 
     def translate(self, linkage: str = "") -> str:
         """The whole function."""
-        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(self.function))).body
-        assert isinstance(definition, ast.FunctionDef)
+        definition = _definitions(self.function.__code__.co_filename)[self.function.__name__]
         arguments = []
         for name, kind in self.signature.arguments.items():
             arguments.append(f"{_machine(kind)} %{name}.in")
@@ -462,6 +460,13 @@ class Translator:
     def _error(self, node: ast.AST | None, problem: str) -> NativeError:
         line = getattr(node, "lineno", 0)
         return NativeError(f"{self.function.__name__}, line {line}: {problem}, which native code cannot")
+
+
+@lru_cache
+def _definitions(file: str) -> dict[str, ast.FunctionDef]:
+    """The functions that a file defines, by name."""
+    body = ast.parse(Path(file).read_text(encoding="utf-8")).body
+    return {node.name: node for node in body if isinstance(node, ast.FunctionDef)}
 
 
 def _machine(kind: str) -> str:

@@ -5,6 +5,8 @@ right-hand side. The angle is reduced by multiples of pi/2 kept in three parts (
 Manual for the Elementary Functions, 1980, chapter 8), and what is left goes into the polynomials of
 FDLIBM (Sun Microsystems, 1993, k_sin.c and k_cos.c). At most 2 units in the last place off; angles
 beyond `FAR` go to the C library.
+
+Several angles at once, one in each lane of a vector register, take the same time as one.
 """
 
 from __future__ import annotations
@@ -44,77 +46,120 @@ def literal(value: float) -> str:
     return f"0x{int(np.float64(value).view(np.uint64)):016X}"
 
 
-def _polynomial(name: str, coefficients: Sequence[float]) -> str:
+def vector_type(element: str, lanes: int) -> str:
+    """The LLVM type of so many elements, or of one alone."""
+    return element if lanes == 1 else f"<{lanes} x {element}>"
+
+
+def constant(value: float, lanes: int) -> str:
+    """A double as an operand, the same in all lanes."""
+    return literal(value) if lanes == 1 else f"splat (double {literal(value)})"
+
+
+def _whole(value: int, lanes: int) -> str:
+    return str(value) if lanes == 1 else f"splat (i32 {value})"
+
+
+def _polynomial(name: str, coefficients: Sequence[float], lanes: int) -> str:
     """Horner's rule in %z into %name0."""
-    lines = [f"  %{name}{len(coefficients) - 1} = fadd double {literal(coefficients[-1])}, 0.0"]
+    t = vector_type("double", lanes)
+    last = constant(coefficients[-1], lanes)
+    lines = [f"  %{name}{len(coefficients) - 1} = fadd {t} {last}, {constant(0.0, lanes)}"]
     for k in range(len(coefficients) - 2, -1, -1):
-        lines.append(f"  %{name}m{k} = fmul contract double %{name}{k + 1}, %z")
-        lines.append(f"  %{name}{k} = fadd contract double %{name}m{k}, {literal(coefficients[k])}")
+        lines.append(f"  %{name}m{k} = fmul contract {t} %{name}{k + 1}, %z")
+        lines.append(f"  %{name}{k} = fadd contract {t} %{name}m{k}, {constant(coefficients[k], lanes)}")
     return "\n".join(lines)
 
 
-def _reduction() -> str:
+def _reduction(lanes: int) -> str:
     """%x - %n pi/2 into %r3, one part of pi/2 after the other."""
+    t = vector_type("double", lanes)
     return "\n".join(
-        f"  %w{k} = fmul contract double %n, {literal(part)}\n"
-        f"  %r{k + 1} = fsub contract double %{'x' if k == 0 else f'r{k}'}, %w{k}"
+        f"  %w{k} = fmul contract {t} %n, {constant(part, lanes)}\n"
+        f"  %r{k + 1} = fsub contract {t} %{'x' if k == 0 else f'r{k}'}, %w{k}"
         for k, part in enumerate(HALF_PI)
     )
 
 
-SINCOS = f"""
+def by_lane(name: str, function: str, arguments: Sequence[str], lanes: int) -> str:
+    """%name = a scalar function of double arguments, called for each lane."""
+    if lanes == 1:
+        return f"  %{name} = call double @{function}({', '.join(f'double {a}' for a in arguments)})"
+    t = vector_type("double", lanes)
+    lines, before = [], "poison"
+    for k in range(lanes):
+        for i, argument in enumerate(arguments):
+            lines.append(f"  %{name}.{k}.{i} = extractelement {t} {argument}, i32 {k}")
+        given = ", ".join(f"double %{name}.{k}.{i}" for i in range(len(arguments)))
+        lines.append(f"  %{name}.{k} = call double @{function}({given})")
+        target = f"%{name}" if k == lanes - 1 else f"%{name}.to{k}"
+        lines.append(f"  {target} = insertelement {t} {before}, double %{name}.{k}, i32 {k}")
+        before = target
+    return "\n".join(lines)
+
+
+def sincos(lanes: int) -> str:
+    """LLVM text of `{double, double} sincos(double)`, sine and then cosine, for so many lanes.
+
+    With several, all of them go to the C library if one is far.
+    """
+    t, i, b = (vector_type(element, lanes) for element in ("double", "i32", "i1"))
+    suffix = "f64" if lanes == 1 else f"v{lanes}f64"
+    all_near = f"call i1 @llvm.vector.reduce.and.v{lanes}i1({b} %lanes.near)"
+    return f"""
 declare double @sin(double)
 declare double @cos(double)
-declare double @llvm.fabs.f64(double)
-declare double @llvm.rint.f64(double)
+declare {t} @llvm.fabs.{suffix}({t})
+declare {t} @llvm.rint.{suffix}({t})
+{"" if lanes == 1 else f"declare i1 @llvm.vector.reduce.and.v{lanes}i1({b})"}
 
-define private {{double, double}} @sincos(double %x) noinline {{
-  %size = call double @llvm.fabs.f64(double %x)
-  %near = fcmp olt double %size, {literal(FAR)}
+define private {{{t}, {t}}} @sincos({t} %x) noinline {{
+  %size = call {t} @llvm.fabs.{suffix}({t} %x)
+  %lanes.near = fcmp olt {t} %size, {constant(FAR, lanes)}
+  %near = {"and i1 %lanes.near, true" if lanes == 1 else all_near}
   br i1 %near, label %fast, label %library
 library:
-  %sin.far = call double @sin(double %x)
-  %cos.far = call double @cos(double %x)
+{by_lane("sin.far", "sin", ["%x"], lanes)}
+{by_lane("cos.far", "cos", ["%x"], lanes)}
   br label %end
 fast:
-  %turns = fmul double %x, {literal(TWO_OVER_PI)}
-  %n = call double @llvm.rint.f64(double %turns)
-{_reduction()}
-  %z = fmul double %r3, %r3
-{_polynomial("s", SINE)}
-  %cube = fmul double %z, %r3
-  %s.rest = fmul contract double %cube, %s0
-  %s = fadd contract double %r3, %s.rest
-{_polynomial("c", COSINE)}
-  %half = fmul double %z, 0.5
-  %w = fsub double 1.0, %half
-  %left = fsub double 1.0, %w
-  %lost = fsub double %left, %half
-  %square = fmul double %z, %z
-  %c.high = fmul contract double %square, %c0
-  %c.rest = fadd contract double %lost, %c.high
-  %c = fadd double %w, %c.rest
-  %k = fptosi double %n to i64
-  %odd.bit = and i64 %k, 1
-  %odd = icmp ne i64 %odd.bit, 0
-  %sin.size = select i1 %odd, double %c, double %s
-  %cos.size = select i1 %odd, double %s, double %c
-  %sin.bit = and i64 %k, 2
-  %sin.down = icmp ne i64 %sin.bit, 0
-  %next = add i64 %k, 1
-  %cos.bit = and i64 %next, 2
-  %cos.down = icmp ne i64 %cos.bit, 0
-  %sin.neg = fneg double %sin.size
-  %cos.neg = fneg double %cos.size
-  %sin.near = select i1 %sin.down, double %sin.neg, double %sin.size
-  %cos.near = select i1 %cos.down, double %cos.neg, double %cos.size
+  %turns = fmul {t} %x, {constant(TWO_OVER_PI, lanes)}
+  %n = call {t} @llvm.rint.{suffix}({t} %turns)
+{_reduction(lanes)}
+  %z = fmul {t} %r3, %r3
+{_polynomial("s", SINE, lanes)}
+  %cube = fmul {t} %z, %r3
+  %s.rest = fmul contract {t} %cube, %s0
+  %s = fadd contract {t} %r3, %s.rest
+{_polynomial("c", COSINE, lanes)}
+  %half = fmul {t} %z, {constant(0.5, lanes)}
+  %w = fsub {t} {constant(1.0, lanes)}, %half
+  %left = fsub {t} {constant(1.0, lanes)}, %w
+  %lost = fsub {t} %left, %half
+  %square = fmul {t} %z, %z
+  %c.high = fmul contract {t} %square, %c0
+  %c.rest = fadd contract {t} %lost, %c.high
+  %c = fadd {t} %w, %c.rest
+  %k = fptosi {t} %n to {i}
+  %odd.bit = and {i} %k, {_whole(1, lanes)}
+  %odd = icmp ne {i} %odd.bit, {_whole(0, lanes)}
+  %sin.size = select {b} %odd, {t} %c, {t} %s
+  %cos.size = select {b} %odd, {t} %s, {t} %c
+  %sin.bit = and {i} %k, {_whole(2, lanes)}
+  %sin.down = icmp ne {i} %sin.bit, {_whole(0, lanes)}
+  %next = add {i} %k, {_whole(1, lanes)}
+  %cos.bit = and {i} %next, {_whole(2, lanes)}
+  %cos.down = icmp ne {i} %cos.bit, {_whole(0, lanes)}
+  %sin.neg = fneg {t} %sin.size
+  %cos.neg = fneg {t} %cos.size
+  %sin.near = select {b} %sin.down, {t} %sin.neg, {t} %sin.size
+  %cos.near = select {b} %cos.down, {t} %cos.neg, {t} %cos.size
   br label %end
 end:
-  %sin.x = phi double [ %sin.far, %library ], [ %sin.near, %fast ]
-  %cos.x = phi double [ %cos.far, %library ], [ %cos.near, %fast ]
-  %one = insertvalue {{double, double}} poison, double %sin.x, 0
-  %both = insertvalue {{double, double}} %one, double %cos.x, 1
-  ret {{double, double}} %both
+  %sin.x = phi {t} [ %sin.far, %library ], [ %sin.near, %fast ]
+  %cos.x = phi {t} [ %cos.far, %library ], [ %cos.near, %fast ]
+  %one = insertvalue {{{t}, {t}}} poison, {t} %sin.x, 0
+  %both = insertvalue {{{t}, {t}}} %one, {t} %cos.x, 1
+  ret {{{t}, {t}}} %both
 }}
 """
-"""LLVM text of `{{double, double}} sincos(double)`: sine, then cosine."""

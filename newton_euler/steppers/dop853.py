@@ -106,12 +106,10 @@ def stage(
 ) -> int:
     """Stage s of a step of size h from `now`, its derivative into row s of k; returns a status."""
     for i in range(n):
-        at[i] = now[i]
-    for j in range(s):
-        weight = h * COUPLING[16 * s + j]
-        if weight != 0.0:
-            for i in range(n):
-                at[i] += weight * k[(n + 1) * j + i]
+        total = 0.0
+        for j in range(s):
+            total += COUPLING[16 * s + j] * k[(n + 1) * j + i]
+        at[i] = now[i] + h * total
     at[n] = now[n] + NODES[s] * h
     return evaluate(n, derivative, dense, at, k[(n + 1) * s :], counts)
 
@@ -155,7 +153,13 @@ def prepare_dense(n: int, h: float, now: Vector, end: Vector, k: Vector, terms: 
 def interpolate(n: int, share: float, now: Vector, terms: Vector, y: Vector) -> None:
     """The state at a share (0 to 1) of the step."""
     left = 1.0 - share
+    w1 = share * left
+    w2 = share * w1
+    w3 = left * w2
+    w4 = share * w3
+    w5 = left * w4
+    w6 = share * w5
     for i in range(n):
-        high = terms[4 * n + i] + left * (terms[5 * n + i] + share * terms[6 * n + i])
-        low = terms[n + i] + share * (terms[2 * n + i] + left * (terms[3 * n + i] + share * high))
-        y[i] = now[i] + share * (terms[i] + left * low)
+        low = share * terms[i] + w1 * terms[n + i] + w2 * terms[2 * n + i] + w3 * terms[3 * n + i]
+        high = w4 * terms[4 * n + i] + w5 * terms[5 * n + i] + w6 * terms[6 * n + i]
+        y[i] = now[i] + (low + high)

@@ -135,19 +135,39 @@ def begin(
 def map_rows(
     rows: int,
     n: int,
+    inputs: int,
     m: int,
+    lanes: int,
     function: Callback,
     x: Vector,
     times: Vector,
     table: Vector,
+    given: Vector,
+    found: Vector,
     results: Vector,
 ) -> None:
-    """results (rows, m) = function of each row of a table (rows, n) at its time, put into x in turn."""
-    for row in range(rows):
-        for i in range(n):
-            x[i] = table[n * row + i]
-        x[n] = times[row]
-        function(x, results[m * row :])
+    """results (rows, m) = function of each row of a table (rows, n) at its time, with the parameters of x.
+
+    `given` (inputs, lanes) and `found` (m, lanes) are scratch: the function takes several rows at once.
+    """
+    for i in range(n + 1, inputs):
+        for lane in range(lanes):
+            given[lanes * i + lane] = x[i]
+    row = 0
+    while row < rows:
+        for lane in range(lanes):
+            source = row + lane
+            if source >= rows:
+                source = rows - 1
+            for i in range(n):
+                given[lanes * i + lane] = table[n * source + i]
+            given[lanes * n + lane] = times[source]
+        function(given, found)
+        for lane in range(lanes):
+            if row + lane < rows:
+                for j in range(m):
+                    results[m * (row + lane) + j] = found[lanes * j + lane]
+        row += lanes
 
 
 @native

@@ -264,18 +264,20 @@ def outputs(code: Code, x: Array, times: Array, table: Array) -> dict[str, Array
     `x` (inputs,) holds the parameters.
     """
     results = np.empty((len(times), code.function("output").outputs))
-    write_outputs(code, x.copy(), times, table, results)
+    write_outputs(code, x, times, table, results)
     return named(code, results)
 
 
 def write_outputs(code: Code, x: Array, times: Array, table: Array, results: Array) -> None:
-    """Write `results` (n, outputs); `x` (inputs,) holds the parameters, its state is overwritten.
+    """Write `results` (n, outputs); `x` (inputs,) holds the parameters.
 
     Reactions near singular or under redundant constraints come from the float form, which knows the
     smallest ones.
     """
     function = code.function("output")
-    loops()(m.map_rows, len(times), code.size, function.outputs, function, x, times, table, results)
+    given, found = np.empty((code.inputs, function.lanes)), np.empty((function.outputs, function.lanes))
+    sizes = (len(times), code.size, code.inputs, function.outputs, function.lanes)
+    loops()(m.map_rows, *sizes, function, x, times, table, given, found, results)
     if "reactions" not in code.scene.outputs:
         return
     arrays = named(code, results)
@@ -297,10 +299,11 @@ def named(code: Code, results: Array) -> dict[str, Array]:
 
 
 def time_function(function: NativeFunction, x: Array, count: int) -> float:
-    """s that `count` calls of a native function take, made by native code."""
-    y = np.empty(function.outputs)
-    x = np.ascontiguousarray(x, dtype=float)
+    """s that a native function takes for `count` times the same x, in a native loop."""
+    lanes = function.lanes
+    y = np.empty((function.outputs, lanes))
+    x = np.repeat(np.asarray(x, dtype=float)[:, None], lanes, axis=1)
     module = loops()
     start = time.perf_counter()
-    module(m.repeat, count, function, x, y)
+    module(m.repeat, -(-count // lanes), function, x, y)
     return time.perf_counter() - start
