@@ -11,6 +11,7 @@ import ctypes
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,8 @@ class NativeModule:
         machine = llvm.Target.from_default_triple().create_target_machine(
             cpu=processor, features=features, opt=2
         )
-        versions = (optimise, llvm.llvm_version_info, sys.version, processor, features)
+        made_by = Path(__file__).read_text(encoding="utf-8")
+        versions = (made_by, optimise, llvm.llvm_version_info, sys.version, processor, features)
         key = hashlib.sha256("\n".join([identity, *map(str, versions)]).encode()).hexdigest()
         code = read_cache(key)
         self.from_cache = code is not None

@@ -112,7 +112,7 @@ class Code:
         """One of the functions, traced and compiled if it has not been."""
         if name not in self.functions:
             program = self.program(name)
-            function = self.functions[name] = NativeFunction(program, many=name == "output")
+            function = self.functions[name] = NativeFunction(program)
             self.compile_time += function.module.time
         return self.functions[name]
 

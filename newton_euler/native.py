@@ -13,10 +13,10 @@ Integers are 64 bit; `//` and `%` round towards zero and are meant for numbers t
 from __future__ import annotations
 
 import ast
-import sys
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
+from types import FunctionType
 from typing import Any, NamedTuple, TypeVar
 
 from newton_euler.scalars import Array
@@ -113,11 +113,17 @@ def text(functions: list[Callable[..., Any]]) -> str:
 
 
 def sources(functions: list[Callable[..., Any]]) -> str:
-    """The source of all that these functions may call, translator included: what their text depends on."""
-    modules = {__name__, *(function.__module__ for function in _SIGNATURES)}
-    files = {str(sys.modules[name].__file__) for name in modules if name in sys.modules}
-    own = {str(sys.modules[function.__module__].__file__) for function in functions}
-    return "".join(Path(file).read_text() for file in sorted(files | own))
+    """What their text depends on: the files of all native functions they may call, and this one."""
+    files = {__file__}
+    waiting = list(functions)
+    while waiting:
+        function = waiting.pop()
+        if function.__code__.co_filename not in files:
+            files.add(function.__code__.co_filename)
+            waiting += (
+                f for f in function.__globals__.values() if isinstance(f, FunctionType) and f in _SIGNATURES
+            )
+    return "".join(Path(file).read_text(encoding="utf-8") for file in sorted(files))
 
 
 class Value(NamedTuple):

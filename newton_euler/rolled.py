@@ -6,7 +6,8 @@ just before them, so that repetitions are cut alike wherever they stand. Pieces 
 become one function; which values and constants each instance takes is data. Results are those of the
 straight-line code: the same operations in the same order.
 
-A value that other pieces use has a place in a table of values. Its first places are the inputs.
+A value that other pieces use has a place in a table of values. Its first places are the inputs. Where
+there is no memory for the table, all results are NaN, which is no healthy configuration to any caller.
 """
 
 from __future__ import annotations
@@ -246,7 +247,19 @@ declare void @free(ptr)
 define void @{name}(ptr noalias %x, ptr noalias %y) {{
 entry:
   %v = call ptr @malloc(i64 {bytes})
-  br label %copy
+  %none = icmp eq ptr %v, null
+  br i1 %none, label %fail, label %copy
+fail:
+  %f = phi i64 [ 0, %entry ], [ %f.next, %failing ]
+  %f.more = icmp slt i64 %f, {outputs}
+  br i1 %f.more, label %failing, label %failed
+failing:
+  %f.to = getelementptr double, ptr %y, i64 %f
+  store double 0x7FF8000000000000, ptr %f.to
+  %f.next = add i64 %f, 1
+  br label %fail
+failed:
+  ret void
 copy:
   %i = phi i64 [ 0, %entry ], [ %i.next, %copying ]
   %i.more = icmp slt i64 %i, {inputs}

@@ -18,7 +18,7 @@ from newton_euler.compile import NativeFunction, NativeModule
 from newton_euler.emit import LANES
 from newton_euler.expression import Graph
 from newton_euler.native import Callback, NativeError, Vector, native, text
-from newton_euler.native_module import NativeModuleOf
+from newton_euler.native_functions import NativeFunctions
 
 
 @pytest.fixture
@@ -198,7 +198,7 @@ def mixture(n: int, x: Vector, y: Vector, f: Callback) -> float:
 def test_native_functions_mean_what_python_means(cache):
     program = traced(lambda *x: [x[2] + 1.0, *x[:4]], 5)
     native_f = NativeFunction(program)
-    module = NativeModuleOf([mixture])
+    module = NativeFunctions([mixture])
     rng = np.random.default_rng(1)
     for _ in range(20):
         x, y = 2.0 * rng.standard_normal((2, 5))

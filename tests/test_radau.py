@@ -12,15 +12,16 @@ import newton_euler
 from newton_euler import PD, compile_scene
 from newton_euler.joints import Prismatic
 from newton_euler.mechanism import Body, Mechanism
-from newton_euler.native_module import NativeModuleOf
+from newton_euler.native_functions import NativeFunctions
 from newton_euler.scene import Scene
 from newton_euler.steppers.linear import factor_complex, factor_real, solve_complex, solve_real
-from newton_euler.steppers.radau import ALPHA, BETA, GAMMA
+from newton_euler.steppers.march import COUNTS, DONE
+from newton_euler.steppers.radau import ALPHA, BETA, GAMMA, march_radau
 
 
 @pytest.fixture(scope="module")
 def linear():
-    return NativeModuleOf([factor_real, solve_real, factor_complex, solve_complex])
+    return NativeFunctions([factor_real, solve_real, factor_complex, solve_complex])
 
 
 def test_linear_systems_are_those_of_numpy(linear):
@@ -122,3 +123,27 @@ def test_energy_of_a_pendulum():
     run = newton_euler.simulate(pendulum(), integrator="Radau", rtol=1e-10, atol=1e-12)
     energy = run.kinetic_energy + run.potential_energy
     assert np.ptp(energy) < 1e-9  # some hundred steps of 1e-10 each, most of it in phase
+
+
+def test_outputs_between_steps_are_as_exact_as_the_steps():
+    """Prothero and Robinson's y' = k (y - sin t) + cos t, y = sin t: steps as long as one likes meet it."""
+
+    def derivative(x, y):
+        y[0], y[1] = -1e6 * (x[0] - np.sin(x[1])) + np.cos(x[1]), 1.0
+
+    def jacobian(x, y):
+        y[0] = -1e6
+
+    times = np.linspace(0.0, 10.0, 21)
+    table, counts, n = np.empty(len(times)), np.zeros(COUNTS), 1
+    scratch = [
+        np.empty(size) for size in (n + 2, 3 * n, 4 * n, 3 * n + 3, 3 * n + 2, 3 * n, 4 * n * n, 2 * n)
+    ]
+    for rtol in (1e-3, 1e-6, 1e-9):
+        system = (jacobian, derivative, derivative, 0, 1e-12, None, None, None, None)
+        states = (np.zeros(2), np.zeros(2))
+        status = march_radau(
+            n, len(times), times, rtol, 1e-2 * rtol, 10**6, *system, *states, *scratch, table, counts
+        )
+        assert status == DONE
+        assert np.abs(table - np.sin(times)).max() < rtol  # one tolerance: stiff errors do not add up

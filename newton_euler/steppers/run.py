@@ -17,7 +17,7 @@ from newton_euler.compile import NativeFunction
 from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import IntegrationError, NewtonEulerError
 from newton_euler.integrate import Options
-from newton_euler.native_module import NativeModuleOf
+from newton_euler.native_functions import NativeFunctions
 from newton_euler.scalars import Array
 from newton_euler.stabilize import ROUND_OFF, project_position, project_velocity, worst_joint
 from newton_euler.steppers import march as m
@@ -40,21 +40,21 @@ MARCHES: dict[str, Callable[..., int]] = {
 
 
 @lru_cache
-def stepper(integrator: str) -> NativeModuleOf:
+def stepper(integrator: str) -> NativeFunctions:
     """An integrator, which no scene changes; compiled once."""
-    return NativeModuleOf([MARCHES[integrator]])
+    return NativeFunctions([MARCHES[integrator]])
 
 
 @lru_cache
-def projector() -> NativeModuleOf:
+def projector() -> NativeFunctions:
     """Projection by itself."""
-    return NativeModuleOf([m.project])
+    return NativeFunctions([m.project])
 
 
 @lru_cache
-def loops() -> NativeModuleOf:
+def loops() -> NativeFunctions:
     """Loops over states."""
-    return NativeModuleOf([m.map_rows, m.repeat])
+    return NativeFunctions([m.map_rows, m.repeat])
 
 
 def load(code: Code, integrator: str) -> None:
@@ -64,7 +64,7 @@ def load(code: Code, integrator: str) -> None:
         assert module
 
 
-class Python:
+class Fallback:
     """What native code leaves to Python: states near singular, by the dense float form, and interrupts.
 
     Attributes:
@@ -148,7 +148,7 @@ class March:
 
     def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
         """Make everything ready; a run stops if `stopped`, which other threads may fill, holds something."""
-        self._code, self._python, self._integrator = code, Python(code, stopped), options.integrator
+        self._code, self._python, self._integrator = code, Fallback(code, stopped), options.integrator
         n, outputs, empty = code.size, len(times), np.empty
         self.x, self.table, self.counts = np.zeros(code.inputs), empty((outputs, n)), np.zeros(m.COUNTS)
         at, end = np.zeros(code.inputs), np.zeros(code.inputs)
@@ -205,7 +205,7 @@ class March:
         return {name: int(self.counts[place]) for name, place in names.items()}
 
 
-def _projection(code: Code, python: Python) -> tuple[Any, ...]:
+def _projection(code: Code, python: Fallback) -> tuple[Any, ...]:
     """What marches need to keep a state on the constraints."""
     if not code.projects:
         return 0, ROUND_OFF, 0, 0, 0
@@ -216,7 +216,7 @@ class Projection:
     """Puts states on the constraints of a scene."""
 
     def __init__(self, code: Code) -> None:
-        self._python = Python(code)
+        self._python = Fallback(code)
         self.x = np.zeros(code.inputs)
         functions = (code.function("position"), code.function("velocity"), self._python.closing)
         scratch = np.zeros(code.size + 2)

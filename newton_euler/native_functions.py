@@ -12,7 +12,7 @@ from newton_euler.compile import NativeModule
 from newton_euler.native import Signature, signature_of, sources, text
 
 
-class NativeModuleOf:
+class NativeFunctions:
     """Native functions compiled together, to be called with numbers and arrays from Python."""
 
     def __init__(self, functions: list[Callable[..., Any]]) -> None:
