@@ -17,6 +17,7 @@ import numpy as np
 
 from crosscheck.energy import RANDOM_RATE, energy_balance, energy_scale
 from crosscheck.engines import Engine
+from crosscheck.reactions import determined, undetermined
 from newton_euler.assemble import random_states
 from newton_euler.euler_parameters import angle_between
 from newton_euler.scalars import Array
@@ -52,8 +53,7 @@ is its error where half a step leaves a quarter of it. Where it leaves half, its
 difference; where error control is a hundred times tighter, the difference itself."""
 
 UNRESOLVED = 1e-2
-"""Largest share of reach, 1 rad or energy that a refinement may excuse, and that the quadrature of an
-energy balance may be off for the balance to say anything."""
+"""Largest share of reach, 1 rad or energy that a refinement may excuse."""
 
 
 @dataclass(frozen=True)
@@ -126,13 +126,15 @@ def compare_equations(
 
     An engine with several rigid systems (formulations) enters a pair with the one that is worst,
     and has rows for its systems against each other. An engine with soft constraints has a row for
-    what they do to its reactions at the first state, which is to be the initial one.
+    what they do to its reactions at the first state, which is to be the initial one. Reactions are
+    compared as far as redundant constraints let them be determined.
     """
+    free = [undetermined(scene, state) for state in states]
     samples = {name: {s.name: Samples.of(s, states) for s in found} for name, found in systems.items()}
     for a, b in combinations(engines, 2):
         found: dict[str, Row] = {}
         for x, y in product(samples[a.name].values(), samples[b.name].values()):
-            for row in _equation_rows(scene, (a.name, b.name), x, y):
+            for row in _equation_rows(scene, (a.name, b.name), x, y, free):
                 known = found.setdefault(row.quantity, row)
                 if not row.value <= known.value:
                     found[row.quantity] = row
@@ -140,7 +142,7 @@ def compare_equations(
     for engine in engines:
         for pair in combinations(samples[engine.name], 2):
             one, two = (samples[engine.name][name] for name in pair)
-            yield from _equation_rows(scene, pair, one, two)
+            yield from _equation_rows(scene, pair, one, two, free)
         if engine.soft_start is not None:
             rigid = next(iter(samples[engine.name].values()))
             yield _softness(scene, engine.name, engine.soft_start(scene), rigid)
@@ -231,7 +233,9 @@ class Scales:
         return cls(float(velocity), float(acceleration), float(force))
 
 
-def _equation_rows(scene: Scene, pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Row]:
+def _equation_rows(
+    scene: Scene, pair: tuple[str, str], first: Samples, second: Samples, free: list[Array]
+) -> Iterator[Row]:
     bodies, joints = scene.mechanism.body_names, scene.mechanism.joint_names
 
     def apart(name: str) -> Array:
@@ -255,10 +259,12 @@ def _equation_rows(scene: Scene, pair: tuple[str, str], first: Samples, second: 
         (kinematics, "angular_velocity", scales.velocity / size, KINEMATICS_TOLERANCE, bodies),
         (dynamics, "linear_acceleration", scales.acceleration, ACCELERATION_TOLERANCE, bodies),
         (dynamics, "angular_acceleration", scales.acceleration / size, ACCELERATION_TOLERANCE, bodies),
-        (dynamics, "reaction_force", scales.force, REACTION_TOLERANCE, joints),
-        (dynamics, "reaction_torque", scales.force * size, REACTION_TOLERANCE, joints),
     ):
         yield row(level, f"{name.replace('_', ' ')}, rel", apart(name) / scale, tolerance, names)
+    force, torque = (first.stack(name) - second.stack(name) for name in ("reaction_force", "reaction_torque"))
+    force, torque = (np.linalg.norm(x, axis=2) for x in determined(force, torque, free, size))
+    yield row(dynamics, "reaction force, rel", force / scales.force, REACTION_TOLERANCE, joints)
+    yield row(dynamics, "reaction torque, rel", torque / (scales.force * size), REACTION_TOLERANCE, joints)
 
 
 Gap = Callable[[Trajectory, Trajectory], Array]
@@ -294,8 +300,7 @@ def compare_runs(
     more finely, and may be off by what that shows as well: how far errors grow depends on the
     mechanism. Shares are of 1 rad for angles. For lengths they are of the mechanism's reach in the
     runs, but of 1 m at least: error control is relative to large coordinates and absolute for small
-    ones. Energies are relative to the larger of the run's own and `energy`, J. A balance is left out
-    where its quadrature may be off by more than `UNRESOLVED`, the outputs being too far apart to tell.
+    ones. Energies are relative to the larger of the run's own and `energy`, J.
     """
     bodies, joints, times = scene.mechanism.body_names, scene.mechanism.joint_names, scene.times
     length = max(1.0, *(reach(scene, run.position) for run in runs.values()))
@@ -345,12 +350,10 @@ def compare_runs(
         balance = energy_balance(scene, runs[engine.name])
         if balance is not None:
             unit = max(energy, balance.exchanged)
-            if balance.quadrature <= UNRESOLVED * unit:
-                gap = np.abs(balance.residual) / unit
-                value, where = float(gap.max()), f"{times[int(np.argmax(gap))]:.3g} s"
-                fixed = engine.energy_error + balance.quadrature / unit
-                tolerance = allowed(value, fixed, (engine,), _residuals_apart(scene), unit)
-                yield Row("energy", "energy less work, rel", (engine.name,), value, tolerance, where)
+            gap = np.abs(balance.residual) / unit
+            value, where = float(gap.max()), f"{times[int(np.argmax(gap))]:.3g} s"
+            tolerance = allowed(value, engine.energy_error, (engine,), _residuals_apart(scene), unit)
+            yield Row("energy", "energy less work, rel", (engine.name,), value, tolerance, where)
 
 
 def _residuals_apart(scene: Scene) -> Gap:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -104,7 +105,8 @@ class Trace:
 
     def __init__(self, compiled: Code) -> None:
         self.graph = Graph()
-        self.system: Formulation = compiled.system
+        self.system: Formulation = copy.copy(compiled.system)
+        self.system.in_use = compiled.rows
         x = self.graph.variables(compiled.size)
         self.q, self.v = x[: self.system.nq], x[self.system.nq :]
 
@@ -136,7 +138,7 @@ def structure(compiled: Code) -> Cells:
             "bodies that move": len(mechanism.bodies) - 1,
             "joints": len(mechanism.joints),
             "joints that carry coordinates": kept,
-            "coordinates": system.nq,
+            "coordinates": system.work.start,
             "velocities": system.nv,
             "constraint rows": rows,
             "  that nothing can move": unmoved,
@@ -165,22 +167,25 @@ def operations_by_term(compiled: Code) -> dict[str, int]:
 def _terms(trace: Trace, rows: Iterable[int]) -> Iterator[tuple[str, list[Scalar]]]:
     """The terms of the equations of motion before they are solved, by name."""
     system, q, v = trace.system, trace.q, trace.v
+    rate = system.rate(q, v)
+    work, rate = rate[system.work], np.delete(rate, system.work)
     if isinstance(system, Relative):
         links = system.links(q, v)
-        yield "kinematics", [*system.rate(q, v), *(x for link in links for x in _scalars(*link.frame))]
+        yield "kinematics", [*rate, *(x for link in links for x in _scalars(*link.frame))]
         mass, force = system.sparse_mass_and_force(q, v, links)
         yield "actuation", _scalars(*system.actuation(q, v, links))
         yield "mass matrix", _entries(mass)
         yield "forces", _scalars(force)
-        _, jacobian, gamma = system.loop_terms(links)
+        _, jacobian, gamma = system.loop_terms(q, v, links)
         yield "constraints", [x for k in rows for x in (*jacobian[k].values(), gamma[k])]
     else:
         frames = system.frames(q, v)
-        yield "kinematics", [*system.rate(q, v), *(x for frame in frames for x in _scalars(*frame))]
+        yield "kinematics", [*rate, *(x for frame in frames for x in _scalars(*frame))]
         yield "actuation", _scalars(*system.applied(q, frames))
-        jacobian, gamma = system.joint_jacobian(q, frames)[1], system.joint_gamma(frames)
+        jacobian, gamma = system.joint_jacobian(q, frames)[1], system.joint_gamma(q, frames)
         of_joints = [k for k in rows if k < system.rows]  # the others are the norms of Euler parameters
         yield "constraints", [x for k in of_joints for x in (*jacobian[k].values(), gamma[k])]
+    yield "work", list(work)
 
 
 def _scalars(*arrays: Array) -> list[Scalar]:
@@ -245,8 +250,8 @@ def left_out(compiled: Code) -> Iterator[str]:
     yield f"body velocities: {sum(not _varying(x) for x in rates):,} of {len(rates):,} components are zero"
     mass, _ = system.sparse_mass_and_force(trace.q, trace.v, links)
     yield f"mass matrix: {system.nv**2 - len(_entries(mass)):,} of {system.nv**2:,} entries are zero"
-    if system.closures:
-        jacobian = system.loop_terms(links)[1]
+    if system.row_owners:
+        jacobian = system.loop_terms(trace.q, trace.v, links)[1]
         idle = len(jacobian) - len(compiled.rows.numbers)
         size = len(jacobian) * system.nv
         yield f"constraint Jacobian: {size - len(_entries(jacobian)):,} of {size:,} entries are zero"

@@ -3,8 +3,11 @@
 from newton_euler.assemble import assemble
 from newton_euler.batch import simulate_batch
 from newton_euler.control import PD, Sampled
+from newton_euler.couplings import Gear
 from newton_euler.errors import NewtonEulerError
+from newton_euler.forces import JointSpring, PointSpring, Wrench
 from newton_euler.mechanism import Body, Mechanism
+from newton_euler.motions import Polynomial, PrescribedMotion, Sine, Sum
 from newton_euler.scene import Scene
 from newton_euler.simulate import compile_scene, simulate
 from newton_euler.state import State
@@ -13,12 +16,20 @@ from newton_euler.trajectory import Trajectory
 __all__ = [
     "PD",
     "Body",
+    "Gear",
+    "JointSpring",
     "Mechanism",
     "NewtonEulerError",
+    "PointSpring",
+    "Polynomial",
+    "PrescribedMotion",
     "Sampled",
     "Scene",
+    "Sine",
     "State",
+    "Sum",
     "Trajectory",
+    "Wrench",
     "assemble",
     "compile_scene",
     "simulate",

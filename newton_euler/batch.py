@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from newton_euler.errors import IntegrationError, OptionError
+from newton_euler.conversion import check, coordinates
+from newton_euler.errors import IntegrationError, OptionError, UnknownNameError
 from newton_euler.integrate import Options
 from newton_euler.parameters import checked
 from newton_euler.scalars import Array
@@ -56,6 +57,21 @@ class Batch(Sequence[Trajectory]):
         arrays = named(self._compiled, self._results[number])
         settings = self.settings | self._counts[number]
         return native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
+
+    def stacked(self, name: str) -> Array:
+        """An array of all runs at all times, without a copy: `position` is (runs, n, b, 3).
+
+        Not a number in runs that could not go on. Quaternions are as they were computed, whose sign may
+        change from one time to the next; a trajectory's does not.
+
+        Raises:
+            UnknownNameError: for what the scene does not ask for.
+        """
+        places = self._compiled.places
+        if name not in places:
+            raise UnknownNameError("array", name, tuple(places))
+        place, shape = places[name]
+        return self._results[:, :, place].reshape(*self._results.shape[:2], *shape)
 
     def __iter__(self) -> Iterator[Trajectory]:
         return (self[k] for k in range(len(self)))
@@ -117,6 +133,7 @@ def simulate_batch(
                 write_outputs(compiled, march.x, times, march.table, results[k])
             except IntegrationError as error:
                 errors[k] = error
+                results[k] = np.nan
             counts[k] = march.counted
 
     edges = np.linspace(0, len(starts), min(len(starts), PIECES * workers) + 1).astype(int)
@@ -154,14 +171,15 @@ def _starts(
         lengths["states"] = len(states)
     if not lengths or min(lengths.values()) < 1 or len(set(lengths.values())) > 1:
         raise OptionError("states and parameters", lengths, "one state or value a run, of one length")
-    rows = []
-    own = compiled.system.coordinates(scene.initial_state)
-    for k in range(next(iter(lengths.values()))):
-        q, v = own
-        if states is not None:
-            state = states[k]
-            if state is not scene.initial_state:
-                q, v = compiled.system.coordinates(replace(scene, initial_state=state).initial_state)
+    count = next(iter(lengths.values()))
+    starts = np.tile(compiled.start, (count, 1))
+    if states is not None:
+        check(scene, states)
+        q, v = coordinates(compiled.system, states)
+        starts[:, : compiled.size] = np.concatenate([q, v], axis=1)
+    for k in range(count) if parameters else ():
         values = checked(scene, {name: given[k] for name, given in parameters.items()})
-        rows.append(compiled.packed(q, v, values=values))
-    return np.array(rows)
+        for name, value in values.items():
+            place = compiled.place(name)
+            starts[k, place : place + value.size] = value.ravel()
+    return starts

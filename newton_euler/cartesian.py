@@ -16,154 +16,31 @@ from __future__ import annotations
 
 import numpy as np
 
-from newton_euler.constraints import Frame
-from newton_euler.driven import carried_angles, carried_rates, driven
+from newton_euler.cartesian_terms import CartesianTerms
+from newton_euler.couplings import turns
 from newton_euler.errors import SingularityError
-from newton_euler.euler_parameters import matrix_g, matrix_l, rotation
+from newton_euler.euler_parameters import matrix_g, matrix_l
+from newton_euler.forces import power, springs_energy
+from newton_euler.measured import carried_angles, carried_rates
+from newton_euler.reactions import at_joint_points, pushes
 from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros
-from newton_euler.scene import Scene
 from newton_euler.solve import independent_rows
 from newton_euler.sparse import Rows, RowsInUse, Solution, add, dense, factorise, sparse_vector
 from newton_euler.sparse import solve_constrained as sparse_solve
 from newton_euler.state import Evaluation, MassProperties, State, energies
 
 
-def _spread(rows: Rows, start: int, block: Array) -> None:
-    """Add a block (rows, columns) whose first column is `start`."""
-    for row, entries in zip(rows, block, strict=True):
-        for k, entry in enumerate(entries):
-            add(row, start + k, entry)
-
-
-class Cartesian:
+class Cartesian(CartesianTerms):
     """Cartesian formulation of a scene. State: q (7 n,), qdot (7 n,) of the n moving bodies."""
 
     name = "cartesian"
-
-    def __init__(self, scene: Scene, alpha: float = 0.0) -> None:
-        """Baumgarte gains are K_D = 2 alpha, K_P = alpha^2 (Appendix B); none for alpha = 0."""
-        self.scene = scene
-        self.mechanism = scene.mechanism
-        self.equations = scene.mechanism.equations
-        self.bodies = scene.mechanism.bodies[1:]
-        self.nq = self.nv = 7 * len(self.bodies)
-        self.rows = sum(equations.count for equations in self.equations)
-        self.damping, self.stiffness = 2.0 * alpha, alpha * alpha
-        self.driven = driven(
-            [(law, self.equations[self.mechanism.joint_index(law.joint)]) for law in scene.control], self.nq
-        )
-        self.nq += sum(drive.carried is not None for drive in self.driven)
-        size, mass = self.mechanism.size, sum(body.mass for body in self.bodies)
-        self.row_units = np.concatenate([np.zeros(0), *(e.units(size) for e in self.equations)])
-        self.phi_units = np.concatenate([self.row_units, np.ones(len(self.bodies))])
-        self.quaternions = [slice(k + 3, k + 7) for k in range(0, self.nv, 7)]
-        self.velocity_units = np.tile([size] * 3 + [1.0] * 4, len(self.bodies))
-        self.force_units = np.tile([mass * size] * 3 + [mass * size**2] * 3, len(self.bodies))
-
-    # Bodies
-
-    def split(self, q: Array) -> list[tuple[Array, Array]]:
-        """(r, p) of each moving body, or their rates."""
-        return [(q[k : k + 3], q[k + 3 : k + 7]) for k in range(0, self.nv, 7)]
-
-    def frames(self, q: Array, qdot: Array) -> list[Frame]:
-        """Frames of all bodies: R = G L^T, eq. (3), and omega = 2 G pdot."""
-        ground = self.mechanism.bodies[0]
-        frames = [Frame(ground.center_of_mass, ground.pose.rotation, np.zeros(3), np.zeros(3))]
-        for (r, p), (rdot, pdot) in zip(self.split(q), self.split(qdot), strict=True):
-            frames.append(Frame(r, rotation(p), rdot, 2.0 * matrix_g(p) @ pdot))
-        return frames
-
-    # The blocks of equation (21)
-
-    def mass_matrix(self, q: Array) -> Array:
-        """M (6 n, 7 n): N_i and 2 J' L_i on its diagonal."""
-        mass = zeros((6 * len(self.bodies), self.nv), q)
-        for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
-            mass[6 * k : 6 * k + 3, 7 * k : 7 * k + 3] = body.mass * np.eye(3)
-            mass[6 * k + 3 : 6 * k + 6, 7 * k + 3 : 7 * k + 7] = 2.0 * body.inertia @ matrix_l(p)
-        return mass
-
-    def velocity_terms(self, q: Array, qdot: Array) -> Array:
-        """b (6 n,): 0 and L_i H_i pdot_i with H = 4 Ldot^T J' L, eqs (13) and (14)."""
-        b = []
-        for body, (_, p), (_, pdot) in zip(self.bodies, self.split(q), self.split(qdot), strict=True):
-            h = 4.0 * matrix_l(pdot).T @ body.inertia @ matrix_l(p)
-            b.append(np.concatenate([np.zeros(3), matrix_l(p) @ h @ pdot]))
-        return np.concatenate(b)
-
-    def applied(self, q: Array, frames: list[Frame]) -> tuple[Array, Array]:
-        """Actuator forces (a,), and g (6 n,): f_i in the world and n'_i in the body, eq. (24)."""
-        weights = [body.mass * self.scene.gravity for body in self.mechanism.bodies]
-        wrenches = [np.concatenate([weight, np.zeros(3)]) for weight in weights]
-        forces = []
-        for law, drive in zip(self.scene.control, self.driven, strict=True):
-            first, second = drive.bodies
-            x, rate, (r_i, theta_i, r_j, theta_j) = drive.measure(q, frames[first], frames[second])
-            u = law.force(x, rate)
-            wrenches[first] = wrenches[first] + u * np.concatenate([r_i[0], theta_i[0]])
-            wrenches[second] = wrenches[second] + u * np.concatenate([r_j[0], theta_j[0]])
-            forces.append(u)
-        g = [
-            np.concatenate([wrench[:3], frame.rotation.T @ wrench[3:]])
-            for wrench, frame in zip(wrenches[1:], frames[1:], strict=True)
-        ]
-        return np.array(forces), np.concatenate(g)
-
-    def measure(self, q: Array, qdot: Array) -> list[tuple[Scalar, Scalar]]:
-        """Coordinate (m or rad) and rate of each control law."""
-        frames = self.frames(q, qdot)
-        return [drive.measure(q, *(frames[k] for k in drive.bodies))[:2] for drive in self.driven]
-
-    def joint_phi(self, q: Array) -> Array:
-        """Phi(q) (k,), eq. (4)."""
-        frames = self.frames(q, np.zeros(self.nv))
-        return np.concatenate([e.phi(frames[e.first], frames[e.second]) for e in self.equations])
-
-    def joint_gamma(self, frames: list[Frame]) -> Array:
-        """gamma (k,), eq. (5)."""
-        return np.concatenate([e.gamma(frames[e.first], frames[e.second]) for e in self.equations])
-
-    def joint_jacobian(self, q: Array, frames: list[Frame]) -> tuple[Rows, Rows]:
-        """Phi_q (k, 7 n) and B (k, 6 n), as their nonzeros.
-
-        Phi_p = 2 Phi_theta G, since delta theta = 2 G delta p. It makes the paper's
-        B = [Phi_r, 1/2 Phi_p L^T] equal to [Phi_r, Phi_theta R], with no product to work out,
-        because G L^T = R.
-        """
-        phi_q: Rows = []
-        b: Rows = []
-        for e in self.equations:
-            r_i, theta_i, r_j, theta_j = e.jacobian(frames[e.first], frames[e.second])
-            on_q: Rows = [{} for _ in range(e.count)]
-            on_b: Rows = [{} for _ in range(e.count)]
-            for body, phi_r, phi_theta in ((e.first, r_i, theta_i), (e.second, r_j, theta_j)):
-                if body == 0:
-                    continue
-                k = body - 1
-                p = q[7 * k + 3 : 7 * k + 7]
-                _spread(on_q, 7 * k, np.hstack([phi_r, 2.0 * phi_theta @ matrix_g(p)]))
-                _spread(on_b, 6 * k, np.hstack([phi_r, phi_theta @ frames[body].rotation]))
-            phi_q.extend(on_q)
-            b.extend(on_b)
-        return phi_q, b
-
-    def norm_terms(self, q: Array, qdot: Array) -> tuple[Array, Rows, Array]:
-        """1/2 (p^T p - 1) (n,), its Jacobian P (n, 7 n) and c = pdot^T pdot (n,), eqs (1) and (2)."""
-        residual, c = [], []
-        p_rows: Rows = [{} for _ in self.bodies]
-        for k, ((_, p), (_, pdot)) in enumerate(zip(self.split(q), self.split(qdot), strict=True)):
-            residual.append(0.5 * (p @ p - 1.0))
-            _spread(p_rows[k : k + 1], 7 * k + 3, p[None])
-            c.append(pdot @ pdot)
-        return np.array(residual), p_rows, np.array(c)
 
     def system(self, q: Array, qdot: Array) -> tuple[Array, Array]:
         """Matrix and right side of equation (21); its unknowns are (qddot, -lambda)."""
         frames = self.frames(q, qdot)
         mass, velocity = self.mass_matrix(q), self.velocity_terms(q, qdot)
         g = self.applied(q, frames)[1]
-        phi, gamma = self.joint_phi(q), self.joint_gamma(frames)
+        phi, gamma, rate = self.joint_phi(q), self.joint_gamma(q, frames), self.joint_rate(q, frames)
         n6, n7 = len(mass), self.nv
         phi_q, b = (dense(rows, n) for rows, n in zip(self.joint_jacobian(q, frames), (n7, n6), strict=True))
         norm, p_rows, c = self.norm_terms(q, qdot)
@@ -176,7 +53,7 @@ class Cartesian:
             [
                 g - velocity,
                 -c - self.damping * (p_matrix @ qdot) - self.stiffness * norm,
-                gamma - self.damping * (phi_q @ qdot) - self.stiffness * phi,
+                gamma - self.damping * rate - self.stiffness * phi,
             ]
         )
         return matrix, right
@@ -216,15 +93,9 @@ class Cartesian:
         """
         frames = self.frames(q, qdot)
         _, b = self.joint_jacobian(q, frames)
-        right = self.joint_gamma(frames)
-        rates = np.concatenate(
-            [
-                e.jacobian(frames[e.first], frames[e.second]).rate(frames[e.first], frames[e.second])
-                for e in self.equations
-            ]
-        )
+        right = self.joint_gamma(q, frames)
         if self.damping or self.stiffness:
-            right = right - self.damping * rates - self.stiffness * self.joint_phi(q)
+            right = right - self.damping * self.joint_rate(q, frames) - self.stiffness * self.joint_phi(q)
         mass: Rows = [{} for _ in range(6 * len(self.bodies))]
         force = list(self.applied(q, frames)[1])
         scales = []
@@ -274,15 +145,29 @@ class Cartesian:
         """Name of the joint that weighs most in the dependent combination of constraint rows."""
         frames = self.frames(q, np.zeros(self.nv))
         left = np.linalg.svd(dense(self.joint_jacobian(q, frames)[1], 6 * len(self.bodies)))[0][:, -1]
-        owners = np.repeat(np.arange(len(self.equations)), [e.count for e in self.equations])
-        weights = np.bincount(owners, weights=left**2, minlength=len(self.equations))
-        return self.mechanism.joint_names[int(np.argmax(weights))]
+        weights: dict[str, float] = {}
+        for owner, share in zip(self.row_owners, left**2, strict=False):  # the norms are not among them
+            weights[owner] = weights.get(owner, 0.0) + share
+        return max(weights, key=lambda owner: weights[owner])
 
     # What integrators, projection and assembly ask for
 
     def rate(self, q: Array, v: Array) -> Array:
-        """qdot (nq,): the velocities themselves, and the rates of carried angles."""
-        return v if self.nq == self.nv else np.concatenate([v, carried_rates(self.driven, self.frames(q, v))])
+        """qdot (nq,): the velocities themselves, the rates of carried angles, and the power."""
+        if self.nq == self.nv:
+            return v
+        work = [self._power(q, v)] if self.scene.tracks_work else []
+        return np.concatenate([v, carried_rates(self.measured, self.frames(q, v)), work])
+
+    def _power(self, q: Array, v: Array) -> Scalar:
+        """Power, W, of what is not in the potential energy; that of constraints is -lambda . Phi_t."""
+        total = power(self.scene, *self.seen(q, v))
+        if not self.scene.motions:
+            return total
+        if self.in_use is None:
+            return total - self.phi_t()[: self.rows] @ self.solve(q, v)[1]
+        multipliers = self.sparse_solution(q, v, self.in_use).multipliers
+        return total - sum(rate * multipliers.get(k, 0.0) for k, rate in enumerate(self.phi_t()))
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """qddot (7 n,)."""
@@ -292,6 +177,12 @@ class Cartesian:
         """All residuals: Phi(q) and 1/2 (p^T p - 1)."""
         zero = np.zeros(self.nv)
         return np.concatenate([self.joint_phi(q), self.norm_terms(q, zero)[0]])
+
+    def phi_t(self) -> Array:
+        """Partial derivative of `phi` by time."""
+        opening = [coupling.phi_t(self.time) for coupling in self.couplings]
+        scleronomic = np.zeros(self.rows - len(opening))
+        return np.concatenate([scleronomic, opening, np.zeros(len(self.bodies))])
 
     def phi_jacobian(self, q: Array) -> Array:
         """Derivative of `phi` by q."""
@@ -309,7 +200,8 @@ class Cartesian:
         for r, p in self.split(q[: self.nv] + step):
             moved.extend([r, p / sqrt(p @ p)])
         if self.nq > self.nv:
-            moved.append(q[self.nv :] + carried_rates(self.driven, self.frames(q, step)))
+            moved.append(q[self.nv : self.work.start] + carried_rates(self.measured, self.frames(q, step)))
+            moved.append(q[self.work])
         return np.concatenate(moved)
 
     # Between this formulation's coordinates and what everybody understands
@@ -319,13 +211,22 @@ class Cartesian:
         return MassProperties.of(self.mechanism)
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """q and qdot of a state: pdot = 1/2 G^T omega; carried angles within half a turn."""
-        q, v = [], []
+        """q and qdot of a state: pdot = 1/2 G^T omega; no work done.
+
+        Carried angles are within half a turn, or where couplings ask for.
+        """
+        parts, v, frames = [], [], state.frames()
         for k in range(1, len(self.mechanism.bodies)):
             p = state.quaternion[k]
-            q.extend([state.position[k], p])
+            parts.extend([state.position[k], p])
             v.extend([state.linear_velocity[k], 0.5 * matrix_g(p).T @ state.angular_velocity[k]])
-        return np.concatenate([*q, carried_angles(self.driven, state.frames())]), np.concatenate(v)
+        work = np.zeros(self.nq - self.work.start)
+        q = np.concatenate([*parts, carried_angles(self.measured, frames), work])
+        angles = {key: c.carried for key, c in self.measured.items() if c.carried is not None}
+        x = {key: seen.x for key, seen in self._measurements(q, frames).items()}
+        for key, turn in turns(self.couplings, x, angles, self.time).items():
+            q[angles[key]] += turn
+        return q, np.concatenate(v)
 
     def state(self, q: Array, v: Array) -> State:
         """Body poses and velocities; Euler parameters as they are, not normalised."""
@@ -363,22 +264,22 @@ class Cartesian:
             2.0 * matrix_g(p) @ pddot  # omega-dot = 2 G pddot, because Gdot pdot = 0
             for (_, p), (_, pddot) in zip(self.split(q), self.split(qddot), strict=True)
         ]
-        forces, torques, row = [], [], 0
+        arms = []
         for e in self.equations:
-            blocks = e.jacobian(frames[e.first], frames[e.second])
-            share = multipliers[row : row + e.count]
-            row += e.count
-            force, torque = blocks.r_second.T @ share, blocks.theta_second.T @ share  # eq. (17)
             pose = self.mechanism.bodies[e.second].pose
-            s = frames[e.second].rotation @ pose.point_to_body(e.joint.reaction_point)
-            forces.append(force)
-            torques.append(torque - cross(s, force))
+            arms.append(frames[e.second].rotation @ pose.point_to_body(e.joint.reaction_point))
+        found = pushes(self.mechanism, self.equations, self.couplings, self.measured, frames, multipliers)
+        forces, torques = at_joint_points(self.mechanism, arms, found)
+        kinetic, potential = energies(self.scene, frames, [body.inertia for body in self.mechanism.bodies])
+        springs = springs_energy(self.scene, self.poses, frames, self._measurements(q, frames))
         return Evaluation(
             self.state(q, v),
             np.array(linear),
             np.array(angular),
-            np.array(forces),
-            np.array(torques),
+            forces,
+            torques,
             self.applied(q, frames)[0],
-            *energies(self.scene, frames, [body.inertia for body in self.mechanism.bodies]),
+            kinetic,
+            potential + springs,
+            q[self.work][0] if self.scene.tracks_work else None,
         )

@@ -24,6 +24,7 @@ from newton_euler.scalars import Array, Scalar, minimum
 from newton_euler.scene import Scene
 from newton_euler.sparse import RowsInUse, least_squares
 from newton_euler.stabilize import PAPER_ALPHA, baumgarte_alpha
+from newton_euler.system import at_time
 
 Formulation = Relative | Cartesian
 
@@ -50,7 +51,8 @@ class Code:
         parameters: names of the parameters that are inputs of the code, with their shapes.
         size: length of (q, v).
         inputs: length of (q, v, time, parameters).
-        programs: what has been traced, by name: derivative, position, velocity, rate, jacobian, output.
+        programs: what has been traced, by name: derivative, position, velocity, rate, jacobian, output,
+            measured, surface.
         functions: the same in native code.
         trace_time, compile_time: s that it took so far; loading from the cache counts as compiling.
     """
@@ -67,12 +69,8 @@ class Code:
         self.formulation, self.stabilization, self.alpha = formulation, stabilization, alpha
         self._alpha = baumgarte_alpha(stabilization, alpha)
         self.system = formulate(scene, formulation, self._alpha)
-        own = parameter_values(scene)
-        for name in parameters:
-            if name not in own:
-                raise UnknownNameError("parameter", name, tuple(own))
-        self.parameters = {name: own[name].shape for name in parameters}
-        self.parameters |= {f"{place_of(law)}.held": () for law in scene.sampled}
+        names = [*parameters, *(f"{place_of(law)}.held" for law in scene.sampled)]
+        self.parameters = {name: value.shape for name, value in parameter_values(scene, names).items()}
         self.size = self.system.nq + self.system.nv
         self.inputs = self.size + 1 + sum(int(np.prod(shape)) for shape in self.parameters.values())
         self.programs: dict[str, Program] = {}
@@ -112,7 +110,7 @@ class Code:
         """One of the functions, traced and compiled if it has not been."""
         if name not in self.functions:
             program = self.program(name)
-            function = self.functions[name] = NativeFunction(program)
+            function = self.functions[name] = NativeFunction(program, many=name == "output")
             self.compile_time += function.module.time
         return self.functions[name]
 
@@ -125,8 +123,9 @@ class Code:
         return self.programs[name]
 
     @cached_property
-    def _rows(self) -> tuple[RowsInUse, bool]:
-        return rows_in_use(self.system)
+    def _rows(self) -> tuple[RowsInUse, list[int]]:
+        with np.errstate(all="ignore"):  # forces that overflow are for the march to report
+            return rows_in_use(self.system)
 
     @property
     def rows(self) -> RowsInUse:
@@ -136,20 +135,25 @@ class Code:
     @property
     def redundant(self) -> bool:
         """Whether reactions are not unique."""
-        return self._rows[1]
+        return len(self._rows[1]) > 0
+
+    @property
+    def redundant_joints(self) -> tuple[str, ...]:
+        """Names of joints and gears with equations that follow from the others, in order."""
+        used = set(self.rows.numbers)
+        return tuple(dict.fromkeys(n for k, n in enumerate(self.system.row_owners) if k not in used))
 
     def packed(self, q: Array, v: Array, time: float = 0.0, values: dict[str, Array] | None = None) -> Array:
         """x (inputs,) for native functions; parameters not in `values` are the scene's own."""
-        own = parameter_values(self.scene) | (values or {})
-        given = [np.ravel(own.get(name, 0.0)) for name in self.parameters]  # nothing is held at first
-        return np.concatenate([q, v, [time], *given])
+        own = parameter_values(self.scene, self.parameters) | (values or {})
+        return np.concatenate([q, v, [time], *(np.ravel(own[name]) for name in self.parameters)])
 
     def float_system(self, x: Array) -> Formulation:
-        """The float form at the parameters in x (inputs,)."""
+        """The float form at the time and the parameters in x (inputs,)."""
         if not self.parameters:
-            return self.system
+            return at_time(self.system, x[self.size])
         scene = with_values(self.scene, self._values(x))
-        return formulate(scene, self.formulation, self._alpha)
+        return at_time(formulate(scene, self.formulation, self._alpha), x[self.size])
 
     def place(self, parameter: str) -> int:
         """Where a parameter begins in x (inputs,)."""
@@ -179,7 +183,9 @@ class Code:
         graph = Graph()
         x = graph.variables(self.inputs)
         scene = with_values(self.scene, self._values(x))
-        system = formulate(scene, self.formulation, self._alpha)
+        system = at_time(formulate(scene, self.formulation, self._alpha), x[self.size])
+        if self.scene.motions:
+            system.in_use = self.rows
         q, v = x[: system.nq], x[system.nq : self.size]
         return graph.prune(getattr(self, f"_trace_{name}")(system, q, v))
 
@@ -213,8 +219,8 @@ class Code:
         return [*q, *(v - step), phi @ phi, health]
 
     def _correction(self, system: Formulation, q: Array, v: Array | None) -> tuple[Array, Array, Scalar]:
-        """Residuals, the least step (nv,) that removes them or J v, and its health; all dimensionless
-        but the step."""
+        """Residuals, the least step (nv,) that removes them or their rate at v, and its health; all
+        dimensionless but the step."""
         units = system.velocity_units
         phi, jacobian = system.phi_and_jacobian(q)
         rows = [
@@ -224,9 +230,22 @@ class Code:
         phi = phi / system.phi_units
         right = phi[self.rows.numbers]
         if v is not None:
-            right = np.array([sum(x * (v[k] / units[k]) for k, x in row.items()) for row in rows])
+            opening = (system.phi_t() / system.phi_units)[self.rows.numbers]
+            right = opening + [sum(x * (v[k] / units[k]) for k, x in row.items()) for row in rows]
         step, health = least_squares(rows, right)
         return phi, np.array([units[k] * step.get(k, 0.0) for k in range(system.nv)]), minimum(health, 1.0)
+
+    def _trace_surface(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
+        """(Phi, dPhi/dt, nonzeros of Phi_q, nonzeros of M); where these are is in `patterns`."""
+        phi, jacobian = system.phi_and_jacobian(q)
+        rates = [sum(x * v[k] for k, x in row.items()) for row in jacobian]
+        scalars = [*phi, *(np.array(rates) + system.phi_t())]
+        places = []
+        for rows in (jacobian, system.mass_rows(q)):
+            places.append(np.array([(i, k) for i, row in enumerate(rows) for k in row], int).reshape(-1, 2))
+            scalars.extend(x for row in rows for x in row.values())
+        self.patterns = places[0], places[1]
+        return scalars
 
     def _trace_output(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """The arrays that the scene asks for, one after the other: see `places`."""
@@ -243,6 +262,8 @@ class Code:
         if "energy" in wanted:
             arrays["kinetic_energy"] = np.array(e.kinetic_energy)
             arrays["potential_energy"] = np.array(e.potential_energy)
+        if self.scene.tracks_work:
+            arrays["work"] = np.array(e.work)
         if "violation" in wanted:
             arrays["phi"] = system.joint_phi(q)
         if "reactions" in wanted:

@@ -174,13 +174,48 @@ class Displacement:
 
 
 @dataclass(frozen=True, eq=False)
+class Distance:
+    """(d . d - L^2) / (2 L), d from point s_first of body i to point s_second of body j: |d| stays L.
+
+    To first order it is the rod's elongation in metres, and its multiplier the force along the rod
+    (Nikravesh, section 7.2.9, there without the 2 L).
+    """
+
+    s_first: Array
+    s_second: Array
+    length: float
+    is_length = True
+    count = 1
+
+    def _vectors(self, first: Frame, second: Frame) -> tuple[Array, Array, Array]:
+        s_i, s_j = first.rotation @ self.s_first, second.rotation @ self.s_second
+        return s_i, s_j, second.position + s_j - first.position - s_i
+
+    def phi(self, first: Frame, second: Frame) -> Array:
+        d = self._vectors(first, second)[2]
+        return np.array([0.5 * ((d @ d) / self.length - self.length)])
+
+    def jacobian(self, first: Frame, second: Frame) -> Jacobian:
+        s_i, s_j, d = self._vectors(first, second)
+        along = d / self.length
+        return Jacobian(-along[None], cross(along, s_i)[None], along[None], cross(s_j, along)[None])
+
+    def gamma(self, first: Frame, second: Frame) -> Array:
+        s_i, s_j, d = self._vectors(first, second)
+        wi, wj = first.angular_velocity, second.angular_velocity
+        d_rate = second.velocity + cross(wj, s_j) - first.velocity - cross(wi, s_i)
+        bend = d @ (_centripetal(wj, s_j) - _centripetal(wi, s_i))
+        return np.array([-(d_rate @ d_rate + bend) / self.length])
+
+
+@dataclass(frozen=True, eq=False)
 class Angle:
     """The angle, in (-pi, pi], by which body j is turned against body i about an axis of body i.
 
     The pointer is a vector of body j; u and w of body i complete the axis to a right-handed
     orthonormal triad (u, w, axis) and the angle is that of the pointer in the plane of u and w.
     Its gradient is the axis itself wherever j can turn against i about that axis and, at most,
-    about the pointer: revolute, cylindrical and universal joints.
+    about the pointer: revolute, cylindrical, planar and universal joints.
     """
 
     u_first: Array

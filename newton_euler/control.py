@@ -45,17 +45,26 @@ class PD:
     parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "target")
 
     def __post_init__(self) -> None:
-        where = f"control of joint {self.joint!r}"
+        where = self.element
         for name in self.parameters:
             value = getattr(self, name)
             if not is_finite_number(value):
                 raise MechanismError(where, f"{name} is {value!r}", "a finite number")
             object.__setattr__(self, name, float(value))
-        _check_coordinate(where, self.coordinate)
+        check_coordinate(where, self.coordinate)
+
+    @property
+    def element(self) -> str:
+        """What errors call it."""
+        return f"control of joint {self.joint!r}"
 
     def force(self, x: Scalar, x_rate: Scalar) -> Scalar:
         """The generalized force (N or N m) at coordinate x (m or rad) and its rate."""
         return -(self.stiffness * (x - self.target) + self.damping * x_rate)
+
+    def power(self, x: Scalar, x_rate: Scalar) -> Scalar:
+        """Power of the actuator, W."""
+        return self.force(x, x_rate) * x_rate
 
 
 Controller = Callable[[float, Array, Array], float]
@@ -91,23 +100,33 @@ class Sampled:
     parameters: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
-        where = f"control of joint {self.joint!r}"
+        where = self.element
         if not callable(self.controller):
             raise MechanismError(where, f"controller is {self.controller!r}", "something to call")
         if not is_finite_number(self.period) or self.period < SHORTEST_PERIOD:
             needed = f"a number of seconds, at least {SHORTEST_PERIOD:g}"
             raise MechanismError(where, f"period is {self.period!r}", needed)
         object.__setattr__(self, "period", float(self.period))
-        _check_coordinate(where, self.coordinate)
+        check_coordinate(where, self.coordinate)
+
+    @property
+    def element(self) -> str:
+        """What errors call it."""
+        return f"control of joint {self.joint!r}"
 
     def force(self, x: Scalar, x_rate: Scalar) -> Scalar:
         """The generalized force (N or N m): what is held."""
         return self.held
 
+    def power(self, x: Scalar, x_rate: Scalar) -> Scalar:
+        """Power of the actuator, W."""
+        return self.held * x_rate
+
 
 Law = PD | Sampled
 
 
-def _check_coordinate(where: str, coordinate: object) -> None:
+def check_coordinate(where: str, coordinate: object) -> None:
+    """Raise `MechanismError` for what is no whole number."""
     if not isinstance(coordinate, Integral) or isinstance(coordinate, bool):
         raise MechanismError(where, f"coordinate is {coordinate!r}", "an index from 0")

@@ -101,8 +101,9 @@ def continuous(quaternions: Array, first: Array) -> Array:
     `first` (..., 4) decides the sign at index 0.
     """
     out = np.array(quaternions, dtype=float)
-    reference = np.asarray(first, dtype=float)
-    dots = np.sum(out * np.concatenate([reference[None], out[:-1]]), axis=-1)
-    signs = np.where(dots < 0.0, -1.0, 1.0)
-    out *= np.cumprod(signs, axis=0)[..., None]
+    dots = np.empty(out.shape[:-1])
+    np.einsum("...i,...i", out[:1], np.asarray(first, dtype=float), out=dots[:1])
+    np.einsum("...i,...i", out[1:], out[:-1], out=dots[1:])
+    if np.any(dots < 0.0):
+        out *= np.cumprod(np.where(dots < 0.0, -1.0, 1.0), axis=0)[..., None]
     return out

@@ -12,7 +12,7 @@ import numpy as np
 from newton_euler.errors import IntegrationError, OptionError, UnknownNameError
 from newton_euler.scalars import Array
 from newton_euler.stabilize import project_position, project_velocity
-from newton_euler.system import System
+from newton_euler.system import System, at_time
 
 ADAPTIVE = ("DOP853", "Radau")
 """Runge-Kutta of order 8 (Hairer, Norsett, Wanner, Solving ODEs I, 1993, section II.5) and the stiff
@@ -89,18 +89,20 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
         evaluations += 1
         q, v = y[: system.nq], y[system.nq :]
         with np.errstate(over="ignore", invalid="ignore"):  # checked on the next line
-            rates = np.concatenate([system.rate(q, v), system.acceleration(q, v)])
+            now = at_time(system, t)
+            rates = np.concatenate([now.rate(q, v), now.acceleration(q, v)])
         if not np.all(np.isfinite(rates)):
             raise IntegrationError(t, "accelerations are not finite")
         return rates
 
-    def project(y: Array) -> Array:
+    def project(t: float, y: Array) -> Array:
         if not options.projection:
             return y
-        q = project_position(system, y[: system.nq])
-        return np.concatenate([q, project_velocity(system, q, y[system.nq :])])
+        now = at_time(system, t)
+        q = project_position(now, y[: system.nq])
+        return np.concatenate([q, project_velocity(now, q, y[system.nq :])])
 
-    start = project(np.concatenate([q, v]))
+    start = project(float(times[0]), np.concatenate([q, v]))
     march = _march_adaptive if options.integrator in ADAPTIVE else _march_fixed
     marched = list(march(system, derivative, project, start, times, options))
     steps = marched[-1][0]
@@ -111,7 +113,7 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
 
 
 Derivative = Callable[[float, Array], Array]
-Projection = Callable[[Array], Array]
+Projection = Callable[[float, Array], Array]
 
 
 def _march_adaptive(
@@ -134,10 +136,10 @@ def _march_adaptive(
         if times[due] <= solver.t:
             dense = solver.dense_output()
             while due < len(times) and times[due] <= solver.t:
-                yield steps, project(dense(times[due]))
+                yield steps, project(times[due], dense(times[due]))
                 due += 1
         if options.projection:
-            solver.y = project(solver.y)
+            solver.y = project(solver.t, solver.y)
             solver.f = derivative(solver.t, solver.y)
 
 
@@ -152,7 +154,7 @@ def _march_fixed(
         count = max(1, int(np.ceil((end - begin) / options.step * (1.0 - 1e-9))))
         h = (end - begin) / count
         for k in range(count):
-            y = project(advance(system, derivative, begin + k * h, y, h))
+            y = project(begin + (k + 1) * h, advance(system, derivative, begin + k * h, y, h))
             if not np.all(np.isfinite(y)):
                 raise IntegrationError(float(begin + (k + 1) * h), "the solution is not finite")
         steps += count

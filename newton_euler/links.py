@@ -48,13 +48,15 @@ def tree_links(mechanism: Mechanism, tree: SpanningTree, q: Array, v: Array) -> 
     root = Link(frame, zero, zero, [], none, none, np.array([1.0, 0.0, 0.0, 0.0]))
     links: dict[int, Link] = {0: root}
     for joint in tree.joints:
-        links[joint.child] = _child(mechanism, joint, links[joint.parent], q[joint.q], v[joint.v])
+        links[joint.child] = _child(mechanism, tree, joint, links[joint.parent], q[joint.q], v[joint.v])
     return [links[k] for k in range(len(mechanism.bodies))]
 
 
-def _child(mechanism: Mechanism, joint: TreeJoint, parent: Link, q: Array, v: Array) -> Link:
+def _child(
+    mechanism: Mechanism, tree: SpanningTree, joint: TreeJoint, parent: Link, q: Array, v: Array
+) -> Link:
     """Kinematics of a joint's child, motion by motion from its parent."""
-    point = mechanism.joints[joint.joint].reaction_point
+    point = tree.joint(joint.joint).reaction_point
     r, a, velocity, omega = parent.frame
     acceleration, alpha = parent.acceleration, parent.angular_acceleration
     orientation = parent.orientation

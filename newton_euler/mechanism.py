@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from newton_euler.constraints import Frame
+from newton_euler.couplings import Gear, check_gears
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.euler_parameters import rotation
 from newton_euler.joints import Joint, JointEquations, Pose
@@ -113,22 +114,27 @@ class Mechanism:
     Attributes:
         bodies: `bodies[0]` is the ground; it never moves.
         joints: in the order in which constraint rows and reactions are listed.
+        couplings: gears between joint coordinates.
     """
 
-    def __init__(self, bodies: Iterable[Body], joints: Iterable[Joint]) -> None:
+    def __init__(
+        self, bodies: Iterable[Body], joints: Iterable[Joint], couplings: Iterable[Gear] = ()
+    ) -> None:
         self.bodies = tuple(bodies)
         self.joints = tuple(joints)
+        self.couplings = tuple(couplings)
         if len(self.bodies) < 2:
             raise MechanismError(
                 "mechanism", f"has {len(self.bodies)} bodies", "the ground and at least one more"
             )
-        for joint in self.joints:
-            if not isinstance(joint.name, str) or not _NAME.fullmatch(joint.name):
-                raise MechanismError(
-                    f"joint {joint.name!r}", "has an unusable name", "letters, digits, _, . and - only"
-                )
-        for what, elements in (("body", self.bodies), ("joint", self.joints)):
-            for name, count in Counter(element.name for element in elements).items():
+        for what, elements in (("joint", self.joints), ("gear", self.couplings)):
+            for element in elements:
+                if not isinstance(element.name, str) or not _NAME.fullmatch(element.name):
+                    raise MechanismError(
+                        f"{what} {element.name!r}", "has an unusable name", "letters, digits, _, . and - only"
+                    )
+        for what, named in (("body", self.bodies), ("joint", self.joints)):
+            for name, count in Counter(element.name for element in named).items():
                 if count > 1:
                     raise MechanismError(f"{what} {name!r}", f"{count} of that name", "unique names")
         for body in self.bodies:
@@ -140,6 +146,7 @@ class Mechanism:
         for body in self.bodies[1:]:
             body.check()
         self._check_joints()
+        check_gears(self.couplings, self)
 
     def _check_joints(self) -> None:
         for joint in self.joints:

@@ -1,16 +1,25 @@
 """Numbers of a scene that may change from run to run without a new compilation.
 
-A parameter has a name, `gravity`, `BODY.mass`, `BODY.inertia`, `JOINT.stiffness`, `JOINT.damping` or
-`JOINT.target` (of the control law at a joint; `JOINT.1.target` for its second coordinate), and a value
-of the shape that the scene has there. Geometry is not among them: it moves the closed configurations,
-so that a run would need another start. How near a configuration is to a singular one is judged by the
-scene's own values: masses that are many orders away from them make runs slower, not wrong.
+A parameter has a name and a value of the shape that the scene has there:
+
+- `gravity`, `BODY.mass`, `BODY.inertia`;
+- `JOINT.stiffness`, `JOINT.damping`, `JOINT.target` of the control law at a joint, `JOINT.1.target` for
+  its second coordinate;
+- `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
+  `JOINT.1.spring.rest` for its second coordinate;
+- `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points;
+- `NAME.force`, `NAME.torque` of a wrench.
+
+A name that stands for two of these cannot be used. Geometry is not among them: it moves the closed
+configurations, so that a run would need another start. How near a configuration is to a singular one
+is judged by the scene's own values: masses that are many orders away from them make runs slower, not
+wrong.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -18,6 +27,7 @@ import numpy as np
 
 from newton_euler.control import Law
 from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.forces import Force, JointSpring, PointSpring, Wrench
 from newton_euler.mechanism import Body
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -25,20 +35,58 @@ from newton_euler.scene import Scene
 T = TypeVar("T")
 
 
-def place_of(law: Law) -> str:
-    """What names of a control law's parameters begin with."""
-    return law.joint if law.coordinate == 0 else f"{law.joint}.{law.coordinate}"
+def place_of(force: Law | Force) -> str:
+    """What names of a control law's or force's parameters begin with."""
+    if isinstance(force, PointSpring | Wrench):
+        return force.name
+    place = force.joint if force.coordinate == 0 else f"{force.joint}.{force.coordinate}"
+    return f"{place}.spring" if isinstance(force, JointSpring) else place
 
 
-def parameter_values(scene: Scene) -> dict[str, Array]:
-    """All parameters of a scene with its own values: () or (3,) or (3, 3) floats each."""
-    values: dict[str, Any] = {"gravity": scene.gravity}
-    for body in scene.mechanism.bodies[1:]:
-        values[f"{body.name}.mass"], values[f"{body.name}.inertia"] = body.mass, body.inertia
-    for law in scene.control:
-        for name in law.parameters:
-            values[f"{place_of(law)}.{name}"] = getattr(law, name)
-    return {name: np.asarray(value, dtype=float) for name, value in values.items()}
+Owner = tuple[str, int, str]
+"""Where a parameter is: "bodies", "control" or "forces", which of them, and the attribute."""
+
+
+def _owners(scene: Scene) -> dict[str, list[Owner]]:
+    """Where what a name stands for is; all but gravity."""
+    found: dict[str, list[Owner]] = {}
+    for k, body in enumerate(scene.mechanism.bodies[1:], start=1):
+        for attribute in ("mass", "inertia"):
+            found.setdefault(f"{body.name}.{attribute}", []).append(("bodies", k, attribute))
+    for what, forces in (("control", scene.control), ("forces", scene.forces)):
+        for k, force in enumerate(forces):
+            for attribute in force.parameters or ("held",):
+                found.setdefault(f"{place_of(force)}.{attribute}", []).append((what, k, attribute))
+    return found
+
+
+def _owner(owners: dict[str, list[Owner]], name: str) -> Owner:
+    """Where a parameter is; raises `UnknownNameError`, or `MechanismError` if the name stands for two."""
+    if name not in owners:
+        raise UnknownNameError("parameter", name, ("gravity", *owners))
+    if len(owners[name]) > 1:
+        raise MechanismError(f"parameter {name!r}", "stands for two values", "other names of the elements")
+    return owners[name][0]
+
+
+def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[str, Array]:
+    """The scene's own values of these or of all of its parameters: () or (3,) or (3, 3) floats each.
+
+    Raises:
+        UnknownNameError: for a name that is no parameter of the scene.
+        MechanismError: for a name that stands for two.
+    """
+    parts = {"bodies": scene.mechanism.bodies, "control": scene.control, "forces": scene.forces}
+    owners = _owners(scene)
+    values: dict[str, Array] = {}
+    for name in ("gravity", *owners) if names is None else names:
+        if name == "gravity":
+            value: Any = scene.gravity
+        else:
+            what, k, attribute = _owner(owners, name)
+            value = getattr(parts[what][k], attribute)
+        values[name] = np.asarray(value, dtype=float)
+    return values
 
 
 def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
@@ -46,13 +94,11 @@ def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
-        MechanismError: for a value that the scene itself would refuse.
+        MechanismError: for a name that stands for two, and for a value that the scene itself would refuse.
     """
-    own = parameter_values(scene)
+    own = parameter_values(scene, values)
     arrays = {}
     for name, value in values.items():
-        if name not in own:
-            raise UnknownNameError("parameter", name, tuple(own))
         try:
             array = np.array(value, dtype=float)
         except (TypeError, ValueError):
@@ -73,21 +119,23 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 
 def _substitute(scene: Scene, values: Mapping[str, Any], change: Callable[..., Any]) -> Scene:
-    bodies, control = list(scene.mechanism.bodies), list(scene.control)
+    parts: dict[str, list[Any]] = {
+        "bodies": list(scene.mechanism.bodies),
+        "control": list(scene.control),
+        "forces": list(scene.forces),
+    }
+    owners = _owners(scene)
     fields: dict[str, Any] = {}
     for name, value in values.items():
         if name == "gravity":
             fields["gravity"] = value
-            continue
-        owner, attribute = name.rsplit(".", 1)
-        if attribute in ("mass", "inertia"):
-            k = scene.mechanism.body_index(owner)
-            bodies[k] = change(bodies[k], **{attribute: value})
         else:
-            k = next(k for k, law in enumerate(control) if owner == place_of(law))
-            control[k] = change(control[k], **{attribute: value})
-    mechanism = _altered(scene.mechanism, bodies=tuple(bodies))
-    return _altered(scene, mechanism=mechanism, control=tuple(control), **fields)
+            what, k, attribute = _owner(owners, name)
+            parts[what][k] = change(parts[what][k], **{attribute: value})
+    mechanism = _altered(scene.mechanism, bodies=tuple(parts.pop("bodies")))
+    for what, elements in parts.items():
+        fields[what] = tuple(elements)
+    return _altered(scene, mechanism=mechanism, **fields)
 
 
 def _altered(thing: T, **fields: Any) -> T:
@@ -99,7 +147,7 @@ def _altered(thing: T, **fields: Any) -> T:
 
 
 def _rebuilt(thing: T, **fields: Any) -> T:
-    """A copy of a body or control law that has checked its new values."""
+    """A copy of a body, control law or force that has checked its new values."""
     made = replace(thing, **fields)  # type: ignore[type-var]
     if isinstance(made, Body):
         made.check()

@@ -49,10 +49,10 @@ CLOSED = 1e-11
 """Residual, dimensionless, of a configuration that is near enough to the constraints to be looked at."""
 
 
-def rows_in_use(system: Formulation) -> tuple[RowsInUse, bool]:
+def rows_in_use(system: Formulation) -> tuple[RowsInUse, list[int]]:
     """The rows of `system.phi_and_jacobian` that are independent and imply all others.
 
-    Also whether any other row is not zero everywhere: then multipliers are not unique.
+    Also which of the others are not zero everywhere: then multipliers are not unique.
     """
     q, _ = system.coordinates(system.scene.initial_state)
     rng = np.random.default_rng(0)
@@ -78,7 +78,7 @@ def rows_in_use(system: Formulation) -> tuple[RowsInUse, bool]:
             [solution.mass_pivots for solution in solutions],
         )
     )
-    return RowsInUse(best, scales, mass_scales), len(best) < len(alive)
+    return RowsInUse(best, scales, mass_scales), sorted(alive - set(best))
 
 
 def _dimensionless(system: Formulation, jacobian: Rows) -> Rows:

@@ -20,176 +20,28 @@ Body frames are those of the tree: parallel to the world at the initial pose.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
-
 import numpy as np
 
-from newton_euler.constraints import Frame, Jacobian
-from newton_euler.driven import carried_angles, carried_rates, driven
+from newton_euler.constraints import Frame
+from newton_euler.couplings import turns
 from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import product
-from newton_euler.links import Link, tree_links
-from newton_euler.scalars import Array, Scalar, cross, zeros
-from newton_euler.scene import Scene
+from newton_euler.forces import power, springs_energy
+from newton_euler.links import Link
+from newton_euler.measured import carried_angles, carried_rates
+from newton_euler.reactions import tree_reactions
+from newton_euler.relative_terms import RelativeTerms
+from newton_euler.scalars import Array, Scalar
 from newton_euler.solve import solve_constrained
-from newton_euler.sparse import Rows, RowsInUse, Solution, add, dense, factorise, sparse_vector
+from newton_euler.sparse import Rows, RowsInUse, Solution, dense, factorise, sparse_vector
 from newton_euler.sparse import solve_constrained as sparse_solve
 from newton_euler.state import Evaluation, MassProperties, State, energies
-from newton_euler.tree import SpanningTree
 
 
-class Measured(NamedTuple):
-    """The joint coordinate (m or rad) of a control law, its rate, and that as a row over v."""
-
-    coordinate: Scalar
-    rate: Scalar
-    jacobian: dict[int, Scalar]
-
-
-class Relative:
+class Relative(RelativeTerms):
     """Joint-coordinate formulation of a scene. State: q (nq,), v (nv,) of the spanning tree."""
 
     name = "relative"
-
-    def __init__(self, scene: Scene, alpha: float = 0.0) -> None:
-        """Baumgarte gains of the loops are K_D = 2 alpha, K_P = alpha^2; none for alpha = 0."""
-        self.scene = scene
-        self.mechanism = scene.mechanism
-        self.tree = SpanningTree(scene.mechanism)
-        self.closures = [self.tree.equations(k) for k in self.tree.cuts]
-        self.nq, self.nv = self.tree.nq, self.tree.nv
-        self.damping, self.stiffness = 2.0 * alpha, alpha * alpha
-        self.inertias = [
-            a0 @ body.inertia @ a0.T
-            for a0, body in zip(self.tree.initial_rotations, self.mechanism.bodies, strict=True)
-        ]
-        cut = [law for law in scene.control if self.mechanism.joint_index(law.joint) in self.tree.cuts]
-        self.driven = driven(
-            [(law, self.tree.equations(self.mechanism.joint_index(law.joint))) for law in cut], self.tree.nq
-        )
-        self.nq += sum(drive.carried is not None for drive in self.driven)
-        size = self.mechanism.size
-        self.phi_units = np.concatenate([np.zeros(0), *(closure.units(size) for closure in self.closures)])
-        self.velocity_units = self.tree.velocity_units
-        self.quaternions = [on_q for motion, on_q, _ in self.tree.motions if motion.kind == "ball"]
-
-    # Kinematics
-
-    def links(self, q: Array, v: Array) -> list[Link]:
-        """Kinematics of all bodies, ground first."""
-        return tree_links(self.mechanism, self.tree, q, v)
-
-    # Terms of the equations of motion
-
-    def world_inertia(self, body: int, link: Link) -> Array:
-        """(3, 3) inertia of a body about its centre of mass, world frame."""
-        a = link.frame.rotation
-        return a @ self.inertias[body] @ a.T
-
-    def inertial_wrench(
-        self, body: int, link: Link, acceleration: Array, alpha: Array
-    ) -> tuple[Array, Array]:
-        """Force and torque about the centre of mass that a body needs to accelerate so, less gravity."""
-        inertia = self.world_inertia(body, link)
-        omega = link.frame.angular_velocity
-        force = self.mechanism.bodies[body].mass * (acceleration - self.scene.gravity)
-        return force, inertia @ alpha + cross(omega, inertia @ omega)
-
-    def body_terms(self, links: list[Link]) -> Iterator[tuple[list[int], Array, Array]]:
-        """What each body adds to M and to f: (path, block (p, p), (p,))."""
-        for body, link in enumerate(links[1:], start=1):
-            inertia = self.world_inertia(body, link)
-            block = (
-                self.mechanism.bodies[body].mass * (link.linear.T @ link.linear)
-                + link.angular.T @ inertia @ link.angular
-            )
-            f, n = self.inertial_wrench(body, link, link.acceleration, link.angular_acceleration)
-            yield link.path, block, -(link.linear.T @ f + link.angular.T @ n)
-
-    def mass_and_force(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
-        """M (nv, nv) and f (nv,) of the tree, actuation included."""
-        mass, force = np.zeros((self.nv, self.nv)), self.actuation(q, v, links)[1]
-        for path, block, share in self.body_terms(links):
-            mass[np.ix_(path, path)] += block
-            force[path] += share
-        return mass, force
-
-    def sparse_mass_and_force(self, q: Array, v: Array, links: list[Link]) -> tuple[Rows, Array]:
-        """The same over generic scalars, M as its nonzeros."""
-        mass: Rows = [{} for _ in range(self.nv)]
-        force = self.actuation(q, v, links)[1].astype(object)
-        for path, block, share in self.body_terms(links):
-            for n, i in enumerate(path):
-                force[i] = force[i] + share[n]
-                for m, j in enumerate(path):
-                    add(mass[i], j, block[n, m])
-        return mass, force
-
-    def measured(self, q: Array, v: Array, links: list[Link]) -> list[Measured]:
-        """What each control law sees, and how a force on it acts on the joint coordinates."""
-        found = []
-        cut = iter(self.driven)
-        for law in self.scene.control:
-            place = self.tree.place(law.joint, law.coordinate)
-            if place is not None:
-                found.append(Measured(q[place[0]], v[place[1]], {place[1]: 1.0}))
-            else:
-                drive = next(cut)
-                first, second = (links[body] for body in drive.bodies)
-                x, rate, jacobian = drive.measure(q, first.frame, second.frame)
-                found.append(Measured(x, rate, self._project(jacobian, first, second)[0]))
-        return found
-
-    def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Coordinate (m or rad) and rate of each control law."""
-        return [(seen.coordinate, seen.rate) for seen in self.measured(q, v, self.links(q, v))]
-
-    def actuation(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
-        """Actuator forces (a,), and what they do to the joint coordinates (nv,)."""
-        forces, generalized = [], zeros(self.nv, q, v)
-        for law, seen in zip(self.scene.control, self.measured(q, v, links), strict=True):
-            u = law.force(seen.coordinate, seen.rate)
-            for k, entry in seen.jacobian.items():
-                generalized[k] += entry * u
-            forces.append(u)
-        return np.array(forces), generalized
-
-    def _project(self, jacobian: Jacobian, first: Link, second: Link) -> Rows:
-        """The rows of a two-body Jacobian in joint coordinates, as their nonzeros."""
-        r_i, theta_i, r_j, theta_j = jacobian
-        rows: Rows = [{} for _ in r_i]
-        for link, block in (
-            (first, r_i @ first.linear + theta_i @ first.angular),
-            (second, r_j @ second.linear + theta_j @ second.angular),
-        ):
-            for row, entries in zip(rows, block, strict=True):
-                for k, entry in zip(link.path, entries, strict=True):
-                    add(row, k, entry)
-        return rows
-
-    def loop_terms(self, links: list[Link]) -> tuple[Array, Rows, Array]:
-        """Phi (k,), the nonzeros of J (k, nv) and the stabilised gamma (k,) of the loop closures."""
-        phis, gammas = [np.zeros(0)], [np.zeros(0)]
-        jacobian: Rows = []
-        for closure in self.closures:
-            first, second = links[closure.first], links[closure.second]
-            blocks = closure.jacobian(first.frame, second.frame)
-            phi = closure.phi(first.frame, second.frame)
-            gamma = (
-                closure.gamma(first.frame, second.frame)
-                - blocks.r_first @ first.acceleration
-                - blocks.theta_first @ first.angular_acceleration
-                - blocks.r_second @ second.acceleration
-                - blocks.theta_second @ second.angular_acceleration
-            )
-            if self.damping or self.stiffness:
-                rate = blocks.rate(first.frame, second.frame)
-                gamma = gamma - self.damping * rate - self.stiffness * phi
-            phis.append(phi)
-            gammas.append(gamma)
-            jacobian.extend(self._project(blocks, first, second))
-        return np.concatenate(phis), jacobian, np.concatenate(gammas)
 
     # What integrators, projection and assembly ask for
 
@@ -198,7 +50,18 @@ class Relative:
         rates = self.tree.rate(q, v)
         if self.nq == self.tree.nq:
             return rates
-        return np.concatenate([rates, carried_rates(self.driven, self._frames(q, v))])
+        work = [self._power(q, v)] if self.scene.tracks_work else []
+        return np.concatenate([rates, carried_rates(self.between, self._frames(q, v)), work])
+
+    def _power(self, q: Array, v: Array) -> Scalar:
+        """Power, W, of what is not in the potential energy; that of constraints is -lambda . Phi_t."""
+        total = power(self.scene, *self.seen(q, v))
+        if not self.scene.motions:
+            return total
+        if self.in_use is None:
+            return total - self.phi_t() @ self._solve(q, v, self.links(q, v))[1]
+        multipliers = self.sparse_solution(q, v, self.in_use).multipliers
+        return total - sum(rate * multipliers.get(k, 0.0) for k, rate in enumerate(self.phi_t()))
 
     def _frames(self, q: Array, v: Array) -> list[Frame]:
         return [link.frame for link in self.links(q, v)]
@@ -209,7 +72,7 @@ class Relative:
 
     def _solve(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
         mass, force = self.mass_and_force(q, v, links)
-        _, rows, gamma = self.loop_terms(links)
+        _, rows, gamma = self.loop_terms(q, v, links)
         jacobian = dense(rows, self.nv)
         try:
             return solve_constrained(mass, force, jacobian, gamma, self.phi_units, self.velocity_units)
@@ -231,7 +94,7 @@ class Relative:
     def _joint_of(self, velocity: int) -> str:
         """Name of the joint that a velocity belongs to."""
         (kept,) = (kept for kept in self.tree.joints if kept.v.start <= velocity < kept.v.stop)
-        return self.mechanism.joint_names[kept.joint]
+        return self.tree.joint(kept.joint).name
 
     def fastest_joint(self, q: Array, v: Array) -> str:
         """Name of the joint whose dimensionless velocity is largest."""
@@ -244,7 +107,7 @@ class Relative:
         """
         links = self.links(q, v)
         mass, force = self.sparse_mass_and_force(q, v, links)
-        _, jacobian, gamma = self.loop_terms(links)
+        _, jacobian, gamma = self.loop_terms(q, v, links)
         factor = factorise(mass, range(self.nv - 1, -1, -1), rows.mass_scales)
         return sparse_solve(factor, sparse_vector(force), jacobian, gamma, rows, refine=False)
 
@@ -254,11 +117,12 @@ class Relative:
         return np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)]), solution.health
 
     def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
-        """Residuals (k,) of the loop closures and the nonzeros of their Jacobian (k, nv)."""
-        return self.loop_terms(self.links(q, np.zeros(self.nv)))[:2]
+        """Residuals (k,) of loop closures and couplings, and the nonzeros of their Jacobian (k, nv)."""
+        v = np.zeros(self.nv)
+        return self.loop_terms(q, v, self.links(q, v))[:2]
 
     def phi(self, q: Array) -> Array:
-        """Residuals (k,) of the loop closures."""
+        """Residuals (k,) of loop closures and couplings."""
         return self.phi_and_jacobian(q)[0]
 
     def phi_jacobian(self, q: Array) -> Array:
@@ -270,7 +134,8 @@ class Relative:
         moved = self.tree.retract(q, step)
         if self.nq == self.tree.nq:
             return moved
-        return np.concatenate([moved, q[self.tree.nq :] + carried_rates(self.driven, self._frames(q, step))])
+        angles = q[self.tree.nq : self.work.start] + carried_rates(self.between, self._frames(q, step))
+        return np.concatenate([moved, angles, q[self.work]])
 
     # Between this formulation's coordinates and what everybody understands
 
@@ -279,11 +144,17 @@ class Relative:
         return MassProperties.of(self.mechanism)
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """q and v of a state; carried angles within half a turn."""
+        """q and v of a state; angles within half a turn or where couplings ask for, no work done."""
         q, v = self.tree.coordinates(state)
-        if self.nq == self.tree.nq:
+        if self.nq == self.tree.nq and not self.couplings:
             return q, v
-        return np.concatenate([q, carried_angles(self.driven, self._frames(q, v))]), v
+        links = self.links(q, v)
+        work = np.zeros(self.nq - self.work.start)
+        q = np.concatenate([q, carried_angles(self.between, [link.frame for link in links]), work])
+        x = {key: seen.x for key, seen in self.measured(q, v, links).items()}
+        for key, turn in turns(self.couplings, x, self.angles, self.time).items():
+            q[self.angles[key]] += turn
+        return q, v
 
     def state(self, q: Array, v: Array) -> State:
         """Body poses and velocities."""
@@ -328,72 +199,29 @@ class Relative:
         actuation = self.actuation(q, v, links)[0]
         linear = np.array([k.acceleration + k.linear @ qddot[k.path] for k in links])
         angular = np.array([k.angular_acceleration + k.angular @ qddot[k.path] for k in links])
-        forces, torques = self._reactions(links, linear, angular, multipliers, actuation)
+        forces, torques = tree_reactions(self, links, linear, angular, multipliers, actuation)
         state = self._state(links)
-        bodies = energies(self.scene, [link.frame for link in links], self.inertias)
-        return Evaluation(state, linear, angular, forces, torques, actuation, *bodies)
+        frames = [link.frame for link in links]
+        kinetic, potential = energies(self.scene, frames, self.inertias)
+        potential = potential + springs_energy(
+            self.scene, self.tree.poses, frames, self.measured(q, v, links)
+        )
+        return Evaluation(
+            state,
+            linear,
+            angular,
+            forces,
+            torques,
+            actuation[: len(self.scene.control)],
+            kinetic,
+            potential,
+            q[self.work][0] if self.scene.tracks_work else None,
+        )
 
     def joint_phi(self, q: Array) -> Array:
-        """Residuals of all joints, kept ones included."""
-        frames = self._frames(q, np.zeros(self.nv))
+        """Residuals of all joints, kept ones included, and of the couplings."""
+        v = np.zeros(self.nv)
+        links = self.links(q, v)
         all_joints = [self.tree.equations(k) for k in range(len(self.mechanism.joints))]
-        return np.concatenate([np.zeros(0), *(e.phi(frames[e.first], frames[e.second]) for e in all_joints)])
-
-    def _reactions(
-        self, links: list[Link], linear: Array, angular: Array, multipliers: Array, actuation: Array
-    ) -> tuple[Array, Array]:
-        """Forces and torques (j, 3) at the joint points on the second bodies.
-
-        Loop closures have multipliers. Kept joints follow from the bodies' Newton-Euler equations,
-        from the leaves to the ground: each carries what its child needs and nothing else supplies.
-        """
-        joints = self.mechanism.joints
-        forces: list[Array] = [np.zeros(3)] * len(joints)
-        torques = list(forces)
-        need = [
-            np.concatenate(self.inertial_wrench(body, link, linear[body], angular[body]))
-            for body, link in enumerate(links)
-        ]  # about each centre of mass
-        row = 0
-        for closure in self.closures:
-            blocks = closure.jacobian(links[closure.first].frame, links[closure.second].frame)
-            share = multipliers[row : row + closure.count]
-            row += closure.count
-            need[closure.first] = need[closure.first] - np.concatenate(
-                [blocks.r_first.T @ share, blocks.theta_first.T @ share]
-            )
-            on_second = np.concatenate([blocks.r_second.T @ share, blocks.theta_second.T @ share])
-            need[closure.second] = need[closure.second] - on_second
-            index = joints.index(closure.joint)
-            s = self._reaction_arm(index, links)
-            forces[index] = on_second[:3]
-            torques[index] = on_second[3:] - cross(s, on_second[:3])
-        for law, u in zip(self.scene.control, actuation, strict=True):
-            equations = self.tree.equations(self.mechanism.joint_index(law.joint))
-            blocks = equations.coordinates[law.coordinate].jacobian(
-                links[equations.first].frame, links[equations.second].frame
-            )
-            need[equations.first] = need[equations.first] - u * np.concatenate(
-                [blocks.r_first[0], blocks.theta_first[0]]
-            )
-            need[equations.second] = need[equations.second] - u * np.concatenate(
-                [blocks.r_second[0], blocks.theta_second[0]]
-            )
-        for kept in reversed(self.tree.joints):
-            force, torque = need[kept.child][:3], need[kept.child][3:]
-            arm = links[kept.child].frame.position - links[kept.parent].frame.position
-            need[kept.parent] = need[kept.parent] + np.concatenate([force, torque + cross(arm, force)])
-            sign = 1.0 if kept.forward else -1.0
-            center = links[kept.child].frame.position
-            index = kept.joint
-            second = self.tree.equations(index).second
-            point = links[second].frame.position + self._reaction_arm(index, links)
-            forces[index] = sign * force
-            torques[index] = sign * (torque - cross(point - center, force))
-        return np.array(forces), np.array(torques)
-
-    def _reaction_arm(self, joint: int, links: list[Link]) -> Array:
-        """From the second body's centre of mass to the joint point, world frame."""
-        second = self.tree.equations(joint).second
-        s = self.mechanism.joints[joint].reaction_point - self.mechanism.bodies[second].center_of_mass
-        return np.asarray(links[second].frame.rotation @ s)
+        phis = [e.phi(links[e.first].frame, links[e.second].frame) for e in all_joints]
+        return np.concatenate([np.zeros(0), *phis, self.coupling_terms(self.measured(q, v, links))[0]])

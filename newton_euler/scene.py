@@ -11,8 +11,11 @@ from functools import cached_property
 import numpy as np
 
 from newton_euler.control import Law, Sampled, is_finite_number
+from newton_euler.couplings import check_motions, couplings, residuals
 from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.forces import Force, JointSpring, check_forces
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
+from newton_euler.motions import PrescribedMotion
 from newton_euler.scalars import Array
 from newton_euler.shapes import UNIT_TOLERANCE
 from newton_euler.state import State
@@ -44,8 +47,11 @@ class Scene:
         gravity: (3,) m/s^2, world frame.
         control: control laws of actuated joints, in the order of `Trajectory.actuator_force`.
         initial_state: the mechanism's initial pose, at rest, if not given; joints closed in position
-            and velocity, as `newton_euler.assemble` makes them.
+            and velocity, as `newton_euler.assemble` makes them. With `motions` it is assembled from
+            there, if not given, so that joints are where those begin.
         outputs: names out of `OUTPUTS`.
+        forces: springs, dampers and wrenches beside gravity and control.
+        motions: prescribed motions of joints.
         description: one printable line for people.
 
     Raises:
@@ -61,6 +67,8 @@ class Scene:
     control: tuple[Law, ...] = ()
     initial_state: State = field(default=None)  # type: ignore[assignment]
     outputs: frozenset[str] = frozenset(OUTPUTS)
+    forces: tuple[Force, ...] = ()
+    motions: tuple[PrescribedMotion, ...] = ()
     description: str = ""
 
     def __post_init__(self) -> None:
@@ -89,10 +97,12 @@ class Scene:
                 raise UnknownNameError("output", output, OUTPUTS)
         object.__setattr__(self, "outputs", frozenset(self.outputs))
         self._check_control()
+        object.__setattr__(self, "motions", check_motions(self.motions, self.mechanism))
         if self.initial_state is None:
-            object.__setattr__(self, "initial_state", State.initial(self.mechanism))
+            object.__setattr__(self, "initial_state", self._begin())
         else:
             self._check_state(self.initial_state)
+        self._check_forces()
 
     def _check_texts(self) -> None:
         name, description = self.name, self.description
@@ -133,6 +143,15 @@ class Scene:
             if not 0 <= law.coordinate < len(kinds):
                 raise MechanismError(where, f"coordinate is {law.coordinate}", f"an index below {len(kinds)}")
 
+    def _check_forces(self) -> None:
+        forces = tuple(self.forces) if isinstance(self.forces, Iterable) else (self.forces,)
+        for force in forces:
+            if not isinstance(force, Force):
+                needed = "JointSpring, PointSpring or Wrench"
+                raise MechanismError(f"scene {self.name!r}", f"forces holds {force!r:.200}", needed)
+        object.__setattr__(self, "forces", forces)
+        check_forces(self.forces, self.mechanism, self.initial_state.frames())
+
     def _check_state(self, state: State) -> None:
         where = f"initial state of scene {self.name!r}"
         if not isinstance(state, State):
@@ -167,6 +186,16 @@ class Scene:
         self._check_ground(state)
         self.mechanism.check_closed(state.frames(), "in the initial state")
         self._check_velocities(state)
+        self._check_couplings(state)
+
+    def _begin(self) -> State:
+        """The initial pose at rest, or what is next to it where joints have to move."""
+        start = State.initial(self.mechanism)
+        if not self.motions:
+            return start
+        from newton_euler.assemble import assemble  # which needs scenes
+
+        return assemble(self, start)
 
     def _check_ground(self, state: State) -> None:
         ground = self.mechanism.bodies[0]
@@ -187,9 +216,7 @@ class Scene:
 
     def _check_velocities(self, state: State) -> None:
         """Raise `MechanismError` for the first joint that opens, |Phi_q qdot| > `VELOCITY_TOLERANCE`."""
-        frames, size = state.frames(), self.mechanism.size
-        spin = float(np.max(np.linalg.norm(state.angular_velocity, axis=1)))
-        speed = float(np.max(np.linalg.norm(state.linear_velocity, axis=1))) + size * spin
+        frames, size, speed = state.frames(), self.mechanism.size, self._speed(state)
         for equations in self.mechanism.equations:
             first, second = frames[equations.first], frames[equations.second]
             rates = np.abs(equations.jacobian(first, second).rate(first, second))
@@ -203,10 +230,46 @@ class Scene:
                     f"at most {allowed[worst]:.3g} {unit}, as newton_euler.assemble(scene, guess) makes it",
                 )
 
+    def _check_couplings(self, state: State) -> None:
+        """Raise `MechanismError` for the first coupling or motion that the state does not follow."""
+        found = couplings(self)
+        phi, rates = residuals(self.mechanism, found, state.frames(), 0.0)
+        speed = self._speed(state)
+        for coupling, gap, opening in zip(found, phi, rates, strict=True):
+            unit = "m" if coupling.is_length else "rad"
+            allowed = VELOCITY_TOLERANCE * speed * (1.0 if coupling.is_length else 1.0 / self.mechanism.size)
+            allowed *= sum(abs(factor) for factor in coupling.factors.values())
+            if abs(gap) > CLOSURE_TOLERANCE:
+                problem, needed = f"is off by {gap:.3g} {unit}", f"at most {CLOSURE_TOLERANCE:g} {unit}"
+            elif abs(opening) > allowed:
+                problem, needed = f"is off by {opening:.3g} {unit}/s", f"at most {allowed:.3g} {unit}/s"
+            else:
+                continue
+            raise MechanismError(
+                f"{coupling.what} {coupling.name!r}",
+                f"{problem} in the initial state",
+                f"{needed}, as newton_euler.assemble(scene, guess) makes it",
+            )
+
+    def _speed(self, state: State) -> float:
+        """The largest speed of a state, m/s."""
+        spin = float(np.max(np.linalg.norm(state.angular_velocity, axis=1)))
+        return float(np.max(np.linalg.norm(state.linear_velocity, axis=1))) + self.mechanism.size * spin
+
     @property
     def sampled(self) -> tuple[Sampled, ...]:
         """The sampled controllers among the control laws."""
         return tuple(law for law in self.control if isinstance(law, Sampled))
+
+    @property
+    def joint_forces(self) -> tuple[Law | JointSpring, ...]:
+        """All that acts on joint coordinates: the control laws, then the springs of joints."""
+        return (*self.control, *(force for force in self.forces if isinstance(force, JointSpring)))
+
+    @property
+    def tracks_work(self) -> bool:
+        """Whether runs carry the work of what is not in the potential energy as one more state."""
+        return "energy" in self.outputs and len(self.control) + len(self.forces) + len(self.motions) > 0
 
     @cached_property
     def times(self) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from newton_euler.compiled import Code
+from newton_euler.couplings import couplings
 from newton_euler.euler_parameters import continuous
 from newton_euler.integrate import Options, integrate
 from newton_euler.sampling import holding, intervals, sample
@@ -16,8 +17,8 @@ from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.stabilize import PAPER_ALPHA, joint_violations
 from newton_euler.state import Evaluation, State
-from newton_euler.system import System
-from newton_euler.trajectory import Trajectory
+from newton_euler.system import System, at_time
+from newton_euler.trajectory import Trajectory, check_finite
 
 
 def simulate(
@@ -84,11 +85,14 @@ class CompiledScene(Code):
     def linearize(self, state: State) -> Array:
         """(n, n) derivative of (qdot, vdot) by (q, v) at a state, from the traced derivatives.
 
+        The work, which nothing depends on, is left out of q.
         Constraints are eliminated: for independent coordinates restrict it to motions that keep the
         loops closed.
         """
         x = self.packed(*self.system.coordinates(state))
-        return self.function("jacobian")(x).reshape(self.size, self.size)
+        jacobian = self.function("jacobian")(x).reshape(self.size, self.size)
+        work = self.system.work
+        return np.delete(np.delete(jacobian, work, axis=0), work, axis=1)
 
     def repeat(self, count: int, q: Array, v: Array) -> float:
         """s that `count` right-hand sides at one state q, v take, called from native code."""
@@ -124,10 +128,14 @@ def native_trajectory(
 
 
 def _by_joint(scene: Scene, phi: Array) -> Array:
-    """(n, j) largest residual of each joint out of all residuals (n, k)."""
-    ends = np.cumsum([equations.count for equations in scene.mechanism.equations])
-    parts = np.split(np.abs(phi), ends[:-1], axis=1)
-    return np.stack([np.max(part, axis=1, initial=0.0) for part in parts], axis=1)
+    """(n, j) largest residual of each joint out of all residuals (n, k); a gear's are its follower's."""
+    mechanism = scene.mechanism
+    owners = [k for k, equations in enumerate(mechanism.equations) for _ in range(equations.count)]
+    owners += [mechanism.joint_index(coupling.joint) for coupling in couplings(scene)]
+    violation = np.zeros((len(phi), len(mechanism.joints)))
+    for owner, residual in zip(owners, np.abs(phi).T, strict=True):
+        violation[:, owner] = np.maximum(violation[:, owner], residual)
+    return violation
 
 
 def run(system: System, engine: str, options: Options, settings: dict[str, Any]) -> Trajectory:
@@ -138,7 +146,7 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     scene = system.scene
     q, v = system.coordinates(scene.initial_state)
     start = time.perf_counter()
-    rows: list[tuple[System, Array, Array]] = []
+    rows: list[tuple[System, float, Array, Array]] = []
     counts = {"steps": 0, "evaluations": 0}
     for interval in intervals(scene):
         if interval.due:
@@ -146,12 +154,13 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
             system = holding(system, sample(interval.due, float(interval.times[0]), x, x_rate))
         solution = integrate(system, q, v, interval.times, options)
         q, v = solution.q[-1], solution.v[-1]
-        wanted = zip(solution.q[interval.wanted], solution.v[interval.wanted], strict=True)
+        states = (interval.times, solution.q, solution.v)
+        wanted = zip(*(array[interval.wanted] for array in states), strict=True)
         rows.extend((system, *row) for row in wanted)
         counts["steps"] += solution.steps
         counts["evaluations"] += solution.evaluations
     wall_time = time.perf_counter() - start
-    evaluations = [system.evaluate(q, v) for system, q, v in rows]
+    evaluations = [at_time(system, t).evaluate(q, v) for system, t, q, v in rows]
     return trajectory_from(scene, engine, settings | options.chosen() | counts, wall_time, evaluations)
 
 
@@ -182,10 +191,13 @@ def trajectory_from(
         if output in scene.outputs
         for name, rows in columns.items()
     }
+    if scene.tracks_work and all(e.work is not None for e in evaluations):
+        arrays["work"] = np.array([e.work for e in evaluations])
     if "violation" in scene.outputs:
         arrays["constraint_violation"] = np.array([joint_violations(mechanism, s) for s in states])
     arrays["position"] = np.array([s.position for s in states])
     arrays["quaternion"] = np.array([s.quaternion for s in states])
+    check_finite(scene.times, arrays)
     return _trajectory(scene, engine, settings, wall_time, arrays)
 
 

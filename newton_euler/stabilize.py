@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from newton_euler.couplings import couplings, residuals
 from newton_euler.errors import AssemblyError, OptionError, UnknownNameError
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.scalars import Array
 from newton_euler.solve import minimum_norm
 from newton_euler.state import State
-from newton_euler.system import System
+from newton_euler.system import Rheonomic, System, opening
 
 STABILIZATIONS = ("projection", "baumgarte", "none")
 
@@ -66,9 +67,10 @@ def project_position(system: System, q: Array) -> Array:
 
 
 def project_velocity(system: System, q: Array, v: Array) -> Array:
-    """The velocities nearest to v that meet the constraints' rate, J v = 0."""
-    jacobian = system.phi_jacobian(q)
-    return np.asarray(v - minimum_norm(jacobian, jacobian @ v, system.phi_units, system.velocity_units))
+    """The velocities nearest to v that meet the constraints' rate, Phi_q v + Phi_t = 0."""
+    excess = opening(system, q, v)
+    step = minimum_norm(system.phi_jacobian(q), excess, system.phi_units, system.velocity_units)
+    return np.asarray(v - step)
 
 
 def joint_violations(mechanism: Mechanism, state: State) -> Array:
@@ -78,7 +80,11 @@ def joint_violations(mechanism: Mechanism, state: State) -> Array:
 
 
 def worst_joint(system: System, state: State) -> tuple[str, float]:
-    """Name and residual (m or rad) of the joint that is open the most."""
-    gaps = joint_violations(system.mechanism, state)
+    """Name and residual (m or rad) of the joint or gear that is open the most."""
+    coupled = couplings(system.scene)
+    time = system.time if isinstance(system, Rheonomic) else 0.0
+    phi, _ = residuals(system.mechanism, coupled, state.frames(), time)
+    gaps = np.concatenate([joint_violations(system.mechanism, state), np.abs(phi)])
     worst = int(np.argmax(gaps))
-    return system.mechanism.joint_names[worst], float(gaps[worst])
+    names = (*system.mechanism.joint_names, *(coupling.name for coupling in coupled))
+    return names[worst], float(gaps[worst])

@@ -65,7 +65,9 @@ class Evaluation:
         linear_acceleration, angular_acceleration: (b, 3) of the bodies.
         reaction_force, reaction_torque: (j, 3) on the second body, at its joint point.
         actuator_force: (a,) N or N m along the actuated coordinates.
-        kinetic_energy, potential_energy: J; potential energy is that of gravity, zero at the origin.
+        kinetic_energy, potential_energy: J; potential energy is that of gravity, zero at the origin, and
+            of springs, zero at rest.
+        work: J, done since the start by what is not in the potential energy; None if it is not tracked.
     """
 
     state: State
@@ -76,6 +78,7 @@ class Evaluation:
     actuator_force: Array
     kinetic_energy: float
     potential_energy: float
+    work: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

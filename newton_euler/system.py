@@ -6,7 +6,8 @@ asked for accelerations under rigid constraints.
 
 from __future__ import annotations
 
-from typing import Protocol
+import copy
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -62,6 +63,34 @@ class System(Protocol):
 
     def velocity_transformation(self, q: Array) -> Array:
         """(6 b, nv): v and omega of body 0, 1, ... for each velocity."""
+
+
+@runtime_checkable
+class Rheonomic(Protocol):
+    """A system whose constraints may depend on time: what it says of them holds at `time`."""
+
+    time: Scalar
+
+    def phi_t(self) -> Array:
+        """Partial derivative (k,) of `phi` by time."""
+
+
+S = TypeVar("S")
+
+
+def at_time(system: S, time: float) -> S:
+    """The same system at a time in s."""
+    if not isinstance(system, Rheonomic):
+        return system
+    changed = copy.copy(system)
+    changed.time = time
+    return changed
+
+
+def opening(system: System, q: Array, v: Array) -> Array:
+    """dPhi/dt (k,) = Phi_q qdot + Phi_t."""
+    rate = system.phi_jacobian(q) @ v
+    return np.asarray(rate + system.phi_t() if isinstance(system, Rheonomic) else rate)
 
 
 def admissible(system: System, q: Array) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -14,7 +14,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import IntegrationError, NewtonEulerError
 from newton_euler.scalars import Array
 
 
@@ -55,7 +55,9 @@ class Trajectory:
     kinetic_energy: Array | None = None
     """(n,) J."""
     potential_energy: Array | None = None
-    """(n,) of gravity, zero at the world origin, J."""
+    """(n,) of gravity, zero at the world origin, and of springs, zero at rest, J."""
+    work: Array | None = None
+    """(n,) done since the start by control, dampers, wrenches and prescribed motions, J."""
 
     def arrays(self) -> dict[str, Array]:
         """The arrays of the run by name, names as arrays of text."""
@@ -70,6 +72,14 @@ class Trajectory:
         np.savez_compressed(content, **arrays)
         with atomic_file(path) as temporary:
             temporary.write_bytes(content.getbuffer())
+
+
+def check_finite(times: Array, arrays: Mapping[str, Array]) -> None:
+    """Raise `IntegrationError` for the first array, a row for each time, that is not finite."""
+    for name, array in arrays.items():
+        finite = np.isfinite(array)
+        if not finite.all():
+            raise IntegrationError(float(times[np.argwhere(~finite)[0, 0]]), f"{name} is not finite")
 
 
 def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:

@@ -21,7 +21,7 @@ from newton_euler.euler_parameters import (
     matrix_l,
     rotation,
 )
-from newton_euler.joints import Fixed, Joint, JointEquations, Motion, Pose, Spherical
+from newton_euler.joints import Fixed, Free, Joint, JointEquations, Motion, Pose, Rod, Spherical
 from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array, sqrt
 from newton_euler.state import State
@@ -32,7 +32,7 @@ class TreeJoint:
     """A joint that the tree keeps.
 
     Attributes:
-        joint: index in `Mechanism.joints`.
+        joint: number of the joint, as of `SpanningTree.joint`.
         parent, child: body indices.
         forward: True if the child is the joint's second body.
         motions: from parent to child, at the joint's `reaction_point`; hinge and slide axes are
@@ -73,8 +73,12 @@ def motion_names(joint: Joint, forward: bool = True) -> list[str]:
 class SpanningTree:
     """The tree of `mechanism` that cuts the joints with the fewest equations: balls first.
 
+    Rods are always cut. A body that only they reach floats: the tree has a free joint for it, after
+    the joints of the mechanism, at its centre of mass.
+
     Attributes:
         joints: kept joints, parents before children.
+        floating: the free joints that are not among the mechanism's.
         cuts: indices of the joints that close loops.
         nq, nv: numbers of coordinates and velocities.
     """
@@ -90,12 +94,16 @@ class SpanningTree:
         def offer(body: int) -> None:
             for index in mechanism.joints_at[body]:
                 equations = self._equations[index]
-                if equations.joint.name not in never:
+                if equations.joint.name not in never and not equations.joint.only_closes:
                     passive = not equations.joint.actuated
                     heapq.heappush(candidates, (-equations.count, passive, reached[body], index, body))
 
+        self.floating: tuple[Free, ...] = ()
         offer(0)
-        while candidates:
+        while len(reached) < len(mechanism.bodies):
+            if not candidates:
+                body = next(k for k in range(len(mechanism.bodies)) if k not in reached)
+                heapq.heappush(candidates, (0, True, 0, self._float(body), 0))
             _, _, depth, index, parent = heapq.heappop(candidates)
             equations = self._equations[index]
             forward = equations.first == parent
@@ -121,9 +129,26 @@ class SpanningTree:
         self.cuts = tuple(k for k in range(len(mechanism.joints)) if k not in self._kept)
 
     @cached_property
-    def _equations(self) -> tuple[JointEquations, ...]:
-        """All joints' equations in the frames of the tree."""
-        return self.mechanism.attach([Pose(body.center_of_mass, np.eye(3)) for body in self.mechanism.bodies])
+    def poses(self) -> list[Pose]:
+        """Reference poses of the frames of the tree."""
+        return [Pose(body.center_of_mass, np.eye(3)) for body in self.mechanism.bodies]
+
+    @cached_property
+    def _equations(self) -> list[JointEquations]:
+        """All joints' equations in the frames of the tree, those of `floating` at the end."""
+        return list(self.mechanism.attach(self.poses))
+
+    def _float(self, body: int) -> int:
+        """Add a free joint between the ground and a body; returns its number."""
+        ground, name = self.mechanism.body_names[0], self.mechanism.body_names[body]
+        free = Free(f"{name}_floats", ground, name, self.mechanism.bodies[body].center_of_mass)
+        self.floating = (*self.floating, free)
+        self._equations.append(free.attach(0, self.poses[0], body, self.poses[body]))
+        return len(self._equations) - 1
+
+    def joint(self, joint: int) -> Joint:
+        """Joint number `joint`: of the mechanism, or of `floating` after those."""
+        return self._equations[joint].joint
 
     def equations(self, joint: int) -> JointEquations:
         """Equations of joint number `joint` in the frames of the tree."""
@@ -207,7 +232,7 @@ class SpanningTree:
 
 @dataclass(frozen=True, eq=False)
 class WeldedMechanism:
-    """A mechanism whose loops close at balls and welds only, for engines that know no other closure.
+    """A mechanism whose loops close at balls, rods and welds only, for engines that know no other closure.
 
     A loop that has to be cut at any other joint is cut through a body instead: the body is halved,
     both halves of the same pose and shape of inertia, the joint stays in the tree with one half,
@@ -216,7 +241,7 @@ class WeldedMechanism:
 
     Attributes:
         mechanism: the bodies, halves appended at the end; the joints, welds appended at the end.
-        tree: its spanning tree; the cuts are spherical joints and welds.
+        tree: its spanning tree; the cuts are spherical joints, rods and welds.
         origin: for each body the index of the body it is a part of in the original.
     """
 
@@ -236,13 +261,13 @@ class WeldedMechanism:
 
 
 def weld_loops(mechanism: Mechanism) -> WeldedMechanism:
-    """Rewrite the loops of a mechanism so that only balls and welds close them."""
+    """Rewrite the loops of a mechanism so that only balls, rods and welds close them."""
     bodies, joints = list(mechanism.bodies), list(mechanism.joints)
     origin = list(range(len(bodies)))
     welds = []
     for index in SpanningTree(mechanism).cuts:
         joint = mechanism.joints[index]
-        if isinstance(joint, Spherical):
+        if isinstance(joint, Spherical | Rod):
             continue
         side = "second" if joint.second != mechanism.body_names[0] else "first"
         whole = mechanism.body_index(getattr(joint, side))
@@ -259,5 +284,5 @@ def weld_loops(mechanism: Mechanism) -> WeldedMechanism:
         if share < 1.0:
             body = bodies[number]
             bodies[number] = replace(body, mass=share * body.mass, inertia=share * body.inertia)
-    welded = Mechanism(bodies, joints)
+    welded = Mechanism(bodies, joints, mechanism.couplings)
     return WeldedMechanism(welded, SpanningTree(welded, never=welds), tuple(origin))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from newton_euler.euler_parameters import from_rotation_vector, rotation
+from newton_euler.forces import Force, PointSpring
 from newton_euler.joints import Cylindrical, Fixed, Free, Joint, Revolute, Spherical, Translational, Universal
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.scene import Scene
@@ -208,3 +210,26 @@ def bolted(extra: type[Joint] | None, **axes: list[float]) -> Scene:
 
 REGULAR = (pendulum, spinning_top, all_universal_loop, ball_loop, seven_hinges, slider_tree)
 """Mechanisms whose constraints are independent."""
+
+
+MASS, STIFFNESS, DAMPING = 2.0, 50.0, 3.0
+"""kg, N/m and N s/m of `mass_on_rail` and what pulls it."""
+
+
+def mass_on_rail(
+    *forces: Force,
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    duration: float = 10.0,
+    **fields: Any,
+) -> Scene:
+    """A body on a vertical rail through the world's origin, at rest."""
+    bodies = [Body.ground(), Body("mass", MASS, [0.0, 0.0, 0.0], inertia(0.1, 0.2, 0.3))]
+    rail = Translational("rail", "ground", "mass", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0], actuated=True)
+    mechanism = Mechanism(bodies, [rail])
+    return Scene("mass", mechanism, duration, 0.1, gravity, forces=forces, **fields)
+
+
+def line_spring(**values: float) -> PointSpring:
+    """From 2 m above to the mass of `mass_on_rail`."""
+    ends = ([0.0, 0.0, 2.0], [0.0, 0.0, 0.0])
+    return PointSpring("line", "ground", "mass", *ends, **({"stiffness": STIFFNESS} | values))

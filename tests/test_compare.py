@@ -11,9 +11,7 @@ import pytest
 from mechanisms import GRAVITY, REGULAR, bar, pendulum, planar_four_bar, scaled, seven_hinges
 
 import mjcf
-import newton_euler
 from crosscheck.compare import Row, compare, compare_equations, compare_models
-from crosscheck.energy import energy_balance, energy_scale
 from crosscheck.engines import ENGINES
 from crosscheck.scenes import load
 from newton_euler.assemble import random_states
@@ -230,53 +228,3 @@ def test_a_figure_that_informs_is_not_judged():
     assert not row.agrees
     assert replace(row, informs=True).agrees
     assert not replace(row, value=float("nan")).agrees
-
-
-def example(period, damping=0.5):
-    scene = replace(load(EXAMPLE), output_period=period)
-    return replace(scene, control=(replace(scene.control[0], damping=damping),))
-
-
-def every(run, n):
-    """A run of whose outputs only every n-th is left."""
-    names = ("time", "position", "quaternion", "linear_velocity", "angular_velocity", "actuator_force")
-    energies = ("kinetic_energy", "potential_energy")
-    return replace(run, **{name: getattr(run, name)[::n] for name in (*names, *energies)})
-
-
-@pytest.mark.parametrize("damping", [0.05, 0.5, 5.0, 50.0])
-def test_quadrature_of_the_work_is_not_underestimated(damping):
-    """Down to transients that begin and end between two outputs (50 N m s/rad: about 1 ms)."""
-    scene = example(0.01, damping)
-    run = newton_euler.simulate(scene)
-    for n in (1, 2, 5, 10, 20, 50):
-        balance = energy_balance(scene, every(run, n))
-        # 1e-8 of the energy: what integration at rtol 1e-10 may miss
-        assert np.abs(balance.residual).max() < balance.quadrature + 1e-8 * balance.exchanged, n
-
-
-@pytest.mark.parametrize(("period", "judged"), [(0.01, True), (0.1, True), (0.5, False), (1.0, False)])
-def test_energy_is_judged_where_outputs_are_close_enough(period, judged):
-    rows = verdicts(example(period), [ENGINES["newton_euler"]])
-    assert_agrees(rows)
-    assert ("energy less work, rel" in {row.quantity for row in rows}) == judged
-
-
-def test_energy_balance_sees_missing_energy(tracker, tracker_run):
-    run = tracker_run()
-    lossy = replace(run, kinetic_energy=run.kinetic_energy * (1.0 + 1e-3))
-    scale = energy_scale(tracker, [tracker.initial_state, *random_states(tracker, 5)])
-
-    def excess(run):
-        balance = energy_balance(tracker, run)
-        unit = max(scale, balance.exchanged)
-        return np.abs(balance.residual).max() - balance.quadrature - 1e-8 * unit
-
-    assert excess(run) < 0.0 < excess(lossy)
-
-
-def test_energy_needs_its_outputs():
-    scene = replace(pendulum(), outputs=frozenset({"velocities", "reactions", "violation"}), duration=0.1)
-    rows = verdicts(scene, [ENGINES["newton_euler"], ENGINES["pinocchio"]])
-    assert_agrees(rows)
-    assert "energy" not in {row.level for row in rows}

@@ -9,7 +9,7 @@ from finite_difference import derivative, jacobian
 from newton_euler.constraints import Frame
 from newton_euler.errors import MechanismError
 from newton_euler.euler_parameters import from_rotation_vector, rotation
-from newton_euler.joints import JOINT_KINDS, Pose, Revolute, Universal, perpendicular_pair
+from newton_euler.joints import JOINT_KINDS, Pose, Revolute, Rod, Screw, Universal, perpendicular_pair
 
 AXIS = np.array([0.48, -0.6, 0.64])
 AXES = {
@@ -17,11 +17,16 @@ AXES = {
     "axis_on_first": AXIS,
     "axis_on_second": perpendicular_pair(AXIS)[0],
 }
+ACROSS = perpendicular_pair(AXIS)
 COUNTS = {
     "spherical": 3,
     "universal": 4,
     "revolute": 5,
     "cylindrical": 4,
+    "screw": 4,
+    "planar": 3,
+    "point_on_line": 2,
+    "rod": 1,
     "translational": 5,
     "prismatic": 5,
     "fixed": 6,
@@ -36,7 +41,8 @@ def turn(vector):
 def make(kind, rng):
     """A joint of that kind between two bodies at random reference poses."""
     cls = JOINT_KINDS[kind]
-    joint = cls("j", "a", "b", rng.standard_normal(3), **{n: AXES[n] for n in cls.axis_names})
+    more = {"screw": {"pitch": 0.3}, "rod": {"point_on_second": rng.standard_normal(3)}}.get(kind, {})
+    joint = cls("j", "a", "b", rng.standard_normal(3), **{n: AXES[n] for n in cls.axis_names}, **more)
     first, second = (Pose(rng.standard_normal(3), turn(rng.standard_normal(3))) for _ in "ab")
     return joint.attach(0, first, 1, second), first, second
 
@@ -93,7 +99,7 @@ def test_count_of_equations_and_rank():
             assert np.linalg.matrix_rank(stacked) == count
         # the motions that are left are as many as the joint says it has
         freedoms = sum(3 if m.kind == "ball" else 1 for m in equations.joint.motions)
-        assert count + freedoms == 6
+        assert count + freedoms == 6 or kind == "rod"  # which has no motions of its own
 
 
 def test_jacobian_times_velocity_is_the_rate_of_phi(moving):
@@ -138,6 +144,9 @@ COORDINATES = [
     ("revolute", lambda x: (np.zeros(3), x[0] * AXIS), 1),
     ("translational", lambda x: (x[0] * AXIS, np.zeros(3)), 1),
     ("cylindrical", lambda x: (x[0] * AXIS, x[1] * AXIS), 2),
+    ("screw", lambda x: (x[0] * AXIS, x[1] * AXIS), 2),
+    ("planar", lambda x: (x[0] * ACROSS[0] + x[1] * ACROSS[1], x[2] * AXIS), 3),
+    ("point_on_line", lambda x: (x[0] * AXIS, np.array([0.3, -0.8, 0.5])), 1),
 ]
 
 
@@ -145,7 +154,7 @@ COORDINATES = [
 def test_coordinates_measure_the_motion_of_the_second_body(kind, motion, count):
     rng = np.random.default_rng(5)
     equations, first, second = make(kind, rng)
-    values = np.array([0.7, -1.9])[:count]
+    values = np.array([0.7, -1.9, 2.8])[:count]
     shift, angle = motion(values)
     point = equations.joint.point
     a = turn(angle)
@@ -200,3 +209,15 @@ def test_zero_axis_and_slanted_universal_are_refused():
         Universal("j", "a", "b", [0, 0, 0], axis_on_first=[1, 0, 0], axis_on_second=[1, 1, 0])
     with pytest.raises(MechanismError, match="three finite numbers"):
         Revolute("j", "a", "b", [0, float("nan"), 0], axis=[0, 0, 1])
+
+
+@pytest.mark.parametrize("pitch", [0.0, float("inf"), "1", True])
+def test_a_screw_needs_a_pitch(pitch):
+    with pytest.raises(MechanismError, match=r"joint 'j': pitch is .*metres per radian"):
+        Screw("j", "a", "b", [0, 0, 0], axis=[0, 0, 1], pitch=pitch)
+
+
+def test_a_rod_needs_two_points():
+    with pytest.raises(MechanismError, match="joint 'j': its two points are 0 m apart"):
+        Rod("j", "a", "b", [1, 2, 3])
+    assert Rod("j", "a", "b", [1, 2, 3], point_on_second=[1, 5, 7]).length == 5.0

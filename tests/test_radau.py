@@ -66,7 +66,7 @@ def test_the_jacobian_is_the_derivatives(tracker_states, tracker):
     derivative = compiled.function("derivative")
     for state in tracker_states[:3]:
         x = compiled.packed(*compiled.system.coordinates(state))
-        found = compiled.linearize(state)
+        found = compiled.function("jacobian")(x).reshape(n, n)
 
         def along(step, x=x):
             return derivative(x + np.append(step, 0.0))[:n]
@@ -100,7 +100,8 @@ def spring_cart(stiffness: float, damping: float) -> Scene:
 
 def test_stiff_gains_cost_a_stiff_stepper_nothing():
     """Overdamped: x = target (1 - slow mode), the fast mode 1e6 times as fast."""
-    scene = spring_cart(stiffness=1e6, damping=1e6)
+    # without the work, which the fast mode does in a microsecond
+    scene = replace(spring_cart(stiffness=1e6, damping=1e6), outputs=frozenset({"velocities"}))
     run = newton_euler.simulate(scene, integrator="Radau", rtol=1e-8, atol=1e-12)
     fast, slow = (0.5 * (1e6 + sign * np.sqrt(1e12 - 4e6)) for sign in (1.0, -1.0))
     slow = 1e6 / fast  # the same without cancellation

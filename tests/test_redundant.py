@@ -70,7 +70,7 @@ def test_redundant_reactions_are_the_smallest(formulation):
         multipliers = system.solve(q, v)[1]
     else:
         links = system.links(q, v)
-        rows, units = system.loop_terms(links)[1], system.phi_units
+        rows, units = system.loop_terms(q, v, links)[1], system.phi_units
         multipliers = system._solve(q, v, links)[1]
     left = (dense(rows, system.nv) * system.velocity_units / units[:, None]).T
     _, s, vt = np.linalg.svd(left)

@@ -83,6 +83,7 @@ def test_trajectory_has_the_promised_arrays(tracker_run, tmp_path):
         "constraint_violation": (n, j),
         "kinetic_energy": (n,),
         "potential_energy": (n,),
+        "work": (n,),
     }
     run.save(tmp_path / "run.npz")
     arrays = load_arrays(tmp_path / "run.npz")
@@ -103,6 +104,7 @@ def test_outputs_that_are_not_asked_for_are_absent(tracker):
         "quaternion",
         "kinetic_energy",
         "potential_energy",
+        "work",
     }
 
 

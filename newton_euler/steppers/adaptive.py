@@ -8,7 +8,16 @@ from __future__ import annotations
 from math import sqrt
 
 from newton_euler.native import Callback, Vector, native
-from newton_euler.steppers.dop853 import STAGES, error_norm, interpolate, prepare_dense, stage
+from newton_euler.steppers.dop853 import (
+    ERROR_3,
+    ERROR_5,
+    NODES,
+    STAGES,
+    error_norm,
+    interpolate,
+    prepare_dense,
+    stage,
+)
 from newton_euler.steppers.march import (
     DONE,
     INTERRUPTED,
@@ -24,6 +33,7 @@ from newton_euler.steppers.march import (
     evaluate,
     interrupted,
     project,
+    project_densely,
 )
 
 SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
@@ -32,14 +42,40 @@ SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 EXPONENT = -1.0 / 8.0
 
 NEAR = 1e-3
-"""Health below which a configuration is near a singular one. Round-off in accelerations grows with its
-power -3/2 there, and so does what off the constraints they are worth."""
+"""Health below which a configuration is near a singular one. Health falls with the square of the distance
+there, and round-off in accelerations grows with the cube of its inverse."""
 
-HOP = 0.8
-"""Factor for a step that comes near a singular configuration: another try, whose stages lie elsewhere."""
+GAP, LEAST, MOST = 0.4667, 0.38, 0.55
+"""Where in a step a singular configuration is to be passed: half way between the two stages that are
+farthest apart, at 1/3 and 3/5, and how much earlier or later will do."""
 
-HOPS = 25
-"""So many tries; a step is 1/250 of the first one then."""
+HOPS = 12
+"""Tries to place a step so; after them its error alone decides."""
+
+NOWHERE = 1e9
+
+
+@native
+def crossing(n: int, k: Vector) -> float:
+    """Where a step of 12 stages passes or will pass a singular configuration, in units of its length.
+
+    The root of the health is a distance: what it is at both ends, 0 and 1, tells where it vanishes,
+    within the step or beyond it, and the stage at 3/5 which of the two. NOWHERE if neither fits.
+    """
+    row = n + 1
+    first = sqrt(max(k[n], 0.0))
+    last = sqrt(max(k[row * STAGES + n], 0.0))
+    middle = sqrt(max(k[row * 9 + n], 0.0))
+    node = NODES[9]
+    within = first / (first + last)
+    gap_within = abs(abs(within - node) * (first + last) - middle)
+    if first <= last:
+        return within if gap_within < 0.2 * (first + last) else NOWHERE
+    beyond = first / (first - last)
+    gap_beyond = abs((beyond - node) * (first - last) - middle)
+    if min(gap_within, gap_beyond) > 0.2 * (first + last):
+        return NOWHERE
+    return within if gap_within < gap_beyond else beyond
 
 
 @native
@@ -78,6 +114,55 @@ def first_step(
     largest = max(d1, d2)
     wanted = max(1e-6, 1e-3 * h) if largest <= 1e-15 else (0.01 / largest) ** 0.125
     return min(min(100.0 * h, wanted), span)
+
+
+@native
+def error_on_constraints(
+    n: int,
+    h: float,
+    rtol: float,
+    atol: float,
+    closing: Callback,
+    now: Vector,
+    end: Vector,
+    k: Vector,
+    at: Vector,
+) -> float:
+    """The norm of the error of what a step is worth after projection; the projected end in row 13 of k.
+
+    Near a singular configuration multipliers have few digits. What they add to a state in vain is off
+    the constraints, and no step is short enough for it not to matter.
+    """
+    row = n + 1
+    closing(end, k[13 * row :])
+    if not k[13 * row + n] > 0.0:
+        return 1e10
+    at[n] = end[n]
+    for i in range(n):
+        five = 0.0
+        for j in range(STAGES + 1):
+            five += ERROR_5[j] * k[row * j + i]
+        at[i] = end[i] + h * five
+    closing(at, k[14 * row :])
+    for i in range(n):
+        three = 0.0
+        for j in range(STAGES + 1):
+            three += ERROR_3[j] * k[row * j + i]
+        at[i] = end[i] + h * three
+    closing(at, k[15 * row :])
+    if not min(k[14 * row + n], k[15 * row + n]) > 0.0:
+        return 1e10
+    fifth = 0.0
+    third = 0.0
+    for i in range(n):
+        scale = atol + rtol * max(abs(now[i]), abs(end[i]))
+        five = (k[14 * row + i] - k[13 * row + i]) / scale
+        three = (k[15 * row + i] - k[13 * row + i]) / scale
+        fifth += five * five
+        third += three * three
+    if fifth == 0.0 and third == 0.0:
+        return 0.0
+    return fifth / sqrt((fifth + 0.01 * third) * n)
 
 
 @native
@@ -141,13 +226,24 @@ def march_dop853(
         error = 1e10
         if status == DONE:
             error = error_norm(n, h, rtol, atol, now, end, k)
-        # noise is no reason for much smaller steps, and no step should begin where noise is worst
-        last = k[(n + 1) * STAGES + n]
-        if health < NEAR and hops < HOPS and (not error < 1.0 or (last < NEAR and k[n] >= NEAR)):
-            counts[REJECTED] += 1.0
-            hops += 1
-            h = HOP * h
-            continue
+            end[n] = now[n] + h
+        near = 0
+        if projecting == 1 and health < NEAR and status == DONE:
+            near = 1
+            error = min(error, error_on_constraints(n, h, rtol, atol, closing, now, end, k, at))
+        if near == 1 and hops < HOPS:
+            where = crossing(n, k)
+            shorter = SAFETY * error**EXPONENT if error > 1.0 else 1.0
+            wanted = 1.0
+            if where < LEAST or (where <= MOST and shorter < 1.0 and where <= GAP * shorter):
+                wanted = where / GAP
+            elif where > MOST * shorter and where < 1.0 + GAP:
+                wanted = where - GAP * shorter
+            if wanted < 1.0:
+                counts[REJECTED] += 1.0
+                hops += 1
+                h = wanted * h
+                continue
         if not error < 1.0:
             counts[REJECTED] += 1.0
             if status != DONE and h < 1e-10 * (stop - times[0]):
@@ -166,7 +262,9 @@ def march_dop853(
             while due < outputs and times[due] <= now[n] + h:
                 interpolate(n, (times[due] - now[n]) / h, now, terms, at)
                 at[n] = times[due]
-                if projecting == 1:
+                if near == 1:
+                    status = project_densely(n, closing, at, k[(n + 1) * 13 :])
+                elif projecting == 1:
                     status = project(n, tolerance, position, velocity, closing, at, k[(n + 1) * 13 :])
                     if status != DONE:
                         return status
@@ -177,7 +275,10 @@ def march_dop853(
             now[i] = end[i]
         now[n] = now[n] + h
         if projecting == 1:
-            status = project(n, tolerance, position, velocity, closing, now, k[(n + 1) * 13 :])
+            if near == 1:
+                status = project_densely(n, closing, now, k[(n + 1) * 13 :])
+            else:
+                status = project(n, tolerance, position, velocity, closing, now, k[(n + 1) * 13 :])
             if status == DONE:
                 status = evaluate(n, derivative, dense, now, k, counts)
             if status != DONE:

@@ -16,14 +16,18 @@ import numpy as np
 from newton_euler.compile import NativeFunction
 from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import IntegrationError, NewtonEulerError
+from newton_euler.forces import strongest
 from newton_euler.integrate import Options
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.scalars import Array
-from newton_euler.stabilize import ROUND_OFF, project_position, project_velocity, worst_joint
+from newton_euler.stabilize import ROUND_OFF, worst_joint
 from newton_euler.steppers import march as m
 from newton_euler.steppers.adaptive import NEAR, march_dop853
+from newton_euler.steppers.closing import close
 from newton_euler.steppers.fixed import march_euler, march_rk4
 from newton_euler.steppers.radau import march_radau
+from newton_euler.system import at_time
+from newton_euler.trajectory import check_finite
 
 MOST_STEPS = 1_000_000
 """Steps after which an adaptive method is taken to be getting nowhere."""
@@ -84,14 +88,14 @@ class Fallback:
         )
 
     def _derivative(self, x: int, y: int) -> None:
-        self._guarded(x, y, lambda system, q, v: [system.rate(q, v), system.acceleration(q, v)])
+        def rates(system: Formulation, state: Array) -> Array:
+            q, v = state[: system.nq], state[system.nq : self._code.size]
+            return np.concatenate([system.rate(q, v), system.acceleration(q, v)])
+
+        self._guarded(x, y, rates)
 
     def _closing(self, x: int, y: int) -> None:
-        def project(system: Formulation, q: Array, v: Array) -> list[Array]:
-            q = project_position(system, q)
-            return [q, project_velocity(system, q, v)]
-
-        self._guarded(x, y, project)
+        self._guarded(x, y, lambda system, state: close(self._code, system, state))
 
     def _pause(self, counts: int, wish: int) -> None:
         """Python runs signal handlers here, between two of its own instructions."""
@@ -116,19 +120,18 @@ class Fallback:
             if self._interrupted:
                 raise KeyboardInterrupt
 
-    def _guarded(self, x: int, y: int, function: Callable[[Formulation, Array, Array], list[Array]]) -> None:
-        """Write n results and 1.0, or anything and -1.0 if the float form fails too."""
+    def _guarded(self, x: int, y: int, function: Callable[[Formulation, Array], Array]) -> None:
+        """Write n results and 1.0, or anything and -1.0 if Python fails too."""
         code = self._code
         state, results = _vector(x, code.inputs).copy(), _vector(y, code.size + 1)
         system = code.float_system(state)
         results[-1] = -1.0
         try:
             with np.errstate(all="ignore"):  # the march checks what comes back
-                found = function(system, state[: system.nq], state[system.nq : code.size])
+                results[:-1] = function(system, state)
         except Exception as error:  # nothing may pass through native code
             self.error = error
         else:
-            results[:-1] = np.concatenate(found)
             results[-1] = 1.0
 
 
@@ -255,7 +258,10 @@ def _failure(
     }
     if status in (m.TOO_MANY_STEPS, m.STEP_TOO_SMALL) and integrator == "DOP853":
         reasons[status] += "; for stiff equations use Radau"
-    return IntegrationError(reached, f"{reasons[status]}; fastest at joint {system.fastest_joint(q, v)!r}")
+    reason = f"{reasons[status]}; fastest at joint {system.fastest_joint(q, v)!r}"
+    with np.errstate(all="ignore"):
+        force = strongest(system.scene, *system.seen(q, v))
+    return IntegrationError(reached, reason if force is None else f"{reason}, largest force: {force}")
 
 
 def outputs(code: Code, x: Array, times: Array, table: Array) -> dict[str, Array]:
@@ -273,16 +279,24 @@ def write_outputs(code: Code, x: Array, times: Array, table: Array, results: Arr
 
     Reactions near singular or under redundant constraints come from the float form, which knows the
     smallest ones.
+
+    Raises:
+        IntegrationError: for results that no double holds, and where that form fails.
     """
     function = code.function("output")
     given, found = np.empty((code.inputs, function.lanes)), np.empty((function.outputs, function.lanes))
     sizes = (len(times), code.size, code.inputs, function.outputs, function.lanes)
     loops()(m.map_rows, *sizes, function, x, times, table, given, found, results)
-    if "reactions" not in code.scene.outputs:
-        return
     arrays = named(code, results)
-    system = code.float_system(x)
+    if "reactions" in code.scene.outputs:
+        _settle_reactions(code, x, times, table, arrays)
+    if not np.isfinite(results).all():
+        check_finite(times, arrays)
+
+
+def _settle_reactions(code: Code, x: Array, times: Array, table: Array, arrays: dict[str, Array]) -> None:
     for row in range(len(times)) if code.redundant else np.flatnonzero(~(arrays["health"] > 0.0)):
+        system = at_time(code.float_system(x), float(times[row]))
         try:
             evaluation = system.evaluate(table[row, : system.nq], table[row, system.nq :])
         except NewtonEulerError as error:

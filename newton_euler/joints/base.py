@@ -1,4 +1,4 @@
-"""Joint kinds: Appendix A of the paper, one class a kind.
+"""What joints have in common.
 
 A `Joint` is a description in the world frame at the mechanism's initial pose. `attach` ties it to
 the two bodies' reference poses and gives `JointEquations`: Phi, Phi_q and gamma of its constraint
@@ -24,13 +24,9 @@ from newton_euler.constraints import (
     Frame,
     Jacobian,
     Perpendicular,
-    Reversed,
 )
 from newton_euler.errors import MechanismError
 from newton_euler.scalars import Array, cross
-
-AXIS_TOLERANCE = 1e-9
-"""How far from perpendicular (radians) a universal joint's axes may be at the initial pose."""
 
 
 class Motion(NamedTuple):
@@ -148,6 +144,8 @@ class Joint:
 
     kind: ClassVar[str]
     axis_names: ClassVar[tuple[str, ...]] = ()
+    only_closes: ClassVar[bool] = False
+    """True for a joint that no `motions` describe, so that it can only close loops of a tree."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", _vector(self.name, "point", self.point))
@@ -167,6 +165,11 @@ class Joint:
         """The elementary motions of the second body against the first, in their order."""
         return ()
 
+    @property
+    def coordinate_kinds(self) -> tuple[str, ...]:
+        """ "hinge" or "slide" for each of the joint's coordinates."""
+        return tuple(motion.kind for motion in self.motions if motion.kind != "ball")
+
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         """The joint's constraint equations between bodies with these reference poses."""
         raise NotImplementedError
@@ -185,7 +188,7 @@ class Joint:
             self.coordinates(first_pose, second_pose),
         )
 
-    # What the joint kinds below are made of: the constraint sets of Appendix A.
+    # What the joint kinds are made of: the constraint sets of Appendix A.
 
     def _coincident(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         """Phi^(s,3), eq. (25)."""
@@ -202,13 +205,14 @@ class Joint:
 
     def _on_line(self, axis: Array, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         """Phi^(p2,2), eq. (28): tilde(s_i) d = 0, again its two components across the axis."""
-        return tuple(
-            Displacement(
-                first.vector_to_body(a),
-                first.point_to_body(self.point),
-                second.point_to_body(self.reaction_point),
-            )
-            for a in perpendicular_pair(axis)
+        return tuple(self._across(a, first, second) for a in perpendicular_pair(axis))
+
+    def _across(self, normal: Array, first: Pose, second: Pose) -> Constraint:
+        """The second body's point stays in a plane through the first's, fixed in the first."""
+        return Displacement(
+            first.vector_to_body(normal),
+            first.point_to_body(self.point),
+            second.point_to_body(self.reaction_point),
         )
 
     def _slide(self, axis: Array, first: Pose, second: Pose) -> Constraint:
@@ -226,181 +230,3 @@ class Joint:
             first.vector_to_body(cross(axis, pointer)),
             second.vector_to_body(pointer),
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Spherical(Joint):
-    """Ball joint, eq. (25): three equations."""
-
-    kind: ClassVar[str] = "spherical"
-
-    @property
-    def motions(self) -> tuple[Motion, ...]:
-        return (Motion("ball", np.zeros(3)),)
-
-    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return self._coincident(first, second)
-
-
-@dataclass(frozen=True, eq=False)
-class Universal(Joint):
-    """Cardan joint, eq. (26): four equations; `axis_on_first` stays perpendicular to `axis_on_second`.
-
-    Its coordinates are the angle about the first body's axis, then that about the second's.
-    """
-
-    axis_on_first: Array = field(kw_only=True)
-    axis_on_second: Array = field(kw_only=True)
-    kind: ClassVar[str] = "universal"
-    axis_names: ClassVar[tuple[str, ...]] = ("axis_on_first", "axis_on_second")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        cosine = float(self.axis_on_first @ self.axis_on_second)
-        if abs(cosine) > AXIS_TOLERANCE:
-            raise MechanismError(
-                f"joint {self.name!r}",
-                f"its two axes have a cosine of {cosine:.3g}",
-                f"perpendicular axes, |cosine| at most {AXIS_TOLERANCE:g}",
-            )
-
-    @property
-    def motions(self) -> tuple[Motion, ...]:
-        return (Motion("hinge", self.axis_on_first), Motion("hinge", self.axis_on_second))
-
-    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        cross_axes = Perpendicular(
-            first.vector_to_body(self.axis_on_first), second.vector_to_body(self.axis_on_second)
-        )
-        return (*self._coincident(first, second), cross_axes)
-
-    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        a, b = self.axis_on_first, self.axis_on_second
-        return self._turn(a, b, first, second), Reversed(self._turn(b, a, second, first))
-
-
-@dataclass(frozen=True, eq=False)
-class _AxisJoint(Joint):
-    """A joint with one axis that is common to both bodies."""
-
-    axis: Array = field(kw_only=True)
-    axis_names: ClassVar[tuple[str, ...]] = ("axis",)
-
-
-@dataclass(frozen=True, eq=False)
-class Revolute(_AxisJoint):
-    """Hinge, eq. (27): five equations."""
-
-    kind: ClassVar[str] = "revolute"
-
-    @property
-    def motions(self) -> tuple[Motion, ...]:
-        return (Motion("hinge", self.axis),)
-
-    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return self._coincident(first, second) + self._parallel(self.axis, first, second)
-
-    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return (self._turn(self.axis, perpendicular_pair(self.axis)[0], first, second),)
-
-
-@dataclass(frozen=True, eq=False)
-class Cylindrical(_AxisJoint):
-    """Slide along and hinge about one axis: four equations, Phi^(p1,2) and Phi^(p2,2).
-
-    Its coordinates are the displacement, then the angle.
-    """
-
-    kind: ClassVar[str] = "cylindrical"
-
-    @property
-    def motions(self) -> tuple[Motion, ...]:
-        return (Motion("slide", self.axis), Motion("hinge", self.axis))
-
-    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return self._parallel(self.axis, first, second) + self._on_line(self.axis, first, second)
-
-    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        turn = self._turn(self.axis, perpendicular_pair(self.axis)[0], first, second)
-        return self._slide(self.axis, first, second), turn
-
-
-@dataclass(frozen=True, eq=False)
-class Translational(_AxisJoint):
-    """Slide without rotation, eq. (28): five equations, h_i and h_j across the axis."""
-
-    kind: ClassVar[str] = "translational"
-
-    @property
-    def motions(self) -> tuple[Motion, ...]:
-        return (Motion("slide", self.axis),)
-
-    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        h_i, h_j = perpendicular_pair(self.axis)
-        return (
-            *self._parallel(self.axis, first, second),
-            *self._on_line(self.axis, first, second),
-            Perpendicular(first.vector_to_body(h_i), second.vector_to_body(h_j)),
-        )
-
-    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return (self._slide(self.axis, first, second),)
-
-
-@dataclass(frozen=True, eq=False)
-class Prismatic(Translational):
-    """The paper's translational joint under the name that robot models give it."""
-
-    kind: ClassVar[str] = "prismatic"
-
-
-@dataclass(frozen=True, eq=False)
-class Fixed(Joint):
-    """No motion at all: six equations."""
-
-    kind: ClassVar[str] = "fixed"
-
-    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        x, y, z = np.eye(3)
-        return (
-            *self._coincident(first, second),
-            *(
-                Perpendicular(first.vector_to_body(a), second.vector_to_body(b))
-                for a, b in ((x, y), (y, z), (z, x))
-            ),
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Free(Joint):
-    """All motion: no equation. It says that a body floats on purpose."""
-
-    kind: ClassVar[str] = "free"
-
-    @property
-    def motions(self) -> tuple[Motion, ...]:
-        x, y, z = np.eye(3)
-        slides = (Motion("slide", x), Motion("slide", y), Motion("slide", z))
-        return (*slides, Motion("ball", np.zeros(3)))
-
-    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return ()
-
-    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        return tuple(self._slide(axis, first, second) for axis in np.eye(3))
-
-
-JOINT_KINDS: dict[str, type[Joint]] = {
-    kind.kind: kind
-    for kind in (
-        Fixed,
-        Revolute,
-        Prismatic,
-        Translational,
-        Cylindrical,
-        Universal,
-        Spherical,
-        Free,
-    )
-}
-"""Joint classes by the name that files use."""

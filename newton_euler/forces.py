@@ -1,0 +1,387 @@
+"""Forces: springs and dampers at joints and between points, and constant wrenches.
+
+Points are given in the world at the mechanism's initial pose, like those of joints, and move with
+their bodies. What forces between points and wrenches do to the bodies is worked out here, once for
+all formulations, over generic scalars (Nikravesh, Computer-Aided Analysis of Mechanical Systems,
+1988, section 9.2, for the elements between two points).
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from newton_euler.constraints import Frame
+from newton_euler.control import check_coordinate, is_finite_number
+from newton_euler.errors import MechanismError
+from newton_euler.joints import Pose
+from newton_euler.measured import Key
+from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
+from newton_euler.scalars import Array, Scalar, cross, sqrt
+
+if TYPE_CHECKING:
+    from newton_euler.scene import Scene
+
+_NAME = re.compile(r"[A-Za-z0-9_.\-]+")
+
+
+@dataclass(frozen=True)
+class JointSpring:
+    """A spring and damper on a joint's hinge or slide: -(k (x - rest) + d dx/dt), N or N m.
+
+    The joint need not be actuated; damping alone is viscous friction.
+
+    Attributes:
+        joint: name of the joint it acts on.
+        stiffness: k in N/m or N m/rad, 0 or more.
+        damping: d in N s/m or N m s/rad, 0 or more.
+        rest: joint coordinate without spring force, m or rad from the initial pose.
+        coordinate: which of the joint's coordinates, from 0.
+
+    Raises:
+        MechanismError: naming the joint and the value at fault.
+    """
+
+    joint: str
+    stiffness: float = 0.0
+    damping: float = 0.0
+    rest: float = 0.0
+    coordinate: int = 0
+
+    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "rest")
+
+    def __post_init__(self) -> None:
+        _set_numbers(self, self.element, ("stiffness", "damping"), 0.0)
+        _set_numbers(self, self.element, ("rest",))
+        check_coordinate(self.element, self.coordinate)
+
+    @property
+    def element(self) -> str:
+        """What errors call it."""
+        return f"spring of joint {self.joint!r}"
+
+    def check(self, mechanism: Mechanism) -> None:
+        """Raise `MechanismError` unless the mechanism has its joint coordinate."""
+        _check_known(self.element, "joint", self.joint, mechanism.joint_names)
+        joint = mechanism.joints[mechanism.joint_index(self.joint)]
+        count = sum(motion.kind != "ball" for motion in joint.motions)
+        if not 0 <= self.coordinate < count:
+            needed = f"an index below {count}" if count else "a joint with a hinge or a slide"
+            raise MechanismError(self.element, f"coordinate is {self.coordinate}", needed)
+
+    def force(self, x: Scalar, x_rate: Scalar) -> Scalar:
+        """The generalized force (N or N m) at coordinate x (m or rad) and its rate."""
+        return -(self.stiffness * (x - self.rest) + self.damping * x_rate)
+
+    def power(self, x: Scalar, x_rate: Scalar) -> Scalar:
+        """Power of the damper, W."""
+        return -self.damping * (x_rate * x_rate)
+
+    def energy(self, x: Scalar) -> Scalar:
+        """Energy of the spring, J."""
+        return 0.5 * self.stiffness * ((x - self.rest) * (x - self.rest))
+
+
+@dataclass(frozen=True, eq=False)
+class PointSpring:
+    """A spring and damper between points of two bodies; tension k (l - l0) + d dl/dt along their line.
+
+    Attributes:
+        name: unique among the forces of a scene; letters, digits, `_`, `.` and `-`.
+        first, second: names of the two bodies.
+        point_on_first, point_on_second: (3,) in the world at the initial pose, m.
+        stiffness: k in N/m, 0 or more.
+        rest_length: l0 in m, 0 or more.
+        damping: d in N s/m, 0 or more.
+
+    Raises:
+        MechanismError: naming the spring and the value at fault.
+    """
+
+    name: str
+    first: str
+    second: str
+    point_on_first: Array
+    point_on_second: Array
+    stiffness: float = field(kw_only=True)
+    rest_length: float = field(kw_only=True)
+    damping: float = field(default=0.0, kw_only=True)
+
+    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "rest_length", "damping")
+
+    def __post_init__(self) -> None:
+        _check_name("point spring", self.name)
+        for name in ("point_on_first", "point_on_second"):
+            _set_vector(self, self.element, name)
+        _set_numbers(self, self.element, self.parameters, 0.0)
+
+    @property
+    def element(self) -> str:
+        """What errors call it."""
+        return f"point spring {self.name!r}"
+
+    def check(self, mechanism: Mechanism) -> None:
+        """Raise `MechanismError` unless the mechanism has its two bodies."""
+        for body in (self.first, self.second):
+            _check_known(self.element, "body", body, mechanism.body_names)
+        if self.first == self.second:
+            raise MechanismError(self.element, f"connects {self.first!r} to itself", "two bodies")
+
+    @property
+    def has_direction(self) -> bool:
+        """Whether it needs its line; a spring of rest length 0 pulls in proportion to the distance."""
+        return not (self.rest_length == 0.0 and self.damping == 0.0)
+
+    def check_apart(self, mechanism: Mechanism, frames: Sequence[Frame]) -> None:
+        """Raise `MechanismError` if it has no direction where bodies with these frames are."""
+        poses = [body.pose for body in mechanism.bodies]
+        d = _ends(self, mechanism, poses, frames).d
+        if self.has_direction and np.linalg.norm(d) <= CLOSURE_TOLERANCE:
+            raise MechanismError(
+                self.element,
+                "its points coincide in the initial state",
+                "points apart, or a spring of rest_length 0 without damping",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Wrench:
+    """A constant force at a point of a body and a constant torque, constant in the world or the body.
+
+    Attributes:
+        name: unique among the forces of a scene; letters, digits, `_`, `.` and `-`.
+        body: name of the body they act on; not the ground.
+        point: (3,) in the world at the initial pose, m; it moves with the body.
+        force: (3,) N, world components at the initial pose.
+        torque: (3,) N m, world components at the initial pose.
+        frame: "world", or "body" for a force and a torque that turn with the body.
+
+    Raises:
+        MechanismError: naming the wrench and the value at fault.
+    """
+
+    name: str
+    body: str
+    point: Array
+    force: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    torque: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    frame: Literal["world", "body"] = "world"
+
+    parameters: ClassVar[tuple[str, ...]] = ("force", "torque")
+
+    def __post_init__(self) -> None:
+        _check_name("wrench", self.name)
+        for name in ("point", "force", "torque"):
+            _set_vector(self, self.element, name)
+        if self.frame not in ("world", "body"):
+            raise MechanismError(self.element, f"frame is {self.frame!r}", "'world' or 'body'")
+
+    @property
+    def element(self) -> str:
+        """What errors call it."""
+        return f"wrench {self.name!r}"
+
+    def check(self, mechanism: Mechanism) -> None:
+        """Raise `MechanismError` unless the mechanism has its body, a moving one."""
+        _check_known(self.element, "body", self.body, mechanism.body_names)
+        if mechanism.body_index(self.body) == 0:
+            raise MechanismError(self.element, f"acts on the ground {self.body!r}", "a body that moves")
+
+
+Force = JointSpring | PointSpring | Wrench
+
+Measurements = Mapping[Key, tuple[Scalar, ...]]
+"""Joint coordinates (m or rad), their rates, and what else may follow."""
+
+Surroundings = tuple[list[Pose], list[Frame], Measurements]
+"""What forces depend on: reference poses and frames of all bodies, and joint coordinates."""
+
+
+def _check_name(what: str, name: object) -> None:
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise MechanismError(
+            f"{what} {name!r:.100}", "has an unusable name", "letters, digits, _, . and - only"
+        )
+
+
+def _check_known(element: str, what: str, name: object, known: tuple[str, ...]) -> None:
+    if name not in known:
+        problem = f"acts on an unknown {what} {name!r:.100}"
+        raise MechanismError(element, problem, f"one of {', '.join(known)}")
+
+
+def _set_numbers(thing: Force, element: str, names: Sequence[str], least: float = -np.inf) -> None:
+    """Replace attributes by floats of at least `least`; raises `MechanismError`."""
+    for name in names:
+        value = getattr(thing, name)
+        if not is_finite_number(value) or value < least:
+            needed = "a finite number" if np.isinf(least) else f"a finite number, {least:g} or more"
+            raise MechanismError(element, f"{name} is {value!r:.100}", needed)
+        object.__setattr__(thing, name, float(value))
+
+
+def _set_vector(thing: PointSpring | Wrench, element: str, name: str) -> None:
+    """Replace an attribute by a read-only array (3,) of its own; raises `MechanismError`."""
+    raw = getattr(thing, name)
+    try:
+        value = np.array(raw, dtype=float)
+    except (TypeError, ValueError):
+        value = np.zeros(0)
+    if value.shape != (3,) or not np.all(np.isfinite(value)):
+        raise MechanismError(element, f"{name} is {raw!r:.100}", "three finite numbers")
+    value.flags.writeable = False
+    object.__setattr__(thing, name, value)
+
+
+class _Line(NamedTuple):
+    """The two points of a spring at a state; world frame."""
+
+    first: int
+    second: int
+    s_i: Array
+    """(3,) from the first body's centre of mass to its point, m."""
+    s_j: Array
+    d: Array
+    """(3,) from the first point to the second, m."""
+    rate: Array
+    """(3,) of d, m/s."""
+
+
+def _ends(spring: PointSpring, mechanism: Mechanism, poses: Sequence[Pose], frames: Sequence[Frame]) -> _Line:
+    i, j = mechanism.body_index(spring.first), mechanism.body_index(spring.second)
+    s_i = frames[i].rotation @ poses[i].point_to_body(spring.point_on_first)
+    s_j = frames[j].rotation @ poses[j].point_to_body(spring.point_on_second)
+    d = frames[j].position + s_j - frames[i].position - s_i
+    rate = (
+        frames[j].velocity
+        + cross(frames[j].angular_velocity, s_j)
+        - frames[i].velocity
+        - cross(frames[i].angular_velocity, s_i)
+    )
+    return _Line(i, j, s_i, s_j, d, rate)
+
+
+def _pull(spring: PointSpring, line: _Line) -> Array:
+    """(3,) N, what the spring does to the first body's point; the opposite acts on the second's."""
+    if not spring.has_direction:
+        return np.asarray(spring.stiffness * line.d)
+    length = sqrt(line.d @ line.d)
+    along = line.d / length
+    tension = spring.stiffness * (length - spring.rest_length) + spring.damping * (along @ line.rate)
+    return np.asarray(tension * along)
+
+
+def _wrench(wrench: Wrench, body: int, poses: Sequence[Pose], frames: Sequence[Frame]) -> tuple[Array, ...]:
+    """Force, torque and arm of its point (3,) each, world frame."""
+    pose, frame = poses[body], frames[body]
+    arm = frame.rotation @ pose.point_to_body(wrench.point)
+    if wrench.frame == "world":
+        return wrench.force, wrench.torque, arm
+    force, torque = pose.vector_to_body(wrench.force), pose.vector_to_body(wrench.torque)
+    return frame.rotation @ force, frame.rotation @ torque, arm
+
+
+def body_wrenches(scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame]) -> list[Array]:
+    """What springs between points and wrenches do to each body (ground first): (6,) N and N m.
+
+    Force and torque about the centre of mass, world frame. `poses` are the reference poses of the
+    frames at the initial pose.
+    """
+    total: list[Array] = [np.zeros(6) for _ in frames]
+    for force in scene.forces:
+        if isinstance(force, PointSpring):
+            line = _ends(force, scene.mechanism, poses, frames)
+            pull = _pull(force, line)
+            total[line.first] = total[line.first] + np.concatenate([pull, cross(line.s_i, pull)])
+            total[line.second] = total[line.second] - np.concatenate([pull, cross(line.s_j, pull)])
+        elif isinstance(force, Wrench):
+            k = scene.mechanism.body_index(force.body)
+            push, torque, arm = _wrench(force, k, poses, frames)
+            total[k] = total[k] + np.concatenate([push, torque + cross(arm, push)])
+    return total
+
+
+def springs_energy(
+    scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured: Measurements
+) -> Scalar:
+    """Energy of all springs, J."""
+    energy: Scalar = 0.0
+    for spring in scene.forces:
+        if isinstance(spring, JointSpring):
+            energy = energy + spring.energy(measured[spring.joint, spring.coordinate][0])
+        elif isinstance(spring, PointSpring):
+            d = _ends(spring, scene.mechanism, poses, frames).d
+            length = sqrt(d @ d)
+            stretch = length - spring.rest_length
+            energy = energy + 0.5 * spring.stiffness * (stretch * stretch)
+    return energy
+
+
+def power(scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured: Measurements) -> Scalar:
+    """Power, W, of what has no energy of its own: control laws, dampers and wrenches."""
+    power: Scalar = 0.0
+    for law in scene.joint_forces:
+        power = power + law.power(*measured[law.joint, law.coordinate][:2])
+    for force in scene.forces:
+        if isinstance(force, PointSpring):
+            line = _ends(force, scene.mechanism, poses, frames)
+            if force.has_direction:
+                along = line.d @ line.rate
+                power = power - force.damping * (along * along) / (line.d @ line.d)
+        elif isinstance(force, Wrench):
+            k = scene.mechanism.body_index(force.body)
+            push, torque, arm = _wrench(force, k, poses, frames)
+            omega = frames[k].angular_velocity
+            power = power + push @ (frames[k].velocity + cross(omega, arm)) + torque @ omega
+    return power
+
+
+def strongest(
+    scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured: Measurements
+) -> str | None:
+    """What errors call the largest of a scene's forces; torques count as forces at the mechanism's size."""
+    size = scene.mechanism.size
+    found: dict[str, float] = {}
+    for law in scene.joint_forces:
+        joint = scene.mechanism.joints[scene.mechanism.joint_index(law.joint)]
+        turns = [motion.kind == "hinge" for motion in joint.motions if motion.kind != "ball"][law.coordinate]
+        x, rate = measured[law.joint, law.coordinate][:2]
+        found[law.element] = abs(law.force(x, rate)) / (size if turns else 1.0)
+    for force in scene.forces:
+        if isinstance(force, PointSpring):
+            pull = _pull(force, _ends(force, scene.mechanism, poses, frames))
+            found[force.element] = float(np.max(np.abs(pull)))
+        elif isinstance(force, Wrench):
+            found[force.element] = float(np.max(np.abs([force.force, force.torque / size])))
+    if not found:
+        return None
+    return max(found, key=lambda element: np.nan_to_num(found[element], nan=np.inf))
+
+
+def _identity(force: Force) -> str:
+    """What no two forces of a scene may have in common."""
+    if isinstance(force, JointSpring):
+        return f"spring of coordinate {force.coordinate} of joint {force.joint!r}"
+    return f"force {force.name!r}"
+
+
+def check_forces(forces: Sequence[Force], mechanism: Mechanism, frames: Sequence[Frame]) -> None:
+    """Check forces against a mechanism and the state that its bodies start from.
+
+    Raises:
+        MechanismError: naming the force at fault.
+    """
+    for force in forces:
+        force.check(mechanism)
+    for element, count in Counter(map(_identity, forces)).items():
+        if count > 1:
+            needed = "unique names, and one spring a joint coordinate"
+            raise MechanismError(element, f"{count} of that name", needed)
+    for force in forces:
+        if isinstance(force, PointSpring):
+            force.check_apart(mechanism, frames)

@@ -1,0 +1,155 @@
+"""Prescribed joint motion: functions of time with their exact derivatives, over generic scalars."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from newton_euler.control import check_coordinate, is_finite_number
+from newton_euler.errors import MechanismError
+from newton_euler.scalars import Scalar, cos, sin
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """c_0 + c_1 t + c_2 t^2 + ...
+
+    Attributes:
+        coefficients: c_k in m/s^k or rad/s^k.
+
+    Raises:
+        MechanismError: for coefficients that are no finite numbers.
+    """
+
+    coefficients: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        given: Any = self.coefficients
+        if not isinstance(given, Iterable) or isinstance(given, str):
+            given = ()
+        given = tuple(given)
+        if not given or not all(map(is_finite_number, given)):
+            needed = "one finite number or more, lowest power first"
+            raise MechanismError("polynomial", f"coefficients is {self.coefficients!r:.100}", needed)
+        object.__setattr__(self, "coefficients", tuple(float(c) for c in given))
+
+    def value(self, time: Scalar) -> Scalar:
+        """At a time in s: m or rad."""
+        return _horner(self.coefficients, time)
+
+    def rate(self, time: Scalar) -> Scalar:
+        """First derivative, m/s or rad/s."""
+        return _horner(_derived(self.coefficients), time)
+
+    def acceleration(self, time: Scalar) -> Scalar:
+        """Second derivative, m/s^2 or rad/s^2."""
+        return _horner(_derived(_derived(self.coefficients)), time)
+
+
+def _horner(coefficients: tuple[float, ...], time: Scalar) -> Scalar:
+    total: Scalar = 0.0
+    for c in reversed(coefficients):
+        total = total * time + c
+    return total
+
+
+def _derived(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(k * c for k, c in enumerate(coefficients))[1:]
+
+
+@dataclass(frozen=True)
+class Sine:
+    """offset + amplitude sin(angular_frequency t + phase).
+
+    Attributes:
+        amplitude, offset: m or rad.
+        angular_frequency: rad/s.
+        phase: rad.
+
+    Raises:
+        MechanismError: for a value that is no finite number.
+    """
+
+    amplitude: float
+    angular_frequency: float
+    phase: float = 0.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("amplitude", "angular_frequency", "phase", "offset"):
+            value = getattr(self, name)
+            if not is_finite_number(value):
+                raise MechanismError("sine", f"{name} is {value!r:.100}", "a finite number")
+            object.__setattr__(self, name, float(value))
+
+    def value(self, time: Scalar) -> Scalar:
+        """At a time in s: m or rad."""
+        return self.offset + self.amplitude * sin(self.angular_frequency * time + self.phase)
+
+    def rate(self, time: Scalar) -> Scalar:
+        """First derivative, m/s or rad/s."""
+        w = self.angular_frequency
+        return self.amplitude * w * cos(w * time + self.phase)
+
+    def acceleration(self, time: Scalar) -> Scalar:
+        """Second derivative, m/s^2 or rad/s^2."""
+        w = self.angular_frequency
+        return -(self.amplitude * w * w) * sin(w * time + self.phase)
+
+
+@dataclass(frozen=True)
+class Sum:
+    """The sum of functions of time.
+
+    Raises:
+        MechanismError: for a term that is none.
+    """
+
+    terms: tuple[TimeFunction, ...]
+
+    def __post_init__(self) -> None:
+        given: Any = self.terms
+        if not isinstance(given, Iterable) or not all(isinstance(term, TimeFunction) for term in given):
+            problem = f"terms is {self.terms!r:.100}"
+            raise MechanismError("sum", problem, "a tuple of Polynomial, Sine and Sum")
+        object.__setattr__(self, "terms", tuple(given))
+
+    def value(self, time: Scalar) -> Scalar:
+        """At a time in s: m or rad."""
+        return sum(term.value(time) for term in self.terms)
+
+    def rate(self, time: Scalar) -> Scalar:
+        """First derivative, m/s or rad/s."""
+        return sum(term.rate(time) for term in self.terms)
+
+    def acceleration(self, time: Scalar) -> Scalar:
+        """Second derivative, m/s^2 or rad/s^2."""
+        return sum(term.acceleration(time) for term in self.terms)
+
+
+TimeFunction = Polynomial | Sine | Sum
+
+
+@dataclass(frozen=True)
+class PrescribedMotion:
+    """A joint coordinate that follows a function of time, whatever force that takes: x = f(t).
+
+    Attributes:
+        joint: name of the joint.
+        function: f, in m or rad from the initial pose.
+        coordinate: which of the joint's coordinates, from 0.
+
+    Raises:
+        MechanismError: naming the joint and the value at fault.
+    """
+
+    joint: str
+    function: TimeFunction
+    coordinate: int = 0
+
+    def __post_init__(self) -> None:
+        where = f"motion of joint {self.joint!r}"
+        if not isinstance(self.function, TimeFunction):
+            raise MechanismError(where, f"function is {self.function!r:.100}", "a Polynomial, Sine or Sum")
+        check_coordinate(where, self.coordinate)

@@ -1,0 +1,90 @@
+"""Projection near a singular configuration, where constraints and multipliers have few digits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.compiled import Code, Formulation
+from newton_euler.errors import AssemblyError
+from newton_euler.mechanism import CLOSURE_TOLERANCE
+from newton_euler.scalars import Array
+from newton_euler.stabilize import largest, worst_joint
+
+NEWTON_STEPS = 20
+
+WEAK = 3e-5
+"""Dimensionless singular value below which a constraint says too little to correct a state by it: the
+correction of a velocity would have the round-off of its residual divided by the square."""
+
+
+class Surface(NamedTuple):
+    """The constraints and the mass matrix at a state, all dense."""
+
+    phi: Array
+    """(k,) residuals."""
+    opening: Array
+    """(k,) dPhi/dt."""
+    jacobian: Array
+    """(k, nv) Phi_q."""
+    mass: Array
+    """(nv, nv) of the kinetic energy 1/2 v^T M v."""
+
+
+def surface(code: Code, x: Array) -> Surface:
+    """The surface at x (inputs,), from native code."""
+    values = code.function("surface")(x)
+    k, n = len(code.system.phi_units), code.system.nv
+    jacobian, mass = np.zeros((k, n)), np.zeros((n, n))
+    on_jacobian, on_mass = code.patterns
+    end = 2 * k + len(on_jacobian)
+    jacobian[tuple(on_jacobian.T)] = values[2 * k : end]
+    mass[tuple(on_mass.T)] = values[end:]
+    return Surface(values[:k], values[k : 2 * k], jacobian, mass)
+
+
+def close(code: Code, system: Formulation, x: Array) -> Array:
+    """(q, v) (size,) on the constraints near x (inputs,), as far as they are strong enough to say where.
+
+    Corrections are M^-1 J^T times multipliers, the direction in which wrong multipliers lead a run
+    astray: what they did is undone, whatever it was.
+
+    Raises:
+        AssemblyError: if the constraints stay open by more than `CLOSURE_TOLERANCE`.
+    """
+    x = x.copy()
+    on_q, on_v = slice(system.nq), slice(system.nq, code.size)
+    x[on_q] = system.retract(x[on_q], np.zeros(system.nv))
+    found, best = surface(code, x), x.copy()
+    for _ in range(NEWTON_STEPS):
+        x[on_q] = system.retract(x[on_q], -_correction(system, found)(found.phi))
+        here = surface(code, x)
+        if not largest(here.phi) < 0.5 * largest(found.phi):
+            break
+        found, best = here, x.copy()
+    if largest(found.phi) > CLOSURE_TOLERANCE:
+        joint, gap = worst_joint(system, system.state(best[on_q], np.zeros(system.nv)))
+        raise AssemblyError(joint, gap, CLOSURE_TOLERANCE)
+    correct = _correction(system, found)
+    best[on_v] -= correct(found.opening)
+    best[on_v] -= correct(surface(code, best).opening)  # once more for the digits
+    return best[: code.size]
+
+
+def _correction(system: Formulation, found: Surface) -> Callable[[Array], Array]:
+    """The step (nv,) that undoes residuals (k,) in the metric of the mass matrix."""
+    units = system.velocity_units
+    jacobian = found.jacobian * units / system.phi_units[:, None]
+    mass = found.mass * np.outer(units, units)
+    # what the constraints measure costs nothing on them, and makes Euler parameters definite
+    lower = np.linalg.cholesky(mass / np.max(np.diag(mass)) + jacobian.T @ jacobian)
+    u, s, vt = np.linalg.svd(np.linalg.solve(lower, jacobian.T).T, full_matrices=False)
+    strong = s > WEAK * np.max(s, initial=0.0)
+    back = np.linalg.solve(lower.T, vt[strong].T) / s[strong]
+
+    def correct(residual: Array) -> Array:
+        return np.asarray(units * (back @ (u[:, strong].T @ (residual / system.phi_units))))
+
+    return correct

@@ -1,0 +1,166 @@
+"""What forces may be, which of their numbers may vary from run to run, and what overflows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mechanisms import line_spring, mass_on_rail
+
+import newton_euler
+from newton_euler import PD, JointSpring, PointSpring, Wrench
+from newton_euler.compiled import FORMULATIONS
+from newton_euler.errors import IntegrationError, MechanismError, UnknownNameError
+from newton_euler.simulate import compile_scene
+
+both = pytest.mark.parametrize("formulation", FORMULATIONS)
+
+PARAMETERS = {
+    "rail.spring.stiffness": [20.0, 30.0],
+    "rail.spring.damping": [0.0, 2.0],
+    "rail.spring.rest": [0.1, 0.2],
+    "rail.damping": [1.0, 0.5],
+    "line.stiffness": [5.0, 10.0],
+    "line.rest_length": [1.5, 2.5],
+    "line.damping": [0.0, 0.5],
+    "push.force": [[0.0, 0.0, 1.0], [0.0, 0.0, -2.0]],
+    "push.torque": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
+}
+
+
+@both
+def test_forces_vary_in_a_batch(formulation):
+    forces = (
+        JointSpring("rail", 1.0),
+        line_spring(rest_length=0.0),
+        Wrench("push", "mass", [0.0, 0.0, 0.0]),
+    )
+    scene = mass_on_rail(*forces, control=(PD("rail", 1.0, 1.0, 0.0),), duration=1.0)
+    batch = newton_euler.simulate_batch(scene, parameters=PARAMETERS, formulation=formulation)
+    for k, found in enumerate(batch):
+        value = {name: values[k] for name, values in PARAMETERS.items()}
+        own = (
+            JointSpring("rail", *(value[f"rail.spring.{name}"] for name in ("stiffness", "damping", "rest"))),
+            line_spring(**{name: value[f"line.{name}"] for name in ("stiffness", "rest_length", "damping")}),
+            Wrench("push", "mass", [0.0, 0.0, 0.0], value["push.force"], value["push.torque"]),
+        )
+        alone = replace(scene, forces=own, control=(PD("rail", 1.0, value["rail.damping"], 0.0),))
+        wanted = newton_euler.simulate(alone, formulation)
+        for name in ("position", "work", "potential_energy", "reaction_torque"):
+            assert getattr(found, name) == pytest.approx(getattr(wanted, name), abs=1e-9), name
+
+
+def test_a_name_that_stands_for_two_parameters():
+    scene = mass_on_rail(replace(line_spring(rest_length=1.0), name="rail"), control=(PD("rail", 1, 1, 0),))
+    with pytest.raises(MechanismError, match=r"parameter 'rail\.stiffness': stands for two values"):
+        compile_scene(scene, parameters=["rail.stiffness"])
+    assert compile_scene(scene, parameters=["rail.rest_length", "rail.target"])
+    with pytest.raises(UnknownNameError, match=r"unknown parameter 'rail\.rest'; choose from: gravity, mass"):
+        compile_scene(scene, parameters=["rail.rest"])
+
+
+ENDS = ("ground", "mass", [0.0, 0.0, 2.0], [0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: JointSpring("rail", -1.0), "spring of joint 'rail': stiffness is -1.0; needed: a finite"),
+        (lambda: JointSpring("rail", 1.0, "2"), "damping is '2'"),
+        (lambda: JointSpring("rail", 1.0, -2.0), "damping is -2.0; needed: a finite number, 0 or more"),
+        (lambda: JointSpring("rail", rest=np.nan), "rest is nan; needed: a finite number"),
+        (lambda: JointSpring("rail", coordinate=0.0), "coordinate is 0.0"),
+        (
+            lambda: PointSpring("a b", *ENDS, stiffness=1, rest_length=1),
+            "point spring 'a b': has an unusable",
+        ),
+        (
+            lambda: PointSpring("s", *ENDS, stiffness=None, rest_length=1),
+            "point spring 's': stiffness is None",
+        ),
+        (lambda: PointSpring("s", *ENDS, stiffness=1, rest_length=-1), "rest_length is -1"),
+        (
+            lambda: PointSpring("s", *ENDS[:3], [1.0], stiffness=1, rest_length=1),
+            "point spring 's': point_on_second is [1.0]; needed: three finite numbers",
+        ),
+        (lambda: Wrench(3, "mass", [0.0] * 3), "wrench 3: has an unusable name"),
+        (lambda: Wrench("w", "mass", [0.0] * 3, [np.inf] * 3), "wrench 'w': force is [inf, inf, inf]"),
+        (
+            lambda: Wrench("w", "mass", [0.0] * 3, frame="joint"),
+            "frame is 'joint'; needed: 'world' or 'body'",
+        ),
+    ],
+)
+def test_forces_that_cannot_be(make, message):
+    with pytest.raises(MechanismError) as caught:
+        make()
+    assert message in str(caught.value)
+
+
+STRETCHED = PointSpring("s", *ENDS, stiffness=1.0, rest_length=1.0)
+
+
+@pytest.mark.parametrize(
+    ("forces", "message"),
+    [
+        (3, "scene 'mass': forces holds 3; needed: JointSpring, PointSpring or Wrench"),
+        ([PD("rail", 1.0, 1.0, 0.0)], "forces holds PD("),
+        (
+            [JointSpring("axle")],
+            "spring of joint 'axle': acts on an unknown joint 'axle'; needed: one of rail",
+        ),
+        ([JointSpring("rail", coordinate=1)], "coordinate is 1; needed: an index below 1"),
+        ([JointSpring("rail", coordinate=-1)], "coordinate is -1"),
+        (
+            [JointSpring("rail"), JointSpring("rail")],
+            "spring of coordinate 0 of joint 'rail': 2 of that name",
+        ),
+        (
+            [replace(STRETCHED, first="moon")],
+            "point spring 's': acts on an unknown body 'moon'; needed: one of ground, mass",
+        ),
+        ([replace(STRETCHED, first="mass")], "point spring 's': connects 'mass' to itself"),
+        (
+            [replace(STRETCHED, point_on_first=[0.0] * 3)],
+            "point spring 's': its points coincide in the initial",
+        ),
+        ([STRETCHED, Wrench("s", "mass", [0.0] * 3)], "force 's': 2 of that name"),
+        ([Wrench("w", "ground", [0.0] * 3)], "wrench 'w': acts on the ground 'ground'"),
+    ],
+)
+def test_forces_that_a_scene_refuses(forces, message):
+    with pytest.raises(MechanismError) as caught:
+        replace(mass_on_rail(), forces=forces)
+    assert message in str(caught.value)
+
+
+def test_forces_may_come_from_anywhere():
+    assert mass_on_rail(STRETCHED).forces == (STRETCHED,)
+    assert replace(mass_on_rail(), forces=(force for force in [STRETCHED])).forces == (STRETCHED,)
+
+
+@both
+@pytest.mark.parametrize(("integrator", "step"), [("DOP853", None), ("Radau", None), ("RK4", 1e-2)])
+@pytest.mark.parametrize(
+    "force",
+    [
+        Wrench("push", "mass", [0.0, 0.0, 0.0], [0.0, 0.0, 1e308]),
+        JointSpring("rail", 1e300, rest=1e10),
+        line_spring(stiffness=1e308, rest_length=100.0),
+    ],
+    ids=["push", "rail", "line"],
+)
+def test_forces_that_overflow_end_in_an_error(formulation, integrator, step, force):
+    with pytest.raises(IntegrationError, match=rf"stopped at t = 0 s: .* largest force: {force.element}$"):
+        newton_euler.simulate(mass_on_rail(force, duration=1.0), formulation, integrator, step=step)
+
+
+@both
+def test_results_that_no_double_holds_end_in_an_error(formulation):
+    """A body that falls at 1e161 m/s, whose square is infinite."""
+    scene = mass_on_rail(gravity=(0.0, 0.0, 1e161), duration=1.0)
+    with pytest.raises(IntegrationError, match=r"stopped at t = .* s: kinetic_energy is not finite"):
+        newton_euler.simulate(scene, formulation, "RK4", step=0.1)
+    silent = replace(scene, outputs=frozenset({"velocities"}))
+    assert newton_euler.simulate(silent, formulation, "RK4", step=0.1).linear_velocity[-1, 1, 2] > 1e160
