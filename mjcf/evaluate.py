@@ -26,7 +26,9 @@ def evaluation(compiled: CompiledScene, acceleration: Array, multipliers: Array)
     model, data = compiled.model, compiled.data
     data.qacc[:] = acceleration
     data.efc_force[:] = multipliers
+    data.xfrc_applied[:] = motor_wrenches(compiled)  # MuJoCo would leave them out of its balances
     mujoco.mj_rnePostConstraint(model, data)
+    data.xfrc_applied[:] = 0.0
     linear, angular = body_accelerations(compiled)
     force, torque = reactions(compiled)
     kinetic, potential = energies(compiled)
@@ -36,7 +38,7 @@ def evaluation(compiled: CompiledScene, acceleration: Array, multipliers: Array)
         angular,
         force,
         torque,
-        np.array(data.actuator_force),
+        np.array(data.actuator_force[: len(compiled.scene.control)]),
         kinetic,
         potential,
     )
@@ -63,17 +65,19 @@ def body_accelerations(compiled: CompiledScene) -> tuple[Array, Array]:
 def reactions(compiled: CompiledScene) -> tuple[Array, Array]:
     """(j, 3) forces and torques on the second bodies at the joint points, once forces are known.
 
-    A joint in the tree carries cfrc_int of its child less what its actuators do; a cut ball
-    carries its multipliers. Welds hold no joint of the original mechanism.
+    A joint in the tree carries cfrc_int of its child less what its actuators and springs do; a cut
+    ball or rod carries its multipliers. Welds hold no joint of the original mechanism.
     """
     model, data, mechanism = compiled.model, compiled.data, compiled.welded.mechanism
     count = len(compiled.mechanism.joints)
     forces, torques = np.zeros((len(mechanism.joints), 3)), np.zeros((len(mechanism.joints), 3))
     for loop in loops(model, data):
-        if not loop.is_weld:
-            forces[mechanism.joint_index(loop.name)] = -data.efc_force[loop.rows]
-    applied = actuator_wrenches(compiled)
+        if loop.kind != mujoco.mjtEq.mjEQ_WELD:
+            forces[mechanism.joint_index(loop.name)] = loop.force_on_second()
+    applied = joint_wrenches(compiled)
     for kept in compiled.tree.joints:
+        if kept.joint >= len(mechanism.joints):
+            continue  # bodies that only rods hold
         child = compiled.body_id[kept.child]
         sign = 1.0 if kept.forward else -1.0
         force, torque = data.cfrc_int[child, 3:], data.cfrc_int[child, :3]
@@ -84,23 +88,43 @@ def reactions(compiled: CompiledScene) -> tuple[Array, Array]:
     return forces[:count], torques[:count]
 
 
-def actuator_wrenches(compiled: CompiledScene) -> Array:
-    """(nbody, 6) force and torque on each of MuJoCo's bodies by actuators of the joint above it.
+def joint_wrenches(compiled: CompiledScene) -> Array:
+    """(nbody, 6) force and torque on each of MuJoCo's bodies by what drives the joint above it.
 
-    A slide's actuator pushes along a line through the joint point, so it has no torque there. The
-    axes of a universal joint stay perpendicular: torque about one does no work on the other.
+    That is its actuators and springs. What pushes a slide does so along a line through the joint point,
+    so it has no torque there. The axes of a universal joint stay perpendicular: torque about one does
+    no work on the other.
     """
     model, data = compiled.model, compiled.data
+    places, velocities = model.jnt_qposadr, model.jnt_dofadr
+    stretch = data.qpos[places] - model.qpos_spring[places]
+    forces = -model.jnt_stiffness * stretch - model.dof_damping[velocities] * data.qvel[velocities]
+    laws = len(compiled.scene.control)
+    np.add.at(forces, model.actuator_trnid[:laws, 0], data.actuator_force[:laws])
     wrenches = np.zeros((model.nbody, 6))
-    for joint, u in zip(model.actuator_trnid[:, 0], data.actuator_force, strict=True):
+    for joint, force in enumerate(forces):
         slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
         part = slice(0, 3) if slides else slice(3, 6)
-        wrenches[model.jnt_bodyid[joint], part] += u * data.xaxis[joint]
+        wrenches[model.jnt_bodyid[joint], part] += force * data.xaxis[joint]
+    return wrenches
+
+
+def motor_wrenches(compiled: CompiledScene) -> Array:
+    """(nbody, 6) force, and torque about the centre of mass, by the motors of wrenches; world frame."""
+    model, data = compiled.model, compiled.data
+    wrenches = np.zeros((model.nbody, 6))
+    for motor in range(len(compiled.scene.control), model.nu):
+        site, reference = model.actuator_trnid[motor]
+        frame = data.site_xmat[site if reference < 0 else reference].reshape(3, 3)
+        force, torque = model.actuator_gear[motor].reshape(2, 3) @ frame.T
+        body = model.site_bodyid[site]
+        arm = data.site_xpos[site] - data.xipos[body]
+        wrenches[body] += np.concatenate([force, torque + cross(arm, force)])
     return wrenches
 
 
 def energies(compiled: CompiledScene) -> tuple[float, float]:
-    """Kinetic energy and potential energy of gravity (zero at the world origin), J."""
+    """Kinetic energy, and potential energy of springs and of gravity (zero at the world origin), J."""
     mujoco.mj_energyPos(compiled.model, compiled.data)
     mujoco.mj_energyVel(compiled.model, compiled.data)
     potential, kinetic = compiled.data.energy

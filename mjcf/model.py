@@ -16,6 +16,7 @@ from newton_euler.scalars import Array, Scalar
 from newton_euler.scene import Scene
 from newton_euler.state import MassProperties, State
 from newton_euler.tree import weld_loops
+from newton_euler.tree_couplings import TreeCouplings
 
 
 class CompiledScene:
@@ -29,6 +30,8 @@ class CompiledScene:
         welded: the mechanism with its loops cut, which MuJoCo models.
         model, data: `MjModel` and `MjData`; data is scratch that every call may overwrite.
         body_id: MuJoCo's body of each body of `welded.mechanism`, originals first.
+        couplings: gears, screws and prescribed motions; MuJoCo's last equalities, in the same order.
+        time: s, at which prescribed motions are looked at.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -37,6 +40,8 @@ class CompiledScene:
         self.mechanism = scene.mechanism
         self.welded = weld_loops(scene.mechanism)
         self.tree = self.welded.tree
+        self.couplings = TreeCouplings(scene, self.tree)
+        self.time = 0.0
         self.layout = Layout(self.tree)
         self.body_id = self.layout.body_id
         self.nq, self.nv = self.tree.nq, self.tree.nv
@@ -74,12 +79,14 @@ class CompiledScene:
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """q and v of a state."""
-        return self.tree.coordinates(self.welded.state(state))
+        q, v = self.tree.coordinates(self.welded.state(state))
+        return self.couplings.turned(q, self.time), v
 
     def place(self, q: Array, v: Array) -> None:
         """Give MuJoCo a state, and what its actuators are to do in it."""
         self.data.qpos[:] = self.layout.to_qpos @ q
         self.data.qvel[:] = self.layout.to_qvel @ v
+        self.data.time = self.time
         self.actuate()
 
     def actuate(self) -> None:
@@ -93,7 +100,8 @@ class CompiledScene:
 
     def read_measured(self) -> tuple[Array, Array]:
         """Coordinates (a,) of the control laws (m or rad) and their rates (a,), at MuJoCo's state."""
-        model, driven = self.model, self.model.actuator_trnid[:, 0]
+        model = self.model
+        driven = model.actuator_trnid[: len(self.scene.control), 0]
         return self.data.qpos[model.jnt_qposadr[driven]], self.data.qvel[model.jnt_dofadr[driven]]
 
     def state(self, q: Array, v: Array) -> State:

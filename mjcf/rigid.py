@@ -5,7 +5,7 @@ model. Here its mass matrix, bias and actuator forces and its constraint Jacobia
 from the MJCF, go into the equations of motion with hard constraints,
 
     M qacc = qfrc_passive + qfrc_actuator - qfrc_bias + J^T lambda
-    J qacc = -Jdot qvel
+    J qacc = -Jdot qvel + f''(t)                 (f of prescribed motions)
 
 which tells errors of a model from softness of a solver.
 """
@@ -32,11 +32,18 @@ class RigidMuJoCo(CompiledScene):
     def __init__(self, scene: Scene) -> None:
         """Compile; raises `ModelError` with MuJoCo's reason if it refuses."""
         super().__init__(scene)
-        welds = self.model.eq_type == mujoco.mjtEq.mjEQ_WELD
-        self._constraint = np.repeat(np.arange(self.model.neq), np.where(welds, 6, 3))
         of_weld = np.repeat([self.welded.mechanism.size, 1.0], 3)
-        units = [of_weld if weld else of_weld[:3] for weld in welds]
+        closing = {
+            mujoco.mjtEq.mjEQ_WELD: of_weld,
+            mujoco.mjtEq.mjEQ_CONNECT: of_weld[:3],
+            mujoco.mjtEq.mjEQ_TENDON: of_weld[:1],
+        }
+        kinds = map(mujoco.mjtEq, self.model.eq_type)
+        units = [closing[kind] for kind in kinds if kind in closing]
+        units += list(self.couplings.units[:, None])
+        self._constraint = np.repeat(np.arange(len(units)), [len(unit) for unit in units])
         self.phi_units = np.concatenate([np.zeros(0), *units])
+        self._coupled = slice(len(self.phi_units) - len(self.couplings.units), None)
         self.velocity_units = self.tree.velocity_units
 
     def rate(self, q: Array, v: Array) -> Array:
@@ -56,7 +63,15 @@ class RigidMuJoCo(CompiledScene):
         self.state(q, np.zeros(self.nv))
         residuals = np.zeros(len(self._constraint))
         residuals[self._present()] = self.data.efc_pos
+        # MuJoCo has equalities of joints as they are at t = 0
+        residuals[self._coupled] += self.couplings.value(0.0) - self.couplings.value(self.time)
         return residuals
+
+    def phi_t(self) -> Array:
+        """Partial derivative (k,) of `phi` by time."""
+        rates = np.zeros(len(self._constraint))
+        rates[self._coupled] = -self.couplings.rate(self.time)
+        return rates
 
     def phi_jacobian(self, q: Array) -> Array:
         """(k, nv): derivative of `phi` along `retract`, and of its rate by v."""
@@ -74,9 +89,9 @@ class RigidMuJoCo(CompiledScene):
         self.state(q, v)
         self.data.qacc[:] = 0.0
         mujoco.mj_rnePostConstraint(self.model, self.data)
-        found = [np.zeros(0), *(loop.velocity_product() for loop in loops(self.model, self.data))]
-        product = np.zeros(len(self._constraint))
-        product[self._present()] = np.concatenate(found)
+        product = np.zeros(len(self._constraint))  # and so it stays for joints, whose J is constant
+        for loop in loops(self.model, self.data):
+            product[self._constraint == loop.index] = loop.velocity_product()
         return product
 
     def acceleration(self, q: Array, v: Array) -> Array:
@@ -101,6 +116,7 @@ class RigidMuJoCo(CompiledScene):
         """vdot (nv,) and the multipliers (k,) of MuJoCo's constraint rows."""
         model, data, to_qvel = self.model, self.data, self.layout.to_qvel
         gamma = -self.velocity_product(q, v)
+        gamma[self._coupled] += self.couplings.acceleration(self.time)
         mujoco.mj_fwdActuation(model, data)
         mass = np.empty((model.nv, model.nv))
         mujoco.mj_fullM(model, data, mass)

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from numbers import Real
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -36,9 +37,10 @@ def simulate(
     integrator: str = "RK4",
     solref: Sequence[float] | None = None,
 ) -> Trajectory:
-    """Run a scene in MuJoCo, with soft constraints and native actuators.
+    """Run a scene in MuJoCo, with soft constraints and native actuators, springs and tendons.
 
-    Reactions at an output are those of MuJoCo's forward dynamics in that state.
+    Reactions at an output are those of MuJoCo's forward dynamics in that state. Work, if the scene tracks
+    it, is the integral of the power at all steps by Simpson's rule, which is of order 4 like RK4.
 
     Args:
         scene: what to run.
@@ -46,8 +48,9 @@ def simulate(
             not given, the largest of at most 1 ms that does, and for a last output out of period the
             largest of at most that.
         integrator: one of `INTEGRATORS`.
-        solref: of the loop closures: time constant (s) and damping ratio, (2 timestep, 1) if not
-            given, which is as stiff as MuJoCo allows; or stiffness and damping, both negative.
+        solref: of loop closures, couplings and prescribed motions: time constant (s) and damping
+            ratio, (2 timestep, 1) if not given, which is as stiff as MuJoCo allows; or stiffness and
+            damping, both negative.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option or a controller that fails;
@@ -84,9 +87,10 @@ def simulate(
     if steps[-1].size != largest:
         settings["last_timestep"] = steps[-1].size
     evaluations = []
-    for system, q, v, size in states:
+    for (system, q, v, size, work), now in zip(states, scene.times, strict=True):
         _use(system.model, size, stiffness)
-        evaluations.append(system.evaluate(q, v))
+        system.time = float(now)
+        evaluations.append(replace(system.evaluate(q, v), work=work))
     return trajectory_from(scene, "mujoco", settings, wall_time, evaluations)
 
 
@@ -175,22 +179,40 @@ def _checked_solref(solref: Sequence[float], timestep: float) -> tuple[float, fl
     return first, second
 
 
+class Output(NamedTuple):
+    """A state at an output time.
+
+    Attributes:
+        system: as it is controlled from here on.
+        q, v: tree coordinates and velocities.
+        step: s, the size of the steps before.
+        work: J, since the start; None if the scene does not track it.
+    """
+
+    system: SoftMuJoCo
+    q: Array
+    v: Array
+    step: float
+    work: float | None
+
+
 def _run(
     system: SoftMuJoCo, plan: list[tuple[Interval, list[Steps]]], solref: tuple[float, float] | None
-) -> list[tuple[SoftMuJoCo, Array, Array, float]]:
-    """At all outputs: the system as it is controlled, tree coordinates, velocities and the step before."""
+) -> list[Output]:
+    """The states at all outputs."""
     import mujoco
 
     model, data, layout = system.model, system.data, system.layout
     q, v = system.coordinates(system.scene.initial_state)
     system.place(q, v)
     size = plan[0][1][0].size
-    rows: list[tuple[SoftMuJoCo, Array, Array, float]] = []
+    work = 0.0 if system.scene.tracks_work else None
+    rows: list[Output] = []
 
     def record() -> None:
-        rows.append((system, layout.to_qpos.T @ data.qpos, layout.to_qvel.T @ data.qvel, size))
+        rows.append(Output(system, layout.to_qpos.T @ data.qpos, layout.to_qvel.T @ data.qvel, size, work))
 
-    with _collected_warnings(data) as warnings:
+    with _collected_warnings(data) as warnings, system.following():
         for interval, steps in plan:
             if interval.due:
                 forces = sample(interval.due, float(interval.times[0]), *system.read_measured())
@@ -200,7 +222,10 @@ def _run(
                 record()
             for (number, size), wanted in zip(steps, interval.wanted[1:], strict=True):
                 _use(model, size, solref)
-                mujoco.mj_step(model, data, number)
+                if work is None:
+                    mujoco.mj_step(model, data, number)
+                else:
+                    work += _stepped(system, number)
                 # a step checks the state that it starts from
                 mujoco.mj_checkPos(model, data)
                 mujoco.mj_checkVel(model, data)
@@ -209,6 +234,18 @@ def _run(
                 if wanted:
                     record()
     return rows
+
+
+def _stepped(system: SoftMuJoCo, number: int) -> float:
+    """Make a number of steps; the work that is done in them, J."""
+    import mujoco
+    from scipy.integrate import simpson
+
+    powers = [system.power()]
+    for _ in range(number):
+        mujoco.mj_step(system.model, system.data)
+        powers.append(system.power())
+    return float(simpson(powers, dx=system.model.opt.timestep))
 
 
 @contextmanager

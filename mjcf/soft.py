@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
 import mujoco
 import numpy as np
 
 from mjcf.evaluate import evaluation
 from mjcf.model import CompiledScene
 from newton_euler.scalars import Array
+from newton_euler.scene import Scene
 from newton_euler.state import Evaluation
 
 
@@ -16,9 +21,62 @@ class SoftMuJoCo(CompiledScene):
 
     name = "mujoco"
 
+    def __init__(self, scene: Scene) -> None:
+        """Compile; raises `ModelError` with MuJoCo's reason if it refuses."""
+        super().__init__(scene)
+        first = self.model.neq - len(self.couplings.couplings)
+        self._moved = np.arange(first, first + len(scene.motions))  # motions are the first of the couplings
+
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Accelerations, reactions and energies at a state."""
         self.place(q, v)
         self.data.qacc_warmstart[:] = 0.0  # so that the answer does not depend on the state before
-        mujoco.mj_forward(self.model, self.data)
+        with self.following():
+            mujoco.mj_forward(self.model, self.data)
         return evaluation(self, np.array(self.data.qacc), np.array(self.data.efc_force))
+
+    @contextmanager
+    def following(self) -> Iterator[None]:
+        """Within it MuJoCo's joints follow the prescribed motions of the scene.
+
+        MuJoCo's equalities do not depend on time. But all that a constraint row knows of its residual r
+        is the acceleration that it asks for (its documentation, Computation, section Reference),
+
+            a_ref = -b dr/dt - k d r,
+
+        which is changed here, before each of MuJoCo's solves, to that of r = x - f(t),
+
+            a_ref = f'' - b (dx/dt - f') - k d (x - f).
+        """
+        if not len(self._moved):
+            yield
+            return
+        before = mujoco.get_mjcb_control()
+        mujoco.set_mjcb_control(self._follow)
+        try:
+            yield
+        finally:
+            mujoco.set_mjcb_control(before)
+
+    def _follow(self, model: Any, data: Any) -> None:
+        """Change a_ref of the rows of prescribed motions at MuJoCo's time."""
+        rows, functions = self._rows_of_motions(data), slice(len(self._moved))
+        ahead = self.couplings.value(data.time)[functions] - self.couplings.value(0.0)[functions]
+        k, b, impedance = data.efc_KBIP[rows, :3].T
+        data.efc_aref[rows] += (
+            self.couplings.acceleration(data.time)[functions]
+            + b * self.couplings.rate(data.time)[functions]
+            + k * impedance * ahead
+        )
+
+    def _rows_of_motions(self, data: Any) -> Array:
+        """(m,) the rows of prescribed motions, which are never dropped: each moves a joint."""
+        return np.flatnonzero(np.isin(data.efc_id, self._moved))
+
+    def power(self) -> float:
+        """Power, W, of what is not in the potential energy, at the state that `data` holds."""
+        data = self.data
+        mujoco.mj_forward(self.model, data)
+        power = data.actuator_force @ data.actuator_velocity + data.qfrc_damper @ data.qvel
+        rates = self.couplings.rate(data.time)[: len(self._moved)]
+        return float(power + data.efc_force[self._rows_of_motions(data)] @ rates)

@@ -16,7 +16,7 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-from mjcf.errors import DivergenceError
+from mjcf.errors import DivergenceError, MjcfError
 from mjcf.soft import SoftMuJoCo
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -29,22 +29,32 @@ UNUSED = (
     "CLAMPCTRL",
     "MIDPHASE",
     "NATIVECCD",
-    "SPRING",
-    "DAMPER",
     "ISLAND",
     "WARMSTART",
     "AUTORESET",
 )
 """Features that no scene has, or that cost more than they save."""
 
+PASSIVE = ("SPRING", "DAMPER")
+"""Features that scenes without springs and dampers do not have."""
+
 PORTION = 32_000_000
 """Bytes of states that `mujoco.rollout` may fill at a time: it writes one a step."""
 
 
 def compiled(scene: Scene) -> SoftMuJoCo:
-    """The scene in MuJoCo with everything off that it does not need."""
+    """The scene in MuJoCo with everything off that it does not need.
+
+    Raises:
+        MjcfError: for a prescribed motion.
+    """
+    for motion in scene.motions:
+        raise MjcfError(
+            f"motion of joint {motion.joint!r}: MuJoCo has no equality that depends on time, "
+            "and its tight loops call no Python to make one"
+        )
     system = SoftMuJoCo(scene)
-    disabled = list(UNUSED) if np.any(scene.gravity) else [*UNUSED, "GRAVITY"]
+    disabled = [*UNUSED, *(() if scene.forces else PASSIVE), *(() if np.any(scene.gravity) else ("GRAVITY",))]
     flags = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in disabled)
     system.model.opt.disableflags = sum(flags)
     return system
@@ -148,6 +158,16 @@ def _march_whole(model: Any, data: Any, rows: Iterator[Any], count: int, number:
         kinematics(model, data)
         position[...], quaternion[...] = xpos, xquat
         step(model, data, number)
+
+
+def physics_states(system: SoftMuJoCo, q: Array, v: Array) -> Array:
+    """MuJoCo's full physics states (n, size) of coordinates (n, nq) and velocities (n, nv)."""
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    states = np.empty((len(q), mujoco.mj_stateSize(system.model, kind)))
+    for row, at, moving in zip(states, q, v, strict=True):
+        system.place(at, moving)
+        mujoco.mj_getState(system.model, system.data, row, kind)
+    return states
 
 
 class Rollout:

@@ -2,30 +2,44 @@
 
 Body frames are the mechanism's own: origin at the centre of mass, orientation `Body.quaternion`.
 The mechanism's ground is MuJoCo's world body. Loops close at `<connect>` and `<weld>` equality
-constraints, PD laws become native `<position>` actuators and sampled controllers `<motor>`s, whose
-control is the force. The keyframe `start` holds the initial state with targets and held forces, so a
-stock viewer runs the scene once it loads the key.
+constraints, rods are tendons that an equality holds at their length, gears and screws are equalities of
+joints. MuJoCo has no equality that depends on time: where a motion is prescribed, the file holds the
+joint where it begins, and `mjcf.simulate` moves it. PD laws become native `<position>` actuators and
+sampled controllers `<motor>`s, whose control is the force. For springs and wrenches see `mjcf.forces`.
+The keyframe `start` holds the initial state with targets and held forces, so a stock viewer runs the
+scene once it loads the key.
 """
 
 from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
 
 import numpy as np
 
 from mjcf.errors import MjcfError, ModelError
+from mjcf.forces import (
+    add_site,
+    add_sites,
+    add_springs,
+    add_tendon,
+    add_wrenches,
+    spring_attributes,
+    wrenches,
+)
 from mjcf.layout import Layout, coordinate_name
+from mjcf.text import number, numbers
 from newton_euler.control import Sampled
+from newton_euler.couplings import Coupling, couplings
 from newton_euler.euler_parameters import conjugate, product
-from newton_euler.joints import Pose, Spherical
+from newton_euler.joints import Pose, Rod, Spherical
 from newton_euler.mechanism import Body
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.shapes import Box, Capsule, Shape
 from newton_euler.trajectory import atomic_file
 from newton_euler.tree import TreeJoint, WeldedMechanism, motion_names, weld_loops
+from newton_euler.tree_couplings import TreeCouplings
 
 TIMESTEP = 0.001
 """Time step of a written model, s."""
@@ -78,20 +92,12 @@ def welded_to_xml(scene: Scene, welded: WeldedMechanism) -> str:
     _settings(root, scene)
     layout = Layout(welded.tree)
     _world(root, scene, welded, layout)
-    _loops(root, welded)
+    _tendons(root, scene, welded)
+    _equalities(root, scene, welded)
     _actuators(root, scene)
     _start(root, scene, welded, layout)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
-
-
-def _number(value: float) -> str:
-    """The shortest text that reads back as the same float."""
-    return repr(float(value) + 0.0).removesuffix(".0")
-
-
-def _numbers(values: Iterable[float]) -> str:
-    return " ".join(_number(value) for value in values)
 
 
 def _settings(root: ET.Element, scene: Scene) -> None:
@@ -99,8 +105,8 @@ def _settings(root: ET.Element, scene: Scene) -> None:
     ET.SubElement(
         root,
         "option",
-        timestep=_number(TIMESTEP),
-        gravity=_numbers(scene.gravity),
+        timestep=number(TIMESTEP),
+        gravity=numbers(scene.gravity),
         integrator="RK4",
         solver="Newton",
         iterations="100",
@@ -108,7 +114,7 @@ def _settings(root: ET.Element, scene: Scene) -> None:
     )
     default = ET.SubElement(root, "default")
     ET.SubElement(default, "geom", contype="0", conaffinity="0", mass="0", group="1")
-    ET.SubElement(default, "equality", solref=_numbers([2.0 * TIMESTEP, 1.0]), solimp=_numbers(SOLIMP))
+    ET.SubElement(default, "equality", solref=numbers([2.0 * TIMESTEP, 1.0]), solimp=numbers(SOLIMP))
 
 
 def _look(root: ET.Element, world: ET.Element, scene: Scene) -> None:
@@ -125,7 +131,7 @@ def _look(root: ET.Element, world: ET.Element, scene: Scene) -> None:
     low, high = np.min(points, axis=0), np.max(points, axis=0)
     center = 0.5 * (low + high)
     extent = max(float(np.linalg.norm(high - low)), mechanism.size)
-    ET.SubElement(root, "statistic", center=_numbers(center), extent=_number(extent))
+    ET.SubElement(root, "statistic", center=numbers(center), extent=number(extent))
     visual = ET.SubElement(root, "visual")
     ET.SubElement(visual, "headlight", ambient="0.4 0.4 0.4", diffuse="0.5 0.5 0.5")
     ET.SubElement(visual, "global", azimuth="135", elevation="-20")
@@ -153,14 +159,14 @@ def _look(root: ET.Element, world: ET.Element, scene: Scene) -> None:
         height="256",
     )
     above = center + np.array([0.0, 0.0, 2.0 * extent])
-    ET.SubElement(world, "light", pos=_numbers(above), dir="0 0 -1", diffuse="0.5 0.5 0.5")
+    ET.SubElement(world, "light", pos=numbers(above), dir="0 0 -1", diffuse="0.5 0.5 0.5")
     ET.SubElement(
         world,
         "geom",
         name="floor",
         type="plane",
-        pos=_numbers([center[0], center[1], low[2]]),
-        size=_numbers([2.0 * extent, 2.0 * extent, 0.1 * extent]),
+        pos=numbers([center[0], center[1], low[2]]),
+        size=numbers([2.0 * extent, 2.0 * extent, 0.1 * extent]),
         material="floor",
     )
 
@@ -174,18 +180,28 @@ def _world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
     for shape in scene.mechanism.shapes(0):
         _geom(world, shape, GROUND_COLOUR, in_world, np.array([1.0, 0.0, 0.0, 0.0]))
     elements = {0: world}
+    springs = spring_attributes(scene)
     for kept in layout.order:
-        element = _body(elements[kept.parent], kept, welded)
+        element = _body(elements[kept.parent], kept, welded, springs)
         elements[kept.child] = element
         if kept.child < len(scene.mechanism.bodies):
             body = scene.mechanism.bodies[kept.child]
             colour = COLOURS[(kept.child - 1) % len(COLOURS)]
             for shape in scene.mechanism.shapes(kept.child):
                 _geom(element, shape, colour, body.pose, body.quaternion)
+    add_sites(elements, scene)
+    for rod in rods(welded):
+        for end, point in ((rod.first, rod.point), (rod.second, rod.reaction_point)):
+            add_site(elements, welded.mechanism, f"rod {rod.name} on {end}", end, point)
 
 
-def _body(parent_element: ET.Element, kept: TreeJoint, welded: WeldedMechanism) -> ET.Element:
-    """One body without its shapes and children."""
+def _body(
+    parent_element: ET.Element,
+    kept: TreeJoint,
+    welded: WeldedMechanism,
+    springs: dict[str, dict[str, str]],
+) -> ET.Element:
+    """One body without its shapes, sites and children."""
     mechanism = welded.mechanism
     body, parent = mechanism.bodies[kept.child], mechanism.bodies[kept.parent]
     position, quaternion = body.center_of_mass, body.quaternion
@@ -193,16 +209,16 @@ def _body(parent_element: ET.Element, kept: TreeJoint, welded: WeldedMechanism) 
         position = parent.pose.point_to_body(body.center_of_mass)
         quaternion = product(conjugate(parent.quaternion), body.quaternion)
     element = ET.SubElement(
-        parent_element, "body", name=body.name, pos=_numbers(position), quat=_numbers(quaternion)
+        parent_element, "body", name=body.name, pos=numbers(position), quat=numbers(quaternion)
     )
     _inertial(element, body)
-    joint = mechanism.joints[kept.joint]
+    joint = welded.tree.joint(kept.joint)
     for name, motion in zip(motion_names(joint, kept.forward), kept.motions, strict=True):
         attributes = {"name": name, "type": motion.kind}
-        attributes["pos"] = _numbers(body.pose.point_to_body(joint.reaction_point))
+        attributes["pos"] = numbers(body.pose.point_to_body(joint.reaction_point))
         if motion.kind != "ball":
-            attributes["axis"] = _numbers(body.pose.vector_to_body(motion.axis))
-        ET.SubElement(element, "joint", attributes)
+            attributes["axis"] = numbers(body.pose.vector_to_body(motion.axis))
+        ET.SubElement(element, "joint", attributes | springs.get(name, {}))
     return element
 
 
@@ -221,8 +237,8 @@ def _inertial(element: ET.Element, body: Body) -> None:
         element,
         "inertial",
         pos="0 0 0",
-        mass=_number(body.mass),
-        fullinertia=_numbers([xx, yy, zz, xy, xz, yz]),
+        mass=number(body.mass),
+        fullinertia=numbers([xx, yy, zz, xy, xz, yz]),
     )
 
 
@@ -233,9 +249,9 @@ def _geom(element: ET.Element, shape: Shape, colour: str, pose: Pose, quaternion
             element,
             "geom",
             type="box",
-            pos=_numbers(pose.point_to_body(shape.center)),
-            quat=_numbers(product(conjugate(quaternion), shape.quaternion)),
-            size=_numbers(shape.half_sizes),
+            pos=numbers(pose.point_to_body(shape.center)),
+            quat=numbers(product(conjugate(quaternion), shape.quaternion)),
+            size=numbers(shape.half_sizes),
             rgba=colour,
         )
     else:
@@ -244,17 +260,52 @@ def _geom(element: ET.Element, shape: Shape, colour: str, pose: Pose, quaternion
             element,
             "geom",
             type="capsule",
-            fromto=_numbers(np.concatenate(ends)),
-            size=_number(shape.radius),
+            fromto=numbers(np.concatenate(ends)),
+            size=number(shape.radius),
             rgba=colour,
         )
 
 
-def _loops(root: ET.Element, welded: WeldedMechanism) -> None:
-    """Cuts at balls and welds."""
-    if not welded.tree.cuts:
-        return
-    equality = ET.SubElement(root, "equality")
+def rods(welded: WeldedMechanism) -> list[Rod]:
+    """The rods among the joints."""
+    return [joint for joint in welded.mechanism.joints if isinstance(joint, Rod)]
+
+
+def _tendons(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None:
+    tendons = ET.Element("tendon")
+    add_springs(tendons, scene)
+    for rod in rods(welded):
+        add_tendon(tendons, welded.mechanism, f"rod {rod.name}", (rod.first, rod.second), {})
+    if len(tendons):
+        root.append(tendons)
+
+
+def _equalities(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None:
+    """Cuts, then couplings."""
+    equality = ET.Element("equality")
+    _add_cuts(equality, welded)
+    for coupling in couplings(scene):
+        _add_coupling(equality, scene, coupling)
+    if len(equality):
+        root.append(equality)
+
+
+def _add_coupling(equality: ET.Element, scene: Scene, coupling: Coupling) -> None:
+    """x_1 = constant + factor x_2; the constant is where a prescribed motion begins."""
+    mechanism = scene.mechanism
+    names = [coordinate_name(mechanism.joints[mechanism.joint_index(j)], k) for j, k in coupling.factors]
+    first, *second = coupling.factors.values()
+    constant = coupling.function.value(0.0) / first if coupling.function else 0.0
+    factor = -second[0] / first if second else 0.0
+    attributes = {f"joint{k}": name for k, name in enumerate(names, start=1)}
+    # a joint may have a motion for each of its coordinates
+    attributes["name"] = f"{coupling.what} {coupling.name if second else names[0]}"
+    attributes["polycoef"] = numbers([constant, factor, 0.0, 0.0, 0.0])
+    ET.SubElement(equality, "joint", attributes)
+
+
+def _add_cuts(equality: ET.Element, welded: WeldedMechanism) -> None:
+    """Cuts at balls, rods and welds."""
     mechanism = welded.mechanism
     ground = mechanism.body_names[0]
     for index in welded.tree.cuts:
@@ -264,15 +315,16 @@ def _loops(root: ET.Element, welded: WeldedMechanism) -> None:
         if isinstance(joint, Spherical):
             body = mechanism.bodies[mechanism.body_index(joint.first)]
             anchor = joint.point if first == "world" else body.pose.point_to_body(joint.point)
-            ET.SubElement(equality, "connect", attributes, anchor=_numbers(anchor))
+            ET.SubElement(equality, "connect", attributes, anchor=numbers(anchor))
+        elif isinstance(joint, Rod):
+            length = {"tendon1": f"rod {joint.name}", "polycoef": "0 0 0 0 0"}
+            ET.SubElement(equality, "tendon", name=joint.name, attrib=length)
         else:  # the halves of one body, which share their frame
             ET.SubElement(equality, "weld", attributes, anchor="0 0 0", relpose="0 0 0 1 0 0 0")
 
 
 def _actuators(root: ET.Element, scene: Scene) -> None:
-    if not scene.control:
-        return
-    actuator = ET.SubElement(root, "actuator")
+    actuator = ET.Element("actuator")
     mechanism = scene.mechanism
     for law in scene.control:
         name = coordinate_name(mechanism.joints[mechanism.joint_index(law.joint)], law.coordinate)
@@ -287,22 +339,27 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
             "position",
             name=name,
             joint=name,
-            kp=_number(law.stiffness),
-            kv=_number(law.damping),
+            kp=number(law.stiffness),
+            kv=number(law.damping),
         )
+    add_wrenches(actuator, scene)
+    if len(actuator):
+        root.append(actuator)
 
 
 def controls(scene: Scene) -> list[float]:
-    """(a,) what MuJoCo's actuators are given as ctrl: targets of PD laws (m or rad), held forces."""
-    return [law.held if isinstance(law, Sampled) else law.target for law in scene.control]
+    """What MuJoCo's actuators get as ctrl: targets of PD laws (m or rad), held forces, 1 for wrenches."""
+    laws = [law.held if isinstance(law, Sampled) else law.target for law in scene.control]
+    return laws + [1.0] * len(wrenches(scene))
 
 
 def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
     q, v = welded.tree.coordinates(welded.state(scene.initial_state))
+    q = TreeCouplings(scene, welded.tree).turned(q, 0.0)
     attributes = {"name": KEY}
     if len(q):
-        attributes["qpos"] = _numbers(layout.to_qpos @ q)
-        attributes["qvel"] = _numbers(layout.to_qvel @ v)
-    if scene.control:
-        attributes["ctrl"] = _numbers(controls(scene))
+        attributes["qpos"] = numbers(layout.to_qpos @ q)
+        attributes["qvel"] = numbers(layout.to_qvel @ v)
+    if controls(scene):
+        attributes["ctrl"] = numbers(controls(scene))
     ET.SubElement(ET.SubElement(root, "keyframe"), "key", attributes)

@@ -14,16 +14,22 @@ import pinocchio as pin
 
 from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import from_rotation
+from newton_euler.forces import JointSpring
+from newton_euler.joints import Rod
 from newton_euler.scalars import Array, Scalar
 from newton_euler.scene import Scene
 from newton_euler.solve import rank
 from newton_euler.state import Evaluation, MassProperties, State
 from newton_euler.tree import weld_loops
+from newton_euler.tree_couplings import TreeCouplings
+from urdf.closures import Closures, frame_jacobian
 from urdf.errors import UrdfError
+from urdf.forces import PointForces
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia
-from urdf.reactions import Actuator, joint_wrenches, reactions
-from urdf.write import to_loops, to_urdf
+from urdf.reactions import Actuator, external_forces, joint_wrenches, reactions
+from urdf.rows import Rows, solve
+from urdf.write import closures, to_loops, to_urdf
 
 PROXIMAL_MU = 1e-6
 """Regularisation of redundant closures against the mean of the diagonal of J M^-1 J^T, in units of the
@@ -40,7 +46,8 @@ class PinocchioSystem:
     """A scene in Pinocchio: a `newton_euler.system.System`.
 
     q (nq,) and v (nv,) are coordinates of the spanning tree of the welded mechanism, as in
-    `newton_euler.tree`: zero at the initial pose, quaternions w-x-y-z.
+    `newton_euler.tree`: zero at the initial pose, quaternions w-x-y-z. The work, if the scene tracks
+    it, comes last in q. What Pinocchio's closures leave out, see `urdf.rows`.
 
     Accelerations are worked out in units of the mechanism's size and mass, so that rows in metres and
     rows in radians weigh alike in the regularisation of redundant closures.
@@ -48,6 +55,7 @@ class PinocchioSystem:
     Attributes:
         closed: the Pinocchio model and its closures, SI units.
         map: between q, v and Pinocchio's.
+        time: s, at which prescribed motions are looked at.
     """
 
     name = "pinocchio"
@@ -62,7 +70,10 @@ class PinocchioSystem:
         self.mechanism = scene.mechanism
         self._welded = weld_loops(scene.mechanism)
         self._tree = self._welded.tree
-        self.nq, self.nv = self._tree.nq, self._tree.nv
+        self._couplings = TreeCouplings(scene, self._tree)
+        self.time = 0.0
+        self.nq, self.nv = self._tree.nq + int(scene.tracks_work), self._tree.nv
+        self._work = slice(self._tree.nq, self.nq)
         if self.nv == 0:  # its bindings crash on empty Jacobians
             raise UrdfError(f"scene {scene.name!r}: no joint can move; needed by Pinocchio: one that can")
         text, loops = to_urdf(scene), parse_loops(to_loops(scene), f"{scene.name}.loops.yaml")
@@ -71,11 +82,11 @@ class PinocchioSystem:
         self._model.gravity = pin.Motion(scene.gravity, np.zeros(3))
         self.map = CoordinateMap(self._model, self._welded)
         self._bodies = self._add_body_frames()
+        self._forces = PointForces(scene, self._model, self._bodies)
         self._data = self._model.createData()
         self._length = self._tree.mechanism.size
         self._mass = sum(body.mass for body in self.mechanism.bodies[1:])
         self.velocity_units = self._tree.velocity_units
-        self.phi_units = np.concatenate([np.zeros(0), *(self._units(c) for c in self.closed.constraints)])
         self._q_units = np.ones(self.nq)
         for motion, on_q, _ in self._tree.motions:
             self._q_units[on_q] = self._length if motion.kind == "slide" else 1.0
@@ -88,7 +99,10 @@ class PinocchioSystem:
         pin.initConstraintDynamics(
             self._scaled.model, self._scaled_data, self._scaled.constraints, self._constraint_data
         )
-        self._actuators = [self._actuator(law.joint, law.coordinate) for law in scene.control]
+        self._closures = Closures(self.closed, self.map, self._length)
+        self._rows = Rows(self.closed, self.map, self._couplings, self._length, alpha)
+        self.phi_units = np.concatenate([self._closures.units, self._rows.units])
+        self._actuators = [self._actuator(law.joint, law.coordinate) for law in scene.joint_forces]
         self._proximal = self._proximal_settings()
 
     def _add_body_frames(self) -> list[int]:
@@ -106,7 +120,7 @@ class PinocchioSystem:
         return added
 
     def _actuator(self, joint: str, coordinate: int) -> Actuator:
-        """What a control law drives; only balls are ever cut, so the tree has it."""
+        """What a control law or a spring drives; the tree has it, balls at most are ever cut."""
         index = self.mechanism.joint_index(joint)
         place = self._tree.place(joint, coordinate)
         assert place is not None
@@ -120,7 +134,8 @@ class PinocchioSystem:
         Pinocchio returns NaN for redundant closures without regularisation.
         """
         q, _ = self.coordinates(self.scene.initial_state)
-        jacobian = self.phi_jacobian(q) * self.velocity_units / self.phi_units[:, None]
+        self._place(q)
+        jacobian = self._closures.jacobian(self._data) * self.velocity_units / self._closures.units[:, None]
         if rank(jacobian) == len(jacobian):
             return pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, 0.0, 1)
         # Pinocchio fills only the upper half
@@ -132,98 +147,135 @@ class PinocchioSystem:
         mu = PROXIMAL_MU * max(mean, 1.0)
         return pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, mu, PROXIMAL_ITERATIONS)
 
-    def _units(self, closure: Any) -> Array:
-        """(3,) or (6,) what makes a closure's rows dimensionless."""
-        units = np.repeat([self._length, 1.0], 3)
-        return units if closure.type == pin.ContactType.CONTACT_6D else units[:3]
-
     # What integrators, projection and assembly ask for
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """q and v of a state."""
-        return self._tree.coordinates(self._welded.state(state))
+        q, v = self._tree.coordinates(self._welded.state(state))
+        q = self._couplings.turned(q, self.time)
+        return np.concatenate([q, np.zeros(self.nq - len(q))]), v
 
     def rate(self, q: Array, v: Array) -> Array:
         """qdot (nq,)."""
-        return self._tree.rate(q, v)
+        rates = self._tree.rate(q, v)
+        return np.append(rates, self.power(q, v)) if self.scene.tracks_work else rates
+
+    def power(self, q: Array, v: Array) -> float:
+        """Power of what is not in the potential energy, W."""
+        laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
+        power = float(sum(law.power(*seen) for law, seen in laws))
+        if self._forces:
+            self._move(q, v)
+            power += self._forces.power(self._data)
+        if self.scene.motions:
+            power += self._rows.motion_power(self._solve(q, v)[1], self.time)
+        return power
 
     def retract(self, q: Array, step: Array) -> Array:
         """q moved by a small step (nv,)."""
-        return self._tree.retract(q, step)
+        return np.concatenate([self._tree.retract(q, step), q[self._work]])
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
         """Coordinate (m or rad) and rate of each control law."""
+        return self._measured(q, v)[: len(self.scene.control)]
+
+    def _measured(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
+        """The same of `Scene.joint_forces`."""
         return [(q[actuator.on_q], v[actuator.on_v]) for actuator in self._actuators]
 
     def actuation(self, q: Array, v: Array) -> Array:
-        """Actuator forces (a,), N or N m, in the order of the scene's control laws."""
-        laws = zip(self.scene.control, self.measure(q, v), strict=True)
+        """Forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""
+        laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
         return np.array([law.force(*seen) for law, seen in laws])
 
-    def acceleration(self, q: Array, v: Array) -> Array:
-        """vdot (nv,); raises `SingularityError` where Pinocchio has no finite answer."""
+    def _move(self, q: Array, v: Array) -> None:
+        """Give Pinocchio's joints and frames a state."""
+        pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
+        pin.forwardKinematics(self._model, self._data, pin_q, pin_v)
+        pin.updateFramePlacements(self._model, self._data)
+
+    def _generalized_force(self, q: Array, v: Array) -> Array:
+        """(nv,) of all forces but gravity."""
         force = np.zeros(self.nv)
         for actuator, u in zip(self._actuators, self.actuation(q, v), strict=True):
             force[actuator.on_v] += u
-        acceleration = pin.constraintDynamics(
-            self._scaled.model,
-            self._scaled_data,
-            self.map.q_to_pinocchio(q / self._q_units),
-            self.map.v_to_pinocchio(v / self.velocity_units),
-            self.map.v_to_pinocchio(force * self.velocity_units / (self._mass * self._length**2)),
-            self._scaled.constraints,
-            self._constraint_data,
-            self._proximal,
+        if self._forces:
+            self._move(q, v)
+            pin.computeJointJacobians(self._model, self._data)
+            for push in self._forces.pushes(self._data):
+                wrench = np.concatenate([push.force, push.torque])
+                force += self.map.v_from_pinocchio(
+                    wrench @ frame_jacobian(self._model, self._data, push.frame)
+                )
+        return force
+
+    def acceleration(self, q: Array, v: Array) -> Array:
+        """vdot (nv,); raises `SingularityError` where Pinocchio has no finite answer."""
+        return self._solve(q, v)[0]
+
+    def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """vdot (nv,) and the multipliers (r,) of `Rows`; those of closures stay with Pinocchio."""
+        scaled_q = self.map.q_to_pinocchio(q / self._q_units)
+        scaled_v = self.map.v_to_pinocchio(v / self.velocity_units)
+
+        def respond(force: Array) -> Array:
+            acceleration = pin.constraintDynamics(
+                self._scaled.model,
+                self._scaled_data,
+                scaled_q,
+                scaled_v,
+                self.map.v_to_pinocchio(force),
+                self._scaled.constraints,
+                self._constraint_data,
+                self._proximal,
+            )
+            self._check(acceleration)
+            return self.map.v_from_pinocchio(acceleration)
+
+        unit = self._mass * self._length**2  # of generalized forces
+        force = self._generalized_force(q, v) * self.velocity_units / unit
+        rows, gamma = self._rows.equations(self._data, q, v, self.time)
+        units = self._rows.units
+        acceleration, multipliers = solve(
+            respond, force, rows * self.velocity_units / units[:, None], gamma / units
         )
+        return self.velocity_units * acceleration, multipliers * unit / units
+
+    def _check(self, acceleration: Array) -> None:
         if not np.all(np.isfinite(acceleration)):
             names = [self._welded.mechanism.joint_names[k] for k in self._tree.cuts]
             raise SingularityError(
                 ", ".join(names) or self.mechanism.joint_names[0],
                 "Pinocchio's constraintDynamics returned numbers that are not finite",
             )
-        return self.velocity_units * self.map.v_from_pinocchio(acceleration)
 
-    def _closure_wrenches(self) -> list[Any]:
-        """What the closures do to their second bodies, about the world's origin, SI units."""
+    def _closure_wrenches(self, multipliers: Array) -> list[Any]:
+        """What cuts do to their second bodies, about the world's origin, SI units, in the tree's order."""
         wrenches = [-data.oMc1.act(data.contact_force) for data in self._constraint_data]
         force = self._mass * self._length
-        return [pin.Force(w.linear * force, w.angular * force * self._length) for w in wrenches]
+        closures = iter([pin.Force(w.linear * force, w.angular * force * self._length) for w in wrenches])
+        rods = iter(self._rows.rod_wrenches(self._data, multipliers))
+        joints = [self._tree.joint(cut) for cut in self._tree.cuts]
+        return [next(rods if isinstance(joint, Rod) else closures) for joint in joints]
 
     def phi(self, q: Array) -> Array:
-        """Residuals (k,) of the closures by Pinocchio's frame placements.
-
-        First origin less second, world frame, m; for a weld also the rotation vector that takes the
-        first frame to the second, rad.
-        """
+        """Residuals (k,) of the closures, then of `Rows`."""
         pin.framesForwardKinematics(self._model, self._data, self.map.q_to_pinocchio(q))
-        rows = [np.zeros(0)]
-        for (first, second), constraint in self._closures():
-            a, b = self._data.oMf[first], self._data.oMf[second]
-            rows.append(a.translation - b.translation)
-            if constraint.type == pin.ContactType.CONTACT_6D:
-                rows.append(pin.log3(a.rotation.T @ b.rotation))
-        return np.concatenate(rows)
+        return np.concatenate([self._closures.phi(self._data), self._rows.phi(self._data, q, self.time)])
+
+    def phi_t(self) -> Array:
+        """Partial derivative (k,) of `phi` by time."""
+        return np.concatenate([np.zeros(len(self._closures.units)), self._rows.phi_t(self.time)])
 
     def phi_jacobian(self, q: Array) -> Array:
         """Derivative (k, nv) of `phi` along `retract`, and of its rate by v."""
+        self._place(q)
+        return np.concatenate([self._closures.jacobian(self._data), self._rows.jacobian(self._data)])
+
+    def _place(self, q: Array) -> None:
+        """Joint Jacobians and frame placements at q."""
         pin.computeJointJacobians(self._model, self._data, self.map.q_to_pinocchio(q))
         pin.updateFramePlacements(self._model, self._data)
-        rows = [np.zeros((0, self.nv))]
-        for (first, second), constraint in self._closures():
-            difference = self._frame_jacobian(first) - self._frame_jacobian(second)
-            rows.append(difference[:3])
-            if constraint.type == pin.ContactType.CONTACT_6D:
-                a, b = self._data.oMf[first].rotation, self._data.oMf[second].rotation
-                rows.append(-pin.Jlog3(a.T @ b) @ b.T @ difference[3:])
-        return self.map.v_from_pinocchio(np.concatenate(rows))
-
-    def _closures(self) -> Any:
-        return zip(self.closed.frames, self.closed.constraints, strict=True)
-
-    def _frame_jacobian(self, frame: int) -> Array:
-        """(6, nv) in Pinocchio's order: velocity of the frame's origin, angular velocity; world."""
-        jacobian = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
-        return np.reshape(jacobian, (6, self.nv))  # a single column comes as a vector
 
     # Between Pinocchio and what everybody understands
 
@@ -268,9 +320,8 @@ class PinocchioSystem:
 
     def velocity_transformation(self, q: Array) -> Array:
         """(6 b, nv): v and omega of body 0, 1, ... for each velocity, by Pinocchio's Jacobians."""
-        pin.computeJointJacobians(self._model, self._data, self.map.q_to_pinocchio(q))
-        pin.updateFramePlacements(self._model, self._data)
-        rows = np.concatenate([self._frame_jacobian(frame) for frame in self._bodies])
+        self._place(q)
+        rows = np.concatenate([frame_jacobian(self._model, self._data, frame) for frame in self._bodies])
         return self.map.v_from_pinocchio(rows)
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
@@ -279,14 +330,21 @@ class PinocchioSystem:
         Raises:
             SingularityError: where Pinocchio has no finite accelerations.
         """
-        qddot = self.acceleration(q, v)
-        closure_wrenches = self._closure_wrenches()
+        qddot, multipliers = self._solve(q, v)
         pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
         pin_a = self.map.v_to_pinocchio(qddot)
         pin.forwardKinematics(self._model, self._data, pin_q, pin_v, pin_a)
         state = self._state()
+        closure_wrenches = self._closure_wrenches(multipliers)
+        cut_wrenches = [
+            (self._model.getFrameId(name, pin.FrameType.BODY), sign * wrench)
+            for pair, wrench in zip(closures(self._welded), closure_wrenches, strict=True)
+            for (name, _, _), sign in zip(pair, (-1.0, 1.0), strict=True)
+        ]
         accelerations = self._frame_motions(pin.getFrameClassicalAcceleration)
-        external = self._external(closure_wrenches)
+        applied = self._forces.wrenches(self._data)
+        cut_wrenches += zip(self._bodies, applied, strict=True)
+        external = external_forces(self._model, self._data, cut_wrenches)
         pin.rnea(self._model, self._data, pin_q, pin_v, pin_a, external)
         wrenches = joint_wrenches(
             self.scene,
@@ -294,6 +352,7 @@ class PinocchioSystem:
             self._model,
             self._data,
             [wrench.vector for wrench in closure_wrenches],
+            [wrench.vector for wrench in applied],
             state,
             accelerations,
         )
@@ -308,18 +367,17 @@ class PinocchioSystem:
             accelerations[:, 3:],
             forces,
             torques,
-            actuation,
+            actuation[: len(self.scene.control)],
             kinetic,
-            potential + self._fixed_energy(),
+            potential + self._fixed_energy() + self._springs_energy(q, v),
+            q[self._work][0] if self.scene.tracks_work else None,
         )
 
-    def _external(self, closure_wrenches: list[Any]) -> Any:
-        """Forces on Pinocchio's joints, in their frames, from world wrenches on the second bodies."""
-        external = pin.StdVec_Force([pin.Force.Zero() for _ in range(self._model.njoints)])
-        for constraint, wrench in zip(self.closed.constraints, closure_wrenches, strict=True):
-            for joint, force in ((constraint.joint2_id, wrench), (constraint.joint1_id, -wrench)):
-                external[joint] += self._data.oMi[joint].actInv(force)
-        return external
+    def _springs_energy(self, q: Array, v: Array) -> float:
+        """Energy of all springs, J."""
+        laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
+        turned = sum(law.energy(seen[0]) for law, seen in laws if isinstance(law, JointSpring))
+        return float(turned) + self._forces.energy(self._data)
 
     def _driven(self, actuation: Array) -> list[tuple[Actuator, float, Array]]:
         """Actuators with their forces and their axes in the world, out of Pinocchio's Jacobians."""

@@ -1,6 +1,6 @@
 """The loop file: what closes the loops of a URDF, and which of its joints are something else.
 
-Its keys are those of Gepetto's example-parallel-robots (`robot.yaml`).
+Its keys are those of Gepetto's example-parallel-robots (`robot.yaml`), and `coupled`.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from typing import Any
 
 import yaml
 
+from newton_euler.control import is_finite_number
 from urdf.errors import LoopFileError
 
-CLOSURE_TYPES = ("3d", "6d")
+CLOSURE_TYPES = ("3d", "6d", "rod")
 JOINT_TYPES = ("SPHERICAL",)
 
 
@@ -23,10 +24,13 @@ class Loops:
     Attributes:
         source: the file's name, for messages.
         closed_loop: pairs of frames that coincide.
-        type: for each pair one of `CLOSURE_TYPES`: the origins coincide, or the frames do.
+        type: for each pair one of `CLOSURE_TYPES`: the origins coincide, or the frames do, or the origins
+            keep their distance.
         name_mot: joints with a motor.
         joint_name: joints whose type is not the one in the URDF.
         joint_type: for each of them one of `JOINT_TYPES`.
+        coupled: for each coupling, names of joints and factors; the products with their coordinates add
+            up to zero. The only key that may be missing.
     """
 
     source: str
@@ -35,6 +39,7 @@ class Loops:
     name_mot: tuple[str, ...]
     joint_name: tuple[str, ...]
     joint_type: tuple[str, ...]
+    coupled: tuple[dict[str, float], ...]
 
 
 def parse_loops(text: str, source: str) -> Loops:
@@ -64,7 +69,13 @@ def parse_loops(text: str, source: str) -> Loops:
         "joint_name",
         len(names["joint_name"]),
     )
-    return Loops(source, tuple((first, second) for first, second in pairs), **names)
+    coupled = _entry({"coupled": [], **document}, source, "coupled")
+    for coupling in coupled:
+        if not isinstance(coupling, dict) or not all(
+            isinstance(name, str) and is_finite_number(factor) for name, factor in coupling.items()
+        ):
+            raise LoopFileError(source, "coupled", f"{coupling!r} is not a mapping from joints to numbers")
+    return Loops(source, tuple((first, second) for first, second in pairs), **names, coupled=tuple(coupled))
 
 
 def _entry(document: dict[str, Any], source: str, key: str) -> list[Any]:

@@ -27,13 +27,18 @@ class ClosedLoopModel:
 
     Attributes:
         model: `pinocchio.Model`.
-        constraints: `pinocchio.StdVec_RigidConstraintModel`, one for each pair of `closed_loop`.
+        constraints: `pinocchio.StdVec_RigidConstraintModel`, one for each pair of `closed_loop` that is no
+            rod.
         frames: indices of those pairs of frames.
+        rods: indices of the pairs of frames that are rods.
+        couplings: (c, nv) the equations couplings @ v = 0.
     """
 
     model: Any
     constraints: Any
     frames: tuple[tuple[int, int], ...]
+    rods: tuple[tuple[int, int], ...]
+    couplings: Array
 
 
 def build(
@@ -57,19 +62,24 @@ def build(
         raise UrdfError(f"not a URDF: {error}") from error
     if list(placeholder.names).count(GROUND) > 1:
         raise UrdfError(f"a joint is named {GROUND!r}, which is Pinocchio's own name of the ground")
-    for key, names in (("joint_name", loops.joint_name), ("name_mot", loops.name_mot)):
+    coupled = [name for coupling in loops.coupled for name in coupling]
+    named = (("joint_name", loops.joint_name), ("name_mot", loops.name_mot), ("coupled", coupled))
+    for key, names in named:
         for name in names:
             if name not in list(placeholder.names)[1:]:
                 raise LoopFileError(loops.source, key, f"the URDF has no moving joint {name!r}")
     model = _rebuilt(placeholder, loops.joint_name, length, mass)
 
     constraints = pin.StdVec_RigidConstraintModel()
-    frames = []
+    frames, rods = [], []
     for pair, kind in zip(loops.closed_loop, loops.type, strict=True):
         for name in pair:
             if not model.existFrame(name, pin.FrameType.BODY):
                 raise LoopFileError(loops.source, "closed_loop", f"the URDF has no link {name!r}")
         first, second = (model.getFrameId(name, pin.FrameType.BODY) for name in pair)
+        if kind == "rod":
+            rods.append((first, second))
+            continue
         constraint = pin.RigidConstraintModel(
             pin.ContactType.CONTACT_3D if kind == "3d" else pin.ContactType.CONTACT_6D,
             model,
@@ -85,7 +95,11 @@ def build(
         )
         constraints.append(constraint)
         frames.append((first, second))
-    return ClosedLoopModel(model, constraints, tuple(frames))
+    couplings = np.zeros((len(loops.coupled), model.nv))
+    for row, coupling in zip(couplings, loops.coupled, strict=True):
+        for name, factor in coupling.items():
+            row[model.joints[model.getJointId(name)].idx_v] = factor
+    return ClosedLoopModel(model, constraints, tuple(frames), tuple(rods), couplings)
 
 
 def _rebuilt(placeholder: Any, balls: tuple[str, ...], length: float, mass: float) -> Any:
@@ -139,11 +153,9 @@ class CoordinateMap:
     def __init__(self, model: Any, welded: WeldedMechanism) -> None:
         order_q = np.zeros(model.nq, dtype=int)
         order_v = np.zeros(model.nv, dtype=int)
-        joints = welded.mechanism.joints
-        names = [
-            name for kept in welded.tree.joints for name in motion_names(joints[kept.joint], kept.forward)
-        ]
-        for name, (motion, on_q, on_v) in zip(names, welded.tree.motions, strict=True):
+        tree = welded.tree
+        names = [name for kept in tree.joints for name in motion_names(tree.joint(kept.joint), kept.forward)]
+        for name, (motion, on_q, on_v) in zip(names, tree.motions, strict=True):
             joint = model.joints[model.getJointId(name)]
             columns = np.arange(on_q.start, on_q.stop)
             if motion.kind == "ball":

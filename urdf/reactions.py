@@ -5,9 +5,11 @@ A wrench here is (6,): force and torque about the world's origin, world frame.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from newton_euler.euler_parameters import rotation
 from newton_euler.scalars import Array
@@ -17,7 +19,7 @@ from newton_euler.tree import WeldedMechanism, motion_names
 
 
 class Actuator(NamedTuple):
-    """What a control law drives.
+    """What a control law or a spring of a joint drives.
 
     Attributes:
         joint: index of the joint.
@@ -33,22 +35,38 @@ class Actuator(NamedTuple):
     on_v: int
 
 
+def external_forces(model: Any, data: Any, wrenches: Iterable[tuple[int, Any]]) -> Any:
+    """What `rnea` takes: forces on Pinocchio's joints, in their frames.
+
+    Args:
+        model, data: Pinocchio's, with joint placements.
+        wrenches: frames, and what acts on what they are fixed to, about the world's origin.
+    """
+    external = pin.StdVec_Force([pin.Force.Zero() for _ in range(model.njoints)])
+    for frame, wrench in wrenches:
+        joint = model.frames[frame].parentJoint
+        external[joint] += data.oMi[joint].actInv(wrench)
+    return external
+
+
 def joint_wrenches(
     scene: Scene,
     welded: WeldedMechanism,
     model: Any,
     data: Any,
     closure_wrenches: list[Array],
+    applied: list[Array],
     state: State,
     accelerations: Array,
 ) -> Array:
-    """What each joint of the welded mechanism does to its second body, actuators included.
+    """What each joint of the welded mechanism does to its second body, actuators and springs included.
 
     Args:
         scene: for its gravity.
         welded: its mechanism with closures that Pinocchio knows.
-        model, data: Pinocchio's, after `rnea` under the closures' wrenches.
+        model, data: Pinocchio's, after `rnea` under the wrenches below.
         closure_wrenches: (6,) for each cut, on its second body.
+        applied: (6,) for each body of the scene, of springs between points and wrenches.
         state: of the bodies.
         accelerations: (b, 6) of the bodies, linear and angular.
 
@@ -60,13 +78,17 @@ def joint_wrenches(
     for cut, wrench in zip(tree.cuts, closure_wrenches, strict=True):
         wrenches[cut] = wrench
     for kept in reversed(tree.joints):
+        if kept.joint >= len(joints):
+            continue  # bodies that only rods hold
         if kept.motions:
-            last = model.getJointId(motion_names(joints[kept.joint], kept.forward)[-1])
+            last = model.getJointId(motion_names(tree.joint(kept.joint), kept.forward)[-1])
             on_child = data.oMi[last].act(data.f[last]).vector
         else:
             # Pinocchio merges links that a fixed joint connects: what is left of the child's balance
             child = welded.mechanism.bodies[kept.child].name
             on_child = _needed_wrench(scene, welded, kept.child, state, accelerations)
+            if kept.child < len(applied):  # of two halves the first is the one they act on
+                on_child -= applied[kept.child]
             for index, joint in enumerate(joints):
                 if index != kept.joint and child in (joint.first, joint.second):
                     on_child -= wrenches[index] if joint.second == child else -wrenches[index]
@@ -90,7 +112,7 @@ def _needed_wrench(
 def reactions(
     scene: Scene, wrenches: Array, state: State, actuation: list[tuple[Actuator, float, Array]]
 ) -> tuple[Array, Array]:
-    """Forces and torques (j, 3) on the second bodies at the joint points, without the actuators'.
+    """Forces and torques (j, 3) on the second bodies at the joint points, without those of actuators.
 
     Args:
         scene: whose mechanism has the j joints.

@@ -15,13 +15,17 @@ import numpy as np
 import pinocchio as pin
 from numpy.lib.stride_tricks import as_strided
 
-from newton_euler.control import PD
+from newton_euler.control import PD, Sampled
+from newton_euler.couplings import couplings
 from newton_euler.errors import IntegrationError
+from newton_euler.forces import JointSpring
+from newton_euler.joints import Rod
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.solve import rank
 from newton_euler.tree import weld_loops
 from urdf.dynamics import PinocchioSystem
+from urdf.errors import UrdfError
 from urdf.loops import parse_loops
 from urdf.model import build
 from urdf.write import to_loops, to_urdf
@@ -57,7 +61,12 @@ class Equations(NamedTuple):
 
 
 def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) -> Equations:
-    """The equations of motion by `constraintDynamics`, or by `lcaba` with (mu, iterations)."""
+    """The equations of motion by `constraintDynamics`, or by `lcaba` with (mu, iterations).
+
+    Raises:
+        UrdfError: for a scene with something that these equations have no place for.
+    """
+    _check(scene)
     system = PinocchioSystem(scene, alpha)
     closed = build(to_urdf(scene), parse_loops(to_loops(scene), f"{scene.name}.loops.yaml"), alpha)
     model, constraints = closed.model, closed.constraints
@@ -107,20 +116,30 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
     return Equations(system, partial(solve, *arguments), rates_at, start, nq)
 
 
+def _check(scene: Scene) -> None:
+    """Refuse what is not gravity, a closure of Pinocchio's or an affine law of joint coordinates."""
+    refused = [force.element for force in scene.forces if not isinstance(force, JointSpring)]
+    refused += [f"joint {joint.name!r}" for joint in scene.mechanism.joints if isinstance(joint, Rod)]
+    refused += [f"{coupling.what} {coupling.name!r}" for coupling in couplings(scene)]
+    if refused:
+        known = "gravity, forces on joint coordinates, and loops that balls or welds close"
+        raise UrdfError(f"{refused[0]}: the tight equations of Pinocchio know {known}")
+
+
 def _laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
-    """Actuation as an affine function of y: (nv, nq + nv) and (nv,)."""
+    """Actuation and springs of joints as an affine function of y: (nv, nq + nv) and (nv,)."""
     order_q = list(system.map.q_to_pinocchio(np.arange(system.nq)))
     order_v = list(system.map.v_to_pinocchio(np.arange(system.nv)))
-    gains, constant = np.zeros((system.nv, system.nq + system.nv)), np.zeros(system.nv)
     tree = weld_loops(scene.mechanism).tree
-    for law in scene.control:
+    gains, constant = np.zeros((tree.nv, tree.nq + tree.nv)), np.zeros(tree.nv)
+    for law in scene.joint_forces:
         place = tree.place(law.joint, law.coordinate)
         assert place is not None  # only balls are ever cut
-        assert isinstance(law, PD)  # sampled controllers are not benchmarked
+        assert not isinstance(law, Sampled)  # sampled controllers are not benchmarked
         row = order_v.index(place[1])
         gains[row, order_q.index(place[0])] -= law.stiffness
-        gains[row, system.nq + row] -= law.damping
-        constant[row] += law.stiffness * law.target
+        gains[row, tree.nq + row] -= law.damping
+        constant[row] += law.stiffness * (law.target if isinstance(law, PD) else law.rest)
     return gains, constant
 
 

@@ -5,19 +5,23 @@ initial pose. So every rpy of joints and inertials is zero, no number passes thr
 joint coordinates are those of the spanning tree. A joint of several motions is a chain of one-motion
 joints through massless links. URDF cannot close loops and has no ball joint: the loop file says
 which frames coincide and which joints are balls, with the keys of Gepetto's example-parallel-robots
-(https://github.com/Gepetto/example-parallel-robots, `robot.yaml`).
+(https://github.com/Gepetto/example-parallel-robots, `robot.yaml`) and two things more: closures of type
+`rod`, frames whose origins keep their distance, and `coupled`, joints whose coordinates times the
+numbers beside them add up to zero.
 """
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 import yaml
 
-from newton_euler.joints import Motion, Spherical
+from newton_euler.couplings import couplings
+from newton_euler.joints import Fixed, Joint, Motion, Rod
 from newton_euler.mechanism import Body
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -25,6 +29,9 @@ from newton_euler.trajectory import atomic_file
 from newton_euler.tree import TreeJoint, WeldedMechanism, motion_names, weld_loops
 from urdf.errors import NameClashError, UrdfError
 from urdf.visual import add_materials, add_visual, color, numbers
+
+CLOSURES: dict[type[Joint], str] = {Fixed: "6d", Rod: "rod"}
+"""Types in the loop file of joints that close loops, other than balls."""
 
 LIMIT = "1000"
 """Of everything: URDF demands limits of hinges and slides, and the mechanism's joints have none."""
@@ -35,8 +42,8 @@ def to_urdf(scene: Scene) -> str:
 
     Links are named as the bodies, joints as the joints (`<joint>_1`, `<joint>_2`, ... for the parts
     of a joint with several motions, from its first body to its second). Ball joints are placeholders,
-    revolute, for the loop file to replace. Gravity, control and the initial state are the scene's and
-    not in the text.
+    revolute, for the loop file to replace. Gravity, control, forces, prescribed motions and the initial
+    state are the scene's and not in the text.
 
     Raises:
         NameClashError: if the parts of a joint are named as another joint or body is.
@@ -47,7 +54,7 @@ def to_urdf(scene: Scene) -> str:
     add_materials(robot)
     origins = [np.zeros(3)] * len(mechanism.bodies)
     for kept in tree.joints:
-        origins[kept.child] = mechanism.joints[kept.joint].reaction_point
+        origins[kept.child] = tree.joint(kept.joint).reaction_point
 
     for index, body in enumerate(mechanism.bodies):
         link = SubElement(robot, "link", name=body.name)
@@ -76,20 +83,27 @@ def to_loops(scene: Scene) -> str:
     joints = welded.mechanism.joints
     balls, motors = [], []
     for kept in welded.tree.joints:
-        joint = joints[kept.joint]
+        joint = welded.tree.joint(kept.joint)
         for name, motion in zip(motion_names(joint, kept.forward), kept.motions, strict=True):
             if motion.kind == "ball":
                 balls.append(name)
             elif joint.actuated:
                 motors.append(name)
     cuts = [joints[k] for k in welded.tree.cuts]
-    document = {
+    coupled = [
+        {_coordinate_name(scene, *key): factor for key, factor in coupling.factors.items()}
+        for coupling in couplings(scene)
+        if coupling.function is None
+    ]
+    document: dict[str, Any] = {
         "closed_loop": [[frame for frame, _, _ in pair] for pair in closures(welded)],
-        "type": ["3d" if isinstance(joint, Spherical) else "6d" for joint in cuts],
+        "type": [CLOSURES.get(type(joint), "3d") for joint in cuts],
         "name_mot": motors,
         "joint_name": balls,
         "joint_type": ["SPHERICAL"] * len(balls),
     }
+    if coupled:
+        document["coupled"] = coupled
     return str(yaml.safe_dump(document, default_flow_style=None, sort_keys=False, width=100))
 
 
@@ -128,6 +142,13 @@ def closures(welded: WeldedMechanism) -> list[list[tuple[str, int, Array]]]:
     return pairs
 
 
+def _coordinate_name(scene: Scene, joint: str, coordinate: int) -> str:
+    """Name of the URDF joint of one of a joint's coordinates, which count its hinges and slides from 0."""
+    found = scene.mechanism.joints[scene.mechanism.joint_index(joint)]
+    names = zip(motion_names(found), found.motions, strict=True)
+    return [name for name, motion in names if motion.kind != "ball"][coordinate]
+
+
 def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> None:
     """Mass, centre of mass and inertia in the link's frame, which `rotation` takes the body's to."""
     inertial = SubElement(link, "inertial")
@@ -148,7 +169,7 @@ def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> 
 
 def _add_chain(robot: Element, welded: WeldedMechanism, kept: TreeJoint, origins: list[Array]) -> None:
     """One joint of the tree: a chain from its parent's link to its child's."""
-    names, joint = welded.mechanism.body_names, welded.mechanism.joints[kept.joint]
+    names, joint = welded.mechanism.body_names, welded.tree.joint(kept.joint)
     parent, child = names[kept.parent], names[kept.child]
     offset = origins[kept.child] - origins[kept.parent]
     if not kept.motions:

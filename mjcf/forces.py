@@ -1,0 +1,108 @@
+"""The forces of a scene as MJCF.
+
+Springs of joints are attributes of MuJoCo's joints. Springs between points are spatial tendons, and
+wrenches are motors on sites whose control is 1: MuJoCo turns a motor's force with its site, or not if a
+site of the world is its `refsite`. Names hold a space, which no name of a scene does, so that none clash.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+
+from mjcf.layout import coordinate_name
+from mjcf.text import number, numbers
+from newton_euler.forces import JointSpring, PointSpring, Wrench
+from newton_euler.mechanism import Mechanism
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+
+WORLD_SITE = "world frame"
+"""Name of the site against which motors of wrenches that keep their direction are turned."""
+
+SITE_SIZE = 0.01
+"""Radius of a site, in sizes of the mechanism."""
+
+TENDON_WIDTH = 0.003
+"""Radius of a tendon, in sizes of the mechanism."""
+
+
+def spring_attributes(scene: Scene) -> dict[str, dict[str, str]]:
+    """Attributes of MuJoCo's joints, by their names, that make up the springs of joints."""
+    found = {}
+    for spring in scene.forces:
+        if isinstance(spring, JointSpring):
+            joint = scene.mechanism.joints[scene.mechanism.joint_index(spring.joint)]
+            found[coordinate_name(joint, spring.coordinate)] = {
+                "stiffness": number(spring.stiffness),
+                "damping": number(spring.damping),
+                "springref": number(spring.rest),
+            }
+    return found
+
+
+def add_sites(elements: dict[int, ET.Element], scene: Scene) -> None:
+    """Give bodies, by their number, the sites of springs between points and of wrenches."""
+    mechanism = scene.mechanism
+    for force in scene.forces:
+        if isinstance(force, PointSpring):
+            ends = ((force.first, force.point_on_first), (force.second, force.point_on_second))
+            for body, point in ends:
+                add_site(elements, mechanism, f"spring {force.name} on {body}", body, point)
+        elif isinstance(force, Wrench):
+            add_site(elements, mechanism, f"wrench {force.name}", force.body, force.point)
+    if any(isinstance(force, Wrench) and force.frame == "world" for force in scene.forces):
+        add_site(elements, mechanism, WORLD_SITE, mechanism.body_names[0], np.zeros(3))
+
+
+def add_site(
+    elements: dict[int, ET.Element], mechanism: Mechanism, name: str, body: str, point: Array
+) -> None:
+    """A point (3,) of a body, given in the world at the initial pose."""
+    index = mechanism.body_index(body)
+    local = mechanism.bodies[index].pose.point_to_body(point) if index else point
+    size = number(SITE_SIZE * mechanism.size)
+    ET.SubElement(elements[index], "site", name=name, pos=numbers(local), size=size)
+
+
+def add_springs(tendons: ET.Element, scene: Scene) -> None:
+    """Springs between points."""
+    for spring in scene.forces:
+        if isinstance(spring, PointSpring):
+            more = {
+                "stiffness": number(spring.stiffness),
+                "damping": number(spring.damping),
+                "springlength": number(spring.rest_length),
+            }
+            add_tendon(tendons, scene.mechanism, f"spring {spring.name}", (spring.first, spring.second), more)
+
+
+def add_tendon(
+    tendons: ET.Element, mechanism: Mechanism, name: str, bodies: tuple[str, str], more: dict[str, str]
+) -> None:
+    """A straight tendon between the sites that bear its name on two bodies."""
+    width = number(TENDON_WIDTH * mechanism.size)
+    element = ET.SubElement(tendons, "spatial", {"name": name, "width": width, **more})
+    for body in bodies:
+        ET.SubElement(element, "site", site=f"{name} on {body}")
+
+
+def wrenches(scene: Scene) -> list[Wrench]:
+    """The wrenches of a scene, in the order of their motors, which come after those of control laws."""
+    return [force for force in scene.forces if isinstance(force, Wrench)]
+
+
+def add_wrenches(actuators: ET.Element, scene: Scene) -> None:
+    """Motors on the sites of wrenches."""
+    mechanism = scene.mechanism
+    for wrench in wrenches(scene):
+        pose = mechanism.bodies[mechanism.body_index(wrench.body)].pose
+        parts = [wrench.force, wrench.torque]
+        if wrench.frame == "body":
+            parts = [pose.vector_to_body(part) for part in parts]
+        name = f"wrench {wrench.name}"
+        attributes = {"name": name, "site": name, "gear": numbers(np.concatenate(parts))}
+        if wrench.frame == "world":
+            attributes["refsite"] = WORLD_SITE
+        ET.SubElement(actuators, "motor", attributes)

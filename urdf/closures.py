@@ -1,0 +1,57 @@
+"""The closures of a model by Pinocchio's frames, as projection and assembly see them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from newton_euler.scalars import Array
+from urdf.model import ClosedLoopModel, CoordinateMap
+
+
+class Closures:
+    """Residuals of the rigid constraints of a model, 3 rows of each or 6.
+
+    Of each: first origin less second, world frame, m; for a weld also the rotation vector that takes the
+    first frame to the second, rad.
+
+    Attributes:
+        units: (k,) what makes the rows dimensionless: `length` (m) for lengths, 1 for angles.
+    """
+
+    def __init__(self, closed: ClosedLoopModel, map: CoordinateMap, length: float) -> None:
+        self._model, self._map = closed.model, map
+        welds = [constraint.type == pin.ContactType.CONTACT_6D for constraint in closed.constraints]
+        self._closures = list(zip(closed.frames, welds, strict=True))
+        of_weld = np.repeat([length, 1.0], 3)
+        units = [of_weld if weld else of_weld[:3] for weld in welds]
+        self.units = np.concatenate([np.zeros(0), *units])
+
+    def phi(self, data: Any) -> Array:
+        """Residuals (k,); of data with frame placements."""
+        rows = [np.zeros(0)]
+        for (first, second), weld in self._closures:
+            a, b = data.oMf[first], data.oMf[second]
+            rows.append(a.translation - b.translation)
+            if weld:
+                rows.append(pin.log3(a.rotation.T @ b.rotation))
+        return np.concatenate(rows)
+
+    def jacobian(self, data: Any) -> Array:
+        """(k, nv) in tree velocities; of data with joint Jacobians and frame placements."""
+        rows = [np.zeros((0, self._model.nv))]
+        for (first, second), weld in self._closures:
+            difference = frame_jacobian(self._model, data, first) - frame_jacobian(self._model, data, second)
+            rows.append(difference[:3])
+            if weld:
+                a, b = data.oMf[first].rotation, data.oMf[second].rotation
+                rows.append(-pin.Jlog3(a.T @ b) @ b.T @ difference[3:])
+        return self._map.v_from_pinocchio(np.concatenate(rows))
+
+
+def frame_jacobian(model: Any, data: Any, frame: int) -> Array:
+    """(6, nv) in Pinocchio's order: velocity of the frame's origin, angular velocity; world."""
+    jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+    return np.reshape(jacobian, (6, model.nv))  # a single column comes as a vector

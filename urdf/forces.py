@@ -1,0 +1,125 @@
+"""Forces between points of bodies and wrenches, by Pinocchio's frames."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from newton_euler.forces import PointSpring, Wrench
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+
+
+class Push(NamedTuple):
+    """A force and a torque on a frame's body, at the frame's origin; world frame.
+
+    Attributes:
+        body: number of the body.
+        frame: Pinocchio's number of the frame.
+        force, torque: (3,) N and N m.
+    """
+
+    body: int
+    frame: int
+    force: Array
+    torque: Array
+
+
+class PointForces:
+    """The springs between points and the wrenches of a scene.
+
+    They are worked out from `data` as `pinocchio.updateFramePlacements` leaves it, velocities included.
+    """
+
+    def __init__(self, scene: Scene, model: Any, body_frames: list[int]) -> None:
+        """Add frames at their points to `model`, turned as the bodies, whose own are `body_frames`."""
+        self._model, self._bodies = model, len(body_frames)
+        self._springs: list[tuple[PointSpring, tuple[int, int], tuple[int, int]]] = []
+        self._wrenches: list[tuple[Wrench, int, int, Array, Array]] = []
+        mechanism = scene.mechanism
+
+        def added(name: str, body: int, point: Array) -> int:
+            leading = body_frames[body]
+            offset = pin.SE3(np.eye(3), mechanism.bodies[body].pose.point_to_body(point))
+            frame = model.frames[leading]
+            placement = frame.placement * offset
+            found = pin.Frame(name, frame.parentJoint, leading, placement, pin.FrameType.OP_FRAME)
+            return int(model.addFrame(found))
+
+        for force in scene.forces:
+            if isinstance(force, PointSpring):
+                bodies = mechanism.body_index(force.first), mechanism.body_index(force.second)
+                points = force.point_on_first, force.point_on_second
+                first, second = (
+                    added(f"spring {force.name} on {mechanism.body_names[body]}", body, point)
+                    for body, point in zip(bodies, points, strict=True)
+                )
+                self._springs.append((force, bodies, (first, second)))
+            elif isinstance(force, Wrench):
+                body = mechanism.body_index(force.body)
+                turn = mechanism.bodies[body].pose.vector_to_body
+                frame = added(f"wrench {force.name}", body, force.point)
+                self._wrenches.append((force, body, frame, turn(force.force), turn(force.torque)))
+
+    def __bool__(self) -> bool:
+        return bool(self._springs or self._wrenches)
+
+    def pushes(self, data: Any) -> list[Push]:
+        """What they do to the bodies."""
+        found = []
+        for spring, bodies, frames in self._springs:
+            d, rate = self._line(data, frames)
+            length = float(np.linalg.norm(d))
+            stretch = spring.stiffness * (length - spring.rest_length)
+            # a spring without rest length and damping may be of no length
+            tension = stretch + spring.damping * float(d @ rate) / (length or 1.0)
+            pull = tension * d / (length or 1.0)
+            found.append(Push(bodies[0], frames[0], pull, np.zeros(3)))
+            found.append(Push(bodies[1], frames[1], -pull, np.zeros(3)))
+        for wrench, body, frame, force, torque in self._wrenches:
+            turn = data.oMf[frame].rotation
+            if wrench.frame == "body":
+                found.append(Push(body, frame, turn @ force, turn @ torque))
+            else:
+                found.append(Push(body, frame, wrench.force, wrench.torque))
+        return found
+
+    def wrenches(self, data: Any) -> list[Any]:
+        """What they do to each body of the scene, about the world's origin."""
+        found = [pin.Force.Zero() for _ in range(self._bodies)]
+        for push in self.pushes(data):
+            origin = pin.SE3(np.eye(3), data.oMf[push.frame].translation)
+            found[push.body] += origin.act(pin.Force(push.force, push.torque))
+        return found
+
+    def energy(self, data: Any) -> float:
+        """Energy of the springs, J."""
+        stretched = (
+            (spring, float(np.linalg.norm(self._line(data, frames)[0])))
+            for spring, _, frames in self._springs
+        )
+        return sum(
+            0.5 * spring.stiffness * (length - spring.rest_length) ** 2 for spring, length in stretched
+        )
+
+    def power(self, data: Any) -> float:
+        """Power of dampers and wrenches, W."""
+        power = 0.0
+        for spring, _, frames in self._springs:
+            d, rate = self._line(data, frames)
+            power -= spring.damping * float(d @ rate) ** 2 / (float(d @ d) or 1.0)
+        for push in self.pushes(data)[2 * len(self._springs) :]:
+            velocity = self._velocity(data, push.frame)
+            power += float(push.force @ velocity.linear + push.torque @ velocity.angular)
+        return power
+
+    def _line(self, data: Any, frames: tuple[int, int]) -> tuple[Array, Array]:
+        """(3,) m, from the first frame's origin to the second's, and its rate (3,)."""
+        first, second = (data.oMf[frame].translation for frame in frames)
+        rates = [self._velocity(data, frame).linear for frame in frames]
+        return second - first, rates[1] - rates[0]
+
+    def _velocity(self, data: Any, frame: int) -> Any:
+        return pin.getFrameVelocity(self._model, data, frame, pin.LOCAL_WORLD_ALIGNED)

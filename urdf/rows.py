@@ -1,0 +1,147 @@
+"""Equations that Pinocchio's `constraintDynamics` does not know: rods, couplings, prescribed motions.
+
+The rows are made of Pinocchio's own kinematics: with points p1 and p2 of a rod, d = p2 - p1 and l = |d|,
+
+    Phi = l - L,    Phi_q = d^T (J2 - J1) / l
+    Phi_q qddot + (d . (a2 - a1) + |dd/dt|^2 - (dl/dt)^2) / l = 0
+
+with a1 and a2 the accelerations of the points at qddot = 0. Couplings and motions are linear in q. What
+makes them hold, see `solve`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from newton_euler.scalars import Array
+from newton_euler.solve import minimum_norm
+from newton_euler.tree_couplings import TreeCouplings
+from urdf.closures import frame_jacobian
+from urdf.model import ClosedLoopModel, CoordinateMap
+
+REFINEMENTS = 2
+"""Solves for the multipliers; the second makes up for digits that differences of accelerations lose."""
+
+
+class Rows:
+    """The rows of a model: rods, prescribed motions, screws, gears.
+
+    Attributes:
+        units: (r,) what makes them dimensionless: `length` (m) for lengths, 1 for angles.
+    """
+
+    def __init__(
+        self,
+        closed: ClosedLoopModel,
+        map: CoordinateMap,
+        couplings: TreeCouplings,
+        length: float,
+        alpha: float,
+    ) -> None:
+        """`alpha`, 1/s, is that of Baumgarte's gains, which the closures have too."""
+        self._alpha = alpha
+        self._model, self._rods, self._map, self._couplings = closed.model, closed.rods, map, couplings
+        data = self._model.createData()
+        pin.framesForwardKinematics(self._model, data, pin.neutral(self._model))
+        self._lengths = [float(np.linalg.norm(self._line(data, rod))) for rod in self._rods]
+        # the loop file knows what is coupled, and the scene what is moved
+        motions = len(couplings.couplings) - len(closed.couplings)
+        self._coupled = np.vstack([couplings.jacobian[:motions], map.v_from_pinocchio(closed.couplings)])
+        self.units = np.concatenate([np.full(len(self._rods), length), couplings.units])
+
+    def equations(self, data: Any, q: Array, v: Array, time: float) -> tuple[Array, Array]:
+        """Phi_q (r, nv) and the stabilised gamma (r,) at tree coordinates q and velocities v."""
+        if not len(self.units):
+            return np.zeros((0, len(v))), np.zeros(0)
+        pin_q, pin_v = self._map.q_to_pinocchio(q), self._map.v_to_pinocchio(v)
+        pin.forwardKinematics(self._model, data, pin_q, pin_v, np.zeros(len(v)))
+        pin.computeJointJacobians(self._model, data)
+        pin.updateFramePlacements(self._model, data)
+        rows = self.jacobian(data)
+        opening = rows @ v + self.phi_t(time)
+        drift = 2.0 * self._alpha * opening + self._alpha**2 * self.phi(data, q, time)
+        return rows, self.gamma(data, time) - drift
+
+    def phi(self, data: Any, q: Array, time: float) -> Array:
+        """Residuals (r,), m or rad; of data after `framesForwardKinematics` at tree coordinates q."""
+        open_by = [
+            float(np.linalg.norm(self._line(data, rod))) - length
+            for rod, length in zip(self._rods, self._lengths, strict=True)
+        ]
+        return np.concatenate([open_by, self._couplings.phi(q, time)])
+
+    def phi_t(self, time: float) -> Array:
+        """Partial derivative (r,) of `phi` by time."""
+        return np.concatenate([np.zeros(len(self._rods)), -self._couplings.rate(time)])
+
+    def jacobian(self, data: Any) -> Array:
+        """(r, nv) in tree velocities; of data after `computeJointJacobians` and `updateFramePlacements`."""
+        rows = [np.zeros((0, self._model.nv))]
+        for rod in self._rods:
+            first, second = (frame_jacobian(self._model, data, frame) for frame in rod)
+            rows.append(self._direction(data, rod)[None] @ (second - first)[:3])
+        return np.concatenate([self._map.v_from_pinocchio(np.concatenate(rows)), self._coupled])
+
+    def gamma(self, data: Any, time: float) -> Array:
+        """(r,) right side of Phi_q qddot = gamma; of data after `forwardKinematics` at qddot = 0."""
+        model, aligned = self._model, pin.LOCAL_WORLD_ALIGNED
+        products = []
+        for rod in self._rods:
+            v1, v2 = (pin.getFrameVelocity(model, data, frame, aligned).linear for frame in rod)
+            a1, a2 = (pin.getFrameClassicalAcceleration(model, data, frame, aligned).linear for frame in rod)
+            length, rate = np.linalg.norm(self._line(data, rod)), v2 - v1
+            u = self._direction(data, rod)
+            products.append(u @ (a2 - a1) + (rate @ rate - (u @ rate) ** 2) / length)
+        return np.concatenate([-np.array(products), self._couplings.acceleration(time)])
+
+    def rod_wrenches(self, data: Any, multipliers: Array) -> list[Any]:
+        """What rods do to their second bodies, about the world's origin."""
+        wrenches = []
+        for rod, multiplier in zip(self._rods, multipliers, strict=False):
+            force = multiplier * self._direction(data, rod)
+            wrenches.append(pin.Force(force, np.cross(data.oMf[rod[1]].translation, force)))
+        return wrenches
+
+    def motion_power(self, multipliers: Array, time: float) -> float:
+        """Power of prescribed motions, W."""
+        return float(multipliers[len(self._rods) :] @ self._couplings.rate(time))
+
+    def _line(self, data: Any, rod: tuple[int, int]) -> Array:
+        """(3,) m, from the first point to the second."""
+        return np.asarray(data.oMf[rod[1]].translation - data.oMf[rod[0]].translation)
+
+    def _direction(self, data: Any, rod: tuple[int, int]) -> Array:
+        d = self._line(data, rod)
+        return np.asarray(d / np.linalg.norm(d))
+
+
+def solve(respond: Callable[[Array], Array], force: Array, rows: Array, gamma: Array) -> tuple[Array, Array]:
+    """Accelerations (nv,) and multipliers (r,) where rows of a Jacobian are to hold too.
+
+    The accelerations a of a model with its own closures are affine in the generalized force, so
+
+        rows @ a(force + rows^T mu) = gamma
+
+    is a small linear system for mu; its matrix is what unit multipliers do. Dependent rows get the
+    smallest multipliers. Everything is dimensionless.
+
+    Args:
+        respond: a (nv,) of a force (nv,).
+        force: (nv,) without the multipliers'.
+        rows: (r, nv).
+        gamma: (r,).
+    """
+    acceleration = respond(force)
+    multipliers = np.zeros(len(rows))
+    if not len(rows):
+        return acceleration, multipliers
+    compliance = rows @ np.array([respond(force + row) - acceleration for row in rows]).T
+    units = np.ones(len(rows))
+    for _ in range(REFINEMENTS):
+        multipliers = multipliers + minimum_norm(compliance, gamma - rows @ acceleration, units, units)
+        acceleration = respond(force + rows.T @ multipliers)
+    return acceleration, multipliers
