@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-TABLE_WIDTH = 100
+TABLE_WIDTH = 130
 """Columns that the tables of a run need; a narrower terminal wraps them itself."""
 
 AGREE, DISAGREE, BAD_INPUT = 0, 1, 2
@@ -49,7 +49,8 @@ def _options(settings: tuple[str, ...]) -> dict[str, str]:
 
 
 @cli.command("run")
-@click.argument("scene", default="tracker")
+@click.argument("scene", required=False)
+@click.option("--all", "library", is_flag=True, help="Run all scenes of the library, a line each.")
 @click.option(
     "--engines", default="newton_euler,mujoco,pinocchio", show_default=True, help="Comma-separated."
 )
@@ -57,21 +58,51 @@ def _options(settings: tuple[str, ...]) -> dict[str, str]:
     "--set", "settings", multiple=True, metavar="OPTION=VALUE", help="Option of the scene; repeatable."
 )
 @click.option(
-    "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/SCENE]"
+    "--output",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Folder.  [default: output/SCENE, or output with --all]",
 )
 @click.option(
     "--save", type=click.Path(path_type=Path), default=None, help="Recording.  [default: OUTPUT/SCENE.rrd]"
 )
 def run_command(
-    scene: str, engines: str, settings: tuple[str, ...], output: Path | None, save: Path | None
+    scene: str | None,
+    library: bool,
+    engines: str,
+    settings: tuple[str, ...],
+    output: Path | None,
+    save: Path | None,
 ) -> int:
-    """Run SCENE (a name or a scene file) through the engines and compare them."""
+    """Run SCENE (a name or a scene file; the tracker if not given) through the engines and compare them."""
+    wanted = [name.strip() for name in engines.split(",") if name.strip()]
+    if library:
+        if scene or settings or save:
+            raise CrosscheckError("--all runs all scenes at their defaults, without SCENE, --set or --save")
+        return _run_all(wanted, output or Path("output"))
+    return _run(scene or "tracker", wanted, settings, output, save)
+
+
+def _run_all(engines: list[str], folder: Path) -> int:
+    from crosscheck.run_all import outcome_lines, outcomes_table, run_all
+
+    with _progress() as progress:
+        outcomes = run_all(engines, folder, progress)
+    click.echo(_rendered([outcomes_table(outcomes)]), nl=False)
+    for line in outcome_lines(outcomes):
+        click.echo(line)
+    return AGREE if all(outcome.agrees for outcome in outcomes) else DISAGREE
+
+
+def _run(
+    scene: str, engines: list[str], settings: tuple[str, ...], output: Path | None, save: Path | None
+) -> int:
     from crosscheck.engines import choose
     from crosscheck.report import markdown, settings_lines, terminal_tables
     from crosscheck.run import check_writable, crosscheck, write
     from crosscheck.scenes import load
 
-    chosen = choose([name.strip() for name in engines.split(",") if name.strip()])
+    chosen = choose(engines)
     options = _options(settings)
     loaded = load(scene, **options)
     folder = output or Path("output") / loaded.name

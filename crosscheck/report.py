@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 from crosscheck.compare import Row
+from crosscheck.reactions import undetermined_joints
 from crosscheck.run import Crosscheck
+from crosscheck.scene_figures import Measured
 
 
 def terminal_tables(result: Crosscheck) -> Iterator[Table]:
@@ -24,6 +26,30 @@ def terminal_tables(result: Crosscheck) -> Iterator[Table]:
         rows = [row for row in result.rows if _part(row, engines) == part]
         if rows:
             yield _table(title, rows)
+    if result.measured:
+        yield _measured_table(result.measured)
+
+
+def _measured_table(measured: Sequence[Measured]) -> Table:
+    """A line for each known figure: the value of the first engine, the reference, a cell for each engine."""
+    columns = list(dict.fromkeys(found.engine for found in measured))
+    title = Text("figures against the reference", style="bold")
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("")
+    table.add_column("time, s", justify="right")
+    for name in (f"value, {columns[0]}", "reference", *columns):
+        table.add_column(name, justify="right", no_wrap=True)
+    for known in dict.fromkeys(id(found.known) for found in measured):
+        cells = {found.engine: found for found in measured if id(found.known) == known}
+        first = cells[columns[0]]
+        table.add_row(
+            f"{first.known.quantity}, {first.known.unit}",
+            f"{first.known.time:g}",
+            f"{first.value:.12g}",
+            f"{first.known.value:.12g}",
+            *(judged(cells[name].difference, cells[name].allowed, cells[name].agrees) for name in columns),
+        )
+    return table
 
 
 def _part(row: Row, engines: set[str]) -> str:
@@ -53,17 +79,26 @@ def _table(title: str, rows: list[Row]) -> Table:
 def _cell(row: Row) -> Text:
     if row.informs:
         return Text(f"{row.value:.1e}")
-    text = f"{row.value:.1e} {'<' if row.value <= row.tolerance else '>'} {row.tolerance:.0e}"
-    if row.informs:
-        return Text(text)
-    return Text(text, style="green" if row.agrees else "bold red")
+    return judged(row.value, row.tolerance, row.agrees)
+
+
+def judged(value: float, allowed: float, agrees: bool) -> Text:
+    """A figure beside what it may be at most."""
+    text = f"{value:.1e} {'<' if value <= allowed else '>'} {allowed:.0e}"
+    return Text(text, style="green" if agrees else "bold red")
 
 
 def settings_lines(result: Crosscheck) -> Iterator[str]:
-    """One line an engine: what it ran with and how long."""
+    """One line an engine, what it ran with and how long, or why it did not run; reactions not unique."""
     for name, run in result.runs.items():
         settings = ", ".join(f"{key} {_short(value)}" for key, value in run.settings.items())
         yield f"{name}: {settings}; {run.wall_time:.2g} s"
+    for name, reason in result.left_out.items():
+        yield f"{name}: left out: {reason}"
+    count, joints = undetermined_joints(result.scene, result.scene.initial_state)
+    if count:
+        rows = "a redundant row" if count == 1 else f"{count} redundant rows"
+        yield f"reactions not unique: {rows} at joints {', '.join(joints)}"
 
 
 def _short(value: object) -> object:
@@ -90,5 +125,20 @@ def markdown(result: Crosscheck) -> str:
         lines.append(
             f"| {row.quantity} | {', '.join(row.between)} | {row.value:.1e} | {row.tolerance:.0e} "
             f"| {verdict} | {row.where} |"
+        )
+    if result.measured:
+        lines += [
+            "",
+            "## against the reference",
+            "",
+            "| figure | time, s | engine | value | reference | difference | allowed | verdict |",
+            "|---|---|---|---|---|---|---|---|",
+        ]
+    for found in result.measured:
+        known = found.known
+        lines.append(
+            f"| {known.quantity}, {known.unit} | {known.time:g} | {found.engine} | {found.value:.15g} "
+            f"| {known.value:.15g} | {found.difference:.1e} | {found.allowed:.1e} "
+            f"| {'holds' if found.agrees else '**FAILS**'} |"
         )
     return "\n".join(lines) + "\n"

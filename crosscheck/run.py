@@ -8,7 +8,8 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ import numpy as np
 from crosscheck.compare import Row, compare
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.errors import CrosscheckError
+from crosscheck.scene_figures import Measured, known_of, measure
+from newton_euler.errors import NewtonEulerError
 from newton_euler.scene import Scene
 from newton_euler.trajectory import Trajectory, atomic_file
 
@@ -35,9 +38,11 @@ class Crosscheck:
         source: the name or the file that the scene was loaded from.
         options: of the scene, as they were set.
         scene: what was run.
-        engines: in the order asked for.
+        engines: those that ran, in the order asked for.
+        left_out: engines that cannot express the scene, and why.
         runs: by engine.
         rows: the compared figures.
+        measured: figures that are known from elsewhere, as the engines give them.
         wall_time: s, of everything.
     """
 
@@ -45,8 +50,10 @@ class Crosscheck:
     options: Mapping[str, str]
     scene: Scene
     engines: tuple[Engine, ...]
+    left_out: dict[str, str]
     runs: dict[str, Trajectory]
     rows: tuple[Row, ...]
+    measured: tuple[Measured, ...]
     wall_time: float
 
     @property
@@ -58,7 +65,7 @@ class Crosscheck:
     @property
     def agrees(self) -> bool:
         """Whether every figure is within its tolerance."""
-        return all(row.agrees for row in self.rows)
+        return all(row.agrees for row in self.rows) and all(known.agrees for known in self.measured)
 
     @property
     def verdict(self) -> str:
@@ -66,21 +73,30 @@ class Crosscheck:
         names = ", ".join(engine.name for engine in self.engines)
         judged = [row for row in self.rows if not row.informs]
         failed = [row for row in judged if not row.agrees]
+        wrong = [measured for measured in self.measured if not measured.agrees]
         alone = len(self.engines) == 1
         subject = f"ran {names} alone on {self.title}: nothing to compare it with; its own figures"
-        if not failed:
-            if alone:
-                return f"{subject} hold, all {len(judged)}"
-            return f"AGREE: {names} agree on {self.title} in all {len(judged)} figures"
-        row = failed[0]
-        if not alone:
-            parting = "part" if len(row.between) > 1 else "fails"
-            subject = f"DISAGREE: {' and '.join(row.between)} {parting} on {self.title}"
-        return (
-            f"{subject}{' fail' if alone else ''} at level '{row.level}': {row.quantity}: "
-            f"{row.value:.3g} > {row.tolerance:.3g}, worst at {row.where} "
-            f"({len(failed)} of {len(judged)} figures fail)"
-        )
+        if failed:
+            row = failed[0]
+            if not alone:
+                parting = "part" if len(row.between) > 1 else "fails"
+                subject = f"DISAGREE: {' and '.join(row.between)} {parting} on {self.title}"
+            return (
+                f"{subject}{' fail' if alone else ''} at level '{row.level}': {row.quantity}: "
+                f"{row.value:.3g} > {row.tolerance:.3g}, worst at {row.where} "
+                f"({len(failed)} of {len(judged)} figures fail)"
+            )
+        if wrong:
+            first = wrong[0]
+            return (
+                f"DISAGREE: {first.engine} and the reference part on {self.title}: {first.known.quantity} "
+                f"at {first.known.time:g} s: {first.difference:.3g} > {first.allowed:.3g} "
+                f"({len(wrong)} of {len(self.measured)} known figures fail)"
+            )
+        known = f", and the reference in all {len(self.measured)}" if self.measured else ""
+        if alone:
+            return f"{subject} hold, all {len(judged)}{known}"
+        return f"AGREE: {names} agree on {self.title} in all {len(judged)} figures{known}"
 
     def summary(self) -> dict[str, Any]:
         """All figures, versions, settings and wall times, for JSON."""
@@ -97,7 +113,9 @@ class Crosscheck:
                 name: {"settings": run.settings, "wall_time": run.wall_time}
                 for name, run in self.runs.items()
             },
+            "left_out": self.left_out,
             "figures": [asdict(row) | {"agrees": row.agrees} for row in self.rows],
+            "known_figures": [measured.summary() for measured in self.measured],
         }
 
 
@@ -113,26 +131,56 @@ def crosscheck(
     Raises:
         CrosscheckError: for a scene without the outputs that are compared, and for results that are
             not finite.
+        NewtonEulerError: for a scene that no engine can express, and for a run that cannot go on.
     """
     for output in ("velocities", "reactions", "violation"):
         if output not in scene.outputs:
             raise CrosscheckError(f"scene {scene.name!r} does not ask for the output {output!r}, needed here")
     start = time.perf_counter()
+    able, left_out = _able(scene, engines)
     runs = {}
-    for engine in engines:
+    for engine in able:
         progress(f"{engine.name}: {scene.duration:g} s of {scene.name}")
         runs[engine.name] = engine.simulate(scene)
         _check_finite(engine.name, runs[engine.name])
     progress("comparing equations and runs")
-    rows = compare(scene, engines, runs, RANDOM_STATES)
+    rows = compare(scene, able, runs, RANDOM_STATES)
     for row in rows:
         if not np.isfinite(row.value):
             raise CrosscheckError(
                 f"no figure for {row.quantity} at level {row.level!r} between {' and '.join(row.between)}: "
                 f"{row.value:g} at {row.where}"
             )
+    measured: list[Measured] = []
+    known = known_of(source, options)
+    for engine in able if known else ():
+        progress(f"{engine.name}: known figures")
+        measured.extend(measure(source, scene, engine, runs[engine.name], known))
     wall_time = time.perf_counter() - start
-    return Crosscheck(source, options, scene, tuple(engines), runs, tuple(rows), wall_time)
+    return Crosscheck(
+        source, options, scene, tuple(able), left_out, runs, tuple(rows), tuple(measured), wall_time
+    )
+
+
+def _able(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engine], dict[str, str]]:
+    """The engines that can express a scene, and why the others cannot.
+
+    Those that can make their finer run at most once, for all that it is compared with.
+
+    Raises:
+        NewtonEulerError: the first engine's own where none can.
+    """
+    able, errors = [], {}
+    for engine in engines:
+        try:
+            engine.systems(scene)
+        except NewtonEulerError as error:
+            errors[engine.name] = error
+        else:
+            able.append(replace(engine, refined=lru_cache(engine.refined)))
+    if not able:
+        raise errors[engines[0].name]
+    return able, {name: str(error) for name, error in errors.items()}
 
 
 def _check_finite(engine: str, run: Trajectory) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 import newton_euler
 from crosscheck import benchmark, benchmark_batch, benchmark_reference, benchmark_rhs, benchmark_scaling
-from crosscheck.benchmark import Measurement
+from crosscheck.benchmark_batch_engines import MuJoCo, Own, cheapest, identical, references
 from crosscheck.benchmark_engines import poses_only
 from crosscheck.benchmark_rhs import (
     Timing,
@@ -21,6 +21,8 @@ from crosscheck.benchmark_rhs import (
     time_right_hand_sides,
 )
 from crosscheck.errors import CrosscheckError
+from newton_euler.errors import IntegrationError
+from newton_euler.euler_parameters import from_rotation_vector
 
 
 @pytest.fixture(scope="module")
@@ -138,9 +140,9 @@ def test_outputs_are_as_rare_as_memory_needs(tracker):
 
 def test_batches_that_differ_in_one_bit_are_not_identical(short, tracker_states):
     one, other = (newton_euler.simulate_batch(short, tracker_states[:3], threads=2) for _ in range(2))
-    assert benchmark_batch.identical(one, other)
+    assert identical(one, other)
     other._results[1, 2] = np.nextafter(other._results[1, 2], np.inf)
-    assert not benchmark_batch.identical(one, other)
+    assert not identical(one, other)
 
 
 def test_rollouts_are_the_runs_one_by_one(short, tracker_states):
@@ -160,36 +162,96 @@ def test_rollouts_are_the_runs_one_by_one(short, tracker_states):
         assert max(benchmark.pose_errors(rollout.poses(found[k]), stepper.poses())) < 1e-13
 
 
+class MadeUp:
+    """An engine whose runs are off by a known amount, and take a known time, at each setting."""
+
+    name = "made up"
+
+    def __init__(self, ladders: list[list[dict[str, float]]]) -> None:
+        self._ladders, self.tried = ladders, []  # numbers of what was tried, in turn
+
+    def ladders(self):
+        return iter([(str(setting), setting) for setting in ladder] for ladder in self._ladders)
+
+    def between(self, coarse, fine):
+        number = (coarse["number"] + fine["number"]) // 2
+        return None if number == coarse["number"] else (f"number {number}", at(number))
+
+    def sample(self, options, states):
+        self.tried.append(options["number"])
+        if options["error"] == np.inf:
+            raise IntegrationError(0.5, "made up")
+        turn = from_rotation_vector(np.array([0.0, 0.0, options["error"]]))
+        exact = np.zeros((1, 1, 3)), np.array([[[1.0, 0.0, 0.0, 0.0]]])
+        worst = np.zeros((1, 1, 3)), turn[None, None]
+        return options["seconds"], lambda: [exact] * (len(states) - 1) + [worst]
+
+
+def at(number, error=None, seconds=None):
+    return {
+        "number": number,
+        "error": 1.0 / number**2 if error is None else error,
+        "seconds": 1e-3 * number if seconds is None else seconds,
+    }
+
+
+def choice(ladders, error):
+    exact = [(np.zeros((1, 1, 3)), np.array([[[1.0, 0.0, 0.0, 0.0]]]))] * 3
+    engine = MadeUp(ladders)
+    return cheapest(engine, [None] * 3, exact, error, lambda message: None), engine.tried
+
+
+def test_the_setting_is_the_coarsest_that_the_worst_of_the_sample_reaches_the_error_with():
+    # 1/n^2 <= 1e-2 from n = 10 on; 5 fails and 20 does not, so 12, 8, 10, 9 lie between
+    found, tried = choice([[at(1), at(5), at(20), at(100)]], 1.0001e-2)
+    assert found.options["number"] == 10
+    assert found.error == pytest.approx(1e-2)
+    assert list(dict.fromkeys(tried)) == [1, 5, 20, 12, 8, 10, 9]
+
+
+def test_the_setting_is_the_quickest_of_all_methods():
+    slow, quick, failing = at(3, 1e-9, 0.5), at(4, 1e-9, 0.2), at(5, np.inf)
+    found, tried = choice([[slow], [failing, quick], [at(6, 1.0, 0.3), at(7, 1e-9, 0.1)]], 1e-6)
+    assert found.options is quick
+    assert 7 not in tried  # its ladder was slower already where it did not reach the error
+    with pytest.raises(
+        CrosscheckError, match=r"made up does not reach an error of 1e-10 .* least is 1\.0e-09"
+    ):
+        choice([[slow], [failing]], 1e-10)
+
+
 def test_a_batch_is_measured_for_both_engines(monkeypatch):
     monkeypatch.setattr(benchmark_batch, "LIMIT", 0.5)
     monkeypatch.setattr(benchmark_batch, "SAMPLE", 2)
-    monkeypatch.setattr(benchmark_batch, "REPEATS", 1)
-
-    def found(scene, period, error, progress):
-        own = {"formulation": "relative", "stabilization": "projection", "rtol": 1e-8}
-        other = {"integrator": "RK4", "number": 2, "damping_ratio": 0.6}
-        names = (
-            Measurement("newton_euler", "m", "a", 1e-7, 1e-7, 100, 1e-3, (1e-3,)),
-            Measurement("mujoco", "m", "b", 1e-7, 1e-7, 100, 2e-2, (2e-2,)),
-        )
-        return dict(zip(("newton_euler", "mujoco"), zip(names, (own, other), strict=True), strict=True))
-
-    monkeypatch.setattr(benchmark_batch, "_cheapest_settings", found)
-    result = benchmark_batch.benchmark_batch("tracker", {}, 4, 1e-6, lambda message: None)
+    monkeypatch.setattr(benchmark_batch, "REPEATS", 2)
+    own_setting = {"formulation": "relative", "stabilization": "projection", "rtol": 1e-8}
+    other_setting = {"integrator": "RK4", "number": 2, "damping_ratio": 0.6}
+    monkeypatch.setattr(Own, "ladders", lambda self: iter([[("m, a", own_setting)]]))
+    monkeypatch.setattr(MuJoCo, "ladders", lambda self: iter([[("m, b", other_setting)]]))
+    result = benchmark_batch.benchmark_batch("tracker", {}, 4, 1e-5, lambda message: None)
     own, other = result.sides
     assert [(t.threads, t.runs) for t in own.throughputs] == [(n, 4) for n in benchmark_batch.thread_counts()]
     # an order above the tolerances; MuJoCo RK4 at 5 ms is 3e-6 off
     assert own.error < 1e-6
-    assert other.error < 1e-5
+    assert own.error < other.error < 1e-5
     assert result.uncertainty < 1e-9
     rows = list(benchmark_batch.batch_table(result).columns[0].cells)
     assert len(rows) == 2 * len(benchmark_batch.thread_counts())
-    assert "mujoco is" in benchmark_batch.batch_words(result)[-1]
     content = json.loads(benchmark_batch.batch_json(result))
-    assert content["sides"][0]["throughputs"][0]["rate"] == own.throughputs[0].rate
+    for side in content["sides"]:
+        for found in side["throughputs"]:
+            assert len(found["times"]) == 2
+            assert found["rate"] == found["runs"] / min(found["times"])
+
+
+def test_an_error_below_what_the_reference_is_known_to_is_refused(monkeypatch):
+    monkeypatch.setattr(benchmark_batch, "SAMPLE", 1)
+    monkeypatch.setattr(benchmark_batch, "references", lambda scene, states: ({}, 1e-9))
+    with pytest.raises(CrosscheckError, match=r"--error 1e-10: the reference is known to 1\.0e-09 only"):
+        benchmark_batch.benchmark_batch("tracker", {}, 2, 1e-10, lambda message: None)
 
 
 def test_a_batch_without_a_reference_is_refused(short, tracker_states, monkeypatch):
     monkeypatch.setattr(benchmark_reference, "LIMIT", 1e-3)
     with pytest.raises(CrosscheckError, match=r"none of 1 random runs has a reference.*0\.001 s"):
-        benchmark_batch._references(short, tracker_states[:1])
+        references(short, tracker_states[:1])

@@ -100,11 +100,11 @@ def test_module_and_version():
         (["tracker", "--engines", "bullet"], "unknown engine 'bullet'; choose from: newton_euler, mujoco"),
         (["tracker", "--engines", "mujoco,mujoco"], "engine 'mujoco' is named 2 times"),
         (["tracker", "--engines", ","], "no engine named"),
-        (["tracker", "--set", "leg_inertia"], "--set 'leg_inertia' is not of the form OPTION=VALUE"),
-        (["tracker", "--set", "leg_inertia=round"], "choose from: printed, aligned"),
+        (["tracker", "--set", "panel_inertia"], "--set 'panel_inertia' is not of the form OPTION=VALUE"),
+        (["tracker", "--set", "panel_inertia=round"], "choose from: realisable, literal"),
         (["tracker", "--set", "colour=red"], "unknown option 'colour'"),
         (["tracker", "--set", "name=red"], "unknown option 'name'"),
-        (["tracker", "--set", "leg_inertia=aligned", "--set", "leg_inertia=printed"], "given twice"),
+        (["tracker", "--set", "panel_inertia=literal", "--set", "panel_inertia=realisable"], "given twice"),
         (["tracker", "--fast"], "No such option"),
         (["tracker", "four_bar"], "unexpected extra argument"),
     ],
@@ -277,16 +277,16 @@ def test_a_recording_is_named_as_one(tmp_path, capsys, good):
 
 
 def test_summary_tells_what_was_run(tmp_path, capsys, monkeypatch, good):
-    short = replace(load("tracker", leg_inertia="aligned"), duration=0.02)
+    short = replace(load("tracker", panel_inertia="literal"), duration=0.02)
     monkeypatch.setattr("crosscheck.scenes.load", lambda *_, **__: short)
-    arguments = ("--set", "leg_inertia=aligned", "--engines", "pinocchio", "--output", tmp_path)
+    arguments = ("--set", "panel_inertia=literal", "--engines", "pinocchio", "--output", tmp_path)
     _, out, _ = run(capsys, "run", "tracker", *arguments)
     summary = json.loads((tmp_path / "summary.json").read_text())
     told = {name: summary[name] for name in ("scene", "source", "options")}
-    assert told == {"scene": "tracker", "source": "tracker", "options": {"leg_inertia": "aligned"}}
+    assert told == {"scene": "tracker", "source": "tracker", "options": {"panel_inertia": "literal"}}
     assert set(summary["versions"]) == {"python", "numpy", "scipy", "rerun-sdk", "pin"}
     assert summary["verdict"] == out.splitlines()[-1]
-    assert "alone on tracker (leg_inertia=aligned)" in summary["verdict"]
+    assert "alone on tracker (panel_inertia=literal)" in summary["verdict"]
 
 
 def test_figures_checks_its_folder_first(tmp_path, capsys, monkeypatch):

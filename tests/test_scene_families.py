@@ -13,7 +13,8 @@ from scipy.special import ellipj, ellipk
 
 import newton_euler
 from crosscheck.errors import CrosscheckError
-from crosscheck.scenes import load
+from crosscheck.references import known_figures
+from crosscheck.scenes import FIGURES, load
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.assemble import random_states
 from newton_euler.cartesian import Cartesian
@@ -23,14 +24,6 @@ from newton_euler.tree import SpanningTree
 from urdf.dynamics import PinocchioSystem
 
 GRAVITY = 9.81
-
-REFERENCE = {
-    (2, 0.5): (0.6952866331644005, 0.7187325634357417, 1.9602054253718333, -1.8962611405865766),
-    (2, 2.0): (0.05781579576801143, 0.9983272678634555, 1.0172601366204366, -0.05891224871344565),
-    (40, 0.5): (0.6879259707907727, 0.7257808613566309, 1.9291623112747427, -1.8285420937057935),
-    (40, 2.0): (0.03446630730040716, 0.9994058603295629, 1.0059511728141093, -0.03469203416516176),
-}
-"""(N, t): x, y (m), vx, vy (m/s) of the top of the first bar, good to 1e-15."""
 
 
 def closed_form(windows, t):
@@ -67,19 +60,20 @@ def windows_run(request):
 
 
 def test_the_closed_form_is_the_reference():
-    for (windows, t), values in REFERENCE.items():
+    for known in known_figures("four_bar"):
+        position, velocity = closed_form(known.options["N"], known.time)
+        at = dict(zip(("B0_x", "B0_y", "B0_vx", "B0_vy"), (*position, *velocity), strict=True))
+        at["bar_omega_cw"] = np.linalg.norm(velocity)
         # m is within 0.03 of 1, where scipy's functions lose a digit
-        assert np.concatenate(closed_form(windows, t)) == pytest.approx(values, abs=1e-13)
+        assert at[known.quantity] == pytest.approx(known.value, abs=1e-13)
 
 
 def test_reference_figures(windows_run):
     windows, run = windows_run
-    for t in (0.5, 2.0):
-        position, velocity = (column[np.argmin(abs(run.time - t))] for column in top_of(run, 0))
-        x, y, vx, vy = REFERENCE[windows, t]
+    for known in (known for known in known_figures("four_bar") if known.options["N"] == windows):
+        found = FIGURES["four_bar"][known.quantity](run)[np.argmin(abs(run.time - known.time))]
         # rtol 1e-9, and some tenfold for each pass through flat bars
-        assert position == pytest.approx([x, y], abs=1e-8)
-        assert velocity == pytest.approx([vx, vy], abs=3e-8)
+        assert found == pytest.approx(known.value, abs=3e-8)
 
 
 def test_every_window_stays_a_parallelogram(windows_run):

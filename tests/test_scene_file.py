@@ -10,6 +10,9 @@ import pytest
 from command_line import check_refused, command, scene_file
 
 from crosscheck.scenes import load
+from newton_euler.couplings import Gear
+from newton_euler.forces import JointSpring
+from newton_euler.motions import Polynomial, PrescribedMotion, Sine, Sum
 
 
 def changed(content, path, value):
@@ -209,3 +212,86 @@ def test_binary_and_missing_files_and_folders(capsys, tmp_path):
     check_refused(capsys, tmp_path, tmp_path / "missing.yaml", message="No such file")
     (tmp_path / "folder.yaml").mkdir()
     check_refused(capsys, tmp_path, tmp_path / "folder.yaml", message="not a regular file")
+
+
+def with_forces(content):
+    """The example with one of each force."""
+    content = copy.deepcopy(content)
+    content["forces"] = [
+        {"kind": "joint_spring", "joint": "motor", "stiffness": 2.0, "damping": 0.1, "rest": 0.2},
+        {
+            "kind": "point_spring", "name": "tie", "first": "frame", "second": "rocker",
+            "point_on_first": [0.6, 0.5, 0.0], "point_on_second": [0.6, 0.1, 0.3],
+            "stiffness": 10.0, "rest_length": 0.3,
+        },
+        {"kind": "wrench", "name": "push", "body": "coupler", "point": [0.3, 0.05, 0.25], "force": [0, 0, 2]},
+    ]  # fmt: skip
+    return content
+
+
+def test_forces_are_those_of_their_classes(tmp_path, good):
+    spring, tie, push = load(str(scene_file(tmp_path, with_forces(good)))).forces
+    assert spring == JointSpring("motor", stiffness=2.0, damping=0.1, rest=0.2)
+    assert (tie.name, tie.first, tie.second, tie.stiffness, tie.rest_length) == (
+        "tie", "frame", "rocker", 10.0, 0.3,
+    )  # fmt: skip
+    assert list(tie.point_on_first) == [0.6, 0.5, 0.0]
+    assert (push.name, push.body, list(push.force), push.frame) == (
+        "push",
+        "coupler",
+        [0.0, 0.0, 2.0],
+        "world",
+    )
+
+
+def test_gears_and_motions_are_those_of_their_classes(tmp_path):
+    turning = {"mass": 1.0, "inertia": [[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]}
+    nut = {"name": "nut", "center_of_mass": [0, 0, 0], **turning}
+    wheel = {"name": "wheel", "center_of_mass": [1, 0, 0], **turning}
+    thread = {"name": "thread", "kind": "screw", "first": "ground", "second": "nut", "point": [0, 0, 0]}
+    axle = {"name": "axle", "kind": "revolute", "first": "ground", "second": "wheel", "point": [1, 0, 0]}
+    content = {
+        "name": "geared", "duration": 1.0, "output_period": 0.1, "bodies": [nut, wheel],
+        "joints": [thread | {"axis": [0, 0, 1], "pitch": 0.01}, axle | {"axis": [0, 0, 1]}],
+        "couplings": [
+            {"kind": "gear", "name": "pair", "driver": "axle", "follower": "thread", "ratio": -2.0,
+             "follower_coordinate": 1},
+        ],
+        "motions": [
+            {"joint": "axle", "function": {"kind": "sum", "terms": [
+                {"kind": "polynomial", "coefficients": [0.0, 1.5]},
+                {"kind": "sine", "amplitude": 0.2, "angular_frequency": 3.0},
+            ]}},
+        ],
+    }  # fmt: skip
+    scene = load(str(scene_file(tmp_path, content)))
+    assert scene.mechanism.joints[0].pitch == 0.01
+    assert scene.mechanism.couplings == (Gear("pair", "axle", "thread", -2.0, follower_coordinate=1),)
+    assert scene.motions == (PrescribedMotion("axle", Sum((Polynomial((0.0, 1.5)), Sine(0.2, 3.0)))),)
+    # the start follows: 1.5 + 0.2 * 3 rad/s, through the gear, at 0.01 m a radian
+    assert scene.initial_state.linear_velocity[1, 2] == pytest.approx(-2.0 * 2.1 * 0.01, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("forces", 0, "kind"), "magnet", "forces.0: Input tag 'magnet' found using 'kind' does not match"),
+        (
+            ("forces", 0, "joint"),
+            "engine",
+            "spring of joint 'engine': acts on an unknown joint 'engine'; needed",
+        ),
+        (("forces", 1, "stiffness"), -1.0, "point spring 'tie': stiffness is -1.0; needed"),
+        (("forces", 2, "frame"), "moon", "Input should be 'world' or 'body'"),
+        (("forces", 2, "mass"), 1.0, "mass: Extra inputs are not permitted"),
+    ],
+)
+def test_bad_forces(capsys, tmp_path, good, path, value, message):
+    content = changed(with_forces(good), path, value)
+    check_refused(capsys, tmp_path, scene_file(tmp_path, content), message=message)
+
+
+def test_a_screw_needs_its_pitch(capsys, tmp_path, good):
+    content = changed(good, ("joints", 0, "kind"), "screw")
+    message = "joint 'motor': a screw joint needs axis and pitch, got axis"
+    check_refused(capsys, tmp_path, scene_file(tmp_path, content), message=message)

@@ -99,7 +99,7 @@ def test_scene_is_the_papers():
 def test_options_of_the_scene():
     literal = load("tracker", panel_inertia="literal").mechanism.bodies[6].inertia
     assert literal * 1e4 == pytest.approx(np.array([[12.0, 0, 1], [0, 12, 0], [1, 0, 24]]))
-    aligned, printed = load("tracker", leg_inertia="aligned"), load("tracker")
+    aligned, printed = load("tracker_aligned"), load("tracker")
     for k, top in ((4, "ball_57"), (5, "ball_67")):
         bottom = {4: "universal_35", 5: "hinge_26"}[k]
         points = {joint.name: joint.point for joint in printed.mechanism.joints}
@@ -108,10 +108,23 @@ def test_options_of_the_scene():
         # the moment about the leg is the one the table gives about its zeta axis
         assert along @ j @ along == pytest.approx(j0[2, 2], rel=1e-12)
         assert np.linalg.eigvalsh(j) == pytest.approx(np.linalg.eigvalsh(j0), rel=1e-12)
-    with pytest.raises(CrosscheckError, match="choose from: printed, aligned"):
-        load("tracker", leg_inertia="round")
+    with pytest.raises(CrosscheckError, match="choose from: realisable, literal"):
+        load("tracker", panel_inertia="round")
     with pytest.raises(CrosscheckError, match="unknown option 'color'"):
         load("tracker", color="red")
+
+
+def test_the_trackers_differ_in_what_their_names_say():
+    tracker, heavy, aligned = (load(name) for name in ("tracker", "tracker_gravity", "tracker_aligned"))
+    assert list(heavy.gravity) == [0.0, 0.0, -9.81]
+    assert not np.any(aligned.gravity)
+    for k, (one, other, turned) in enumerate(
+        zip(*(scene.mechanism.bodies for scene in (tracker, heavy, aligned)), strict=True)
+    ):
+        assert np.array_equal(one.inertia, other.inertia)
+        assert np.array_equal(one.inertia, turned.inertia) == (k not in (3, 4, 5))
+    names = {scene.name for scene in (tracker, heavy, aligned)}
+    assert names == {"tracker", "tracker_gravity", "tracker_aligned"}
 
 
 def test_horizontal_pose_closes_exactly():

@@ -6,14 +6,52 @@ from collections.abc import Callable
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.scenes.chain import chain
-from crosscheck.scenes.four_bar import four_bar
+from crosscheck.scenes import (
+    andrews,
+    bricard,
+    chain,
+    flyball_governor,
+    four_bar,
+    free_top,
+    heavy_top,
+    pendulum,
+    slider_crank,
+    stewart,
+    tracker,
+)
+from crosscheck.scenes.measure import Figures
 from crosscheck.scenes.options import options_of
-from crosscheck.scenes.tracker import tracker
 from newton_euler.scene import Scene
 
-SCENES: dict[str, Callable[..., Scene]] = {"tracker": tracker, "four_bar": four_bar, "chain": chain}
+SCENES: dict[str, Callable[..., Scene]] = {
+    "tracker": tracker.tracker,
+    "tracker_gravity": tracker.tracker_gravity,
+    "tracker_aligned": tracker.tracker_aligned,
+    "pendulum": pendulum.pendulum,
+    "free_top": free_top.free_top,
+    "heavy_top": heavy_top.heavy_top,
+    "four_bar": four_bar.four_bar,
+    "andrews": andrews.andrews,
+    "slider_crank": slider_crank.slider_crank,
+    "bricard": bricard.bricard,
+    "flyball_governor": flyball_governor.flyball_governor,
+    "stewart": stewart.stewart,
+    "chain": chain.chain,
+}
 """Functions that make a scene, by the scene's name. Their arguments are the scene's options."""
+
+FIGURES: dict[str, Figures] = {
+    "pendulum": pendulum.FIGURES,
+    "free_top": free_top.FIGURES,
+    "heavy_top": heavy_top.FIGURES,
+    "four_bar": four_bar.FIGURES,
+    "andrews": andrews.FIGURES,
+    "slider_crank": slider_crank.FIGURES,
+    "bricard": bricard.FIGURES,
+    "flyball_governor": flyball_governor.FIGURES,
+    "stewart": stewart.FIGURES,
+}
+"""What is measured in runs of a scene and known from elsewhere, see `crosscheck.references`."""
 
 
 def load(name: str, /, **options: str | int) -> Scene:

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
+from crosscheck.scenes.measure import Figure, angular_velocity, components, position, velocity
 from crosscheck.scenes.options import Range
 from crosscheck.scenes.rod import LENGTH, rod
 from newton_euler.joints import Joint, Revolute, Spherical
@@ -64,3 +65,14 @@ def _swinging(mechanism: Mechanism, bars: int) -> State:
     state.angular_velocity[1 : 1 + bars] = -SPEED / LENGTH * Z
     state.linear_velocity[1 + bars :] = SPEED * X
     return state
+
+
+TOP = 0.5 * LENGTH * Y
+"""Of a bar in its own frame, m."""
+
+FIGURES: dict[str, Figure] = {
+    **components(("B0_x", "B0_y"), lambda run: position(run, "bar_0", TOP)),
+    **components(("B0_vx", "B0_vy"), lambda run: velocity(run, "bar_0", TOP)),
+    "bar_omega_cw": lambda run: -angular_velocity(run, "bar_0") @ Z,
+}
+"""Of the top of the first bar: position (m) and velocity (m/s); the bars' rate, clockwise (rad/s)."""

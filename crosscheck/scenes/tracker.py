@@ -35,46 +35,73 @@ def joint_data() -> dict[str, Any]:
     return data
 
 
-def tracker(
-    panel_inertia: Literal["realisable", "literal"] = "realisable",
-    leg_inertia: Literal["printed", "aligned"] = "printed",
-) -> Scene:
+def tracker(panel_inertia: Literal["realisable", "literal"] = "realisable") -> Scene:
     """The paper's simulation: no gravity, PD control of both sliders, from rest, 5 s.
 
     Args:
         panel_inertia: J7 that a rigid body can have, or as printed (erratum 8).
-        leg_inertia: J4 to J6 as printed, along the world's z, or turned with the links (erratum 10).
     """
-    tables = corrected_tables(literal_panel=panel_inertia == "literal")
+    return _scene(
+        "tracker",
+        "dual-axis solar tracker, PD control to a horizontal panel, no gravity",
+        literal_panel=panel_inertia == "literal",
+    )
+
+
+def tracker_gravity() -> Scene:
+    """The paper's simulation under gravity along -z, which the control laws know nothing of."""
+    return _scene(
+        "tracker_gravity", "dual-axis solar tracker, PD control, under gravity", gravity=(0.0, 0.0, -9.81)
+    )
+
+
+def tracker_aligned() -> Scene:
+    """The paper's simulation with J4 to J6 turned with the links, not along the world's z (erratum 10)."""
+    return _scene(
+        "tracker_aligned",
+        "dual-axis solar tracker, inertias of the legs along the legs, no gravity",
+        aligned_legs=True,
+    )
+
+
+def _scene(
+    name: str,
+    description: str,
+    literal_panel: bool = False,
+    aligned_legs: bool = False,
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Scene:
+    tables = corrected_tables(literal_panel=literal_panel)
     data = joint_data()
     joints = [JOINT_KINDS[entry.pop("kind")](**entry) for entry in (dict(joint) for joint in data["joints"])]
-    if leg_inertia == "aligned":
+    if aligned_legs:
         for body in (3, 4, 5):
             turn = _along(_link_axis(BODY_NAMES[body], joints))
             tables.inertia[body] = turn @ tables.inertia[body] @ turn.T
     bodies = [
         Body(
-            name,
+            body,
             tables.mass[k],
             tables.center_of_mass[k],
             tables.scaled_inertia[k],
             tables.euler_parameters[k],
             shapes=shapes,
-            allow_unrealisable_inertia=name == "panel_7" and panel_inertia == "literal",
+            allow_unrealisable_inertia=body == "panel_7" and literal_panel,
         )
-        for k, (name, shapes) in enumerate(zip(BODY_NAMES, _shapes(tables, joints), strict=True))
+        for k, (body, shapes) in enumerate(zip(BODY_NAMES, _shapes(tables, joints), strict=True))
     ]
     control = tuple(
         PD(joint, STIFFNESS, damping, TARGET_HEIGHT - float(tables.center_of_mass[slider, 2]))
         for joint, damping, slider in (("slide_12", DAMPING[0], 1), ("slide_13", DAMPING[1], 2))
     )
     return Scene(
-        "tracker",
+        name,
         Mechanism(bodies, joints),
         duration=5.0,
         output_period=0.01,
+        gravity=np.array(gravity),
         control=control,
-        description="dual-axis solar tracker, PD control to a horizontal panel, no gravity",
+        description=description,
     )
 
 

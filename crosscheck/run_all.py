@@ -1,0 +1,167 @@
+"""The whole library of scenes through the engines, one line a scene."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from crosscheck.compare import Row
+from crosscheck.engines import choose
+from crosscheck.errors import CrosscheckError
+from crosscheck.report import judged, markdown
+from crosscheck.run import Crosscheck, Progress, check_writable, crosscheck, write
+from crosscheck.scenes import SCENES, load
+from newton_euler.errors import NewtonEulerError
+
+
+@dataclass(frozen=True)
+class Worst:
+    """The figure of some that comes nearest to what it may be, or is furthest above it."""
+
+    value: float
+    allowed: float
+
+    @property
+    def share(self) -> float:
+        return self.value / self.allowed if self.allowed else float(self.value > 0.0)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one scene.
+
+    Attributes:
+        scene: its name.
+        wall_time: s, of everything.
+        agrees: whether it ran and all its figures are within what is allowed.
+        verdict: one line.
+        engines: those that ran.
+        left_out: those that cannot express the scene, and why.
+        between: of the figures that compare engines.
+        known: of the figures that are known from elsewhere; None if there are none.
+        drift, energy: of the engines' own figures.
+    """
+
+    scene: str
+    wall_time: float
+    agrees: bool
+    verdict: str
+    engines: tuple[str, ...] = ()
+    left_out: dict[str, str] = field(default_factory=dict)
+    between: Worst | None = None
+    known: Worst | None = None
+    drift: Worst | None = None
+    energy: Worst | None = None
+
+
+def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[Outcome]:
+    """Crosscheck all scenes of the library at their default options, a process for each processor.
+
+    Writes a folder for each scene below `folder`, as a single run does. A scene that cannot be run is
+    an outcome that does not agree.
+
+    Raises:
+        CrosscheckError: for unknown engines, and for a folder that cannot be written.
+    """
+    choose(list(engines))
+    check_writable(*(folder / name / "summary.json" for name in SCENES))
+    outcomes: dict[str, Outcome] = {}
+    # fresh processes: a fork would share the threads that libraries have started
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(os.cpu_count(), mp_context=context) as pool:
+        running = [pool.submit(outcome, name, tuple(engines), folder / name) for name in SCENES]
+        try:
+            for done in as_completed(running):
+                found = done.result()
+                outcomes[found.scene] = found
+                progress(f"{len(outcomes)} of {len(running)} scenes, last {found.scene}")
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [outcomes[name] for name in SCENES]
+
+
+def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
+    """Crosscheck one scene at its default options and write what `crosscheck run` does."""
+    start = time.perf_counter()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # results are checked where they are used
+            result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
+            write(result, folder, folder / f"{name}.rrd", markdown(result))
+    except Exception as error:  # what goes wrong with one scene is a line, like the others' results
+        known = isinstance(error, CrosscheckError | NewtonEulerError)
+        reason = str(error) if known else f"internal error: {type(error).__name__}: {error}"
+        return Outcome(name, time.perf_counter() - start, False, f"{name} did not run: {reason}")
+    return _outcome(name, result, time.perf_counter() - start)
+
+
+def _outcome(name: str, result: Crosscheck, wall_time: float) -> Outcome:
+    def of(*levels: str) -> list[Row]:
+        return [row for row in result.rows if len(row.between) == 1 and row.level in levels]
+
+    pairs = [row for row in result.rows if len(row.between) > 1 and not row.informs]
+    return Outcome(
+        name,
+        wall_time,
+        result.agrees,
+        result.verdict,
+        tuple(result.runs),
+        result.left_out,
+        _worst(Worst(row.value, row.tolerance) for row in pairs),
+        _worst(Worst(found.difference, found.allowed) for found in result.measured),
+        _worst(Worst(row.value, row.tolerance) for row in of("drift")),
+        _worst(Worst(row.value, row.tolerance) for row in of("energy")),
+    )
+
+
+def _worst(found: Iterable[Worst]) -> Worst | None:
+    return max(found, key=lambda worst: worst.share, default=None)
+
+
+def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
+    """One line a scene; a figure beside what it may be is the worst of its kind."""
+    table = Table(title=Text("library of scenes", style="bold"), title_justify="left", box=SIMPLE_HEAD)
+    table.add_column("scene", no_wrap=True)
+    table.add_column("engines", no_wrap=True)
+    for name in ("between engines", "against reference", "drift, m or rad", "energy, rel", "time, s"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("verdict", no_wrap=True)
+    for found in outcomes:
+        table.add_row(
+            found.scene,
+            ", ".join(found.engines) if found.left_out else "all" if found.engines else "",
+            *(_cell(worst) for worst in (found.between, found.known, found.drift, found.energy)),
+            f"{found.wall_time:.1f}",
+            Text("AGREE", style="green") if found.agrees else Text("FAILS", style="bold red"),
+        )
+    return table
+
+
+def _cell(worst: Worst | None) -> Text:
+    return Text("") if worst is None else judged(worst.value, worst.allowed, worst.value <= worst.allowed)
+
+
+def outcome_lines(outcomes: Sequence[Outcome]) -> Iterator[str]:
+    """Engines that were left out and scenes that fail, and why; the sum last."""
+    for found in outcomes:
+        for engine, reason in found.left_out.items():
+            yield f"{found.scene}: {engine} left out: {reason}"
+    failing = [found for found in outcomes if not found.agrees]
+    for found in failing:
+        yield found.verdict
+    if failing:
+        names = ", ".join(found.scene for found in failing)
+        yield f"FAILS: {len(failing)} of {len(outcomes)} scenes: {names}"
+    else:
+        yield f"AGREE: all {len(outcomes)} scenes"

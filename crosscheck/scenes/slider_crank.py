@@ -1,0 +1,98 @@
+"""A spatial slider-crank: crank, connecting rod on a ball and a universal joint, slider.
+
+Problem "spatial rigid slider-crank mechanism" of the IFToMM library of computational benchmark problems,
+by R. Masoudi. The joint at the slider is universal, with one axis along the guide and fixed in the slider;
+a ball there would let the rod spin. The solutions handed in disagree on the rod's inertia. Variant A
+has the small moment along the rod, as rods do; variant B, of the problem's author, across it.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from crosscheck.scenes.measure import Figure, angle, angular_velocity, position, velocity
+from newton_euler.joints import Prismatic, Revolute, Spherical, Universal
+from newton_euler.mechanism import Body, Mechanism
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.state import State
+
+PIVOT, PIN, WRIST = np.array([0.0, 0.1, 0.12]), np.array([0.0, 0.1, 0.2]), np.array([0.2, 0.0, 0.0])
+"""Crank's pivot, ball at its end and universal joint at the slider, m."""
+
+MASSES = {"crank": 0.12, "rod": 0.5, "slider": 2.0}
+"""kg."""
+
+CRANK_MOMENTS = (1e-4, 1e-4, 1e-5)
+"""About the centre of mass; z is along the crank, kg m^2."""
+
+ROD_MOMENTS = {"A": (4e-4, 4e-3, 4e-3), "B": (4e-3, 4e-3, 4e-4)}
+"""Along the rod, along the rod's own axis of the universal joint, and across both, kg m^2."""
+
+SLIDER_MOMENT = 1e-4
+"""kg m^2; the slider never turns."""
+
+SPEED = 6.0
+"""Initial angular velocity of the crank about x, rad/s."""
+
+ROD_SPIN = np.array([1.92, -0.96, 0.48])
+"""Initial angular velocity of the rod, rad/s."""
+
+X, Y, Z = np.eye(3)
+
+
+def slider_crank(variant: Literal["A", "B"] = "A") -> Scene:
+    """A slider of 2 kg that a crank of 0.08 m at 6 rad/s moves through a rod of 0.3 m, 5 s; gravity along -z.
+
+    Args:
+        variant: the rod's moments of inertia, see `ROD_MOMENTS`.
+    """
+    along = (WRIST - PIN) / np.linalg.norm(WRIST - PIN)
+    cardan = np.cross(along, X)
+    cardan /= np.linalg.norm(cardan)
+    axes = np.array([along, cardan, np.cross(along, cardan)])
+    bodies = [
+        Body.ground(),
+        Body("crank", MASSES["crank"], 0.5 * (PIVOT + PIN), np.diag(CRANK_MOMENTS)),
+        Body("rod", MASSES["rod"], 0.5 * (PIN + WRIST), axes.T @ np.diag(ROD_MOMENTS[variant]) @ axes),
+        Body("slider", MASSES["slider"], WRIST, SLIDER_MOMENT * np.eye(3)),
+    ]
+    joints = [
+        Revolute("pivot", "ground", "crank", PIVOT, axis=X),
+        Spherical("ball", "crank", "rod", PIN),
+        Universal("wrist", "slider", "rod", WRIST, axis_on_first=X, axis_on_second=cardan),
+        Prismatic("guide", "ground", "slider", WRIST, axis=X),
+    ]
+    mechanism = Mechanism(bodies, joints)
+    return Scene(
+        "slider_crank",
+        mechanism,
+        duration=5.0,
+        output_period=0.01,
+        gravity=-9.81 * Z,
+        initial_state=_turning(mechanism),
+        description="spatial slider-crank with a universal joint, driven by its initial speed",
+    )
+
+
+def _turning(mechanism: Mechanism) -> State:
+    """The initial pose with the crank at `SPEED`."""
+    state = State.initial(mechanism)
+    pin = np.cross(SPEED * X, PIN - PIVOT)
+    wrist = pin + np.cross(ROD_SPIN, WRIST - PIN)
+    state.angular_velocity[1:3] = SPEED * X, ROD_SPIN
+    state.linear_velocity[1:] = 0.5 * pin, 0.5 * (pin + wrist), wrist
+    return state
+
+
+CENTER: Array = np.zeros(3)
+
+FIGURES: dict[str, Figure] = {
+    "crank_angle": lambda run: angle(run, "crank", X),
+    "crank_omega": lambda run: angular_velocity(run, "crank") @ X,
+    "slider_x": lambda run: position(run, "slider", CENTER)[:, 0],
+    "slider_vx": lambda run: velocity(run, "slider", CENTER)[:, 0],
+}
+"""Angle (rad) and rate (rad/s) of the crank about x; position (m) and velocity (m/s) of the slider."""
