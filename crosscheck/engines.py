@@ -164,7 +164,7 @@ ENGINES: dict[str, Engine] = {
             package="mujoco",
             soft_start=_mujoco_soft,
         ),
-        # DOP853 at rtol 1e-10, constraints under Baumgarte's gains
+        # DOP853 at rtol 1e-10, projected onto the constraints after each step
         Engine(
             "pinocchio",
             _pinocchio_run,

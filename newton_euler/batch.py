@@ -89,6 +89,7 @@ def simulate_batch(
     step: float | None = None,
     stabilization: str = "projection",
     alpha: float = PAPER_ALPHA,
+    most_steps: int | None = None,
 ) -> Batch:
     """Run a scene many times, from other states or with other parameters; compiled once.
 
@@ -99,7 +100,7 @@ def simulate_batch(
         states: initial states, one a run; the scene's own for all if not given.
         parameters: values, one a run, by name; see `newton_euler.parameters`.
         threads: how many; as many as there are processors if not given.
-        formulation, integrator, rtol, atol, step, stabilization, alpha: as of `simulate`.
+        formulation, integrator, rtol, atol, step, stabilization, alpha, most_steps: as of `simulate`.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, state or value; a run that
@@ -109,7 +110,7 @@ def simulate_batch(
 
     from newton_euler.steppers.run import March, load, write_outputs
 
-    options = Options(integrator, rtol, atol, step)
+    options = Options(integrator, rtol, atol, step, most_steps)
     parameters = dict(parameters or {})
     if scene.sampled:
         raise OptionError("control", scene.sampled[0], "no sampled controller: Python would run in every run")

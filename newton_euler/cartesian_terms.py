@@ -66,6 +66,11 @@ class CartesianTerms:
         self.velocity_units = np.tile([size] * 3 + [1.0] * 4, len(self.bodies))
         self.force_units = np.tile([mass * size] * 3 + [mass * size**2] * 3, len(self.bodies))
 
+    @property
+    def turning(self) -> list[int]:
+        """Where in q there are angles that nothing measures: Euler parameters do not count turns."""
+        return []
+
     # Bodies
 
     def split(self, q: Array) -> list[tuple[Array, Array]]:

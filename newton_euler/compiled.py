@@ -98,6 +98,13 @@ class Code:
         closes = len(self.system.phi_units) > 0 or len(self.system.quaternions) > 0
         return self.stabilization == "projection" and closes
 
+    @cached_property
+    def turning(self) -> Array:
+        """(size,) 1 for coordinates that mean the same after a full turn, else 0."""
+        marked = np.zeros(self.size)
+        marked[self.system.turning] = 1.0
+        return marked
+
     def load(self, integrator: str = "DOP853") -> None:
         """Trace and compile now what a run needs."""
         names = ["derivative", "output"] + ["position", "velocity"] * self.projects

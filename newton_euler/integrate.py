@@ -25,7 +25,7 @@ the new velocities."""
 INTEGRATORS = ADAPTIVE + FIXED
 
 MOST_STEPS = 50_000
-"""Steps, accepted ones, after which an adaptive method is taken to be getting nowhere."""
+"""Steps after which an adaptive method is taken to be getting nowhere, if a run does not say."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +47,8 @@ class Options:
         rtol, atol: error control of the adaptive methods, per step and component.
         step: s, of the methods with fixed steps; made smaller where it does not divide the time
             between outputs, or sampling instants of controllers.
+        most_steps: steps after which an adaptive method is taken to be getting nowhere; if not given, a
+            million in native code and `MOST_STEPS` in Python.
         projection: whether to project onto the constraints after each step and at outputs.
     """
 
@@ -54,6 +56,7 @@ class Options:
     rtol: float = 1e-10
     atol: float = 1e-12
     step: float | None = None
+    most_steps: int | None = None
     projection: bool = True
 
     def __post_init__(self) -> None:
@@ -63,6 +66,10 @@ class Options:
             value = getattr(self, name)
             if not isinstance(value, int | float) or not 0.0 < value < 1.0:
                 raise OptionError(name, value, "a number between 0 and 1")
+        if self.most_steps is not None and (
+            not isinstance(self.most_steps, int) or isinstance(self.most_steps, bool) or self.most_steps < 1
+        ):
+            raise OptionError("most_steps", self.most_steps, "a whole number of steps")
         if self.integrator in FIXED:
             if not isinstance(self.step, int | float) or not 0.0 < self.step < np.inf:
                 raise OptionError("step", self.step, f"a positive number of seconds for {self.integrator}")
@@ -130,8 +137,9 @@ def _march_adaptive(
         if solver.status == "failed":
             raise IntegrationError(float(solver.t), str(message))
         steps += 1
-        if steps > MOST_STEPS:
-            reason = f"more than {MOST_STEPS} steps of {options.integrator}; for stiff equations use Radau"
+        most = options.most_steps or MOST_STEPS
+        if steps > most:
+            reason = f"more than {most} steps of {options.integrator}; for stiff equations use Radau"
             raise IntegrationError(float(solver.t), reason)
         if times[due] <= solver.t:
             dense = solver.dense_output()

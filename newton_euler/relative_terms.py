@@ -94,6 +94,13 @@ class RelativeTerms:
             found[joint, number] = carried
         return found
 
+    @property
+    def turning(self) -> list[int]:
+        """Where in q there are angles of hinges that nothing measures."""
+        measured = {place[0] for place in self.places.values() if place is not None}
+        hinges = [on_q.start for motion, on_q, _ in self.tree.motions if motion.kind == "hinge"]
+        return [place for place in hinges if place not in measured]
+
     # Kinematics
 
     def links(self, q: Array, v: Array) -> list[Link]:

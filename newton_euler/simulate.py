@@ -30,6 +30,7 @@ def simulate(
     step: float | None = None,
     stabilization: str = "projection",
     alpha: float = PAPER_ALPHA,
+    most_steps: int | None = None,
 ) -> Trajectory:
     """Run a scene with this package's own equations, in native code.
 
@@ -41,11 +42,12 @@ def simulate(
         step: s, of the last two.
         stabilization: "projection", "baumgarte" or "none".
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
+        most_steps: after which an adaptive method gives up; see `newton_euler.integrate.Options`.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
     """
-    options = Options(integrator, rtol, atol, step)
+    options = Options(integrator, rtol, atol, step, most_steps)
     return CompiledScene(scene, formulation, stabilization, alpha)._run(options)
 
 
@@ -78,9 +80,10 @@ class CompiledScene(Code):
         rtol: float = 1e-10,
         atol: float = 1e-12,
         step: float | None = None,
+        most_steps: int | None = None,
     ) -> Trajectory:
         """Run the scene; arguments and errors as of `newton_euler.simulate`."""
-        return self._run(Options(integrator, rtol, atol, step))
+        return self._run(Options(integrator, rtol, atol, step, most_steps))
 
     def linearize(self, state: State) -> Array:
         """(n, n) derivative of (qdot, vdot) by (q, v) at a state, from the traced derivatives.

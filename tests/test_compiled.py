@@ -205,7 +205,6 @@ def test_an_interrupt_stops_native_code(tracker):
         compiled.simulate("RK4", step=1e-4)  # minutes
 
 
-def test_a_step_limit_is_reported(monkeypatch):
-    monkeypatch.setattr("newton_euler.steppers.run.MOST_STEPS", 3)
+def test_a_step_limit_is_reported():
     with pytest.raises(IntegrationError, match=r"stopped at t = .* more than 3 steps"):
-        newton_euler.simulate(seven_hinges())
+        newton_euler.simulate(seven_hinges(), most_steps=3)

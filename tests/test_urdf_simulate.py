@@ -28,8 +28,7 @@ def run(tracker):
 def test_trajectory_says_what_it_is(tracker, run):
     trajectory = run()
     assert trajectory.engine == "pinocchio"
-    assert trajectory.settings["stabilization"] == "baumgarte"
-    assert trajectory.settings["alpha"] == 10.0
+    assert trajectory.settings["stabilization"] == "projection"
     assert trajectory.settings["evaluations"] > trajectory.settings["steps"] > 0
     assert trajectory.wall_time > 0.0
     assert trajectory.body_names == tracker.mechanism.body_names

@@ -17,8 +17,9 @@ def simulate(
     rtol: float = 1e-10,
     atol: float = 1e-12,
     step: float | None = None,
-    stabilization: str = "baumgarte",
+    stabilization: str = "projection",
     alpha: float = PAPER_ALPHA,
+    most_steps: int | None = None,
 ) -> Trajectory:
     """Run a scene with Pinocchio's accelerations under rigid closures.
 
@@ -27,8 +28,9 @@ def simulate(
         integrator: "DOP853", "Radau", "RK4" or "Euler" (semi-implicit).
         rtol, atol: error control of the first two.
         step: s, of the last two.
-        stabilization: "baumgarte" (Pinocchio's own corrector gains), "projection" or "none".
+        stabilization: "projection" after each step, "baumgarte" (Pinocchio's own corrector gains) or "none".
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
+        most_steps: after which an adaptive method gives up; see `newton_euler.integrate.Options`.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
@@ -40,5 +42,5 @@ def simulate(
     settings: dict[str, Any] = {"stabilization": stabilization}
     if stabilization == "baumgarte":
         settings["alpha"] = alpha
-    options = Options(integrator, rtol, atol, step, stabilization == "projection")
+    options = Options(integrator, rtol, atol, step, most_steps, stabilization == "projection")
     return run(system, "pinocchio", options, settings)

@@ -34,6 +34,7 @@ from newton_euler.steppers.march import (
     interrupted,
     project,
     project_densely,
+    unwind,
 )
 
 SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
@@ -181,6 +182,7 @@ def march_dop853(
     velocity: Callback,
     closing: Callback,
     pause: Callback,
+    turning: Vector,
     now: Vector,
     at: Vector,
     end: Vector,
@@ -274,6 +276,7 @@ def march_dop853(
         for i in range(n):
             now[i] = end[i]
         now[n] = now[n] + h
+        unwind(n, turning, now, end)
         if projecting == 1:
             if near == 1:
                 status = project_densely(n, closing, now, k[(n + 1) * 13 :])

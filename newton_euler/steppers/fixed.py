@@ -16,6 +16,7 @@ from newton_euler.steppers.march import (
     evaluate,
     interrupted,
     project,
+    unwind,
 )
 
 
@@ -42,6 +43,7 @@ def march_rk4(
     velocity: Callback,
     closing: Callback,
     pause: Callback,
+    turning: Vector,
     now: Vector,
     at: Vector,
     k: Vector,
@@ -79,6 +81,7 @@ def march_rk4(
             for i in range(n):
                 now[i] += total[i]
             now[n] = times[due - 1] + (j + 1) * h
+            unwind(n, turning, now, total)
             counts[STEPS] += 1.0
             if projecting == 1:
                 status = project(n, tolerance, position, velocity, closing, now, total)
@@ -106,6 +109,7 @@ def march_euler(
     velocity: Callback,
     closing: Callback,
     pause: Callback,
+    turning: Vector,
     now: Vector,
     k: Vector,
     table: Vector,
@@ -131,6 +135,7 @@ def march_euler(
             for i in range(nq):
                 now[i] += h * k[i]
             now[n] = times[due - 1] + (j + 1) * h
+            unwind(n, turning, now, k)
             counts[STEPS] += 1.0
             if projecting == 1:
                 status = project(n, tolerance, position, velocity, closing, now, k)

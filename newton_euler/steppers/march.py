@@ -9,6 +9,8 @@ health: a number that is not positive where the equations are too close to singu
 
 from __future__ import annotations
 
+from math import pi
+
 from newton_euler.native import Callback, Vector, native
 
 DONE, NOT_FINITE, SINGULAR, TOO_MANY_STEPS, STEP_TOO_SMALL, OPEN, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6
@@ -29,6 +31,7 @@ TINY, PATIENT = 1e-10, 1000
 """An adaptive march gets nowhere if so many steps in a row are below this share of the whole."""
 
 HUGE = 1e300
+HALF_TURN = pi
 NEWTON_STEPS = 10
 
 OPEN_TOLERANCE = 1e-9
@@ -100,6 +103,20 @@ def project(
     for i in range(n):
         x[i] = scratch[i]
     return DONE
+
+
+@native
+def unwind(n: int, turning: Vector, x: Vector, before: Vector) -> None:
+    """Take full turns off the angles that `turning` (n,) marks with 1; `before` moves along.
+
+    An angle of many turns has fewer digits than its sine needs, and a tolerance relative to it would let
+    steps grow with it.
+    """
+    for i in range(n):
+        if turning[i] > 0.0 and abs(x[i]) > HALF_TURN:
+            turn = 2.0 * HALF_TURN if x[i] > 0.0 else -2.0 * HALF_TURN
+            x[i] -= turn
+            before[i] -= turn
 
 
 @native

@@ -32,6 +32,7 @@ from newton_euler.steppers.march import (
     evaluate,
     interrupted,
     project,
+    unwind,
 )
 
 SIXTH = sqrt(6.0)
@@ -248,6 +249,7 @@ def march_radau(
     velocity: Callback,
     closing: Callback,
     pause: Callback,
+    turning: Vector,
     now: Vector,
     at: Vector,
     slope: Vector,
@@ -377,6 +379,7 @@ def march_radau(
             w[3 * n + i] = now[i]
             now[i] += z[2 * n + i]
         now[n] = now[n] + h
+        unwind(n, turning, now, w[3 * n :])
         if projecting == 1:
             status = project(n, tolerance, position, velocity, closing, now, f)
             if status != DONE:

@@ -30,7 +30,7 @@ from newton_euler.system import at_time
 from newton_euler.trajectory import check_finite
 
 MOST_STEPS = 1_000_000
-"""Steps after which an adaptive method is taken to be getting nowhere."""
+"""Steps after which an adaptive method is taken to be getting nowhere, if a run does not say."""
 
 COUNTED = {"steps": m.STEPS, "rejected": m.REJECTED, "evaluations": m.EVALUATIONS, "dense": m.DENSE_CALLS}
 """Places of counts, by name."""
@@ -156,10 +156,11 @@ class March:
         self.x, self.table, self.counts = np.zeros(code.inputs), empty((outputs, n)), np.zeros(m.COUNTS)
         at, end = np.zeros(code.inputs), np.zeros(code.inputs)
         self._copies = (at, end)  # of the parameters
-        adaptive = (n, outputs, times, options.rtol, options.atol, MOST_STEPS)
+        self._most = options.most_steps or MOST_STEPS
+        adaptive = (n, outputs, times, options.rtol, options.atol, self._most)
         fixed = (n, outputs, times, options.step)
         derivative = (code.function("derivative"), self._python.derivative)
-        system = (*derivative, *_projection(code, self._python), self._python.pause)
+        system = (*derivative, *_projection(code, self._python), self._python.pause, code.turning)
         result = (self.table, self.counts)
         arguments: dict[str, Callable[[], tuple[Any, ...]]] = {
             "DOP853": lambda: (
@@ -194,7 +195,8 @@ class March:
         if status == m.INTERRUPTED:
             raise KeyboardInterrupt
         if status != m.DONE:
-            raise _failure(self._code, self._integrator, status, self.x, self.counts, self._python.error)
+            error = self._python.error
+            raise _failure(self._code, self._integrator, self._most, status, self.x, self.counts, error)
 
     @property
     def counted(self) -> dict[str, int]:
@@ -235,7 +237,7 @@ class Projection:
 
 
 def _failure(
-    code: Code, integrator: str, status: int, x: Array, counts: Array, error: Exception | None
+    code: Code, integrator: str, most: int, status: int, x: Array, counts: Array, error: Exception | None
 ) -> IntegrationError:
     """What to say of a march that could not go on; x is the last state that it reached."""
     system, reached = code.float_system(x), float(counts[m.REACHED])
@@ -252,7 +254,7 @@ def _failure(
     reasons = {
         m.NOT_FINITE: "the solution is not finite",
         m.SINGULAR: "the equations of motion are singular",
-        m.TOO_MANY_STEPS: f"more than {MOST_STEPS} steps",
+        m.TOO_MANY_STEPS: f"more than {most} steps",
         m.STEP_TOO_SMALL: "steps have become too small"
         + (", the configuration is near a singular one" if near else ""),
     }
