@@ -18,7 +18,7 @@ from newton_euler.relative import Relative
 from newton_euler.scalars import Array, Scalar, minimum
 from newton_euler.scene import OUTPUTS, Scene
 from newton_euler.sparse import Rows
-from newton_euler.steppers.run import time_function
+from newton_euler.steppers.outputs import time_function
 
 ARRAYS = {
     "poses": ("position", "quaternion"),

@@ -52,7 +52,7 @@ class Batch(Sequence[Trajectory]):
         number = range(len(self))[run]
         if number in self.errors:
             raise self.errors[number]
-        from newton_euler.steppers.run import named
+        from newton_euler.steppers.outputs import named
 
         arrays = named(self._compiled, self._results[number])
         settings = self.settings | self._counts[number]
@@ -108,7 +108,7 @@ def simulate_batch(
     """
     from concurrent.futures import ThreadPoolExecutor
 
-    from newton_euler.steppers.run import March, load, write_outputs
+    from newton_euler.steppers.run import March, load
 
     options = Options(integrator, rtol, atol, step, most_steps)
     parameters = dict(parameters or {})
@@ -131,7 +131,7 @@ def simulate_batch(
                 return
             try:
                 march(starts[k])
-                write_outputs(compiled, march.x, times, march.table, results[k])
+                march.outputs(results[k])
             except IntegrationError as error:
                 errors[k] = error
                 results[k] = np.nan

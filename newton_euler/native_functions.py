@@ -23,12 +23,15 @@ class NativeFunctions:
             for function in functions
         }
 
-    def bind(self, function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
-        """A call of one of the functions with these arguments, arrays and native functions by address."""
+    def bind(self, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
+        """A call of one of the functions with these arguments, arrays and native functions by address.
+
+        What is missing of them is for each call to give.
+        """
         call, given = self._calls[function.__name__], [_address(argument) for argument in arguments]
 
-        def bound(keep: tuple[Any, ...] = arguments) -> Any:  # what is passed by address stays alive
-            return call(*given)
+        def bound(*more: Any, keep: tuple[Any, ...] = arguments) -> Any:  # what has an address stays alive
+            return call(*given, *map(_address, more))
 
         return bound
 

@@ -116,13 +116,13 @@ def march_sampled(code: Code, x: Array, options: Options) -> tuple[dict[str, Arr
 
     `x` (inputs,) is the start; it ends up at the end.
     """
-    from newton_euler.steppers.run import March, outputs
+    from newton_euler.steppers.run import March
 
     times = code.scene.times
     if not code.scene.sampled:
         march = March(code, times, options)
         march(x)
-        return outputs(code, x, times, march.table), march.counted
+        return march.outputs(np.empty(march.outputs.shape)), march.counted
     parts: list[dict[str, Array]] = []
     total: Counter[str] = Counter()
     for interval in intervals(code.scene):
@@ -131,7 +131,8 @@ def march_sampled(code: Code, x: Array, options: Options) -> tuple[dict[str, Arr
             x[code.place(name)] = force
         march = March(code, interval.times, options)
         march(x)
-        parts.append(outputs(code, x, interval.times[interval.wanted], march.table[interval.wanted]))
+        arrays = march.outputs(np.empty(march.outputs.shape))
+        parts.append({name: array[interval.wanted] for name, array in arrays.items()})
         total.update(march.counted)
         x[:] = march.x
     arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -99,7 +99,7 @@ class CompiledScene(Code):
 
     def repeat(self, count: int, q: Array, v: Array) -> float:
         """s that `count` right-hand sides at one state q, v take, called from native code."""
-        from newton_euler.steppers.run import time_function
+        from newton_euler.steppers.outputs import time_function
 
         return time_function(self.function("derivative"), self.packed(q, v), count)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
@@ -13,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.compile import NativeFunction
 from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import IntegrationError, NewtonEulerError
 from newton_euler.forces import strongest
@@ -25,9 +23,8 @@ from newton_euler.steppers import march as m
 from newton_euler.steppers.adaptive import NEAR, march_dop853
 from newton_euler.steppers.closing import close
 from newton_euler.steppers.fixed import march_euler, march_rk4
+from newton_euler.steppers.outputs import Outputs, loops
 from newton_euler.steppers.radau import march_radau
-from newton_euler.system import at_time
-from newton_euler.trajectory import check_finite
 
 MOST_STEPS = 1_000_000
 """Steps after which an adaptive method is taken to be getting nowhere, if a run does not say."""
@@ -53,12 +50,6 @@ def stepper(integrator: str) -> NativeFunctions:
 def projector() -> NativeFunctions:
     """Projection by itself."""
     return NativeFunctions([m.project])
-
-
-@lru_cache
-def loops() -> NativeFunctions:
-    """Loops over states."""
-    return NativeFunctions([m.map_rows, m.repeat])
 
 
 def load(code: Code, integrator: str) -> None:
@@ -146,6 +137,7 @@ class March:
     Attributes:
         x: (inputs,) the state with time and parameters: the start, and after the run where it ended.
         table: (n, size) the states at all times after a run.
+        outputs: what the scene asks for of them.
         counts: what the run took.
     """
 
@@ -176,6 +168,7 @@ class March:
                 *fixed, code.system.nq, code.function("rate"), *system, self.x, empty(n + 2), *result,
             ),
         }  # fmt: skip
+        self.outputs = Outputs(code, times, self.x, self.table)
         self._run = stepper(options.integrator).bind(
             MARCHES[options.integrator], *arguments[options.integrator]()
         )
@@ -264,62 +257,3 @@ def _failure(
     with np.errstate(all="ignore"):
         force = strongest(system.scene, *system.seen(q, v))
     return IntegrationError(reached, reason if force is None else f"{reason}, largest force: {force}")
-
-
-def outputs(code: Code, x: Array, times: Array, table: Array) -> dict[str, Array]:
-    """The arrays that the scene asks for, by name, of the states (n, size) at these times.
-
-    `x` (inputs,) holds the parameters.
-    """
-    results = np.empty((len(times), code.function("output").outputs))
-    write_outputs(code, x, times, table, results)
-    return named(code, results)
-
-
-def write_outputs(code: Code, x: Array, times: Array, table: Array, results: Array) -> None:
-    """Write `results` (n, outputs); `x` (inputs,) holds the parameters.
-
-    Reactions near singular or under redundant constraints come from the float form, which knows the
-    smallest ones.
-
-    Raises:
-        IntegrationError: for results that no double holds, and where that form fails.
-    """
-    function = code.function("output")
-    given, found = np.empty((code.inputs, function.lanes)), np.empty((function.outputs, function.lanes))
-    sizes = (len(times), code.size, code.inputs, function.outputs, function.lanes)
-    loops()(m.map_rows, *sizes, function, x, times, table, given, found, results)
-    arrays = named(code, results)
-    if "reactions" in code.scene.outputs:
-        _settle_reactions(code, x, times, table, arrays)
-    if not np.isfinite(results).all():
-        check_finite(times, arrays)
-
-
-def _settle_reactions(code: Code, x: Array, times: Array, table: Array, arrays: dict[str, Array]) -> None:
-    for row in range(len(times)) if code.redundant else np.flatnonzero(~(arrays["health"] > 0.0)):
-        system = at_time(code.float_system(x), float(times[row]))
-        try:
-            evaluation = system.evaluate(table[row, : system.nq], table[row, system.nq :])
-        except NewtonEulerError as error:
-            raise IntegrationError(float(times[row]), str(error)) from error
-        arrays["reaction_force"][row] = evaluation.reaction_force
-        arrays["reaction_torque"][row] = evaluation.reaction_torque
-
-
-def named(code: Code, results: Array) -> dict[str, Array]:
-    """Views of results (n, outputs) by name."""
-    return {
-        name: results[:, place].reshape(len(results), *shape) for name, (place, shape) in code.places.items()
-    }
-
-
-def time_function(function: NativeFunction, x: Array, count: int) -> float:
-    """s that a native function takes for `count` times the same x, in a native loop."""
-    lanes = function.lanes
-    y = np.empty((function.outputs, lanes))
-    x = np.repeat(np.asarray(x, dtype=float)[:, None], lanes, axis=1)
-    module = loops()
-    start = time.perf_counter()
-    module(m.repeat, -(-count // lanes), function, x, y)
-    return time.perf_counter() - start

@@ -1,0 +1,86 @@
+"""What a scene asks for, worked out from the states of a march."""
+
+from __future__ import annotations
+
+import time
+from functools import lru_cache
+
+import numpy as np
+
+from newton_euler.compile import NativeFunction
+from newton_euler.compiled import Code
+from newton_euler.errors import IntegrationError, NewtonEulerError
+from newton_euler.native_functions import NativeFunctions
+from newton_euler.scalars import Array
+from newton_euler.steppers import march as m
+from newton_euler.system import at_time
+from newton_euler.trajectory import check_finite
+
+
+@lru_cache
+def loops() -> NativeFunctions:
+    """Loops over states."""
+    return NativeFunctions([m.map_rows, m.repeat])
+
+
+class Outputs:
+    """The arrays that a scene asks for at the times of a march, for as many runs of it as one likes.
+
+    Attributes:
+        shape: of the results of one run, (n, outputs).
+    """
+
+    def __init__(self, code: Code, times: Array, x: Array, table: Array) -> None:
+        """Of the states `table` (n, size) at `times` (n,) with the parameters in x (inputs,), by then."""
+        function = code.function("output")
+        self._code, self._times, self._x, self._table = code, times, x, table
+        self.shape = (len(times), function.outputs)
+        sizes = (len(times), code.size, code.inputs, function.outputs, function.lanes)
+        given, found = (np.empty((size, function.lanes)) for size in (code.inputs, function.outputs))
+        self._write = loops().bind(m.map_rows, *sizes, function, x, times, table, given, found)
+
+    def __call__(self, results: Array) -> dict[str, Array]:
+        """Write the results (n, outputs); returns views of them by name.
+
+        Reactions near singular or under redundant constraints come from the float form, which knows the
+        smallest ones.
+
+        Raises:
+            IntegrationError: for results that no double holds, and where that form fails.
+        """
+        self._write(results)
+        arrays = named(self._code, results)
+        if "reactions" in self._code.scene.outputs:
+            self._settle_reactions(arrays)
+        if not np.isfinite(results).all():
+            check_finite(self._times, arrays)
+        return arrays
+
+    def _settle_reactions(self, arrays: dict[str, Array]) -> None:
+        code, times = self._code, self._times
+        for row in range(len(times)) if code.redundant else np.flatnonzero(~(arrays["health"] > 0.0)):
+            system, state = at_time(code.float_system(self._x), float(times[row])), self._table[row]
+            try:
+                evaluation = system.evaluate(state[: system.nq], state[system.nq :])
+            except NewtonEulerError as error:
+                raise IntegrationError(float(times[row]), str(error)) from error
+            arrays["reaction_force"][row] = evaluation.reaction_force
+            arrays["reaction_torque"][row] = evaluation.reaction_torque
+
+
+def named(code: Code, results: Array) -> dict[str, Array]:
+    """Views of results (n, outputs) by name."""
+    return {
+        name: results[:, place].reshape(len(results), *shape) for name, (place, shape) in code.places.items()
+    }
+
+
+def time_function(function: NativeFunction, x: Array, count: int) -> float:
+    """s that a native function takes for `count` times the same x, in a native loop."""
+    lanes = function.lanes
+    y = np.empty((function.outputs, lanes))
+    x = np.repeat(np.asarray(x, dtype=float)[:, None], lanes, axis=1)
+    module = loops()
+    start = time.perf_counter()
+    module(m.repeat, -(-count // lanes), function, x, y)
+    return time.perf_counter() - start
