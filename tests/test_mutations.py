@@ -15,13 +15,13 @@ PACKAGES = ("newton_euler", "mjcf", "urdf", "crosscheck")
 
 MISTAKES = {
     "swapped axes of a universal joint": (
-        "newton_euler/joints.py",
+        "newton_euler/joints/kinds.py",
         "first.vector_to_body(self.axis_on_first), second.vector_to_body(self.axis_on_second)",
         "first.vector_to_body(self.axis_on_second), second.vector_to_body(self.axis_on_first)",
         "test_formulations.py",
     ),
     "swapped hinges of a universal joint in the tree": (
-        "newton_euler/joints.py",
+        "newton_euler/joints/kinds.py",
         'Motion("hinge", self.axis_on_first), Motion("hinge", self.axis_on_second)',
         'Motion("hinge", self.axis_on_second), Motion("hinge", self.axis_on_first)',
         "test_formulations.py",
@@ -63,19 +63,19 @@ MISTAKES = {
         "test_compiled.py",
     ),
     "a missing gyroscopic torque": (
-        "newton_euler/relative.py",
+        "newton_euler/relative_terms.py",
         "inertia @ alpha + cross(omega, inertia @ omega)",
         "inertia @ alpha",
         "test_formulations.py",
     ),
     "a missing gyroscopic torque in the paper's form": (
-        "newton_euler/cartesian.py",
+        "newton_euler/cartesian_terms.py",
         "h = 4.0 * matrix_l(pdot).T @ body.inertia @ matrix_l(p)",
         "h = 0.0 * matrix_l(pdot).T @ body.inertia @ matrix_l(p)",
         "test_formulations.py",
     ),
     "inertia left in the body's frame": (
-        "newton_euler/relative.py",
+        "newton_euler/relative_terms.py",
         "return a @ self.inertias[body] @ a.T",
         "return self.inertias[body]",
         "test_formulations.py",
@@ -112,12 +112,12 @@ MISTAKES = {
     ),
     "positive feedback, erratum 2": (
         "newton_euler/control.py",
-        "return -(self.stiffness",
-        "return (self.stiffness",
+        "return self.feedforward - (self.stiffness",
+        "return self.feedforward + (self.stiffness",
         "test_formulations.py",
     ),
     "Baumgarte's gains swapped, erratum 1": (
-        "newton_euler/cartesian.py",
+        "newton_euler/cartesian_terms.py",
         "self.damping, self.stiffness = 2.0 * alpha, alpha * alpha",
         "self.stiffness, self.damping = 2.0 * alpha, alpha * alpha",
         "test_formulations.py",
@@ -129,10 +129,46 @@ MISTAKES = {
         "test_formulations.py",
     ),
     "reactions on the first body": (
-        "newton_euler/relative.py",
+        "newton_euler/reactions.py",
         "sign = 1.0 if kept.forward else -1.0",
         "sign = -1.0 if kept.forward else 1.0",
         "test_formulations.py",
+    ),
+    "a coupling's acceleration with the wrong sign": (
+        "newton_euler/couplings.py",
+        "self.function.acceleration(time) if self.function else 0.0",
+        "-self.function.acceleration(time) if self.function else 0.0",
+        "test_couplings.py",
+    ),
+    "a point spring that pushes when it is long": (
+        "newton_euler/forces.py",
+        "tension = spring.stiffness * (length - spring.rest_length)",
+        "tension = spring.stiffness * (spring.rest_length - length)",
+        "test_forces.py",
+    ),
+    "stages at a singular configuration": (
+        "newton_euler/steppers/adaptive.py",
+        "if near == 1 and hops < HOPS:",
+        "if near == 1 and hops < 0:",
+        "test_scene_families.py",
+    ),
+    "weak constraints that correct velocities": (
+        "newton_euler/steppers/closing.py",
+        "WEAK = 3e-5",
+        "WEAK = 0.0",
+        "test_scene_families.py",
+    ),
+    "turns that are never taken off": (
+        "newton_euler/steppers/march.py",
+        "if turning[i] > 0.0 and abs(x[i]) > HALF_TURN:",
+        "if turning[i] < 0.0 and abs(x[i]) > HALF_TURN:",
+        "test_integrate.py",
+    ),
+    "no look between the nodes of Radau": (
+        "newton_euler/steppers/radau.py",
+        "error = max(error, error_within(",
+        "error = max(error, 0.0 * error_within(",
+        "test_radau.py",
     ),
 }
 
@@ -155,11 +191,11 @@ def run_tests(folder, file):
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_noticed(tmp_path, mistake):
     source, right, wrong, file = MISTAKES[mistake]
-    path = copy_source(tmp_path / "project") / source
-    text = path.read_text()
+    folder = copy_source(tmp_path / "project")
+    text = (folder / source).read_text()
     assert text.count(right) == 1, "the line to break has changed"
-    path.write_text(text.replace(right, wrong))
-    done = run_tests(path.parents[1], file)
+    (folder / source).write_text(text.replace(right, wrong))
+    done = run_tests(folder, file)
     assert done.returncode == 1, done.stdout[-2000:]  # 1: tests ran and failed
     assert " failed" in done.stdout
 
