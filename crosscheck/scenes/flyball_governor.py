@@ -89,7 +89,7 @@ def flyball_governor() -> Scene:
     return Scene(
         "flyball_governor",
         mechanism,
-        duration=1.0,
+        duration=10.0,
         output_period=0.001,
         gravity=-9.81 * Z,
         initial_state=state,
