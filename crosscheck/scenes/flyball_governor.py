@@ -56,7 +56,7 @@ SIDES = {"right": X, "left": -X}
 
 
 def flyball_governor() -> Scene:
-    """Two balls of 5 kg turning at one revolution a second, the arms moving from 30 degrees, 1 s."""
+    """Two balls of 5 kg turning at one revolution a second, the arms moving from 30 degrees, 10 s."""
     shaft = Body("shaft", BAR_MASS, 0.5 * BAR_LENGTH * Z, np.diag([ACROSS, ACROSS, AXIAL]))
     slider = Body("slider", SLIDER_MASS, HEIGHT * Z, SLIDER_MASS * SLIDER_WIDTH**2 / 6.0 * np.eye(3))
     joints = [
