@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from newton_euler.compile import NativeModule
-from newton_euler.native import Signature, signature_of, sources, text
+from newton_euler.native import Signature, signature_of
+from newton_euler.translate import sources, text
 
 
 class NativeFunctions:

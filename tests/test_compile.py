@@ -17,8 +17,9 @@ from newton_euler.cache import CACHE_VARIABLE
 from newton_euler.compile import NativeFunction, NativeModule
 from newton_euler.emit import LANES
 from newton_euler.expression import Graph
-from newton_euler.native import Callback, NativeError, Vector, native, text
+from newton_euler.native import Callback, NativeError, Vector, native
 from newton_euler.native_functions import NativeFunctions
+from newton_euler.translate import text
 
 
 @pytest.fixture
