@@ -44,7 +44,9 @@ DEPENDENT = 1e-7
 """Share of a row that it must add to the others at least; round-off is below that if all rows in use
 are certain, and a row that adds less is near singular anyway."""
 
-NEWTON_STEPS = 8
+NEWTON_STEPS = 30
+"""From a singular configuration Newton's steps converge slowly."""
+
 CLOSED = 1e-11
 """Residual, dimensionless, of a configuration that is near enough to the constraints to be looked at."""
 

@@ -15,6 +15,8 @@ import newton_euler
 from crosscheck.errors import CrosscheckError
 from crosscheck.references import known_figures
 from crosscheck.scenes import FIGURES, load
+from crosscheck.stress_runs import lasting
+from crosscheck.stress_singular import from_flat
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.assemble import random_states
 from newton_euler.cartesian import Cartesian
@@ -204,6 +206,16 @@ def test_windows_pass_flat_ten_times(windows):
         assert np.abs(position - exact[0]).max() < 6e-10
         assert np.abs(velocity - exact[1]).max() < 2e-8  # outputs within 1e-4 rad of flat
     assert run.settings["rejected"] < 0.5 * run.settings["steps"]
+
+
+@pytest.mark.parametrize("windows", [1, 2, 10])
+def test_windows_start_flat(windows):
+    """From a singular configuration, where the constraints in use cannot be told from its own Jacobian."""
+    scene = from_flat(lasting(load("four_bar", N=windows), 2.0, 50), windows)
+    run = newton_euler.simulate(scene)
+    bars = run.position[:, 1 : windows + 2] - np.array([[k, 0.0, 0.0] for k in range(windows + 1)])
+    assert np.abs(bars - bars[:, :1]).max() < 1e-8  # parallel; another branch is off by 1
+    assert np.ptp(bars[:, 0, 0]) > 0.5  # and all the way round
 
 
 @pytest.mark.slow

@@ -34,6 +34,9 @@ HUGE = 1e300
 HALF_TURN = pi
 NEWTON_STEPS = 10
 
+SURE = 1e-10
+"""Health of the least-squares problem above which its corrections are more than magnified round-off."""
+
 OPEN_TOLERANCE = 1e-9
 """Sizes of the mechanism, or rad, that a constraint may stay open after projection."""
 
@@ -81,12 +84,13 @@ def project(
 
     `position` writes the state after one Newton step, `velocity` the state with its velocities
     projected; both write the residual they found, squared, in place n and their health after it.
-    `closing` does all of it where they are unhealthy, and writes a number above 0 in place n if it could.
+    `closing` does all of it where they are not healthy enough; it writes a number above 0 in place n if it
+    could.
     """
     before = HUGE
     for _ in range(NEWTON_STEPS):
         position(x, scratch)
-        if not scratch[n + 1] > 0.0:
+        if not scratch[n + 1] > SURE:
             return project_densely(n, closing, x, scratch)
         if scratch[n] < tolerance * tolerance or scratch[n] >= 0.25 * before:  # at round-off
             break
@@ -96,7 +100,7 @@ def project(
     velocity(x, scratch)
     if not scratch[n] < HUGE:
         return NOT_FINITE
-    if not scratch[n + 1] > 0.0:
+    if not scratch[n + 1] > SURE:
         return project_densely(n, closing, x, scratch)
     if scratch[n] > OPEN_TOLERANCE * OPEN_TOLERANCE:
         return OPEN
