@@ -1,4 +1,4 @@
-"""The command line: `crosscheck run`, `list`, `explain`, `view`, `figures`, `bench`.
+"""The command line: `crosscheck run`, `convert`, `list`, `explain`, `view`, `figures`, `bench`, `stress`.
 
 Click parses it. Exit status: 0 agree, 1 disagree, 2 bad input or usage, with one line saying what.
 Heavy packages are imported by the commands, so that what goes wrong in an import is one line too.
@@ -23,6 +23,9 @@ from crosscheck.errors import CrosscheckError
 if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
+
+    from newton_euler.mapping import Mapping
+    from newton_euler.scene import Scene
 
 TABLE_WIDTH = 130
 """Columns that the tables of a run need; a narrower terminal wraps them itself."""
@@ -66,6 +69,7 @@ def _options(settings: tuple[str, ...]) -> dict[str, str]:
 @click.option(
     "--save", type=click.Path(path_type=Path), default=None, help="Recording.  [default: OUTPUT/SCENE.rrd]"
 )
+@click.option("--loops", metavar="FILE", default=None, help="Loop file (YAML) of a URDF.")
 def run_command(
     scene: str | None,
     library: bool,
@@ -73,14 +77,18 @@ def run_command(
     settings: tuple[str, ...],
     output: Path | None,
     save: Path | None,
+    loops: str | None,
 ) -> int:
-    """Run SCENE (a name or a scene file; the tracker if not given) through the engines and compare them."""
+    """Run SCENE through the engines and compare them.
+
+    SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given.
+    """
     wanted = [name.strip() for name in engines.split(",") if name.strip()]
     if library:
-        if scene or settings or save:
-            raise CrosscheckError("--all runs all scenes at their defaults, without SCENE, --set or --save")
+        if scene or settings or save or loops:
+            raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
         return _run_all(wanted, output or Path("output"))
-    return _run(scene or "tracker", wanted, settings, output, save)
+    return _run(scene or "tracker", wanted, settings, output, save, loops)
 
 
 def _run_all(engines: list[str], folder: Path) -> int:
@@ -95,16 +103,23 @@ def _run_all(engines: list[str], folder: Path) -> int:
 
 
 def _run(
-    scene: str, engines: list[str], settings: tuple[str, ...], output: Path | None, save: Path | None
+    scene: str,
+    engines: list[str],
+    settings: tuple[str, ...],
+    output: Path | None,
+    save: Path | None,
+    loops: str | None,
 ) -> int:
     from crosscheck.engines import choose
+    from crosscheck.models import report_lines
     from crosscheck.report import markdown, settings_lines, terminal_tables
     from crosscheck.run import check_writable, crosscheck, write
-    from crosscheck.scenes import load
 
     chosen = choose(engines)
     options = _options(settings)
-    loaded = load(scene, **options)
+    loaded, mapping = _load(scene, options, loops)
+    for line in report_lines(mapping) if mapping else ():
+        click.echo(line)
     folder = output or Path("output") / loaded.name
     recording = save or folder / f"{loaded.name}.rrd"
     if recording.suffix != ".rrd":
@@ -112,7 +127,7 @@ def _run(
     runs = [folder / f"{engine.name}.npz" for engine in chosen]
     check_writable(*runs, folder / "summary.json", recording)
     with _progress() as progress:
-        result = crosscheck(loaded, chosen, progress, scene, options)
+        result = crosscheck(loaded, chosen, progress, scene, options, mapping)
         progress("writing")
         written = write(result, folder, recording, markdown(result))
     click.echo(_rendered(terminal_tables(result)), nl=False)
@@ -121,6 +136,18 @@ def _run(
     click.echo("wrote " + ", ".join(str(path) for path in written))
     click.echo(click.style(result.verdict, bold=True))
     return AGREE if result.agrees else DISAGREE
+
+
+def _load(scene: str, options: dict[str, str], loops: str | None) -> tuple[Scene, Mapping | None]:
+    """A scene, and what became of the elements of its file if that is a model of another tool."""
+    from crosscheck.models import is_model, read_model
+    from crosscheck.scenes import load
+
+    if is_model(scene):
+        return read_model(scene, options, loops)
+    if loops is not None:
+        raise CrosscheckError(f"--loops {loops}: only a URDF has a loop file")
+    return load(scene, **options), None
 
 
 @contextmanager
@@ -155,6 +182,30 @@ def list_command() -> int:
         for key, option in options_of(scene).items():
             click.echo(f"    --set {key}={option.values}  [default: {option.default}]")
     click.echo(f"engines: {', '.join(ENGINES)}")
+    return AGREE
+
+
+@cli.command("convert")
+@click.argument("source", metavar="IN")
+@click.argument("target", metavar="OUT", type=click.Path(path_type=Path))
+@click.option(
+    "--set", "settings", multiple=True, metavar="OPTION=VALUE", help="Option of the scene; repeatable."
+)
+@click.option("--loops", metavar="FILE", default=None, help="Loop file (YAML) of a URDF.")
+def convert_command(source: str, target: Path, settings: tuple[str, ...], loops: str | None) -> int:
+    """Write IN (a scene, MJCF or URDF) as OUT, in the format that its name ends in."""
+    from crosscheck.convert import check_target, scene_report, write_as
+    from crosscheck.models import report_lines
+    from crosscheck.run import check_writable
+
+    check_target(target)
+    check_writable(target)
+    scene, report = _load(source, _options(settings), loops)
+    report = report or scene_report(scene)
+    written = write_as(scene, target, report)
+    for line in report_lines(report):
+        click.echo(line)
+    click.echo("wrote " + ", ".join(str(path) for path in written))
     return AGREE
 
 
@@ -258,6 +309,38 @@ def bench_command(
     for line in lines:
         click.echo(line)
     click.echo("wrote " + ", ".join(str(path) for path in written))
+    return AGREE
+
+
+@cli.command("stress")
+@click.option(
+    "--full/--ci", "full", default=True, show_default=True, help="A quarter of an hour, or two minutes of it."
+)
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path),
+    default=Path("output/stress"),
+    show_default=True,
+    help="Folder.",
+)
+@click.option("--only", "letters", default="", metavar="LETTERS", help="Topics, such as bd.  [default: all]")
+def stress_command(full: bool, output: Path, letters: str) -> int:
+    """Push every engine until something breaks, and report where."""
+    import time
+
+    from crosscheck.stress import stress
+    from crosscheck.stress_report import check_folder, tables, write
+
+    check_folder(output)
+    start = time.perf_counter()
+    with _progress() as progress:
+        rows = stress(letters, full, progress)
+        wall_time = time.perf_counter() - start
+        progress("writing")
+        written = write(rows, full, wall_time, output)
+    click.echo(_rendered(tables(rows)), nl=False)
+    click.echo("wrote " + ", ".join(str(path) for path in written))
+    click.echo(f"{sum(row.passes for row in rows)} of {len(rows)} cases pass, in {wall_time:.0f} s")
     return AGREE
 
 

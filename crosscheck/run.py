@@ -21,6 +21,7 @@ from crosscheck.engines import ENGINES, Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.scene_figures import Measured, known_of, measure
 from newton_euler.errors import NewtonEulerError
+from newton_euler.mapping import Mapping as Report
 from newton_euler.scene import Scene
 from newton_euler.trajectory import Trajectory, atomic_file
 
@@ -44,6 +45,7 @@ class Crosscheck:
         rows: the compared figures.
         measured: figures that are known from elsewhere, as the engines give them.
         wall_time: s, of everything.
+        mapping: what became of the elements of a model file; None for a scene of this package's own.
     """
 
     source: str
@@ -55,6 +57,7 @@ class Crosscheck:
     rows: tuple[Row, ...]
     measured: tuple[Measured, ...]
     wall_time: float
+    mapping: Report | None = None
 
     @property
     def title(self) -> str:
@@ -114,6 +117,8 @@ class Crosscheck:
                 for name, run in self.runs.items()
             },
             "left_out": self.left_out,
+            "mapping": [asdict(entry) for entry in self.mapping.entries] if self.mapping else None,
+            "start": self.mapping.start if self.mapping else None,
             "figures": [asdict(row) | {"agrees": row.agrees} for row in self.rows],
             "known_figures": [measured.summary() for measured in self.measured],
         }
@@ -125,6 +130,7 @@ def crosscheck(
     progress: Progress,
     source: str,
     options: Mapping[str, str],
+    mapping: Report | None = None,
 ) -> Crosscheck:
     """Run a scene through the engines and compare them; `progress` is told each stage.
 
@@ -158,7 +164,7 @@ def crosscheck(
         measured.extend(measure(source, scene, engine, runs[engine.name], known))
     wall_time = time.perf_counter() - start
     return Crosscheck(
-        source, options, scene, tuple(able), left_out, runs, tuple(rows), tuple(measured), wall_time
+        source, options, scene, tuple(able), left_out, runs, tuple(rows), tuple(measured), wall_time, mapping
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from mjcf.loops import loops
 from mjcf.model import CompiledScene
 from mjcf.motion import body_acceleration
+from newton_euler.hinge_angles import dual_axes
 from newton_euler.scalars import Array, cross
 from newton_euler.state import Evaluation
 
@@ -91,21 +92,27 @@ def reactions(compiled: CompiledScene) -> tuple[Array, Array]:
 def joint_wrenches(compiled: CompiledScene) -> Array:
     """(nbody, 6) force and torque on each of MuJoCo's bodies by what drives the joint above it.
 
-    That is its actuators and springs. What pushes a slide does so along a line through the joint point,
-    so it has no torque there. The axes of a universal joint stay perpendicular: torque about one does
-    no work on the other.
+    That is its actuators, springs and rotors. What pushes a slide does so along a line through the
+    joint point, so it has no torque there. Of several hinges or slides, each is driven so that no work is
+    done on the others.
     """
     model, data = compiled.model, compiled.data
     places, velocities = model.jnt_qposadr, model.jnt_dofadr
     stretch = data.qpos[places] - model.qpos_spring[places]
     forces = -model.jnt_stiffness * stretch - model.dof_damping[velocities] * data.qvel[velocities]
+    # MuJoCo's balances of bodies know nothing of armatures
+    forces -= model.dof_armature[velocities] * data.qacc[velocities]
     laws = len(compiled.scene.control)
     np.add.at(forces, model.actuator_trnid[:laws, 0], data.actuator_force[:laws])
     wrenches = np.zeros((model.nbody, 6))
     for joint, force in enumerate(forces):
         slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
         part = slice(0, 3) if slides else slice(3, 6)
-        wrenches[model.jnt_bodyid[joint], part] += force * data.xaxis[joint]
+        together = np.flatnonzero(
+            (model.jnt_bodyid == model.jnt_bodyid[joint]) & (model.jnt_type == model.jnt_type[joint])
+        )
+        axes = dual_axes(data.xaxis[together])
+        wrenches[model.jnt_bodyid[joint], part] += force * axes[together.tolist().index(joint)]
     return wrenches
 
 

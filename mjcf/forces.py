@@ -28,13 +28,17 @@ TENDON_WIDTH = 0.003
 """Radius of a tendon, in sizes of the mechanism."""
 
 
-def spring_attributes(scene: Scene) -> dict[str, dict[str, str]]:
-    """Attributes of MuJoCo's joints, by their names, that make up the springs of joints."""
-    found = {}
+def joint_attributes(scene: Scene) -> dict[str, dict[str, str]]:
+    """Attributes of MuJoCo's joints, by their names, that make up the springs and armatures of joints."""
+    found: dict[str, dict[str, str]] = {}
+    for armature in scene.armatures:
+        joint = scene.mechanism.joints[scene.mechanism.joint_index(armature.joint)]
+        found[coordinate_name(joint, armature.coordinate)] = {"armature": number(armature.inertia)}
     for spring in scene.forces:
         if isinstance(spring, JointSpring):
             joint = scene.mechanism.joints[scene.mechanism.joint_index(spring.joint)]
-            found[coordinate_name(joint, spring.coordinate)] = {
+            name = coordinate_name(joint, spring.coordinate)
+            found[name] = found.get(name, {}) | {
                 "stiffness": number(spring.stiffness),
                 "damping": number(spring.damping),
                 "springref": number(spring.rest),

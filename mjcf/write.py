@@ -24,7 +24,7 @@ from mjcf.forces import (
     add_springs,
     add_tendon,
     add_wrenches,
-    spring_attributes,
+    joint_attributes,
     wrenches,
 )
 from mjcf.layout import Layout, coordinate_name
@@ -180,7 +180,7 @@ def _world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
     for shape in scene.mechanism.shapes(0):
         _geom(world, shape, GROUND_COLOUR, in_world, np.array([1.0, 0.0, 0.0, 0.0]))
     elements = {0: world}
-    springs = spring_attributes(scene)
+    springs = joint_attributes(scene)
     for kept in layout.order:
         element = _body(elements[kept.parent], kept, welded, springs)
         elements[kept.child] = element
@@ -334,14 +334,13 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
         if law.damping < 0.0:
             reason = f"damping of joint {law.joint!r} is {law.damping:g}; MuJoCo takes none below 0"
             raise ModelError(scene.name, reason)
-        ET.SubElement(
-            actuator,
-            "position",
-            name=name,
-            joint=name,
-            kp=number(law.stiffness),
-            kv=number(law.damping),
-        )
+        element = ET.SubElement(actuator, "position", name=name, joint=name)
+        gains = {"kp": number(law.stiffness), "kv": number(law.damping)}
+        if law.feedforward:  # what a position actuator is made of, and a constant
+            element.tag = "general"
+            bias = numbers([law.feedforward, -law.stiffness, -law.damping])
+            gains = {"gainprm": number(law.stiffness), "biastype": "affine", "biasprm": bias}
+        element.attrib.update(gains)
     add_wrenches(actuator, scene)
     if len(actuator):
         root.append(actuator)

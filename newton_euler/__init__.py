@@ -1,5 +1,6 @@
 """Newton-Euler dynamics of any mechanism with closed loops, written by hand."""
 
+from newton_euler.armature import Armature
 from newton_euler.assemble import assemble
 from newton_euler.batch import simulate_batch
 from newton_euler.control import PD, Sampled
@@ -15,6 +16,7 @@ from newton_euler.trajectory import Trajectory
 
 __all__ = [
     "PD",
+    "Armature",
     "Body",
     "Gear",
     "JointSpring",

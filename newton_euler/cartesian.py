@@ -20,7 +20,7 @@ from newton_euler.cartesian_terms import CartesianTerms
 from newton_euler.couplings import turns
 from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import matrix_g, matrix_l
-from newton_euler.forces import power, springs_energy
+from newton_euler.forces import power, rotors_energy, springs_energy
 from newton_euler.measured import carried_angles, carried_rates
 from newton_euler.reactions import at_joint_points, pushes
 from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros
@@ -42,6 +42,11 @@ class Cartesian(CartesianTerms):
         g = self.applied(q, frames)[1]
         phi, gamma, rate = self.joint_phi(q), self.joint_gamma(q, frames), self.joint_rate(q, frames)
         n6, n7 = len(mass), self.nv
+        rotors = self.rotor_rows(q, frames)
+        for armature, on_q, on_b, drift in zip(self.scene.armatures, *rotors, strict=True):
+            push = armature.inertia * dense([on_b], n6)[0]  # -a (Phi_q qddot - gamma) on the coordinate
+            mass = mass + np.outer(push, dense([on_q], n7)[0])
+            g = g + drift * push
         phi_q, b = (dense(rows, n) for rows, n in zip(self.joint_jacobian(q, frames), (n7, n6), strict=True))
         norm, p_rows, c = self.norm_terms(q, qdot)
         p_matrix = dense(p_rows, n7)
@@ -118,8 +123,14 @@ class Cartesian(CartesianTerms):
                 factor.inverse_pivots[i] = factor.inverse_pivots[i] / scale
         # the rows of the norms of p are met by construction
         count = sum(number < self.rows for number in rows.numbers)
-        rows = RowsInUse(rows.numbers[:count], rows.scales and rows.scales[:count])
-        return sparse_solve(factor, sparse_vector(np.array(force)), b, right, rows, refine=True)
+        # a rotor is a constraint that gives way: x'' + lambda / a = 0
+        _, of_rotors, drift = self.rotor_rows(q, frames)
+        softness = [1.0 / armature.inertia for armature in self.scene.armatures]
+        soft = dict(enumerate(softness, start=self.rows))
+        used = RowsInUse([*rows.numbers[:count], *soft], rows.scales and rows.scales[: count + len(soft)])
+        right = np.concatenate([right, drift])
+        pushed = sparse_vector(np.array(force))
+        return sparse_solve(factor, pushed, [*b, *of_rotors], right, used, refine=True, softness=soft)
 
     def sparse_acceleration(self, q: Array, qdot: Array, rows: RowsInUse) -> tuple[Array, Scalar]:
         """qddot (7 n,) and the health of the elimination, over generic scalars."""
@@ -271,7 +282,8 @@ class Cartesian(CartesianTerms):
         found = pushes(self.mechanism, self.equations, self.couplings, self.measured, frames, multipliers)
         forces, torques = at_joint_points(self.mechanism, arms, found)
         kinetic, potential = energies(self.scene, frames, [body.inertia for body in self.mechanism.bodies])
-        springs = springs_energy(self.scene, self.poses, frames, self._measurements(q, frames))
+        seen = self._measurements(q, frames)
+        springs = springs_energy(self.scene, self.poses, frames, seen)
         return Evaluation(
             self.state(q, v),
             np.array(linear),
@@ -279,7 +291,7 @@ class Cartesian(CartesianTerms):
             forces,
             torques,
             self.applied(q, frames)[0],
-            kinetic,
+            kinetic + rotors_energy(self.scene, seen),
             potential + springs,
             q[self.work][0] if self.scene.tracks_work else None,
         )

@@ -47,13 +47,10 @@ class CartesianTerms:
         self.couplings = couplings(scene)
         self.rows = sum(equations.count for equations in self.equations) + len(self.couplings)
         self.damping, self.stiffness = 2.0 * alpha, alpha * alpha
-        self.measured = coordinates(
-            {
-                key: self.equations[self.mechanism.joint_index(key[0])]
-                for key in wanted(scene, self.couplings)
-            },
-            self.nq,
-        )
+        counted = wanted(scene, self.couplings)
+        keys = dict.fromkeys([*counted, *(armature.key for armature in scene.armatures)])
+        measured = {key: self.equations[self.mechanism.joint_index(key[0])] for key in keys}
+        self.measured = coordinates(measured, self.nq, counted)
         self.nq += sum(coordinate.carried is not None for coordinate in self.measured.values())
         self.work = slice(self.nq, self.nq + int(scene.tracks_work))
         self.nq = self.work.stop
@@ -101,6 +98,11 @@ class CartesianTerms:
         for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
             _spread(rows[7 * k : 7 * k + 3], 7 * k, body.mass * np.eye(3))
             _spread(rows[7 * k + 3 : 7 * k + 7], 7 * k + 3, 4.0 * matrix_l(p).T @ body.inertia @ matrix_l(p))
+        on_q, _, _ = self.rotor_rows(q, self.frames(q, np.zeros(self.nv)))
+        for armature, row in zip(self.scene.armatures, on_q, strict=True):
+            for i, x in row.items():
+                for j, y in row.items():
+                    add(rows[i], j, armature.inertia * (x * y))
         return rows
 
     def velocity_terms(self, q: Array, qdot: Array) -> Array:
@@ -194,6 +196,23 @@ class CartesianTerms:
             phi_q.append(totals[0])
             b.append(totals[1])
         return phi_q, b
+
+    def rotor_rows(self, q: Array, frames: list[Frame]) -> tuple[Rows, Rows, Array]:
+        """Rows of Phi_q, of B and gamma (a,) of the coordinates x that bear armatures.
+
+        d2x/dt2 = Phi_q qddot - gamma, and a force on x acts through B^T.
+        """
+        on_q: Rows = []
+        on_b: Rows = []
+        gammas = []
+        for armature in self.scene.armatures:
+            coordinate = self.measured[armature.key]
+            seen = coordinate.measure(q, frames)
+            shares = self._rows(q, frames, coordinate.first, coordinate.second, seen.jacobian)
+            on_q.extend(shares[0])
+            on_b.extend(shares[1])
+            gammas.append(seen.gamma)
+        return on_q, on_b, np.array(gammas)
 
     def _rows(
         self, q: Array, frames: list[Frame], first: int, second: int, blocks: Jacobian

@@ -109,15 +109,19 @@ class Coincidence:
 
 @dataclass(frozen=True, eq=False)
 class Perpendicular:
-    """Phi^(n1,1), eq. (26): a_first on body i stays perpendicular to a_second on body j."""
+    """Phi^(n1,1), eq. (26): a_first on body i stays perpendicular to a_second on body j.
+
+    For unit vectors and another `cosine` than 0 they stay at that angle.
+    """
 
     a_first: Array
     a_second: Array
+    cosine: float = 0.0
     is_length = False
     count = 1
 
     def phi(self, first: Frame, second: Frame) -> Array:
-        return np.array([(first.rotation @ self.a_first) @ (second.rotation @ self.a_second)])
+        return np.array([(first.rotation @ self.a_first) @ (second.rotation @ self.a_second) - self.cosine])
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
         normal = cross(first.rotation @ self.a_first, second.rotation @ self.a_second)[None]

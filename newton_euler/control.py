@@ -23,7 +23,7 @@ def is_finite_number(value: object) -> bool:
 
 @dataclass(frozen=True)
 class PD:
-    """u = -(K_p e + K_d de/dt) with e = x - target, eq. (23) with the sign that makes it stable.
+    """u = u_0 - (K_p e + K_d de/dt) with e = x - target, eq. (23) with the sign that makes it stable.
 
     Attributes:
         joint: name of the joint it drives.
@@ -31,6 +31,7 @@ class PD:
         damping: K_d in N s/m or N m s/rad.
         target: wanted joint coordinate, m or rad from the initial pose.
         coordinate: which of the joint's coordinates, from 0.
+        feedforward: u_0 in N or N m.
 
     Raises:
         MechanismError: naming the joint and the value at fault.
@@ -41,8 +42,9 @@ class PD:
     damping: float
     target: float
     coordinate: int = 0
+    feedforward: float = 0.0
 
-    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "target")
+    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "target", "feedforward")
 
     def __post_init__(self) -> None:
         where = self.element
@@ -60,7 +62,7 @@ class PD:
 
     def force(self, x: Scalar, x_rate: Scalar) -> Scalar:
         """The generalized force (N or N m) at coordinate x (m or rad) and its rate."""
-        return -(self.stiffness * (x - self.target) + self.damping * x_rate)
+        return self.feedforward - (self.stiffness * (x - self.target) + self.damping * x_rate)
 
     def power(self, x: Scalar, x_rate: Scalar) -> Scalar:
         """Power of the actuator, W."""

@@ -322,6 +322,15 @@ def springs_energy(
     return energy
 
 
+def rotors_energy(scene: Scene, measured: Measurements) -> Scalar:
+    """Kinetic energy of the armatures, J."""
+    energy: Scalar = 0.0
+    for armature in scene.armatures:
+        rate = measured[armature.key][1]
+        energy = energy + 0.5 * armature.inertia * (rate * rate)
+    return energy
+
+
 def power(scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured: Measurements) -> Scalar:
     """Power, W, of what has no energy of its own: control laws, dampers and wrenches."""
     power: Scalar = 0.0

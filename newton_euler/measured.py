@@ -7,7 +7,7 @@ and starts within half a turn.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -26,7 +26,7 @@ Key = tuple[str, int]
 
 
 def wanted(scene: Scene, couplings: Iterable[Coupling]) -> list[Key]:
-    """The coordinates that a scene with these couplings has to measure, each once."""
+    """The coordinates whose values matter in a scene with these couplings, each once."""
     forces = [(force.joint, force.coordinate) for force in scene.joint_forces]
     coupled = [key for coupling in couplings for key in coupling.factors]
     return list(dict.fromkeys([*forces, *coupled]))
@@ -50,7 +50,7 @@ class Coordinate:
     Attributes:
         first, second: the bodies.
         constraint: its residual is the coordinate.
-        carried: where in q its angle is carried; None for a slide.
+        carried: where in q its angle is carried; None for a slide, and where its turns do not matter.
     """
 
     first: int
@@ -70,13 +70,15 @@ class Coordinate:
         return Measured(x, rate, jacobian, self.constraint.gamma(first, second)[0])
 
 
-def coordinates(keys: dict[Key, JointEquations], size: int) -> dict[Key, Coordinate]:
-    """Coordinates of these joints; angles are carried from place `size` of q on."""
+def coordinates(
+    keys: dict[Key, JointEquations], size: int, counted: Collection[Key]
+) -> dict[Key, Coordinate]:
+    """Coordinates of these joints; angles whose turns are `counted` are carried from place `size` of q on."""
     found: dict[Key, Coordinate] = {}
     for key, equations in keys.items():
         constraint = equations.coordinates[key[1]]
-        carried = None if constraint.is_length else size
-        size += not constraint.is_length
+        carried = None if constraint.is_length or key not in counted else size
+        size += carried is not None
         found[key] = Coordinate(equations.first, equations.second, constraint, carried)
     return found
 

@@ -3,8 +3,8 @@
 A parameter has a name and a value of the shape that the scene has there:
 
 - `gravity`, `BODY.mass`, `BODY.inertia`;
-- `JOINT.stiffness`, `JOINT.damping`, `JOINT.target` of the control law at a joint, `JOINT.1.target` for
-  its second coordinate;
+- `JOINT.stiffness`, `JOINT.damping`, `JOINT.target`, `JOINT.feedforward` of the control law at a joint,
+  `JOINT.1.target` for its second coordinate;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
   `JOINT.1.spring.rest` for its second coordinate;
 - `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points;

@@ -17,7 +17,7 @@ from newton_euler.forces import body_wrenches
 from newton_euler.joints import JointEquations
 from newton_euler.measured import Coordinate, Key
 from newton_euler.mechanism import Mechanism
-from newton_euler.scalars import Array, cross
+from newton_euler.scalars import Array, Scalar, cross
 
 if TYPE_CHECKING:
     from newton_euler.links import Link
@@ -86,7 +86,7 @@ def tree_reactions(
     linear: Array,
     angular: Array,
     multipliers: Array,
-    joint_forces: Array,
+    joint_forces: Sequence[tuple[Key, Scalar]],
 ) -> tuple[Array, Array]:
     """Forces and torques (j, 3) about the joint points on the second bodies.
 
@@ -99,7 +99,7 @@ def tree_reactions(
         links: kinematics of all bodies.
         linear, angular: (b, 3) accelerations.
         multipliers: (k,) of the loop closures and couplings.
-        joint_forces: (a,) N or N m, of `Scene.joint_forces`.
+        joint_forces: N or N m on joint coordinates, of control laws, springs and rotors.
     """
     mechanism, tree = system.mechanism, system.tree
     frames = [link.frame for link in links]
@@ -118,10 +118,10 @@ def tree_reactions(
         s = joint.reaction_point - mechanism.bodies[second].center_of_mass
         arms.append(frames[second].rotation @ s)
     forces, torques = (list(rows) for rows in at_joint_points(mechanism, arms, iter(found)))
-    for law, u in zip(system.scene.joint_forces, joint_forces, strict=True):
-        number = mechanism.joint_index(law.joint)
+    for (name, coordinate), u in joint_forces:
+        number = mechanism.joint_index(name)
         e = tree.equations(number)
-        blocks = e.coordinates[law.coordinate].jacobian(frames[e.first], frames[e.second])
+        blocks = e.coordinates[coordinate].jacobian(frames[e.first], frames[e.second])
         push = _push(number, e.first, e.second, blocks, np.array([u]))
         need[e.first] = need[e.first] - push.on_first
         need[e.second] = need[e.second] - push.on_second

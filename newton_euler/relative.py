@@ -26,7 +26,7 @@ from newton_euler.constraints import Frame
 from newton_euler.couplings import turns
 from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import product
-from newton_euler.forces import power, springs_energy
+from newton_euler.forces import power, rotors_energy, springs_energy
 from newton_euler.links import Link
 from newton_euler.measured import carried_angles, carried_rates
 from newton_euler.reactions import tree_reactions
@@ -199,13 +199,20 @@ class Relative(RelativeTerms):
         actuation = self.actuation(q, v, links)[0]
         linear = np.array([k.acceleration + k.linear @ qddot[k.path] for k in links])
         angular = np.array([k.angular_acceleration + k.angular @ qddot[k.path] for k in links])
-        forces, torques = tree_reactions(self, links, linear, angular, multipliers, actuation)
+        measured = self.measured(q, v, links)
+        pushes = [
+            ((law.joint, law.coordinate), u)
+            for law, u in zip(self.scene.joint_forces, actuation, strict=True)
+        ]
+        for armature, (a, row, gamma) in zip(self.scene.armatures, self.rotor_terms(measured), strict=True):
+            acceleration = sum((x * qddot[k] for k, x in row.items()), start=0.0) - gamma
+            pushes.append((armature.key, -(a * acceleration)))
+        forces, torques = tree_reactions(self, links, linear, angular, multipliers, pushes)
         state = self._state(links)
         frames = [link.frame for link in links]
         kinetic, potential = energies(self.scene, frames, self.inertias)
-        potential = potential + springs_energy(
-            self.scene, self.tree.poses, frames, self.measured(q, v, links)
-        )
+        kinetic = kinetic + rotors_energy(self.scene, measured)
+        potential = potential + springs_energy(self.scene, self.tree.poses, frames, measured)
         return Evaluation(
             state,
             linear,

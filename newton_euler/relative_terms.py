@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,14 +67,16 @@ class RelativeTerms:
         self.time: Scalar = 0.0
         self.in_use: RowsInUse | None = None
         self.couplings = couplings(scene)
-        self.places = {key: self.tree.place(*key) for key in wanted(scene, self.couplings)}
+        counted = wanted(scene, self.couplings)
+        keys = dict.fromkeys([*counted, *(armature.key for armature in scene.armatures)])
+        self.places = {key: self.tree.place(*key) for key in keys}
         cut = {
             key: self.tree.equations(self.mechanism.joint_index(key[0]))
             for key, place in self.places.items()
             if place is None
         }
-        self.between = coordinates(cut, self.tree.nq)
-        self.angles = self._angles()
+        self.between = coordinates(cut, self.tree.nq, counted)
+        self.angles = self._angles(counted)
         self.nq += sum(coordinate.carried is not None for coordinate in self.between.values())
         self.work = slice(self.nq, self.nq + int(scene.tracks_work))
         self.nq = self.work.stop
@@ -83,10 +85,11 @@ class RelativeTerms:
         self.velocity_units = self.tree.velocity_units
         self.quaternions = [on_q for motion, on_q, _ in self.tree.motions if motion.kind == "ball"]
 
-    def _angles(self) -> dict[Key, int]:
-        """Where in q the measured angles are."""
+    def _angles(self, counted: Iterable[Key]) -> dict[Key, int]:
+        """Where in q the angles are whose turns are counted."""
         found = {}
-        for (joint, number), place in self.places.items():
+        for joint, number in counted:
+            place = self.places[joint, number]
             if self.tree.equations(self.mechanism.joint_index(joint)).coordinates[number].is_length:
                 continue
             carried = self.between[joint, number].carried if place is None else place[0]
@@ -97,7 +100,7 @@ class RelativeTerms:
     @property
     def turning(self) -> list[int]:
         """Where in q there are angles of hinges that nothing measures."""
-        measured = {place[0] for place in self.places.values() if place is not None}
+        measured = set(self.angles.values())
         hinges = [on_q.start for motion, on_q, _ in self.tree.motions if motion.kind == "hinge"]
         return [place for place in hinges if place not in measured]
 
@@ -146,15 +149,38 @@ class RelativeTerms:
         for path, block, share in self.body_terms(links):
             mass[np.ix_(path, path)] += block
             force[path] += share
+        for inertia, row, gamma in self.rotor_terms(self.measured(q, v, links)):
+            for i, x in row.items():
+                force[i] += inertia * gamma * x
+                for j, y in row.items():
+                    mass[i, j] += inertia * x * y
         return mass, force
+
+    def rotor_terms(
+        self, measured: dict[Key, Measured]
+    ) -> Iterator[tuple[Scalar, dict[int, Scalar], Scalar]]:
+        """For each armature a, and J and gamma of its coordinate: its force is -a (J vdot - gamma)."""
+        for armature in self.scene.armatures:
+            seen = measured[armature.key]
+            yield armature.inertia, seen.jacobian, seen.gamma
+
+    @staticmethod
+    def _add_rotor(mass: Rows, inertia: Scalar, row: dict[int, Scalar]) -> None:
+        """a J^T J."""
+        for i, x in row.items():
+            for j, y in row.items():
+                add(mass[i], j, inertia * (x * y))
 
     def mass_rows(self, q: Array) -> Rows:
         """The nonzeros of M (nv, nv), over generic scalars."""
         mass: Rows = [{} for _ in range(self.nv)]
-        for path, block, _ in self.body_terms(self.links(q, np.zeros(self.nv))):
+        links = self.links(q, np.zeros(self.nv))
+        for path, block, _ in self.body_terms(links):
             for n, i in enumerate(path):
                 for m, j in enumerate(path):
                     add(mass[i], j, block[n, m])
+        for inertia, row, _ in self.rotor_terms(self.measured(q, np.zeros(self.nv), links)):
+            self._add_rotor(mass, inertia, row)
         return mass
 
     def sparse_mass_and_force(self, q: Array, v: Array, links: list[Link]) -> tuple[Rows, Array]:
@@ -166,6 +192,10 @@ class RelativeTerms:
                 force[i] = force[i] + share[n]
                 for m, j in enumerate(path):
                     add(mass[i], j, block[n, m])
+        for inertia, row, gamma in self.rotor_terms(self.measured(q, v, links)):
+            self._add_rotor(mass, inertia, row)
+            for i, x in row.items():
+                force[i] = force[i] + inertia * gamma * x
         return mass, force
 
     def measured(self, q: Array, v: Array, links: list[Link]) -> dict[Key, Measured]:

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from newton_euler.armature import Armature, check_armatures
 from newton_euler.control import Law, Sampled, is_finite_number
 from newton_euler.couplings import check_motions, couplings, residuals
 from newton_euler.errors import MechanismError, UnknownNameError
@@ -52,6 +53,7 @@ class Scene:
         outputs: names out of `OUTPUTS`.
         forces: springs, dampers and wrenches beside gravity and control.
         motions: prescribed motions of joints.
+        armatures: rotor inertias on joint coordinates.
         description: one printable line for people.
 
     Raises:
@@ -69,6 +71,7 @@ class Scene:
     outputs: frozenset[str] = frozenset(OUTPUTS)
     forces: tuple[Force, ...] = ()
     motions: tuple[PrescribedMotion, ...] = ()
+    armatures: tuple[Armature, ...] = ()
     description: str = ""
 
     def __post_init__(self) -> None:
@@ -103,6 +106,7 @@ class Scene:
         else:
             self._check_state(self.initial_state)
         self._check_forces()
+        self._check_armatures()
 
     def _check_texts(self) -> None:
         name, description = self.name, self.description
@@ -151,6 +155,15 @@ class Scene:
                 raise MechanismError(f"scene {self.name!r}", f"forces holds {force!r:.200}", needed)
         object.__setattr__(self, "forces", forces)
         check_forces(self.forces, self.mechanism, self.initial_state.frames())
+
+    def _check_armatures(self) -> None:
+        given = self.armatures
+        if not isinstance(given, Iterable) or not all(isinstance(a, Armature) for a in given):
+            raise MechanismError(
+                f"scene {self.name!r}", f"armatures is {given!r:.200}", "a tuple of armatures"
+            )
+        object.__setattr__(self, "armatures", tuple(given))
+        check_armatures(self.armatures, self.mechanism)
 
     def _check_state(self, state: State) -> None:
         where = f"initial state of scene {self.name!r}"

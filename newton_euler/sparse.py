@@ -8,7 +8,7 @@ algorithm. No pivoting: `Factor.health` says how close to singular the matrix ha
 from __future__ import annotations
 
 import heapq
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -221,7 +221,13 @@ class Solution:
 
 
 def solve_constrained(
-    factor: Factor, force: dict[int, Any], jacobian: Rows, gamma: Array, rows: RowsInUse, refine: bool
+    factor: Factor,
+    force: dict[int, Any],
+    jacobian: Rows,
+    gamma: Array,
+    rows: RowsInUse,
+    refine: bool,
+    softness: Mapping[int, Scalar] | None = None,
 ) -> Solution:
     """M a = f + J^T lambda, J a = gamma, M factorised, by the Schur complement J M^-1 J^T, all sparse.
 
@@ -233,8 +239,9 @@ def solve_constrained(
         rows: which rows of both to use; the others must follow from them.
         refine: whether to solve once more for the remaining J a - gamma, which regains the digits
             that a badly conditioned complement loses.
+        softness: of rows that give way, J a + softness * lambda = gamma.
     """
-    kept = rows.numbers
+    kept, soft = rows.numbers, softness or {}
     total = factor.lower(force)
     acceleration = factor.upper(factor.scaled(total)) if not kept else {}
     if not kept:
@@ -242,6 +249,9 @@ def solve_constrained(
     half = [factor.lower(jacobian[i]) for i in kept]
     weighted = [factor.scaled(row) for row in half]
     schur = gram(half, weighted)
+    for n, i in enumerate(kept):
+        if i in soft:
+            add(schur[n], n, soft[i])
     complement = factorise(schur, pattern_order(schur), rows.scales)
     right = {n: gamma[i] - dot(weighted[n], total) for n, i in enumerate(kept)}
     multipliers: dict[int, Any] = {}
@@ -253,7 +263,10 @@ def solve_constrained(
             for k, entry in half[n].items():
                 add(total, k, entry * x)
         acceleration = factor.upper(factor.scaled(total))
-        right = {n: gamma[i] - dot(jacobian[i], acceleration) for n, i in enumerate(kept)}
+        right = {
+            n: gamma[i] - dot(jacobian[i], acceleration) - soft.get(i, 0.0) * multipliers.get(i, 0.0)
+            for n, i in enumerate(kept)
+        }
     health = minimum(factor.health, complement.health)
     return Solution(acceleration, multipliers, health, complement.pivots, factor.pivots)
 

@@ -22,7 +22,7 @@ from newton_euler.euler_parameters import (
     rotation,
 )
 from newton_euler.joints import Fixed, Free, Joint, JointEquations, Motion, Pose, Rod, Spherical
-from newton_euler.mechanism import Mechanism
+from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.scalars import Array, sqrt
 from newton_euler.state import State
 
@@ -286,3 +286,31 @@ def weld_loops(mechanism: Mechanism) -> WeldedMechanism:
             bodies[number] = replace(body, mass=share * body.mass, inertia=share * body.inertia)
     welded = Mechanism(bodies, joints, mechanism.couplings)
     return WeldedMechanism(welded, SpanningTree(welded, never=welds), tuple(origin))
+
+
+def unweld_loops(mechanism: Mechanism) -> Mechanism:
+    """What `weld_loops` has halved put together again, known by its names; joints are as they were."""
+    bodies, joints = {body.name: body for body in mechanism.bodies}, list(mechanism.joints)
+    for weld in mechanism.joints:
+        cut = weld.name.removesuffix("_weld")
+        half = f"{weld.first}_at_{cut}"
+        if not isinstance(weld, Fixed) or cut == weld.name or weld.second != half:
+            continue
+        body, other = bodies[weld.first], bodies[half]
+        ends = [end for joint in joints if joint is not weld for end in (joint.first, joint.second)]
+        same = np.allclose(body.center_of_mass, other.center_of_mass, rtol=0.0, atol=CLOSURE_TOLERANCE)
+        if ends.count(half) != 1 or not same:
+            continue
+        turn = rotation(body.quaternion).T @ rotation(other.quaternion)
+        inertia = body.inertia + turn @ other.inertia @ turn.T
+        bodies[weld.first] = replace(body, mass=body.mass + other.mass, inertia=0.5 * (inertia + inertia.T))
+        del bodies[half]
+        joints = [_with_end(joint, half, weld.first) for joint in joints if joint is not weld]
+    return Mechanism(bodies.values(), joints, mechanism.couplings)
+
+
+def _with_end(joint: Joint, old: str, new: str) -> Joint:
+    """A joint with another body where it has one of that name."""
+    if joint.first == old:
+        return replace(joint, first=new)
+    return replace(joint, second=new) if joint.second == old else joint

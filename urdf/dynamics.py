@@ -18,7 +18,6 @@ from newton_euler.forces import JointSpring
 from newton_euler.joints import Rod
 from newton_euler.scalars import Array, Scalar
 from newton_euler.scene import Scene
-from newton_euler.solve import rank
 from newton_euler.state import Evaluation, MassProperties, State
 from newton_euler.tree import weld_loops
 from newton_euler.tree_couplings import TreeCouplings
@@ -27,19 +26,10 @@ from urdf.errors import UrdfError
 from urdf.forces import PointForces
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia
-from urdf.reactions import Actuator, external_forces, joint_wrenches, reactions
+from urdf.proximal import plain, redundant_rows, regularised
+from urdf.reactions import Actuator, driven, external_forces, joint_wrenches, reactions
 from urdf.rows import Rows, solve
 from urdf.write import closures, to_loops, to_urdf
-
-PROXIMAL_MU = 1e-6
-"""Regularisation of redundant closures against the mean of the diagonal of J M^-1 J^T, in units of the
-mechanism's size and mass, or against 1 if that is larger. Iterations take its effect out again; a
-smaller one lets forces that no acceleration sees grow with drift."""
-
-PROXIMAL_ACCURACY = 1e-13
-"""Relative change between iterations at which they end."""
-
-PROXIMAL_ITERATIONS = 30
 
 
 class PinocchioSystem:
@@ -102,6 +92,7 @@ class PinocchioSystem:
         self._closures = Closures(self.closed, self.map, self._length)
         self._rows = Rows(self.closed, self.map, self._couplings, self._length, alpha)
         self.phi_units = np.concatenate([self._closures.units, self._rows.units])
+        self._set_armatures()
         self._actuators = [self._actuator(law.joint, law.coordinate) for law in scene.joint_forces]
         self._proximal = self._proximal_settings()
 
@@ -118,6 +109,20 @@ class PinocchioSystem:
             frame = pin.Frame(f"{body.name}_body", link.parentJoint, index, placement, pin.FrameType.OP_FRAME)
             added.append(self._model.addFrame(frame))
         return added
+
+    def _set_armatures(self) -> None:
+        """Give the model of the accelerations the scene's rotors; a URDF has none.
+
+        Not the other one: Pinocchio's kinetic energy has them only in part.
+        """
+        self._rotors = [
+            (self._actuator(*armature.key), armature.inertia) for armature in self.scene.armatures
+        ]
+        inertias = np.zeros(self.nv)
+        for rotor, inertia in self._rotors:
+            inertias[rotor.on_v] = inertia
+        units = self._mass * self._length**2 / self.velocity_units**2
+        self._scaled.model.armature = self.map.v_to_pinocchio(inertias / units)
 
     def _actuator(self, joint: str, coordinate: int) -> Actuator:
         """What a control law or a spring drives; the tree has it, balls at most are ever cut."""
@@ -136,16 +141,14 @@ class PinocchioSystem:
         q, _ = self.coordinates(self.scene.initial_state)
         self._place(q)
         jacobian = self._closures.jacobian(self._data) * self.velocity_units / self._closures.units[:, None]
-        if rank(jacobian) == len(jacobian):
-            return pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, 0.0, 1)
+        if redundant_rows(jacobian) == 0:
+            return plain()
         # Pinocchio fills only the upper half
         upper = np.triu(
             pin.crba(self._scaled.model, self._scaled_data, self.map.q_to_pinocchio(q / self._q_units))
         )
         mass = self.map.v_from_pinocchio(self.map.v_from_pinocchio(upper + np.triu(upper, 1).T).T)
-        mean = np.mean(np.sum(jacobian.T * np.linalg.solve(mass, jacobian.T), axis=0))
-        mu = PROXIMAL_MU * max(mean, 1.0)
-        return pin.ProximalSettings(0.0, PROXIMAL_ACCURACY, mu, PROXIMAL_ITERATIONS)
+        return regularised(jacobian, mass)
 
     # What integrators, projection and assembly ask for
 
@@ -358,8 +361,12 @@ class PinocchioSystem:
         )
         actuation = self.actuation(q, v)
         pin.computeJointJacobians(self._model, self._data, pin_q)
-        forces, torques = reactions(self.scene, wrenches, state, self._driven(actuation))
+        columns = self.map.v_from_pinocchio(np.reshape(self._data.J, (6, self.nv)))
+        forces_on = list(zip(self._actuators, actuation, strict=True))
+        forces_on += [(rotor, -inertia * qddot[rotor.on_v]) for rotor, inertia in self._rotors]
+        forces, torques = reactions(self.scene, wrenches, state, driven(self._tree, columns, forces_on))
         kinetic = pin.computeKineticEnergy(self._model, self._data, pin_q, pin_v)
+        kinetic += sum(0.5 * inertia * v[rotor.on_v] ** 2 for rotor, inertia in self._rotors)
         potential = pin.computePotentialEnergy(self._model, self._data, pin_q)
         return Evaluation(
             state,
@@ -378,18 +385,6 @@ class PinocchioSystem:
         laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
         turned = sum(law.energy(seen[0]) for law, seen in laws if isinstance(law, JointSpring))
         return float(turned) + self._forces.energy(self._data)
-
-    def _driven(self, actuation: Array) -> list[tuple[Actuator, float, Array]]:
-        """Actuators with their forces and their axes in the world, out of Pinocchio's Jacobians."""
-        columns = self.map.v_from_pinocchio(np.reshape(self._data.J, (6, self.nv)))
-        return [
-            (
-                actuator,
-                u,
-                columns[:3, actuator.on_v] if actuator.slides else columns[3:, actuator.on_v],
-            )
-            for actuator, u in zip(self._actuators, actuation, strict=True)
-        ]
 
     def _fixed_energy(self) -> float:
         """Potential energy of bodies that fixed joints hold to the ground; Pinocchio leaves it out."""

@@ -53,6 +53,8 @@ def parse_loops(text: str, source: str) -> Loops:
         document = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise LoopFileError(source, "document", f"not YAML: {error}") from error
+    except RecursionError as error:
+        raise LoopFileError(source, "document", "nested too deeply") from error
     if not isinstance(document, dict):
         raise LoopFileError(source, "document", "not a mapping from keys to lists")
     pairs = _entry(document, source, "closed_loop")

@@ -12,10 +12,11 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.euler_parameters import rotation
+from newton_euler.hinge_angles import dual_axes
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import State
-from newton_euler.tree import WeldedMechanism, motion_names
+from newton_euler.tree import SpanningTree, WeldedMechanism, motion_names
 
 
 class Actuator(NamedTuple):
@@ -33,6 +34,28 @@ class Actuator(NamedTuple):
     sign: float
     on_q: int
     on_v: int
+
+
+def driven(
+    tree: SpanningTree, columns: Array, forces: Iterable[tuple[Actuator, float]]
+) -> list[tuple[Actuator, float, Array]]:
+    """Actuators with their forces and the world axes these act along or about.
+
+    Of several hinges or slides of a joint, each is driven so that no work is done on the others.
+
+    Args:
+        tree: that numbers the velocities.
+        columns: (6, nv) Pinocchio's joint Jacobians in the tree's order.
+        forces: N or N m.
+    """
+    found = []
+    for actuator, u in forces:
+        kind, part = ("slide", columns[:3]) if actuator.slides else ("hinge", columns[3:])
+        (kept,) = (kept for kept in tree.joints if kept.joint == actuator.joint)
+        together = [on_v.start for motion, _, on_v in kept.places if motion.kind == kind]
+        axes = dual_axes(part[:, together].T)
+        found.append((actuator, u, axes[together.index(actuator.on_v)]))
+    return found
 
 
 def external_forces(model: Any, data: Any, wrenches: Iterable[tuple[int, Any]]) -> Any:

@@ -119,6 +119,7 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
 def _check(scene: Scene) -> None:
     """Refuse what is not gravity, a closure of Pinocchio's or an affine law of joint coordinates."""
     refused = [force.element for force in scene.forces if not isinstance(force, JointSpring)]
+    refused += [armature.element for armature in scene.armatures]
     refused += [f"joint {joint.name!r}" for joint in scene.mechanism.joints if isinstance(joint, Rod)]
     refused += [f"{coupling.what} {coupling.name!r}" for coupling in couplings(scene)]
     if refused:
@@ -139,7 +140,10 @@ def _laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
         row = order_v.index(place[1])
         gains[row, order_q.index(place[0])] -= law.stiffness
         gains[row, tree.nq + row] -= law.damping
-        constant[row] += law.stiffness * (law.target if isinstance(law, PD) else law.rest)
+        if isinstance(law, PD):
+            constant[row] += law.feedforward + law.stiffness * law.target
+        else:
+            constant[row] += law.stiffness * law.rest
     return gains, constant
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.models import is_model, read_model
 from crosscheck.scenes import (
     andrews,
     bricard,
@@ -55,7 +56,7 @@ FIGURES: dict[str, Figures] = {
 
 
 def load(name: str, /, **options: str | int) -> Scene:
-    """The scene of that name, or of that scene file (.yaml, .yml or .json).
+    """The scene of that name, of that scene file (.yaml, .yml or .json) or of that model file.
 
     Args:
         name: a name out of `SCENES`, or the path of a file.
@@ -68,9 +69,12 @@ def load(name: str, /, **options: str | int) -> Scene:
     """
     if name in SCENES:
         return SCENES[name](**_read(name, options))
+    if is_model(name):
+        return read_model(name, options)[0]
     if Path(name).suffix not in (".yaml", ".yml", ".json"):
         raise CrosscheckError(
-            f"unknown scene {name!r}; choose from: {', '.join(SCENES)}, or give a .yaml or .json file"
+            f"unknown scene {name!r}; choose from: {', '.join(SCENES)}, or give a .yaml, .json, .xml or "
+            ".urdf file"
         )
     if options:
         raise CrosscheckError(f"scene file {name!r} takes no options, got {', '.join(options)}")

@@ -11,11 +11,12 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from crosscheck.errors import CrosscheckError
+from newton_euler.armature import Armature
 from newton_euler.control import PD
 from newton_euler.couplings import Gear
 from newton_euler.errors import NewtonEulerError
 from newton_euler.forces import JointSpring, PointSpring, Wrench
-from newton_euler.joints import JOINT_KINDS, Joint, Screw
+from newton_euler.joints import JOINT_KINDS, Compound, Joint, Screw
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
 from newton_euler.scene import OUTPUTS, Scene
@@ -109,6 +110,9 @@ class JointEntry(_Strict):
     axis_on_first: Vector | None = None
     axis_on_second: Vector | None = None
     pitch: Number | None = None
+    slides: list[Vector] | None = None
+    hinges: list[Vector] | None = None
+    ball: bool | None = None
     actuated: bool = False
 
     def build(self) -> Joint:
@@ -124,11 +128,17 @@ class JointEntry(_Strict):
             if getattr(self, name) is not None
         }
         needed = (*kind.axis_names, "pitch") if kind is Screw else kind.axis_names
+        for name in ("slides", "hinges", "ball"):
+            value = getattr(self, name)
+            if value is not None and kind is not Compound:
+                raise CrosscheckError(f"{where}: {name} are of compound joints only")
         if set(given) != set(needed):
             raise CrosscheckError(
                 f"{where}: a {self.kind} joint needs {' and '.join(needed) or 'no axis'}, "
                 f"got {' and '.join(given) or 'none'}"
             )
+        if kind is Compound:
+            given |= {"slides": self.slides or (), "hinges": self.hinges or (), "ball": self.ball or False}
         arguments: dict[str, Any] = given | {
             "point_on_second": self.point_on_second,
             "actuated": self.actuated,
@@ -159,6 +169,7 @@ class ControlEntry(_Strict):
     damping: Number
     target: Number
     coordinate: Index = 0
+    feedforward: Number = 0.0
 
 
 class JointSpringEntry(_Strict):
@@ -173,6 +184,17 @@ class JointSpringEntry(_Strict):
 
     def build(self) -> JointSpring:
         return JointSpring(**self.model_dump(exclude={"kind"}))
+
+
+class ArmatureEntry(_Strict):
+    """A rotor inertia on a joint coordinate."""
+
+    joint: str
+    inertia: Number
+    coordinate: Index = 0
+
+    def build(self) -> Armature:
+        return Armature(**self.model_dump())
 
 
 class PointSpringEntry(_Strict):
@@ -282,6 +304,7 @@ class SceneEntry(_Strict):
     control: list[ControlEntry] = []
     forces: list[ForceEntry] = []
     motions: list[MotionEntry] = []
+    armatures: list[ArmatureEntry] = []
     initial_state: dict[str, StateEntry] = {}
     outputs: list[str] = list(OUTPUTS)
 
@@ -300,6 +323,7 @@ class SceneEntry(_Strict):
             outputs=frozenset(self.outputs),
             forces=tuple(force.build() for force in self.forces),
             motions=tuple(motion.build() for motion in self.motions),
+            armatures=tuple(armature.build() for armature in self.armatures),
             description=" ".join(self.description.split()),
         )
 

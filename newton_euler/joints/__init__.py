@@ -1,6 +1,7 @@
 """Joints: what they have in common, and one class a kind."""
 
 from newton_euler.joints.base import Joint, JointEquations, Motion, Pose, perpendicular_pair
+from newton_euler.joints.compound import Compound
 from newton_euler.joints.kinds import (
     JOINT_KINDS,
     Cylindrical,
@@ -19,6 +20,7 @@ from newton_euler.joints.kinds import (
 
 __all__ = [
     "JOINT_KINDS",
+    "Compound",
     "Cylindrical",
     "Fixed",
     "Free",

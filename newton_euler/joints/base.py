@@ -111,7 +111,8 @@ def _vector(joint: str, name: str, value: object) -> Array:
     return vector
 
 
-def _unit(joint: str, name: str, value: object) -> Array:
+def unit_vector(joint: str, name: str, value: object) -> Array:
+    """A read-only array (3,) of norm 1 along an axis of a joint; raises `MechanismError`."""
     vector = _vector(joint, name, value)
     largest = float(np.max(np.abs(vector)))
     if largest < 1e-12:
@@ -152,7 +153,7 @@ class Joint:
         second = self.point if self.point_on_second is None else self.point_on_second
         object.__setattr__(self, "point_on_second", _vector(self.name, "point_on_second", second))
         for name in self.axis_names:
-            object.__setattr__(self, name, _unit(self.name, name, getattr(self, name)))
+            object.__setattr__(self, name, unit_vector(self.name, name, getattr(self, name)))
 
     @property
     def reaction_point(self) -> Array:

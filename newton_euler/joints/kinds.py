@@ -11,6 +11,7 @@ from newton_euler.constraints import Constraint, Distance, Perpendicular, Revers
 from newton_euler.control import is_finite_number
 from newton_euler.errors import MechanismError
 from newton_euler.joints.base import Joint, Motion, Pose, perpendicular_pair
+from newton_euler.joints.compound import Compound
 from newton_euler.scalars import Array
 
 AXIS_TOLERANCE = 1e-9
@@ -288,6 +289,7 @@ JOINT_KINDS: dict[str, type[Joint]] = {
         Universal,
         Spherical,
         PointOnLine,
+        Compound,
         Rod,
         Free,
     )

@@ -1,0 +1,139 @@
+"""Scenes to YAML or JSON files, as `crosscheck.scenes.scene_file` reads them."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from crosscheck.errors import CrosscheckError
+from newton_euler.control import PD
+from newton_euler.forces import JointSpring, PointSpring, Wrench
+from newton_euler.joints import Compound, Joint, Screw
+from newton_euler.motions import Polynomial, Sine, TimeFunction
+from newton_euler.scene import Scene
+from newton_euler.shapes import Box, Shape
+from newton_euler.state import State
+from newton_euler.trajectory import atomic_file
+
+KINDS: dict[type[Any], str] = {
+    JointSpring: "joint_spring",
+    PointSpring: "point_spring",
+    Wrench: "wrench",
+}
+
+
+class _NoAliases(yaml.SafeDumper):
+    """Scene files may not hold aliases, which PyYAML writes for a list that is there twice."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def write_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
+    """Write a scene file, .yaml, .yml or .json; it appears whole or not at all.
+
+    Raises:
+        CrosscheckError: for a controller that is Python, and for a path that cannot be written.
+    """
+    content = entries(scene)
+    if Path(path).suffix == ".json":
+        text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    else:
+        text = yaml.dump(content, Dumper=_NoAliases, sort_keys=False, width=110)
+    try:
+        with atomic_file(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CrosscheckError(f"cannot write {os.fspath(path)}: {error.strerror}") from error
+
+
+def entries(scene: Scene) -> dict[str, Any]:
+    """The content of a scene file."""
+    if scene.sampled:
+        raise CrosscheckError(f"{scene.sampled[0].element}: a controller in Python is not for a scene file")
+    mechanism = scene.mechanism
+    bodies = []
+    for body in mechanism.bodies[1:]:
+        entry = _plain(body, "shapes")
+        if body.shapes:
+            entry["shapes"] = [_shape(shape) for shape in body.shapes]
+        bodies.append(entry)
+    content: dict[str, Any] = {
+        "name": scene.name,
+        "description": scene.description,
+        "gravity": scene.gravity.tolist(),
+        "duration": scene.duration,
+        "output_period": scene.output_period,
+        "ground": mechanism.body_names[0],
+        "bodies": bodies,
+        "joints": [_joint(joint) for joint in mechanism.joints],
+        "couplings": [{"kind": "gear", **_plain(gear)} for gear in mechanism.couplings],
+        "control": [_plain(law) for law in scene.control if isinstance(law, PD)],
+        "forces": [{"kind": KINDS[type(force)], **_plain(force)} for force in scene.forces],
+        "motions": [
+            {"joint": m.joint, "coordinate": m.coordinate, "function": _function(m.function)}
+            for m in scene.motions
+        ],
+        "armatures": [_plain(armature) for armature in scene.armatures],
+        "initial_state": _state(scene),
+        "outputs": sorted(scene.outputs),
+    }
+    return {key: value for key, value in content.items() if value not in ([], {}, "")}
+
+
+def _plain(thing: Any, *skipped: str) -> dict[str, Any]:
+    """The attributes of an object, arrays as lists."""
+    names = [field.name for field in fields(thing) if field.name not in skipped]
+    return {name: _number(getattr(thing, name)) for name in names}
+
+
+def _number(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def _shape(shape: Shape) -> dict[str, Any]:
+    return {"kind": "box" if isinstance(shape, Box) else "capsule", **_plain(shape)}
+
+
+def _joint(joint: Joint) -> dict[str, Any]:
+    entry = {
+        "name": joint.name,
+        "kind": joint.kind,
+        "first": joint.first,
+        "second": joint.second,
+        "point": joint.point.tolist(),
+    }
+    if not np.array_equal(joint.point, joint.reaction_point):
+        entry["point_on_second"] = joint.reaction_point.tolist()
+    more = [*joint.axis_names]
+    more += ["pitch"] if isinstance(joint, Screw) else []
+    more += ["slides", "hinges", "ball"] if isinstance(joint, Compound) else []
+    entry |= {name: _number(getattr(joint, name)) for name in more}
+    if joint.actuated:
+        entry["actuated"] = True
+    return entry
+
+
+def _function(function: TimeFunction) -> dict[str, Any]:
+    if isinstance(function, Polynomial):
+        return {"kind": "polynomial", "coefficients": list(function.coefficients)}
+    if isinstance(function, Sine):
+        return {"kind": "sine", **_plain(function)}
+    return {"kind": "sum", "terms": [_function(term) for term in function.terms]}
+
+
+def _state(scene: Scene) -> dict[str, dict[str, list[float]]]:
+    """What of the initial state is not the initial pose at rest."""
+    rest, found = State.initial(scene.mechanism), dict[str, dict[str, list[float]]]()
+    for field in fields(State):
+        given, usual = getattr(scene.initial_state, field.name), getattr(rest, field.name)
+        for name, value, plain in zip(scene.mechanism.body_names, given, usual, strict=True):
+            if not np.array_equal(value, plain):
+                found.setdefault(name, {})[field.name] = value.tolist()
+    return found

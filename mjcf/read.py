@@ -1,0 +1,151 @@
+"""MJCF -> scene, with a report of what became of every element.
+
+MuJoCo compiles the file, so that its defaults, includes, angles and inertias are MuJoCo's own reading, and
+the scene is made from the compiled model at the pose that it starts from: a keyframe or qpos0, with the
+loops closed. Bodies that are fixed to each other are one body.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mjcf.reading.actuators import Actuators, driven_joints
+from mjcf.reading.bodies import Bodies
+from mjcf.reading.forces import Forces, armatures
+from mjcf.reading.joints import Joints
+from mjcf.reading.leftovers import report_leftovers
+from mjcf.reading.loops import Loops
+from mjcf.reading.original import acceleration_gap
+from mjcf.reading.source import SourceError, compiled
+from mjcf.reading.start import Start
+from newton_euler.armature import Armature
+from newton_euler.assemble import assemble
+from newton_euler.errors import NewtonEulerError
+from newton_euler.mapping import Mapping, unique_name
+from newton_euler.mechanism import Mechanism
+from newton_euler.scene import Scene
+from newton_euler.state import State
+from newton_euler.tree import unweld_loops
+
+DURATION = 1.0
+"""s, of a run of a model that says nothing about how long it wants to be run."""
+
+OUTPUT_PERIOD = 0.01
+"""s"""
+
+AT_REST = 1e-12
+"""m/s and rad/s, below which velocities are round-off."""
+
+UNNAMED = "MuJoCo Model"
+"""What MuJoCo calls a model without a name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A scene read from a file.
+
+    Attributes:
+        scene: what was read.
+        report: what became of every element.
+        start: MuJoCo's model at the start, without contacts, limits and dry friction.
+    """
+
+    scene: Scene
+    report: Mapping
+    start: Start
+
+
+def read(
+    path: str | os.PathLike[str],
+    key: str | None = None,
+    duration: float = DURATION,
+    output_period: float = OUTPUT_PERIOD,
+    root: str | None = None,
+) -> Reading:
+    """Read an MJCF file.
+
+    Args:
+        path: of the file.
+        key: name of the keyframe to start from, or "qpos0"; the first keyframe if None, if there is one.
+        duration, output_period: of the scene, s.
+        root: folder that all files have to be in that it refers to, see `mjcf.reading.source`.
+
+    Raises:
+        MjcfError: naming the file and the element at fault.
+    """
+    where = os.fspath(path)
+    report = Mapping()
+    start = Start(where, compiled(where, root), key, report)
+    try:
+        bodies = Bodies(start, report)
+        scene = _scene(where, start, bodies, report, duration, output_period)
+    except SourceError:
+        raise
+    except NewtonEulerError as error:
+        raise SourceError(where, str(error)) from error
+    gap = acceleration_gap(start, bodies, scene)
+    report.start.append(
+        f"accelerations at rest there are off MuJoCo's of the file itself, rigid, by {gap:.1e} relative"
+    )
+    return Reading(scene, report, start)
+
+
+def _scene(
+    path: str, start: Start, bodies: Bodies, report: Mapping, duration: float, output_period: float
+) -> Scene:
+    model: Any = start.model
+    if len(bodies.bodies) < 2:
+        raise SourceError(path, "no body can move")
+    joints = Joints(start, bodies, driven_joints(model), report)
+    loops = Loops(start, bodies, joints, report)
+    gravity = np.array(model.opt.gravity)
+    forces = Forces(start, bodies, joints, gravity, report)
+    actuators = Actuators(start, bodies, joints, forces, report)
+    rotors = armatures(start, joints, report)
+    for key, inertia in actuators.armatures.items():
+        rotors[key] = rotors.get(key, 0.0) + inertia
+    report_leftovers(start, joints, report)
+    own = model_name(model)
+    name = unique_name(Path(path).stem if own in ("", UNNAMED) else own, "model", ())
+    scene = Scene(
+        name[:100].strip(".") or "model",
+        unweld_loops(Mechanism(bodies.bodies, [*joints.joints, *loops.joints], loops.gears)),
+        duration,
+        output_period,
+        gravity,
+        actuators.laws,
+        forces=tuple(forces.forces),
+        motions=tuple(loops.held),
+        armatures=tuple(Armature(joint, a, k) for (joint, k), a in rotors.items()),
+        description=f"{Path(path).name} from {start.key}",
+    )
+    return _moving(scene, start, bodies, report)
+
+
+def model_name(model: Any) -> str:
+    """The name in the root element of a compiled model."""
+    return str(bytes(model.names).split(b"\0", 1)[0].decode(errors="replace"))
+
+
+def _moving(scene: Scene, start: Start, bodies: Bodies, report: Mapping) -> Scene:
+    """The scene with the start's velocities, made to fit its constraints."""
+    if not np.any(start.data.qvel):
+        return scene
+    mechanism = scene.mechanism
+    linear, angular = np.zeros((2, len(mechanism.bodies), 3))
+    for k, body in enumerate(mechanism.bodies[1:], start=1):
+        linear[k], angular[k] = bodies.velocity(bodies.root(body.name), body.center_of_mass)
+    rest = State.initial(mechanism)
+    state = assemble(scene, replace(rest, linear_velocity=linear, angular_velocity=angular))
+    change = np.max(np.abs(state.linear_velocity - linear)), np.max(np.abs(state.angular_velocity - angular))
+    report.start.append(
+        f"velocities of {start.key}, changed by at most {change[0]:.2e} m/s and {change[1]:.2e} rad/s to fit"
+    )
+    if max(np.max(np.abs(state.linear_velocity)), np.max(np.abs(state.angular_velocity))) < AT_REST:
+        return scene
+    return replace(scene, initial_state=state)

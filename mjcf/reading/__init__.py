@@ -1,0 +1,1 @@
+"""MJCF -> scene: what `mjcf.read` is made of. Needs MuJoCo, which compiles the file."""

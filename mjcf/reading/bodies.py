@@ -1,0 +1,119 @@
+"""Bodies of a compiled model: what is fixed together is one body, what is fixed to the world the ground."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjcf.reading.source import SourceError
+from mjcf.reading.start import Start
+from newton_euler.euler_parameters import rotation
+from newton_euler.mapping import Mapping, unique_name
+from newton_euler.mechanism import REALISABLE_TOLERANCE, Body
+from newton_euler.scalars import Array
+from newton_euler.shapes import Box, Capsule, Shape
+
+GROUND = "ground"
+
+
+class Bodies:
+    """The bodies of a scene and which of MuJoCo's they are made of.
+
+    Attributes:
+        bodies: ground first.
+        roots: MuJoCo's body whose frame each of them has.
+        names: for each of MuJoCo's bodies the name of the one that it is a part of.
+    """
+
+    def __init__(self, start: Start, report: Mapping) -> None:
+        model = start.model
+        self._model, self._data = model, start.data
+        # MuJoCo's body_weldid lets mocap bodies be their own
+        self._root = [0] * model.nbody
+        for k in range(1, model.nbody):
+            self._root[k] = k if model.body_jntnum[k] else self._root[model.body_parentid[k]]
+        self.roots = [0] + [k for k in range(1, model.nbody) if self._root[k] == k]
+        taken = {self.roots[0]: GROUND}
+        for root in self.roots[1:]:
+            taken[root] = unique_name(model.body(root).name, f"body_{root}", taken.values())
+        self.names = [taken[root] for root in self._root]
+        self.bodies = [Body.ground(GROUND, self._shapes(0))]
+        for root in self.roots[1:]:
+            self.bodies.append(self._body(root, start.path))
+        for k in range(1, model.nbody):
+            self._report(k, report)
+
+    def _report(self, k: int, report: Mapping) -> None:
+        name = self._model.body(k).name
+        element = f"body {name or k!r}"
+        if k != self._root[k]:
+            mocap = " where mocap has it at the start" if self._model.body_mocapid[k] >= 0 else ""
+            report.exactly(element, f"part of {self.names[k]!r}, to which it is fixed{mocap}")
+        else:
+            report.exactly(element, f"body {self.names[k]!r}" if self.names[k] != name else "a body")
+
+    def members(self, root: int) -> Array:
+        """MuJoCo's bodies that move with one of them."""
+        return np.flatnonzero(np.array(self._root) == root)
+
+    def _body(self, root: int, path: str) -> Body:
+        model, data = self._model, self._data
+        members = self.members(root)
+        masses = model.body_mass[members]
+        mass = float(masses.sum())
+        name = self.names[root]
+        if mass <= 0.0:
+            raise SourceError(path, f"body {name!r} has no mass")
+        center = masses @ data.xipos[members] / mass
+        inertia = np.zeros((3, 3))
+        for k, m in zip(members, masses, strict=True):
+            axes = data.ximat[k].reshape(3, 3)
+            arm = data.xipos[k] - center
+            inertia += axes @ np.diag(model.body_inertia[k]) @ axes.T
+            inertia += m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        quaternion = data.xquat[root] / np.linalg.norm(data.xquat[root])
+        into = rotation(quaternion).T
+        local = into @ inertia @ into.T
+        local = 0.5 * (local + local.T)
+        a, b, c = np.linalg.eigvalsh(local)
+        unrealisable = bool(a + b < c * (1.0 - REALISABLE_TOLERANCE))
+        return Body(name, mass, center, local, quaternion, self._shapes(root), unrealisable)
+
+    def _shapes(self, root: int) -> tuple[Shape, ...]:
+        """Boxes and round bars among the geoms; meshes have none."""
+        model, found = self._model, list[Shape]()
+        for geom in np.flatnonzero(np.isin(model.geom_bodyid, self.members(root))):
+            shape = self._shape(int(geom))
+            if shape is not None:
+                found.append(shape)
+        return tuple(found)
+
+    def _shape(self, geom: int) -> Shape | None:
+        model, kinds = self._model, mujoco.mjtGeom
+        kind, size = kinds(model.geom_type[geom]), model.geom_size[geom]
+        center, axes = self._data.geom_xpos[geom], self._data.geom_xmat[geom].reshape(3, 3)
+        if kind == kinds.mjGEOM_BOX and np.all(size > 0.0):
+            quaternion = np.zeros(4)
+            mujoco.mju_mat2Quat(quaternion, axes.ravel())
+            return Box(size, center, quaternion / np.linalg.norm(quaternion))
+        if kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER) and size[0] > 0.0 and size[1] > 0.0:
+            return Capsule(center - size[1] * axes[:, 2], center + size[1] * axes[:, 2], float(size[0]))
+        return None
+
+    def root(self, name: str) -> int:
+        """MuJoCo's body whose frame a body of the scene has."""
+        return next(root for root in self.roots if self.names[root] == name)
+
+    def velocity(self, root: int, center: Array) -> tuple[Array, Array]:
+        """(3,) of a point `center` that moves with one of MuJoCo's bodies, m/s, and angular, rad/s."""
+        out = np.zeros(6)
+        mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_BODY, root, out, 0)
+        return out[3:] + np.cross(out[:3], center - self._data.xipos[root]), out[:3]
+
+
+def site_point(start: Start, site: int) -> tuple[int, Array]:
+    """The body root of a site, and where it is, (3,) world."""
+    model: Any = start.model
+    return int(model.site_bodyid[site]), start.data.site_xpos[site].copy()

@@ -1,0 +1,48 @@
+"""Compile an MJCF file in a process of its own, which may not use much time or memory.
+
+`python compile.py FILE RESULT` writes the compiled model to RESULT (.mjb), or one line on
+standard error and exits with status 1. MuJoCo's compiler expands macros without limit, and what it is
+given may be hostile.
+"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import suppress
+
+PROCESSOR_TIME = 3
+"""s"""
+
+MEMORY = 900_000_000
+"""Bytes of data."""
+
+ARENA = 50_000_000
+"""Bytes that MuJoCo sets aside for constraints."""
+
+
+def main() -> int:
+    """Compile; the exit status."""
+    path, result = sys.argv[1:]
+    with suppress(ImportError):  # not everywhere
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_TIME, PROCESSOR_TIME))
+        resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    import mujoco
+
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        spec = mujoco.MjSpec.from_file(path)
+        spec.memory = ARENA  # room for contacts, which are not looked at
+        spec.njmax = spec.nconmax = spec.nstack = -1
+        model = spec.compile()
+    except (ValueError, MemoryError, mujoco.FatalError) as error:
+        print(" ".join(str(error).split()) or type(error).__name__, file=sys.stderr)
+        return 1
+    mujoco.mj_saveModel(model, result, None)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,122 @@
+"""Springs, dampers, rotor inertias and forces of a compiled model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mjcf.reading.bodies import GROUND, Bodies
+from mjcf.reading.joints import BALL, Joints
+from mjcf.reading.loops import fixed, straight
+from mjcf.reading.start import Start
+from newton_euler.forces import Force, JointSpring, PointSpring, Wrench
+from newton_euler.mapping import Mapping, unique_name
+from newton_euler.scalars import Array
+
+
+class Forces:
+    """What acts on joints and bodies beside gravity and actuators.
+
+    Attributes:
+        forces: springs and wrenches.
+    """
+
+    def __init__(self, start: Start, bodies: Bodies, joints: Joints, gravity: Array, report: Mapping) -> None:
+        self._start, self._model, self._data = start, start.model, start.data
+        self._bodies, self._joints, self._report = bodies, joints, report
+        self.forces: list[Force] = []
+        self._springs, self._dampers = not start.disabled("SPRING"), not start.disabled("DAMPER")
+        for number in range(self._model.njnt):
+            self._add_joint(number)
+        for tendon in range(self._model.ntendon):
+            self._add_tendon(tendon)
+        for body in np.flatnonzero(self._model.body_gravcomp):
+            self._add_compensation(int(body), gravity)
+
+    def name(self, wanted: str, fallback: str) -> str:
+        """A name that no force has yet."""
+        return unique_name(wanted, fallback, (f.name for f in self.forces if not isinstance(f, JointSpring)))
+
+    def _add_joint(self, number: int) -> None:
+        model, element = self._model, self._joints.element(number)
+        dof, place = int(model.jnt_dofadr[number]), int(model.jnt_qposadr[number])
+        stiffness = float(model.jnt_stiffness[number]) if self._springs else 0.0
+        damping = float(model.dof_damping[dof]) if self._dampers else 0.0
+        curved = np.any(model.jnt_stiffnesspoly[number]) or np.any(model.dof_dampingpoly[dof])
+        if curved:
+            self._report.left_out(element, "the part of its stiffness or damping that is not linear")
+        if stiffness == 0.0 and damping == 0.0:
+            return
+        what = f"its stiffness {stiffness:g} and damping {damping:g}"
+        if number not in self._joints.keys:
+            kind = "ball" if model.jnt_type[number] == BALL else "free"
+            self._report.left_out(element, f"{what}: a {kind} joint has no coordinate to act on")
+            return
+        joint, coordinate = self._joints.keys[number]
+        rest = float(model.qpos_spring[place] - self._data.qpos[place])
+        self.forces.append(JointSpring(joint, stiffness, damping, rest, coordinate))
+        self._report.exactly(element, f"{what} as a spring")
+
+    def _add_tendon(self, tendon: int) -> None:
+        model = self._model
+        name = model.tendon(tendon).name
+        element = f"tendon {name or tendon!r}"
+        stiffness = float(model.tendon_stiffness[tendon]) if self._springs else 0.0
+        damping = float(model.tendon_damping[tendon]) if self._dampers else 0.0
+        if np.any(model.tendon_stiffnesspoly[tendon]) or np.any(model.tendon_dampingpoly[tendon]):
+            self._report.left_out(element, "the part of its stiffness or damping that is not linear")
+        if model.tendon_armature[tendon]:
+            self._report.left_out(element, f"its armature {model.tendon_armature[tendon]:g}")
+        if stiffness == 0.0 and damping == 0.0:
+            return
+        what = f"its stiffness {stiffness:g} and damping {damping:g}"
+        low, high = (float(x) for x in model.tendon_lengthspring[tendon])
+        ends = straight(self._start, tendon)
+        if ends is None:
+            kind = "sums of joint coordinates" if fixed(self._start, tendon) else "tendons around corners"
+            self._report.left_out(element, f"{what}: springs are straight, not {kind}")
+            return
+        if low != high and stiffness:
+            self._report.left_out(element, f"{what}: it is slack between {low:g} and {high:g} m")
+            return
+        (first, p), (second, q) = ends
+        names = self._bodies.names[first], self._bodies.names[second]
+        if names[0] == names[1]:
+            self._report.left_out(element, f"{what}: both its ends are parts of {names[0]!r}")
+            return
+        own = self.name(name.removeprefix("spring "), f"tendon_{tendon}")
+        rest = max(low, 0.0)
+        spring = PointSpring(own, *names, p, q, stiffness=stiffness, rest_length=rest, damping=damping)
+        self.forces.append(spring)
+        self._report.exactly(element, f"{what} as point spring {spring.name!r}")
+
+    def _add_compensation(self, body: int, gravity: Array) -> None:
+        name = self._bodies.names[body]
+        share = float(self._model.body_gravcomp[body])
+        force = -share * float(self._model.body_mass[body]) * gravity
+        element = f"body {self._model.body(body).name or body!r}"
+        if name == GROUND or not np.any(force):
+            return
+        wrench = self.name(f"{self._model.body(body).name}_gravcomp", f"gravcomp_{body}")
+        self.forces.append(Wrench(wrench, name, self._data.xipos[body].copy(), force))
+        self._report.exactly(element, f"gravity compensation {share:g} as wrench {wrench!r}")
+
+
+def armatures(start: Start, joints: Joints, report: Mapping) -> dict[tuple[str, int], float]:
+    """Rotor inertias (kg m^2 or kg) by joint and coordinate."""
+    model: Any = start.model
+    found: dict[tuple[str, int], float] = {}
+    for number in range(model.njnt):
+        inertia = float(model.dof_armature[model.jnt_dofadr[number]])
+        if inertia == 0.0:
+            continue
+        element = joints.element(number)
+        if number in joints.keys:
+            key = joints.keys[number]
+            found[key] = found.get(key, 0.0) + inertia
+            report.exactly(element, f"its armature {inertia:g}")
+        else:
+            kind = "ball" if model.jnt_type[number] == BALL else "free"
+            report.left_out(element, f"its armature {inertia:g}: a {kind} joint has no coordinate for it")
+    return found

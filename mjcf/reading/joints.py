@@ -1,0 +1,79 @@
+"""Joints of a compiled model, those of one body together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+
+from mjcf.reading.bodies import GROUND, Bodies
+from mjcf.reading.start import Start
+from newton_euler.joints import Free, Joint
+from newton_euler.joints.combine import Part, combined, common_name
+from newton_euler.mapping import Mapping, unique_name
+from newton_euler.measured import Key
+
+BALL, FREE = mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_FREE
+
+KINDS = {
+    int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
+    int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
+    int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+}
+
+
+class Joints:
+    """The tree's joints.
+
+    Attributes:
+        joints: one for each moving body.
+        keys: where each of MuJoCo's hinges and slides is, by its number; coordinates are zero at the start.
+        of: name of the joint that each of MuJoCo's joints is a part of.
+    """
+
+    def __init__(self, start: Start, bodies: Bodies, driven: set[int], report: Mapping) -> None:
+        """`driven` are the numbers of MuJoCo's joints that actuators drive."""
+        self._start, self._model, self._data = start, start.model, start.data
+        self.joints: list[Joint] = []
+        self.keys: dict[int, Key] = {}
+        self.of: dict[int, str] = {}
+        for root in bodies.roots[1:]:
+            first = int(self._model.body_jntadr[root])
+            numbers = range(first, first + int(self._model.body_jntnum[root]))
+            parent = bodies.names[int(self._model.body_parentid[root])]
+            joint = self._joint(list(numbers), parent, bodies.names[root], bool(driven & set(numbers)))
+            self.joints.append(joint)
+            for number in numbers:
+                self.of[number] = joint.name
+                report.exactly(self.element(number), self._became(number, joint))
+
+    def element(self, number: int) -> str:
+        """What reports call one of MuJoCo's joints."""
+        return f"joint {self._model.joint(number).name or number!r}"
+
+    def _became(self, number: int, joint: Joint) -> str:
+        if number not in self.keys or len(joint.coordinate_kinds) == 1:
+            return f"{joint.kind} joint {joint.name!r}"
+        return f"coordinate {self.keys[number][1]} of {joint.kind} joint {joint.name!r}"
+
+    def _joint(self, numbers: Sequence[int], parent: str, child: str, actuated: bool) -> Joint:
+        model, data = self._model, self._data
+        names = [model.joint(k).name for k in numbers]
+        own = names[0] if len(names) == 1 else common_name(names) or f"{child}_joints"
+        name = unique_name(own, f"{child}_joint", (joint.name for joint in self.joints))
+        if model.jnt_type[numbers[0]] == FREE:
+            return Free(name, GROUND, child, data.xanchor[numbers[0]])
+        parts = {
+            k: Part(
+                model.joint(k).name or f"number {k}",
+                KINDS[int(model.jnt_type[k])],
+                data.xaxis[k].copy(),
+                data.xanchor[k].copy(),
+            )
+            for k in numbers
+        }
+        joint, coordinates = combined(name, parent, child, list(parts.values()), actuated)
+        for k, part in parts.items():
+            if part.name in coordinates:
+                self.keys[k] = (name, coordinates[part.name])
+        return joint

@@ -1,0 +1,184 @@
+"""Equality constraints of a compiled model, as joints, gears and joints held where they are."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from mjcf.reading.bodies import Bodies, site_point
+from mjcf.reading.joints import Joints
+from mjcf.reading.start import Start
+from newton_euler.couplings import Gear
+from newton_euler.joints import Fixed, Joint, Rod, Spherical
+from newton_euler.mapping import Mapping, unique_name
+from newton_euler.measured import Key
+from newton_euler.motions import Polynomial, PrescribedMotion
+from newton_euler.scalars import Array
+
+RIGID = "held rigidly, where MuJoCo's solref and solimp let it give way"
+
+
+class Loops:
+    """What closes loops and couples joints.
+
+    Attributes:
+        joints: of connects, welds and tendons of constant length.
+        gears: of equalities of two joint coordinates.
+        held: motions of joints that an equality holds.
+        left: numbers of active equalities that were left out.
+    """
+
+    def __init__(self, start: Start, bodies: Bodies, joints: Joints, report: Mapping) -> None:
+        self._start, self._model, self._data = start, start.model, start.data
+        self._bodies, self._joints, self._report = bodies, joints, report
+        self.joints: list[Joint] = []
+        self.gears: list[Gear] = []
+        self.held: list[PrescribedMotion] = []
+        self.left: list[int] = []
+        self._taken = [joint.name for joint in joints.joints]
+        off = start.disabled("EQUALITY") or start.disabled("CONSTRAINT")
+        for index in range(self._model.neq):
+            if off or not self._model.eq_active0[index]:
+                report.left_out(start.equality(index), "is not active")
+                continue
+            self._add(index)
+
+    def _name(self, index: int) -> str:
+        own = self._model.equality(index).name.removeprefix("gear ")
+        name = unique_name(own, f"equality_{index}", self._taken)
+        self._taken.append(name)
+        return name
+
+    def _leave(self, index: int, why: str) -> None:
+        self._report.left_out(self._start.equality(index), why)
+        self.left.append(index)
+
+    def _add(self, index: int) -> None:
+        match mujoco.mjtEq(self._model.eq_type[index]):
+            case mujoco.mjtEq.mjEQ_CONNECT | mujoco.mjtEq.mjEQ_WELD:
+                self._add_closure(index)
+            case mujoco.mjtEq.mjEQ_JOINT:
+                self._add_joint(index)
+            case mujoco.mjtEq.mjEQ_TENDON:
+                self._add_tendon(index)
+            case kind:
+                self._leave(index, f"no joint does what {kind.name.removeprefix('mjEQ_').lower()} does")
+
+    def _ends(self, index: int) -> tuple[tuple[int, int], tuple[Array, Array]]:
+        """MuJoCo's bodies of a connect or weld, and its point as each of them has it, (3,) world."""
+        model, data = self._model, self._data
+        numbers = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+        if model.eq_objtype[index] == mujoco.mjtObj.mjOBJ_SITE:
+            (first, p), (second, q) = (site_point(self._start, site) for site in numbers)
+            return (first, second), (p, q)
+        anchors = model.eq_data[index][:3], model.eq_data[index][3:6]
+        if model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD:
+            anchors = anchors[::-1]  # the anchor is in the second body's frame, its place in the first's next
+        p, q = (
+            data.xpos[body] + data.xmat[body].reshape(3, 3) @ anchor
+            for body, anchor in zip(numbers, anchors, strict=True)
+        )
+        return numbers, (p, q)
+
+    def _add_closure(self, index: int) -> None:
+        numbers, (p, q) = self._ends(index)
+        first, second = (self._bodies.names[k] for k in numbers)
+        if first == second:
+            self._leave(index, f"both its bodies are parts of {first!r}")
+            return
+        weld = self._model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD and self._model.eq_data[index][10] != 0.0
+        kind = Fixed if weld else Spherical
+        name = self._name(index)
+        self.joints.append(kind(name, first, second, p, point_on_second=q))
+        self._report.exactly(self._start.equality(index), f"{kind.kind} joint {name!r}, {RIGID}")
+
+    def _add_joint(self, index: int) -> None:
+        model = self._model
+        first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+        if first not in self._joints.keys:
+            self._leave(index, "couples what is no hinge or slide")
+            return
+        polynomial = model.eq_data[index][:5]
+        follower = self._joints.keys[first]
+        if second < 0:
+            self._couple(index, follower, None, 0.0, RIGID)
+            return
+        driver = self._joints.keys[second]
+        place = int(model.jnt_qposadr[second])
+        x = float(self._data.qpos[place] - model.qpos0[place])
+        slope = float(sum(k * polynomial[k] * x ** (k - 1) for k in range(1, 5)))
+        if np.any(polynomial[2:]):
+            why = f"its polynomial replaced by its slope {slope:.6g} at the start"
+            self._couple(index, follower, driver, slope, why, exactly=False)
+        else:
+            self._couple(index, follower, driver, slope, RIGID)
+
+    def _couple(
+        self, index: int, follower: Key, driver: Key | None, ratio: float, how: str, exactly: bool = True
+    ) -> None:
+        tell = self._report.exactly if exactly else self._report.approximated
+        if driver is None or ratio == 0.0:
+            self.held.append(PrescribedMotion(follower[0], Polynomial((0.0,)), follower[1]))
+            tell(self._start.equality(index), f"joint {follower[0]!r} held, {how}")
+            return
+        name = self._name(index)
+        self.gears.append(Gear(name, driver[0], follower[0], ratio, driver[1], follower[1]))
+        tell(self._start.equality(index), f"gear {name!r} of ratio {ratio:.6g}, {how}")
+
+    def _add_tendon(self, index: int) -> None:
+        """A rod, if it is straight and keeps its length; a gear, if it is a sum of two joint coordinates."""
+        model = self._model
+        tendons = [int(t) for t in (model.eq_obj1id[index], model.eq_obj2id[index]) if t >= 0]
+        polynomial = model.eq_data[index][:5]
+        ends = straight(self._start, tendons[0])
+        if ends and len(tendons) == 1:
+            (first, p), (second, q) = ends
+            names = self._bodies.names[first], self._bodies.names[second]
+            if names[0] == names[1]:
+                self._leave(index, f"both its ends are parts of {names[0]!r}")
+                return
+            name = self._name(index)
+            self.joints.append(Rod(name, *names, p, point_on_second=q))
+            self._report.exactly(self._start.equality(index), f"rod {name!r}, {RIGID}")
+            return
+        weights = fixed(self._start, tendons[0])
+        others = fixed(self._start, tendons[1]) if len(tendons) == 2 else {}
+        if weights is None or others is None:
+            self._leave(index, "couples tendons that are neither straight nor sums of joint coordinates")
+            return
+        if np.any(polynomial[2:]):
+            self._leave(index, "couples tendons by a polynomial that is not linear")
+            return
+        total = dict(weights)
+        for joint, weight in others.items():
+            total[joint] = total.get(joint, 0.0) - polynomial[1] * weight
+        terms = [(self._joints.keys[k], w) for k, w in total.items() if w != 0.0]
+        if len(terms) == 1:
+            self._couple(index, terms[0][0], None, 0.0, RIGID)
+        elif len(terms) == 2:
+            (follower, own), (driver, other) = terms
+            self._couple(index, follower, driver, -other / own, RIGID)
+        else:
+            self._leave(index, f"couples {len(terms)} joint coordinates, gears couple two")
+
+
+def straight(start: Start, tendon: int) -> tuple[tuple[int, Array], tuple[int, Array]] | None:
+    """The two ends of a tendon that goes straight from one site to another, or None."""
+    model = start.model
+    first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
+    if count != 2 or np.any(model.wrap_type[first : first + 2] != mujoco.mjtWrap.mjWRAP_SITE):
+        return None
+    one, two = (site_point(start, int(site)) for site in model.wrap_objid[first : first + 2])
+    return one, two
+
+
+def fixed(start: Start, tendon: int) -> dict[int, float] | None:
+    """Joints and coefficients of a tendon that is a sum of joint coordinates, or None."""
+    model = start.model
+    rows = slice(int(model.tendon_adr[tendon]), int(model.tendon_adr[tendon] + model.tendon_num[tendon]))
+    if np.any(model.wrap_type[rows] != mujoco.mjtWrap.mjWRAP_JOINT):
+        return None
+    weights: dict[int, float] = {}
+    for joint, weight in zip(model.wrap_objid[rows], model.wrap_prm[rows], strict=True):
+        weights[int(joint)] = weights.get(int(joint), 0.0) + float(weight)
+    return weights

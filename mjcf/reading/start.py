@@ -1,0 +1,142 @@
+"""The configuration that a model starts from: a keyframe or qpos0, its equalities closed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mjcf.reading.source import SourceError
+from newton_euler.mapping import Mapping
+from newton_euler.scalars import Array
+from newton_euler.solve import minimum_norm
+
+CLOSED = 1e-12
+"""m or rad, of what is closed as it stands: round-off of the file's own numbers."""
+
+MUST_CLOSE = 1e-9
+"""m or rad, after assembly."""
+
+NEWTON_STEPS = 60
+
+LONGEST_STEP = 0.2
+"""rad or m, of one step of assembly, so that it stays on the branch it starts on."""
+
+DISABLED = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
+"""What is outside of rigid dynamics with bilateral constraints."""
+
+
+class Start:
+    """A model and where it starts.
+
+    Attributes:
+        path: of the file, for errors.
+        model: without contacts, limits and dry friction.
+        data: at the start, positions and velocities worked out.
+        key: name of the keyframe, or "qpos0".
+    """
+
+    def __init__(self, path: str, model: Any, key: str | None, report: Mapping) -> None:
+        """Close the loops near the keyframe of that name; the first one, or qpos0, if None.
+
+        Raises:
+            SourceError: for an unknown keyframe, and for loops that do not close from there.
+        """
+        self.path, self.model = path, model
+        self.data: Any = mujoco.MjData(model)
+        self._disabled = int(model.opt.disableflags)
+        model.opt.disableflags |= sum(int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{n}")) for n in DISABLED)
+        if self.disabled("GRAVITY"):
+            model.opt.gravity[:] = 0.0
+        self.key = self._place(key)
+        mujoco.mj_normalizeQuat(model, self.data.qpos)
+        self._close(report)
+
+    def disabled(self, feature: str) -> bool:
+        """Whether the file itself switches a feature off."""
+        return bool(self._disabled & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")))
+
+    def _place(self, key: str | None) -> str:
+        model, data = self.model, self.data
+        names = [model.key(k).name or f"{k}" for k in range(model.nkey)]
+        if key is None:
+            key = names[0] if names else "qpos0"
+        if key in names:
+            mujoco.mj_resetDataKeyframe(model, data, names.index(key))
+        elif key == "qpos0":
+            mujoco.mj_resetData(model, data)
+        else:
+            raise SourceError(self.path, f"no keyframe {key!r}; choose from: {', '.join(['qpos0', *names])}")
+        return key
+
+    def gaps(self) -> dict[int, float]:
+        """Largest residual (m or rad) of each equality with rows, by its number, at the present qpos."""
+        mujoco.mj_fwdPosition(self.model, self.data)
+        rows = self._rows()
+        gaps: dict[int, float] = {}
+        for index, gap in zip(self.data.efc_id[rows], np.abs(self.data.efc_pos[rows]), strict=True):
+            gaps[int(index)] = max(gaps.get(int(index), 0.0), float(gap))
+        return gaps
+
+    def _rows(self) -> Array:
+        return np.flatnonzero(self.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+
+    def jacobian(self) -> Array:
+        """(k, nv) of the equalities' rows, after `gaps`."""
+        model, data = self.model, self.data
+        columns = np.zeros((model.nv, data.nefc))
+        for column, unit in zip(columns, np.eye(model.nv), strict=True):
+            mujoco.mj_mulJacVec(model, data, column, unit)
+        return columns.T[self._rows()]
+
+    def _close(self, report: Mapping) -> None:
+        model, data = self.model, self.data
+        first = data.qpos.copy()
+        before = after = self.gaps()
+        worst = max(before.values(), default=0.0)
+        if worst <= CLOSED:
+            found = f"all {len(before)} equalities closed, to {worst:.1e}" if before else "no equalities"
+            report.start.append(f"starts from {self.key}: {found}")
+            self._finish()
+            return
+        best, least = first, worst
+        for _ in range(NEWTON_STEPS):
+            rows = self.jacobian()
+            step = minimum_norm(rows, data.efc_pos[self._rows()], np.ones(len(rows)), np.ones(model.nv))
+            step *= min(1.0, LONGEST_STEP / max(np.max(np.abs(step)), 1e-300))
+            mujoco.mj_integratePos(model, data.qpos, -step, 1.0)
+            after = self.gaps()
+            now = max(after.values())
+            if now < least:
+                best, least = data.qpos.copy(), now
+            elif least < MUST_CLOSE:
+                break
+        data.qpos[:] = best
+        after = self.gaps()
+        lines = [f"{self.equality(i)} {gap:.3g}" for i, gap in before.items() if gap > CLOSED]
+        if least > MUST_CLOSE:
+            index = max(after, key=lambda i: after[i])
+            raise SourceError(
+                self.path,
+                f"{self.equality(index)} cannot be closed from {self.key}: open by {before[index]:.3g} "
+                f"there, and by {after[index]:.3g} (m or rad) at best",
+            )
+        moved = np.zeros(model.nv)
+        mujoco.mj_differentiatePos(model, moved, 1.0, first, data.qpos)
+        dof = int(np.argmax(np.abs(moved)))
+        joint = model.joint(int(model.dof_jntid[dof])).name or f"number {model.dof_jntid[dof]}"
+        report.start.append(f"{self.key} is open, in m or rad: {'; '.join(lines)}")
+        report.start.append(
+            f"assembled on the branch of {self.key}: closed to {least:.1e}, joint {joint!r} moved most, "
+            f"by {moved[dof]:.3g}"
+        )
+        self._finish()
+
+    def equality(self, index: int) -> str:
+        """What reports call an equality."""
+        return f"equality {self.model.equality(index).name or index!r}"
+
+    def _finish(self) -> None:
+        mujoco.mj_fwdPosition(self.model, self.data)
+        mujoco.mj_fwdVelocity(self.model, self.data)

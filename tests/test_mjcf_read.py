@@ -1,0 +1,211 @@
+"""Reading MJCF: against MuJoCo's own model of the file, element by element, and what reports say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mjcf_models import ELEMENTS, FOUR_BARS, PAIR, arm, model
+
+import newton_euler
+from mjcf.errors import MjcfError
+from mjcf.read import Reading, read
+from mjcf.reading.bodies import Bodies
+from mjcf.reading.original import acceleration_gap
+from newton_euler import Armature, Mechanism
+from newton_euler.compiled import FORMULATIONS, formulate
+from newton_euler.joints import (
+    Compound,
+    Cylindrical,
+    Fixed,
+    Free,
+    Prismatic,
+    Revolute,
+    Rod,
+    Spherical,
+    Universal,
+)
+from newton_euler.mapping import Mapping
+
+SAME = 1e-9
+"""Relative, of accelerations: two sets of equations on numbers that went through XML and a compiler."""
+
+
+def reading(folder: Path, text: str, **options: object) -> Reading:
+    path = folder / "model.xml"
+    path.write_text(text)
+    return read(path, **options)  # type: ignore[arg-type]
+
+
+def gap(found: Reading) -> float:
+    """The figure of the last line about the start."""
+    return float(found.report.start[-1].split(" by ")[1].split()[0])
+
+
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_accelerations_at_the_start_are_those_of_mujoco(name: str, tmp_path: Path) -> None:
+    found = reading(tmp_path, ELEMENTS[name])
+    assert gap(found) < SAME
+    assert not found.report.of("approximated")
+    for formulation in FORMULATIONS:
+        system = formulate(found.scene, formulation)
+        evaluation = system.evaluate(*system.coordinates(found.scene.initial_state))
+        assert np.all(np.isfinite(evaluation.linear_acceleration))
+
+
+@pytest.mark.parametrize(
+    "change", [("armature", 1.001), ("stiffness", 1.001), ("mass", 1.001), ("axis", 1e-3)]
+)
+def test_the_comparison_notices(change: tuple[str, float], tmp_path: Path) -> None:
+    """That a wrong scene is not within what is asserted above."""
+    text = ELEMENTS["springs and dampers"].replace("<joint", '<joint armature="0.3"')
+    path = tmp_path / "model.xml"
+    path.write_text(text)
+    found = read(path)
+    scene, (what, factor) = found.scene, change
+    if what == "armature":
+        scene = replace(
+            scene, armatures=[Armature(a.joint, factor * a.inertia, a.coordinate) for a in scene.armatures]
+        )
+    elif what == "stiffness":
+        scene = replace(scene, forces=tuple(replace(f, stiffness=factor * f.stiffness) for f in scene.forces))
+    else:
+        bodies, joints = list(scene.mechanism.bodies), list(scene.mechanism.joints)
+        if what == "mass":
+            bodies[1] = replace(bodies[1], mass=factor * bodies[1].mass)
+        else:
+            joints[0] = replace(joints[0], axis=np.add(joints[0].axis, [factor, 0.0, 0.0]))
+        scene = replace(scene, mechanism=Mechanism(bodies, joints), initial_state=None)
+    assert acceleration_gap(found.start, Bodies(found.start, Mapping()), scene) > 100.0 * SAME
+
+
+@pytest.mark.parametrize(
+    ("name", "kinds"),
+    [
+        ("hinge", {Revolute}),
+        ("slide", {Revolute, Prismatic}),
+        ("ball", {Revolute, Spherical}),
+        ("fixed", {Revolute}),
+        ("free", {Free, Revolute}),
+        ("universal", {Revolute, Universal}),
+        ("cylindrical", {Revolute, Cylindrical}),
+        ("planar", {Revolute, Compound}),
+        ("weld of sites", {Free, Revolute, Fixed}),
+        ("connect to the world", {Free, Revolute, Spherical}),
+        ("rod", {Revolute, Compound, Rod}),
+    ],
+)
+def test_kinds_of_joints(name: str, kinds: set[type], tmp_path: Path) -> None:
+    joints = reading(tmp_path, ELEMENTS[name]).scene.mechanism.joints
+    assert {type(joint) for joint in joints} == kinds
+
+
+def test_a_control_law_has_the_target_and_the_gains_of_the_file(tmp_path: Path) -> None:
+    scene = reading(tmp_path, ELEMENTS["actuators"]).scene
+    laws = {(law.joint, law.coordinate): law for law in scene.control}
+    # gear 3, control 5 clamped to 1; and gain 2 of 0.3, bias 0.5 - 3 q - 0.1 dq/dt; q = 0.2 at the start
+    first = laws["p", 0]
+    assert (first.stiffness, first.damping) == pytest.approx((3.0, 0.1))
+    assert first.force(0.0, 0.0) == pytest.approx(3.0 + 0.6 + 0.5 - 0.6)
+    # gear 0.5: g (kp ctrl - kp g q) at q = -0.3
+    assert laws["two_joints", 1].force(0.0, 0.0) == pytest.approx(0.5 * (20 * 0.4 - 20 * 0.5 * -0.3))
+
+
+@pytest.mark.parametrize("pair", [(0, 1), (0, 2), (1, 2)])
+def test_a_four_bar_written_two_ways_moves_the_same(pair: tuple[int, int], tmp_path: Path) -> None:
+    runs = []
+    for number in pair:
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        scene = reading(folder, list(FOUR_BARS.values())[number], duration=0.5).scene
+        runs.append((scene.mechanism, newton_euler.simulate(scene, rtol=1e-12, atol=1e-14)))
+    (one, first), (two, second) = runs
+    for name in ("crank", "coupler", "rocker"):
+        i, j = one.body_index(name), two.body_index(name)
+        # what the ways are asked to have in common, with runs a hundred times more exact
+        assert first.position[:, i] == pytest.approx(second.position[:, j], abs=1e-9)
+    for name in ("a", "b", "d"):
+        i, j = one.joint_index(name), two.joint_index(name)
+        sign = 1.0 if one.joints[i].second == two.joints[j].second else -1.0
+        x, y = first.reaction_force[:, i], sign * second.reaction_force[:, j]
+        assert np.max(np.abs(x[:, [0, 2]] - y[:, [0, 2]])) < 1e-9 * np.max(np.abs(x)), name
+
+
+def test_an_open_start_is_closed_and_reported(tmp_path: Path) -> None:
+    key = '<keyframe><key name="bent" qpos="0.3 -0.2 0.1"/></keyframe></mujoco>'
+    found = reading(tmp_path, FOUR_BARS["cut at C by a connect"].replace("</mujoco>", key))
+    first, second, _ = found.report.start
+    assert first.startswith("bent is open, in m or rad: equality 'c' 0.")
+    assert "assembled on the branch of bent: closed to" in second
+    assert gap(found) < SAME
+    other = reading(tmp_path, FOUR_BARS["cut at C by a connect"].replace("</mujoco>", key), key="qpos0")
+    assert other.report.start[0] == "starts from qpos0: all 1 equalities closed, to 0.0e+00"
+
+
+def test_velocities_of_a_keyframe(tmp_path: Path) -> None:
+    text = model(PAIR, '<keyframe><key qvel="1 2 3"/></keyframe>')
+    scene = reading(tmp_path, text).scene
+    assert scene.initial_state.angular_velocity[1:] == pytest.approx(np.array([[0, 1, 0], [0, 2, 0]]))
+
+
+def test_what_is_left_out_and_what_is_approximated(tmp_path: Path) -> None:
+    text = model(
+        PAIR.replace('name="p"', 'name="p" range="-1 1" limited="true" frictionloss="0.2"'),
+        '<equality><joint name="bent" joint1="p" joint2="q" polycoef="0 1 0.5 0 0"/>'
+        '<connect name="off" active="false" body1="one" body2="two" anchor="0 0 0"/></equality>'
+        '<tendon><fixed name="sum" stiffness="2"><joint joint="p" coef="1"/><joint joint="q" coef="1"/>'
+        '</fixed></tendon><actuator><muscle name="pull" joint="p" lengthrange="0 1"/></actuator>'
+        "<sensor><clock/></sensor>",
+    )
+    report = reading(tmp_path, text).report
+    lines = [str(entry) for entry in (*report.of("left out"), *report.of("approximated"))]
+    for expected in (
+        "equality 'bent': approximated: gear 'bent' of ratio 1, its polynomial replaced by its slope",
+        "equality 'off': left out: is not active",
+        "joint 'p': left out: its limits",
+        "joint 'p': left out: its dry friction 0.2",
+        "tendon 'sum': left out: its stiffness 2",
+        "actuator 'pull': left out: has dynamics",
+        "2 geoms that can touch: left out",
+        "1 sensors: left out",
+    ):
+        assert any(line.startswith(expected) for line in lines), expected
+
+
+def test_names_that_are_not_for_scenes(tmp_path: Path) -> None:
+    text = model(PAIR.replace('"one"', '"robot/left foot"').replace('"p"', '"é 1"').replace('name="two"', ""))
+    mechanism = reading(tmp_path, text).scene.mechanism
+    assert mechanism.body_names == ("ground", "robot_left_foot", "body_2")
+    assert mechanism.joint_names == ("__1", "body_2_joints")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (model(""), "no body can move"),
+        (
+            model(arm('<joint name="x" axis="1 0 0"/><joint name="y" axis="0 1 0" pos="0 0 0.1"/>')),
+            "axes of its joints 'x', 'y' do not meet",
+        ),
+        (
+            model(arm('<joint type="slide"/><joint axis="0 1 0"/><joint type="slide" axis="1 0 0"/>')),
+            "body 'lower': has slides between its hinges",
+        ),
+        (
+            ELEMENTS["connect of sites"].replace("-0.5 0 0", "-0.5 3 0"),
+            "equality 0 cannot be closed from qpos0: open by",
+        ),
+    ],
+)
+def test_what_cannot_be_read(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(MjcfError) as caught:
+        reading(tmp_path, text)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith(str(tmp_path / "model.xml"))
+
+
+def test_an_unknown_keyframe(tmp_path: Path) -> None:
+    with pytest.raises(MjcfError, match="no keyframe 'up'; choose from: qpos0, go"):
+        reading(tmp_path, ELEMENTS["actuators"], key="up")

@@ -1,0 +1,227 @@
+"""Model files on the command line: runs with a report, conversions, and files that are hostile or broken."""
+
+from __future__ import annotations
+
+import json
+import resource
+import time
+
+import numpy as np
+import pytest
+from command_line import check_refused, command, run
+from elements import ELEMENTS as SCENES
+from mjcf_models import ELEMENTS, FOUR_BARS
+from test_armature import COMPOUNDS, armed, sprung
+from test_urdf_read import CHAIN, LOOPS, TIPS, robot
+
+import mjcf
+from crosscheck.scenes import load
+from crosscheck.scenes.write_file import write_scene
+from mjcf.read import read as read_mjcf
+from newton_euler.relative import Relative
+from newton_euler.scene import Scene
+from newton_euler.state import Evaluation
+
+FOUR_BAR = FOUR_BARS["cut at C by a connect"]
+
+
+def test_an_mjcf_is_run_with_its_report(capsys, tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(FOUR_BAR)
+    status, out, err = run(capsys, "run", path, "--set", "duration=0.1", "--output", tmp_path / "out")
+    assert (status, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].startswith("carried over: 7 exactly, 0 approximated, 1 left out")
+    assert "  equality 'c': spherical joint 'c', held rigidly" in out
+    assert (
+        lines[-1] == "AGREE: newton_euler, mujoco, pinocchio agree on model (duration=0.1) in all 60 figures"
+    )
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert {entry["fate"] for entry in summary["mapping"]} == {"exactly", "left out"}
+    assert summary["start"][0].startswith("starts from qpos0")
+
+
+def test_a_urdf_is_run_with_its_loops(capsys, tmp_path):
+    assert run(capsys, "convert", "tracker_aligned", tmp_path / "tracker.urdf")[0] == 0
+    status, out, _ = run(
+        capsys, "run", tmp_path / "tracker.urdf", "--loops", tmp_path / "tracker.loops.yaml",
+        "--set", "duration=0.05", "--output", tmp_path / "out",
+    )  # fmt: skip
+    assert status == 0
+    assert "starts from coordinates 0: all loops closed" in out
+
+
+def start_of(scene: Scene) -> Evaluation:
+    system = Relative(scene)
+    return system.evaluate(*system.coordinates(scene.initial_state))
+
+
+def assert_same_scene(one: Scene, two: Scene) -> None:
+    """Bodies and accelerations at the start."""
+    own, found = start_of(one), start_of(two)
+    for k, body in enumerate(one.mechanism.bodies[1:], start=1):
+        i = two.mechanism.body_index(body.name)
+        other = two.mechanism.bodies[i]
+        assert other.mass == pytest.approx(body.mass, rel=1e-15)
+        assert other.center_of_mass == pytest.approx(body.center_of_mass, abs=1e-14)
+        for array in ("linear_acceleration", "angular_acceleration"):
+            x, y = getattr(own, array)[k], getattr(found, array)[i]
+            # 1e-12 of the largest: seventeen digits in the file, and condition numbers of 1e3
+            assert np.max(np.abs(x - y)) < 1e-12 * max(1.0, np.max(np.abs(getattr(own, array)))), body.name
+
+
+SPRINGLESS = ("spring without length",)
+"""MuJoCo's line of a spring of no length has an error of 1e-12 of its own."""
+
+BACK = {
+    name: scene
+    for name, scene in SCENES.items()
+    if not scene.motions
+    and name not in SPRINGLESS
+    and all(joint.kind != "fixed" for joint in scene.mechanism.joints)
+}
+BACK |= {name: sprung(armed(scene)) for name, scene in COMPOUNDS.items()}
+
+
+@pytest.mark.parametrize("name", BACK)
+def test_mjcf_there_and_back(name, tmp_path):
+    mjcf.write(BACK[name], tmp_path / "model.xml")
+    found = read_mjcf(tmp_path / "model.xml").scene
+    assert_same_scene(BACK[name], found)
+    # `weld_loops` halves bodies, and reading puts them together again
+    assert len(found.mechanism.bodies) == len(BACK[name].mechanism.bodies)
+
+
+@pytest.mark.parametrize("name", [*SCENES, *COMPOUNDS])
+@pytest.mark.parametrize("suffix", [".yaml", ".json"])
+def test_scene_files_there_and_back(name, suffix, tmp_path):
+    scene = SCENES[name] if name in SCENES else sprung(armed(COMPOUNDS[name]))
+    path = tmp_path / f"scene{suffix}"
+    write_scene(scene, path)
+    back = load(str(path))
+    assert_same_scene(scene, back)
+    assert back.mechanism.joint_names == scene.mechanism.joint_names
+    assert (back.duration, back.outputs) == (scene.duration, scene.outputs)
+
+
+def test_convert_says_what_a_format_cannot_hold(capsys, tmp_path):
+    model = tmp_path / "model.xml"
+    model.write_text(ELEMENTS["springs and dampers"].replace("<joint", '<joint armature="0.3"'))
+    status, out, _ = run(capsys, "convert", model, tmp_path / "model.urdf")
+    assert status == 0
+    rotors = "  armature of joint 'p', armature of joint 'two_joints', armature of joint 'two_joints'"
+    assert f"{rotors}: a URDF has no rotors" in out
+    assert out.splitlines()[-1].startswith("wrote ")
+    assert run(capsys, "convert", model, tmp_path / "model.yaml")[0] == 0
+    assert run(capsys, "convert", tmp_path / "model.yaml", tmp_path / "again.xml")[0] == 0
+    assert_same_scene(read_mjcf(model).scene, read_mjcf(tmp_path / "again.xml").scene)
+    status, _, err = run(capsys, "convert", model, tmp_path / "model.txt")
+    assert (status, "ends in .xml, .mjcf, .urdf, .yaml, .yml, .json" in err) == (2, True)
+
+
+BOMB = "<!DOCTYPE x [<!ENTITY a 'aaaaaaaaaa'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;&a;&a;'>]>"
+
+HOSTILE = {
+    "truncated.xml": (FOUR_BAR[:300], "not XML: line 1: unclosed token"),
+    "empty.xml": ("", "not XML: line 1: no element found"),
+    "bomb.xml": (f"{BOMB}<mujoco model='&b;'/>", "line 1: a document type declaration, refused"),
+    "itself.xml": ('<mujoco><include file="itself.xml"/></mujoco>', "include of 'itself.xml' by itself"),
+    "outside.xml": ('<mujoco><include file="../other.xml"/></mujoco>', "file '../other.xml' leads outside"),
+    "absolute.xml": ('<mujoco><asset><mesh file="/etc/passwd"/></asset></mujoco>', "'/etc/passwd' leads"),
+    "up.xml": ('<mujoco><compiler meshdir="../../.."/></mujoco>', "meshdir file '../../..' leads"),
+    "missing.xml": ('<mujoco><include file="none.xml"/></mujoco>', "'none.xml', which does not exist"),
+    "mesh.xml": ('<mujoco><asset><mesh name="m" file="none.stl"/></asset></mujoco>', "none.stl"),
+    "nan.xml": (FOUR_BAR.replace('mass="1"', 'mass="nan"'), "line 1: <inertial> has mass='nan', not finite"),
+    "huge.xml": (FOUR_BAR.replace('pos="1 0 0"', 'pos="1e300 0 0"'), "body 'rocker': body_pos is 1e+300"),
+    "twice.xml": (FOUR_BAR.replace('"rocker"', '"crank"'), "repeated name 'crank' in body"),
+    "wrong.xml": (CHAIN, "root element is <robot>, not <mujoco>"),
+    "deep.xml": ("<mujoco>" + "<body>" * 5000, "more than 400 nested elements"),
+    "many.xml": (
+        '<mujoco><worldbody><replicate count="400" offset="1 0 0"><body><joint/><geom size="1"/></body>'
+        "</replicate></worldbody></mujoco>",
+        "its joints have 400 velocities, at most 300 here",
+    ),
+    "truncated.urdf": (CHAIN[:300], "not XML: line 1: unclosed token"),
+    "bomb.urdf": (f"{BOMB}<robot name='&b;'/>", "a document type declaration, refused"),
+    "nan.urdf": (CHAIN.replace('value="2.0"', 'value="nan"'), "link 'b': <mass> has value='nan'"),
+    "huge.urdf": (CHAIN.replace("0.1 0.02 -0.2", "1e300 0 0"), "link 'a': <origin> has xyz='1e300 0 0'"),
+    "short.urdf": (CHAIN.replace("0.1 0.02 -0.2", "1 0"), "has xyz='1 0'; needed: 3 numbers"),
+    "twice.urdf": (CHAIN.replace('name="b"', 'name="a"'), "link 'a': 2 of that name"),
+    "nowhere.urdf": (CHAIN.replace('child link="d"', 'child link="x"'), "'third': child link 'x' does not"),
+    "kind.urdf": (CHAIN.replace("prismatic", "magic"), "'second': unknown type 'magic'; choose"),
+    "weightless.urdf": (robot(*TIPS).replace('mass value="1.0"', 'mass value="0"'), "no joint moves any"),
+    "fixed.urdf": (robot(), "no joint can move"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_files_are_one_line(name, capsys, tmp_path):
+    text, message = HOSTILE[name]
+    path = tmp_path / name
+    path.write_text(text)
+    start = time.perf_counter()
+    check_refused(capsys, tmp_path, path, message=message)
+    # the limit of the compiler's processor time and some; broken files take a second
+    assert time.perf_counter() - start < 10.0
+
+
+@pytest.mark.parametrize("suffix", [".xml", ".urdf"])
+def test_what_is_no_file(suffix, capsys, tmp_path):
+    (tmp_path / f"folder{suffix}").mkdir()
+    check_refused(capsys, tmp_path, tmp_path / f"folder{suffix}", message="not a regular file")
+    check_refused(capsys, tmp_path, tmp_path / f"none{suffix}", message="cannot be read: No such file")
+    (tmp_path / f"binary{suffix}").write_bytes(b"\xff\x00\xfe")
+    check_refused(capsys, tmp_path, tmp_path / f"binary{suffix}", message="not ")
+
+
+def test_options_of_models(capsys, tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(FOUR_BAR)
+    for options, message in (
+        (["--set", "key=up"], "no keyframe 'up'; choose from: qpos0"),
+        (["--set", "colour=red"], "has no option 'colour'; choose from: duration, output_period, key, root"),
+        (["--set", "duration=long"], "duration is 'long'; needed: a number of seconds"),
+        (["--loops", "x.yaml"], "--loops x.yaml: an MJCF file has its loops in itself"),
+    ):
+        check_refused(capsys, tmp_path, path, *options, message=message)
+    check_refused(capsys, tmp_path, "tracker", "--loops", "x.yaml", message="only a URDF has a loop file")
+
+
+def test_a_model_of_several_folders_needs_the_option_root(capsys, tmp_path):
+    inner = tmp_path / "package" / "robots"
+    inner.mkdir(parents=True)
+    (tmp_path / "package" / "all.xml").write_text("<mujoco><option gravity='0 0 -1'/></mujoco>")
+    path = inner / "model.xml"
+    path.write_text(FOUR_BAR.replace("<mujoco>", '<mujoco><include file="../all.xml"/>'))
+    check_refused(capsys, tmp_path, path, message="a model of several folders needs the option root")
+    assert load(str(path), root=str(tmp_path / "package")).gravity[2] == -1.0
+
+
+def test_macros_without_end_are_given_up(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(
+        '<mujoco><worldbody><replicate count="100000000" offset="1 0 0"><body><joint/><geom size="1"/></body>'
+        "</replicate></worldbody></mujoco>"
+    )
+    done = command(tmp_path, "run", "model.xml")
+    assert done.returncode == 2
+    assert done.stderr == "crosscheck: error: model.xml: MuJoCo needs too much time or memory to compile it\n"
+    kilobytes = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    assert kilobytes < 1_000_000
+
+
+@pytest.mark.parametrize("file", ["truncated", "alias", "empty", "directory", "kind"])
+def test_broken_loop_files_are_one_line(file, capsys, tmp_path):
+    urdf, loops = tmp_path / "robot.urdf", tmp_path / "robot.yaml"
+    urdf.write_text(robot(*TIPS))
+    texts = {
+        "truncated": "closed_loop: [[tip_a",
+        "alias": "a: &a [x]\nclosed_loop: [*a]\n",
+        "empty": "",
+        "kind": LOOPS.format(pairs="[[tip_a, tip_b]]", types="[4d]", motors="[]"),
+    }
+    if file == "directory":
+        loops.mkdir()
+    else:
+        loops.write_text(texts[file])
+    check_refused(capsys, tmp_path, urdf, "--loops", loops, message=f"{loops}: ")

@@ -1,0 +1,222 @@
+"""URDF and loop file -> scene, with a report of what became of every element.
+
+Pinocchio parses the URDF and adds up what fixed joints hold together; the scene is made of its model at
+coordinates 0, or next to them where the loops close. The loop file has the keys of Gepetto's
+example-parallel-robots, see `urdf.loops`.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from newton_euler.couplings import Gear
+from newton_euler.errors import NewtonEulerError
+from newton_euler.forces import JointSpring
+from newton_euler.joints import Fixed, Joint, Rod, Spherical
+from newton_euler.mapping import Mapping, unique_name
+from newton_euler.measured import Key
+from newton_euler.mechanism import Mechanism
+from newton_euler.scene import Scene
+from newton_euler.tree import unweld_loops
+from urdf.errors import UrdfError
+from urdf.loops import Loops, parse_loops
+from urdf.model import ClosedLoopModel, build
+from urdf.reading.bodies import Tree
+from urdf.reading.source import SourceError, parsed, read_text
+from urdf.reading.start import Mimic, Start
+
+DURATION = 1.0
+"""s, of a run of a model that says nothing about how long it wants to be run."""
+
+OUTPUT_PERIOD = 0.01
+"""s"""
+
+GRAVITY = (0.0, 0.0, -9.81)
+"""m/s^2; a URDF has none."""
+
+CLOSURES: dict[str, type[Joint]] = {"3d": Spherical, "6d": Fixed, "rod": Rod}
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A scene read from a file, and what became of every element."""
+
+    scene: Scene
+    report: Mapping
+
+
+def read(
+    path: str | os.PathLike[str],
+    loops: str | os.PathLike[str] | None = None,
+    duration: float = DURATION,
+    output_period: float = OUTPUT_PERIOD,
+) -> Reading:
+    """Read a URDF.
+
+    Args:
+        path: of the URDF.
+        loops: of its loop file; none if None.
+        duration, output_period: of the scene, s.
+
+    Raises:
+        UrdfError: naming the file and the element at fault.
+    """
+    where, report = os.fspath(path), Mapping()
+    text = read_text(where)
+    root = parsed(where, text)
+    text = _without_declaration(text)
+    closing = Loops("", (), (), (), (), (), ())
+    if loops is not None:
+        closing = parse_loops(read_text(loops), os.fspath(loops))
+    try:
+        with _quiet():
+            closed = build(text, closing)
+        if closed.model.nv == 0:
+            raise SourceError(where, "no joint can move")
+        moving = [j for j in root.findall("joint") if j.get("type") != "fixed"]
+        mimics = [Mimic(j, m) for j in moving for m in j.findall("mimic")]
+        start = Start(where, closed, closing, mimics, report)
+        tree = Tree(where, start, set(closing.name_mot), report)
+        scene = _scene(where, root, closed, closing, start, tree, mimics, report, duration, output_period)
+    except RuntimeError as error:  # what Pinocchio asserts
+        raise SourceError(where, f"Pinocchio refuses it: {' '.join(str(error).split())}") from error
+    except UrdfError as error:
+        if str(error).startswith(where) or (closing.source and str(error).startswith(closing.source)):
+            raise
+        raise SourceError(where, str(error)) from error
+    except NewtonEulerError as error:
+        raise SourceError(where, str(error)) from error
+    return Reading(scene, report)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the lines that the parser writes to standard error beside what it raises."""
+    sys.stderr.flush()
+    before = os.dup(2)
+    with open(os.devnull, "wb") as nothing:
+        os.dup2(nothing.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(before, 2)
+        os.close(before)
+
+
+def _without_declaration(text: str) -> str:
+    """Pinocchio takes text, whatever encoding its first line names."""
+    return text[text.index("?>") + 2 :] if text.startswith("<?xml") else text
+
+
+def _scene(
+    path: str,
+    root: ET.Element,
+    closed: ClosedLoopModel,
+    loops: Loops,
+    start: Start,
+    tree: Tree,
+    mimics: list[Mimic],
+    report: Mapping,
+    duration: float,
+    output_period: float,
+) -> Scene:
+    joints = [*tree.joints, *_closing(closed, loops, tree, report)]
+    gears = list(_gears(start, loops, tree, mimics, [joint.name for joint in joints], report))
+    name = unique_name(root.get("name", "") or Path(path).stem, "robot", ())[:100].strip(".") or "robot"
+    springs = tuple(_springs(root, tree, report))
+    _report_leftovers(root, report)
+    report.start.append("gravity is 9.81 m/s^2 along -z, a URDF has none; its root link is the ground")
+    return Scene(
+        name,
+        unweld_loops(Mechanism(tree.bodies, joints, gears)),
+        duration,
+        output_period,
+        GRAVITY,  # type: ignore[arg-type]
+        forces=springs,
+        description=Path(path).name,
+    )
+
+
+def _closing(closed: ClosedLoopModel, loops: Loops, tree: Tree, report: Mapping) -> Iterator[Joint]:
+    """The joints that the loop file adds."""
+    taken = tree.joint_names
+    frames, rods = iter(closed.frames), iter(closed.rods)
+    for number, (pair, kind) in enumerate(zip(loops.closed_loop, loops.type, strict=True)):
+        first, second = next(rods) if kind == "rod" else next(frames)
+        (a, p), (b, q) = tree.end(first), tree.end(second)
+        element = f"closed_loop {' and '.join(pair)}"
+        if a == b:
+            report.left_out(element, f"both frames are on {a!r}")
+            continue
+        name = unique_name(_closure_name(pair) or f"closure_{number + 1}", "closure", taken)
+        taken = [*taken, name]
+        yield CLOSURES[kind](name, a, b, p, point_on_second=q)
+        report.exactly(element, f"{CLOSURES[kind].kind} joint {name!r}")
+
+
+def _closure_name(pair: tuple[str, str]) -> str:
+    """The name of the joint whose frames `urdf.write` names so, or none."""
+    first, second = (name.rpartition("_on_")[0] for name in pair)
+    return first if first == second else ""
+
+
+def _gears(
+    start: Start, loops: Loops, tree: Tree, mimics: list[Mimic], taken: list[str], report: Mapping
+) -> Iterator[Gear]:
+    """Gears of mimics and of coupled joints."""
+    pairs: list[tuple[str, Key, Key, float]] = []
+    for mimic in mimics:
+        element = f"mimic of joint {mimic.follower!r}"
+        if mimic.follower in tree.keys and mimic.driver in tree.keys:
+            follower, driver = tree.keys[mimic.follower], tree.keys[mimic.driver]
+            pairs.append((element, follower, driver, mimic.multiplier))
+        else:
+            report.left_out(element, "one of its joints moves nothing")
+    for coupling in loops.coupled:
+        terms = [(tree.keys[name], c) for name, c in coupling.items() if c and name in tree.keys]
+        element = f"coupled {', '.join(coupling)}"
+        if len(terms) != 2:
+            report.left_out(element, f"couples {len(terms)} joints, gears couple two")
+            continue
+        (follower, own), (driver, other) = terms
+        pairs.append((element, follower, driver, -other / own))
+    for number, (element, follower, driver, ratio) in enumerate(pairs):
+        name = unique_name(f"gear_{number + 1}", "gear", taken)
+        yield Gear(name, driver[0], follower[0], ratio, driver[1], follower[1])
+        report.exactly(element, f"gear {name!r} of ratio {ratio:.6g}")
+
+
+def _springs(root: ET.Element, tree: Tree, report: Mapping) -> Iterator[JointSpring]:
+    """The dampers of joints."""
+    for joint in root.findall("joint"):
+        name, dynamics = str(joint.get("name")), joint.find("dynamics")
+        damping = 0.0 if dynamics is None else float(dynamics.get("damping", 0.0))
+        if damping and name in tree.keys:
+            key = tree.keys[name]
+            yield JointSpring(key[0], damping=damping, coordinate=key[1])
+            report.exactly(f"joint {name!r}", f"its damping {damping:g} as a damper")
+
+
+def _report_leftovers(root: ET.Element, report: Mapping) -> None:
+    """Tell of everything that is no rigid body and no bilateral constraint."""
+    for joint in root.findall("joint"):
+        element, dynamics = f"joint {joint.get('name')!r}", joint.find("dynamics")
+        friction = 0.0 if dynamics is None else float(dynamics.get("friction", 0.0))
+        if friction:
+            report.left_out(element, f"its dry friction {friction:g}")
+        if joint.find("limit") is not None and joint.get("type") in ("revolute", "prismatic"):
+            report.left_out(element, "its limits: limits are no bilateral constraints")
+        if joint.find("safety_controller") is not None:
+            report.left_out(element, "its safety controller")
+    for tag, why in (("collision", "contacts are no bilateral constraints"), ("visual", "drawn as bars")):
+        count = len(root.findall(f"link/{tag}"))
+        if count:
+            report.left_out(f"{count} {tag} elements", why)
+    for tag in dict.fromkeys(child.tag for child in root if child.tag not in ("link", "joint", "material")):
+        report.left_out(f"{len(root.findall(tag))} <{tag}>", "no part of a URDF's mechanics")

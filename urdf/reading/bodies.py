@@ -1,0 +1,131 @@
+"""Bodies and tree joints of a Pinocchio model; links without mass between joints are joined up."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from newton_euler.joints import Free, Joint
+from newton_euler.joints.combine import Part, combined, common_name
+from newton_euler.mapping import Mapping, unique_name
+from newton_euler.measured import Key
+from newton_euler.mechanism import REALISABLE_TOLERANCE, Body
+from newton_euler.scalars import Array
+from urdf.reading.source import SourceError
+from urdf.reading.start import Start
+
+GROUND = "ground"
+
+
+class Tree:
+    """Bodies and joints of the tree.
+
+    Attributes:
+        bodies: ground first.
+        joints: one for each moving body.
+        names: for each of Pinocchio's joints the body that it moves; None for a link without mass.
+        keys: where each of Pinocchio's hinges and slides is, by name; coordinates are zero at the start.
+    """
+
+    def __init__(self, path: str, start: Start, motors: set[str], report: Mapping) -> None:
+        """`motors` are names of joints that have one."""
+        self._path, self._model, self._start = path, start.model, start
+        self.bodies = [Body.ground(GROUND)]
+        self.joints: list[Joint] = []
+        self.names: list[str | None] = [GROUND] + [None] * (self._model.njoints - 1)
+        self.keys: dict[str, Key] = {}
+        waiting: dict[int, list[int]] = {}
+        for index in range(1, self._model.njoints):
+            chain = [*waiting.pop(int(self._model.parents[index]), []), index]
+            if self._model.inertias[index].mass > 0.0:
+                self._add(chain, motors, report)
+            else:
+                waiting[index] = chain
+        for chain in waiting.values():
+            for index in chain:
+                report.left_out(f"joint {self._model.names[index]!r}", "it moves no mass: held where it is")
+        if not self.joints:
+            raise SourceError(path, "no joint moves any mass")
+        self._report_links(report)
+
+    def _link(self, joint: int) -> str:
+        """Name of the link that a joint leads to."""
+        model: Any = self._model
+        links = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
+        return str(next(links, model.frames[0]).name)
+
+    def _add(self, chain: list[int], motors: set[str], report: Mapping) -> None:
+        model, data = self._model, self._start.data
+        last = chain[-1]
+        own = [body.name for body in self.bodies]
+        name = self.names[last] = unique_name(self._link(last), f"body_{last}", own)
+        inertia, pose = model.inertias[last], data.oMi[last]
+        a, b, c = np.linalg.eigvalsh(inertia.inertia)
+        quaternion = pin.SE3ToXYZQUAT(pose)[[6, 3, 4, 5]]
+        self.bodies.append(
+            Body(
+                name,
+                inertia.mass,
+                pose.act(inertia.lever),
+                0.5 * (inertia.inertia + inertia.inertia.T),
+                quaternion / np.linalg.norm(quaternion),
+                allow_unrealisable_inertia=bool(a + b < c * (1.0 - REALISABLE_TOLERANCE)),
+            )
+        )
+        parent = self.names[int(model.parents[chain[0]])]
+        if parent is None:
+            raise SourceError(
+                self._path, f"several joints on link {self._link(chain[0])!r}, which has no mass"
+            )
+        names = [str(model.names[k]) for k in chain]
+        own_name = names[0] if len(names) == 1 else common_name(names) or f"{name}_joints"
+        joint_name = unique_name(own_name, name, self.joint_names)
+        parts = [part for k in chain for part in self._parts(k)]
+        if not parts:
+            self.joints.append(Free(joint_name, parent, name, pose.translation))
+        else:
+            driven = bool(motors & set(names))
+            joint, coordinates = combined(joint_name, parent, name, parts, driven)
+            self.joints.append(joint)
+            self.keys |= {part: (joint_name, k) for part, k in coordinates.items()}
+        for k in names:
+            report.exactly(f"joint {k!r}", f"{self.joints[-1].kind} joint {joint_name!r}")
+
+    @property
+    def joint_names(self) -> list[str]:
+        return [joint.name for joint in self.joints]
+
+    def _parts(self, index: int) -> list[Part]:
+        """The motions of one of Pinocchio's joints; none for a free one."""
+        model, pose = self._model, self._start.data.oMi[index]
+        joint, name = model.joints[index], str(model.names[index])
+        if "FreeFlyer" in joint.shortname():
+            return []
+        if "Spherical" in joint.shortname():
+            return [Part(name, "ball", np.zeros(3), pose.translation)]
+        columns = pin.computeJointJacobian(model, model.createData(), self._start.q, index)
+        columns = np.reshape(columns, (6, model.nv))[:, joint.idx_v : joint.idx_v + joint.nv]
+        parts = []
+        for k, column in enumerate(columns.T):
+            slides = not np.any(column[3:])
+            axis = pose.rotation @ (column[:3] if slides else column[3:])
+            part = name if joint.nv == 1 else f"{name} {k}"
+            parts.append(Part(part, "slide" if slides else "hinge", axis, pose.translation))
+        return parts
+
+    def _report_links(self, report: Mapping) -> None:
+        for frame in self._model.frames:
+            if frame.type == pin.FrameType.BODY:
+                body = self.names[frame.parentJoint]
+                what = f"body {body!r}" if body == frame.name else f"part of {body!r}"
+                report.exactly(f"link {frame.name!r}", what if body else "no mass, no body")
+
+    def end(self, frame: int) -> tuple[str, Array]:
+        """Body and place (3,), world frame, of one of Pinocchio's frames."""
+        found = self._model.frames[frame]
+        body = self.names[found.parentJoint]
+        if body is None:
+            raise SourceError(self._path, f"a loop ends on {found.name!r}, which is on a link without mass")
+        return body, self._start.data.oMf[frame].translation.copy()

@@ -1,0 +1,137 @@
+"""The configuration that a URDF starts from: zero, its loops and couplings closed."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from newton_euler.mapping import Mapping
+from newton_euler.scalars import Array
+from newton_euler.solve import minimum_norm
+from urdf.closures import Closures
+from urdf.loops import Loops
+from urdf.model import ClosedLoopModel
+from urdf.reading.source import SourceError
+
+CLOSED = 1e-12
+"""m or rad, of what is closed as it stands."""
+
+MUST_CLOSE = 1e-9
+"""m or rad, after assembly."""
+
+NEWTON_STEPS = 60
+
+LONGEST_STEP = 0.2
+"""rad or m, of one step of assembly, so that it stays on the branch it starts on."""
+
+
+class Mimic:
+    """x_follower = multiplier * x_driver + offset, of joints of a URDF."""
+
+    def __init__(self, joint: ET.Element, mimic: ET.Element) -> None:
+        self.follower, self.driver = str(joint.get("name")), str(mimic.get("joint"))
+        self.multiplier, self.offset = float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))
+
+
+class _Plain:
+    """Coordinates as they are."""
+
+    @staticmethod
+    def v_from_pinocchio(v: Array) -> Array:
+        return v
+
+
+class Start:
+    """A model and where it starts.
+
+    Attributes:
+        closed: Pinocchio's model and its closures.
+        q: Pinocchio's coordinates at the start.
+        data: with joint and frame placements there.
+    """
+
+    def __init__(
+        self, path: str, closed: ClosedLoopModel, loops: Loops, mimics: list[Mimic], report: Mapping
+    ) -> None:
+        """Raises `SourceError` for loops that do not close."""
+        self.closed, self.model = closed, closed.model
+        self.data: Any = self.model.createData()
+        self._closures = Closures(closed, _Plain(), 1.0)  # type: ignore[arg-type]
+        self._zero = pin.neutral(self.model)
+        self.q = self._zero.copy()
+        names = [" and ".join(p) for p, t in zip(loops.closed_loop, loops.type, strict=True) if t != "rod"]
+        rows = [3 if kind == "3d" else 6 for kind in loops.type if kind != "rod"]
+        self._owners = [f"loop of {n}" for n, count in zip(names, rows, strict=True) for _ in range(count)]
+        self._owners += ["a coupling"] * len(closed.couplings) + [f"mimic of {m.follower}" for m in mimics]
+        self._linear = np.array([*closed.couplings, *(self._row(path, m) for m in mimics)])
+        self._linear = self._linear.reshape(-1, self.model.nv)
+        self._offsets = np.array([0.0] * len(closed.couplings) + [m.offset for m in mimics])
+        self._close(path, report)
+
+    def place(self, name: str) -> int | None:
+        """Where the velocity of a joint of one motion is; None if there is no such joint."""
+        if not self.model.existJointName(name):
+            return None
+        joint = self.model.joints[self.model.getJointId(name)]
+        return int(joint.idx_v) if joint.nv == 1 else None
+
+    def _row(self, path: str, mimic: Mimic) -> Array:
+        row = np.zeros(self.model.nv)
+        for name, factor in ((mimic.follower, 1.0), (mimic.driver, -mimic.multiplier)):
+            place = self.place(name)
+            if place is None:
+                raise SourceError(
+                    path, f"joint {mimic.follower!r}: mimics what is no hinge or slide, {name!r}"
+                )
+            row[place] += factor
+        return row
+
+    def _residual(self) -> tuple[Array, Array]:
+        pin.computeJointJacobians(self.model, self.data, self.q)
+        pin.updateFramePlacements(self.model, self.data)
+        x = pin.difference(self.model, self._zero, self.q)
+        phi = np.concatenate([self._closures.phi(self.data), self._linear @ x - self._offsets])
+        return phi, np.vstack([self._closures.jacobian(self.data), self._linear])
+
+    def _close(self, path: str, report: Mapping) -> None:
+        phi, jacobian = self._residual()
+        before, best, least = phi, self.q, float(np.max(np.abs(phi), initial=0.0))
+        if least <= CLOSED:
+            found = f"all loops closed, to {least:.1e}" if len(phi) else "no loops"
+            report.start.append(f"starts from coordinates 0: {found}")
+            return
+        for _ in range(NEWTON_STEPS):
+            step = minimum_norm(jacobian, phi, np.ones(len(phi)), np.ones(self.model.nv))
+            step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), 1e-300))
+            self.q = pin.integrate(self.model, self.q, -step)
+            phi, jacobian = self._residual()
+            now = float(np.max(np.abs(phi)))
+            if now < least:
+                best, least = self.q, now
+            elif least < MUST_CLOSE:
+                break
+        self.q = best
+        phi, _ = self._residual()
+        worst = int(np.argmax(np.abs(phi)))
+        if least > MUST_CLOSE:
+            raise SourceError(
+                path,
+                f"{self._owners[worst]} cannot be closed from coordinates 0: open by "
+                f"{abs(before[worst]):.3g} there, and by {least:.3g} (m or rad) at best",
+            )
+        gaps: dict[str, float] = {}
+        for owner, gap in zip(self._owners, np.abs(before), strict=True):
+            gaps[owner] = max(gaps.get(owner, 0.0), float(gap))
+        lines = "; ".join(f"{owner} {gap:.3g}" for owner, gap in gaps.items() if gap > CLOSED)
+        moved = pin.difference(self.model, self._zero, self.q)
+        dof = int(np.argmax(np.abs(moved)))
+        joint = next(n for n, j in zip(self.model.names, self.model.joints, strict=True)
+                     if j.idx_v <= dof < j.idx_v + j.nv)  # fmt: skip
+        report.start.append(f"coordinates 0 are open, in m or rad: {lines}")
+        report.start.append(
+            f"assembled on the branch of coordinates 0: closed to {least:.1e}, joint {joint!r} moved most, "
+            f"by {moved[dof]:.3g}"
+        )
