@@ -21,7 +21,7 @@ STEPS, EVALUATIONS, REJECTED, DENSE_CALLS, REACHED, WISH = 0, 1, 2, 3, 4, 5
 
 COUNTS = 6
 
-PATIENCE = 4096
+PATIENCE = 64
 """Steps after which Python is given a chance to see that the user wants to stop."""
 
 SPACING = 2.3e-16
