@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from newton_euler.control import is_finite_number
 from newton_euler.errors import IntegrationError, OptionError, UnknownNameError
 from newton_euler.scalars import Array
 from newton_euler.stabilize import project_position, project_velocity
@@ -71,7 +72,7 @@ class Options:
         ):
             raise OptionError("most_steps", self.most_steps, "a whole number of steps")
         if self.integrator in FIXED:
-            if not isinstance(self.step, int | float) or not 0.0 < self.step < np.inf:
+            if self.step is None or not is_finite_number(self.step) or self.step <= 0.0:
                 raise OptionError("step", self.step, f"a positive number of seconds for {self.integrator}")
         elif self.step is not None:
             raise OptionError("step", self.step, f"none: {self.integrator} chooses its own steps")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from newton_euler.control import is_finite_number
 from newton_euler.couplings import couplings, residuals
 from newton_euler.errors import AssemblyError, OptionError, UnknownNameError
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
@@ -30,7 +31,7 @@ ROUND_OFF = 16.0 * np.finfo(float).eps
 
 def baumgarte_alpha(stabilization: str, alpha: float) -> float:
     """The alpha that a system of equations takes under a stabilisation; raises for impossible ones."""
-    if not isinstance(alpha, int | float) or not 0.0 <= alpha < np.inf:
+    if not is_finite_number(alpha) or alpha < 0.0:
         raise OptionError("alpha", alpha, "a number of 1/s, zero or more")
     if stabilization not in STABILIZATIONS:
         raise UnknownNameError("stabilization", stabilization, STABILIZATIONS)

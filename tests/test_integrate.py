@@ -106,6 +106,8 @@ def test_projection_restores_positions_and_velocities():
         ({"atol": -1.0}, "atol is -1.0"),
         ({"integrator": "RK4"}, "step is None"),
         ({"integrator": "RK4", "step": 0.0}, "step is 0.0"),
+        ({"integrator": "RK4", "step": True}, "step is True"),
+        ({"integrator": "Euler", "step": 1e-25}, "step is 1e-25"),
         ({"step": 0.1}, "chooses its own steps"),
         ({"alpha": float("inf")}, "alpha is inf"),
         ({"most_steps": 0}, "most_steps is 0"),

@@ -151,6 +151,7 @@ HOSTILE = {
     "kind.urdf": (CHAIN.replace("prismatic", "magic"), "'second': unknown type 'magic'; choose"),
     "weightless.urdf": (robot(*TIPS).replace('mass value="1.0"', 'mass value="0"'), "no joint moves any"),
     "fixed.urdf": (robot(), "no joint can move"),
+    "inertia.urdf": (CHAIN.replace('ixx="0.02"', 'ixx="-0.02"'), "'a': principal moments of inertia are -"),
 }  # fmt: skip
 
 

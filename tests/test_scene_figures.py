@@ -220,7 +220,7 @@ def test_all_takes_no_scene(capsys):
         status, _, err = run(capsys, "run", "--all", *arguments)
         assert (status, err) == (
             2,
-            "crosscheck: error: --all runs all scenes at their defaults, without SCENE, --set or --save\n",
+            "crosscheck: error: --all runs all scenes at their defaults, without SCENE and its options\n",
         )
     assert run(capsys, "run", "--all", "--engines", "bullet")[0] == 2
 

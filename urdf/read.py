@@ -28,7 +28,7 @@ from urdf.errors import UrdfError
 from urdf.loops import Loops, parse_loops
 from urdf.model import ClosedLoopModel, build
 from urdf.reading.bodies import Tree
-from urdf.reading.source import SourceError, parsed, read_text
+from urdf.reading.source import SourceError, check_inertias, parsed, read_text
 from urdf.reading.start import Mimic, Start
 
 DURATION = 1.0
@@ -84,7 +84,8 @@ def read(
         start = Start(where, closed, closing, mimics, report)
         tree = Tree(where, start, set(closing.name_mot), report)
         scene = _scene(where, root, closed, closing, start, tree, mimics, report, duration, output_period)
-    except RuntimeError as error:  # what Pinocchio asserts
+    except RuntimeError as error:  # what Pinocchio asserts, of inertias for one
+        check_inertias(where, root)
         raise SourceError(where, f"Pinocchio refuses it: {' '.join(str(error).split())}") from error
     except UrdfError as error:
         if str(error).startswith(where) or (closing.source and str(error).startswith(closing.source)):

@@ -170,7 +170,7 @@ ERRATA = (
         "Table 4, J4 to J6",
         "rods along the local zeta axis, while p = (1,0,0,0) and the legs lean 30 and 37 deg",
         "tensors turned with the legs",
-        "as printed by default, comparable with the paper; leg_inertia=aligned turns them",
+        "as printed by default, comparable with the paper; the scene tracker_aligned turns them",
     ),
     Erratum(
         11,

@@ -20,6 +20,7 @@ from newton_euler.steppers.dop853 import (
 )
 from newton_euler.steppers.march import (
     DONE,
+    HUGE,
     INTERRUPTED,
     PATIENT,
     REACHED,
@@ -29,6 +30,7 @@ from newton_euler.steppers.march import (
     STEPS,
     TINY,
     TOO_MANY_STEPS,
+    UNSAFE,
     begin,
     evaluate,
     interrupted,
@@ -52,6 +54,9 @@ farthest apart, at 1/3 and 3/5, and how much earlier or later will do."""
 
 HOPS = 12
 """Tries to place a step so; after them its error alone decides."""
+
+HOP = 0.8
+"""Factor for a step with a stage where accelerations are unsafe; the next one has its stages elsewhere."""
 
 NOWHERE = 1e9
 
@@ -219,12 +224,17 @@ def march_dop853(
         short = short + 1 if h < TINY * (stop - times[0]) else 0
         if short > PATIENT:
             return STEP_TOO_SMALL
-        health = k[n]
+        health = HUGE
         for s in range(1, STAGES + 1):
             status = stage(n, s, h, derivative, dense, now, end if s == STAGES else at, k, counts)
             if status != DONE:
                 break
             health = min(health, k[(n + 1) * s + n])
+        if health < UNSAFE and k[n] >= UNSAFE:
+            counts[REJECTED] += 1.0
+            h = HOP * h
+            continue
+        health = min(health, k[n])
         error = 1e10
         if status == DONE:
             error = error_norm(n, h, rtol, atol, now, end, k)
@@ -268,8 +278,8 @@ def march_dop853(
                     status = project_densely(n, closing, at, k[(n + 1) * 13 :])
                 elif projecting == 1:
                     status = project(n, tolerance, position, velocity, closing, at, k[(n + 1) * 13 :])
-                    if status != DONE:
-                        return status
+                if status != DONE:
+                    return status
                 for i in range(n):
                     table[n * due + i] = at[i]
                 due += 1

@@ -34,6 +34,13 @@ HUGE = 1e300
 HALF_TURN = pi
 NEWTON_STEPS = 10
 
+UNSAFE = 1e-8
+"""Health of the equations of motion below which accelerations may be so wrong that a run would leave a
+singular configuration on another branch. Only a run that starts there takes steps through it."""
+
+DENSE_HEALTH = 1e-12
+"""Health of what the dense path made of an unhealthy configuration."""
+
 SURE = 1e-10
 """Health of the least-squares problem above which its corrections are more than magnified round-off."""
 
@@ -51,6 +58,7 @@ def evaluate(n: int, derivative: Callback, dense: Callback, x: Vector, y: Vector
         counts[DENSE_CALLS] += 1.0
         if not y[n] > 0.0:
             return SINGULAR
+        y[n] = DENSE_HEALTH
     size = 0.0
     for i in range(n):
         size += abs(y[i])
@@ -61,7 +69,7 @@ def evaluate(n: int, derivative: Callback, dense: Callback, x: Vector, y: Vector
 
 @native
 def project_densely(n: int, closing: Callback, x: Vector, scratch: Vector) -> int:
-    """The same by the dense path."""
+    """`project` by the dense path."""
     closing(x, scratch)
     if not scratch[n] > 0.0:
         return OPEN

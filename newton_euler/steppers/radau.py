@@ -28,6 +28,7 @@ from newton_euler.steppers.march import (
     STEPS,
     TINY,
     TOO_MANY_STEPS,
+    UNSAFE,
     begin,
     evaluate,
     interrupted,
@@ -77,6 +78,7 @@ WITHIN = float(np.max(np.abs(_SHARES * np.prod([_SHARES - c for c in NODES], axi
 """Largest error of the collocation polynomial within a step, in units of h^4 y''''/24."""
 
 NEWTON_STEPS = 6
+HOP = 0.8
 FASTEST = 10.0
 SMALLEST = 0.2
 
@@ -320,6 +322,12 @@ def march_radau(
             n, h, rtol, atol, derivative, dense, now, at, z, w, f, change,
             matrices[n * n :], matrices[2 * n * n :], matrices[3 * n * n :], pivots, counts,
         )  # fmt: skip
+        health = min(min(f[n], f[2 * n + 1]), f[3 * n + 2])
+        if taken >= 0 and health < UNSAFE and slope[n] >= UNSAFE:
+            counts[REJECTED] += 1.0
+            h = HOP * h
+            factored = 0
+            continue
         if taken < 0:
             counts[REJECTED] += 1.0
             if fresh == 0:

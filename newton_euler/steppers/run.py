@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from newton_euler.compiled import Code, Formulation
-from newton_euler.errors import IntegrationError, NewtonEulerError
+from newton_euler.errors import IntegrationError, NewtonEulerError, OptionError
 from newton_euler.forces import strongest
 from newton_euler.integrate import Options
 from newton_euler.native_functions import NativeFunctions
@@ -29,8 +29,8 @@ from newton_euler.steppers.radau import march_radau
 MOST_STEPS = 1_000_000
 """Steps after which an adaptive method is taken to be getting nowhere, if a run does not say."""
 
-COUNTED = {"steps": m.STEPS, "rejected": m.REJECTED, "evaluations": m.EVALUATIONS, "dense": m.DENSE_CALLS}
-"""Places of counts, by name."""
+MOST_FIXED_STEPS = 1e10
+"""Of a run; an hour at least."""
 
 MARCHES: dict[str, Callable[..., int]] = {
     "DOP853": march_dop853,
@@ -151,6 +151,11 @@ class March:
         self._most = options.most_steps or MOST_STEPS
         adaptive = (n, outputs, times, options.rtol, options.atol, self._most)
         fixed = (n, outputs, times, options.step)
+        if options.step is not None and (times[-1] - times[0]) / options.step > MOST_FIXED_STEPS:
+            needed = (
+                f"at least {(times[-1] - times[0]) / MOST_FIXED_STEPS:.3g} s, {MOST_FIXED_STEPS:.0e} steps"
+            )
+            raise OptionError("step", options.step, needed)
         derivative = (code.function("derivative"), self._python.derivative)
         system = (*derivative, *_projection(code, self._python), self._python.pause, code.turning)
         result = (self.table, self.counts)
@@ -244,15 +249,15 @@ def _failure(
         reason = f"projection cannot close joint {joint!r}, which is open by {gap:.3g} (m or rad)"
         return IntegrationError(reached, reason)
     near = code.function("derivative")(x)[-1] < NEAR
+    advice = {True: "", False: "; for stiff equations use Radau"}[near or integrator != "DOP853"]
     reasons = {
         m.NOT_FINITE: "the solution is not finite",
         m.SINGULAR: "the equations of motion are singular",
-        m.TOO_MANY_STEPS: f"more than {most} steps",
-        m.STEP_TOO_SMALL: "steps have become too small"
-        + (", the configuration is near a singular one" if near else ""),
+        m.TOO_MANY_STEPS: f"more than {most} steps{advice}",
+        m.STEP_TOO_SMALL: f"steps have become too small{advice}",
     }
-    if status in (m.TOO_MANY_STEPS, m.STEP_TOO_SMALL) and integrator == "DOP853":
-        reasons[status] += "; for stiff equations use Radau"
+    if near and status in (m.TOO_MANY_STEPS, m.STEP_TOO_SMALL):
+        reasons[status] += "; round-off near a singular configuration is larger than rtol allows"
     reason = f"{reasons[status]}; fastest at joint {system.fastest_joint(q, v)!r}"
     with np.errstate(all="ignore"):
         force = strongest(system.scene, *system.seen(q, v))

@@ -22,9 +22,6 @@ MAXIMUM_DEPTH = 50
 LARGEST = 1e15
 """Of any number of a model, so that squares and triple products stay finite and keep digits."""
 
-NEGATIVE = 1e-9
-"""Share of the largest moment of inertia below 0 that is round-off of the file."""
-
 NUMBERS = {
     "origin": ("xyz", "rpy"),
     "axis": ("xyz",),
@@ -94,22 +91,21 @@ def parsed(path: str, text: str) -> ET.Element:
             for name in NUMBERS.get(part.tag, ()):
                 if name in part.attrib:
                     _check_numbers(f"{where}: <{part.tag}>", path, name, part.attrib[name])
-    for link in root.findall("link"):
-        _check_inertia(path, link)
     return root
 
 
-def _check_inertia(path: str, link: ET.Element) -> None:
-    """Raise `SourceError` for a negative moment of inertia, which Pinocchio refuses without a name."""
-    element = link.find("inertial/inertia")
-    if element is None:
-        return
-    xx, xy, xz, yy, yz, zz = (float(element.get(name, "0")) for name in NUMBERS["inertia"])
-    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if moments[0] < -NEGATIVE * max(abs(moments)):
-        text = ", ".join(f"{moment:.6g}" for moment in moments)
-        problem = f"link {link.get('name')!r}: principal moments of inertia are {text} kg m^2"
-        raise SourceError(path, f"{problem}; needed: none below 0")
+def check_inertias(path: str, root: ET.Element) -> None:
+    """Raise `SourceError` for the first negative moment of inertia; Pinocchio's own error has no name."""
+    for link in root.findall("link"):
+        element = link.find("inertial/inertia")
+        if element is None:
+            continue
+        xx, xy, xz, yy, yz, zz = (float(element.get(name, "0")) for name in NUMBERS["inertia"])
+        moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        if moments[0] < 0.0:
+            text = ", ".join(f"{moment:.6g}" for moment in moments)
+            problem = f"link {link.get('name')!r}: principal moments of inertia are {text} kg m^2"
+            raise SourceError(path, f"{problem}; needed: none below 0")
 
 
 def _scan(path: str, text: str) -> None:
