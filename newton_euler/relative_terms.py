@@ -164,27 +164,13 @@ class RelativeTerms:
             seen = measured[armature.key]
             yield armature.inertia, seen.jacobian, seen.gamma
 
-    @staticmethod
-    def _add_rotor(mass: Rows, inertia: Scalar, row: dict[int, Scalar]) -> None:
-        """a J^T J."""
-        for i, x in row.items():
-            for j, y in row.items():
-                add(mass[i], j, inertia * (x * y))
-
     def mass_rows(self, q: Array) -> Rows:
         """The nonzeros of M (nv, nv), over generic scalars."""
-        mass: Rows = [{} for _ in range(self.nv)]
-        links = self.links(q, np.zeros(self.nv))
-        for path, block, _ in self.body_terms(links):
-            for n, i in enumerate(path):
-                for m, j in enumerate(path):
-                    add(mass[i], j, block[n, m])
-        for inertia, row, _ in self.rotor_terms(self.measured(q, np.zeros(self.nv), links)):
-            self._add_rotor(mass, inertia, row)
-        return mass
+        v = np.zeros(self.nv)
+        return self.sparse_mass_and_force(q, v, self.links(q, v))[0]
 
     def sparse_mass_and_force(self, q: Array, v: Array, links: list[Link]) -> tuple[Rows, Array]:
-        """The same over generic scalars, M as its nonzeros."""
+        """`mass_and_force` over generic scalars, M as its nonzeros."""
         mass: Rows = [{} for _ in range(self.nv)]
         force = self.actuation(q, v, links)[1].astype(object)
         for path, block, share in self.body_terms(links):
@@ -193,9 +179,10 @@ class RelativeTerms:
                 for m, j in enumerate(path):
                     add(mass[i], j, block[n, m])
         for inertia, row, gamma in self.rotor_terms(self.measured(q, v, links)):
-            self._add_rotor(mass, inertia, row)
             for i, x in row.items():
                 force[i] = force[i] + inertia * gamma * x
+                for j, y in row.items():
+                    add(mass[i], j, inertia * (x * y))
         return mass, force
 
     def measured(self, q: Array, v: Array, links: list[Link]) -> dict[Key, Measured]:
