@@ -8,7 +8,6 @@ all formulations, over generic scalars (Nikravesh, Computer-Aided Analysis of Me
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,13 +20,11 @@ from newton_euler.control import check_coordinate, is_finite_number
 from newton_euler.errors import MechanismError
 from newton_euler.joints import Pose
 from newton_euler.measured import Key
-from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
+from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism, check_name
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
 if TYPE_CHECKING:
     from newton_euler.scene import Scene
-
-_NAME = re.compile(r"[A-Za-z0-9_.\-]+")
 
 
 @dataclass(frozen=True)
@@ -115,7 +112,7 @@ class PointSpring:
     parameters: ClassVar[tuple[str, ...]] = ("stiffness", "rest_length", "damping")
 
     def __post_init__(self) -> None:
-        _check_name("point spring", self.name)
+        check_name("point spring", self.name)
         for name in ("point_on_first", "point_on_second"):
             _set_vector(self, self.element, name)
         _set_numbers(self, self.element, self.parameters, 0.0)
@@ -175,7 +172,7 @@ class Wrench:
     parameters: ClassVar[tuple[str, ...]] = ("force", "torque")
 
     def __post_init__(self) -> None:
-        _check_name("wrench", self.name)
+        check_name("wrench", self.name)
         for name in ("point", "force", "torque"):
             _set_vector(self, self.element, name)
         if self.frame not in ("world", "body"):
@@ -200,13 +197,6 @@ Measurements = Mapping[Key, tuple[Scalar, ...]]
 
 Surroundings = tuple[list[Pose], list[Frame], Measurements]
 """What forces depend on: reference poses and frames of all bodies, and joint coordinates."""
-
-
-def _check_name(what: str, name: object) -> None:
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise MechanismError(
-            f"{what} {name!r:.100}", "has an unusable name", "letters, digits, _, . and - only"
-        )
 
 
 def _check_known(element: str, what: str, name: object, known: tuple[str, ...]) -> None:

@@ -31,6 +31,14 @@ REALISABLE_TOLERANCE = 1e-12
 _NAME = re.compile(r"[A-Za-z0-9_.\-]+")
 
 
+def check_name(what: str, name: object) -> None:
+    """Raise `MechanismError` for a name that files and reports cannot use."""
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise MechanismError(
+            f"{what} {name!r:.100}", "has an unusable name", "letters, digits, _, . and - only"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Body:
     """A rigid body.
@@ -55,10 +63,7 @@ class Body:
     allow_unrealisable_inertia: bool = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
-            raise MechanismError(
-                f"body {self.name!r}", "has an unusable name", "letters, digits, _, . and - only"
-            )
+        check_name("body", self.name)
         for name, shape in (
             ("mass", ()),
             ("center_of_mass", (3,)),
@@ -129,10 +134,7 @@ class Mechanism:
             )
         for what, elements in (("joint", self.joints), ("gear", self.couplings)):
             for element in elements:
-                if not isinstance(element.name, str) or not _NAME.fullmatch(element.name):
-                    raise MechanismError(
-                        f"{what} {element.name!r}", "has an unusable name", "letters, digits, _, . and - only"
-                    )
+                check_name(what, element.name)
         for what, named in (("body", self.bodies), ("joint", self.joints)):
             for name, count in Counter(element.name for element in named).items():
                 if count > 1:
