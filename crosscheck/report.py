@@ -8,10 +8,10 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from crosscheck.compare import Row
-from crosscheck.reactions import undetermined_joints
+from crosscheck.comparison.known_figures import Measured
+from crosscheck.comparison.levels import Row
+from crosscheck.comparison.reactions import undetermined_joints
 from crosscheck.run import Crosscheck
-from crosscheck.scene_figures import Measured
 
 
 def terminal_tables(result: Crosscheck) -> Iterator[Table]:

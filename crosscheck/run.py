@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import platform
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from crosscheck.compare import Row, compare
-from crosscheck.engines import ENGINES, Engine
+from crosscheck.comparison.known_figures import Measured, known_of, measure
+from crosscheck.comparison.levels import Row, compare
+from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
-from crosscheck.scene_figures import Measured, known_of, measure
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mapping import Mapping as Report
 from newton_euler.scene import Scene
-from newton_euler.trajectory import Trajectory, atomic_file
+from newton_euler.trajectory import Trajectory
 
 RANDOM_STATES = 20
 """Random consistent states at which the engines' equations are compared in a run."""
@@ -194,50 +190,3 @@ def _check_finite(engine: str, run: Trajectory) -> None:
         if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
             n = int(np.argmin(np.isfinite(values).reshape(len(run.time), -1).all(axis=1)))
             raise CrosscheckError(f"{engine}: {name} is not finite at t = {run.time[n]:.6g} s")
-
-
-def check_writable(*paths: Path) -> None:
-    """Raise `CrosscheckError` before a run whose files could not be written after it."""
-    for path in paths:
-        try:
-            if path.is_dir():
-                raise CrosscheckError(f"cannot write {path}: it is a directory")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=path.parent):
-                pass
-        except OSError as error:
-            raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
-
-
-def write(result: Crosscheck, folder: Path, recording: Path, verdict: str) -> list[Path]:
-    """Write the runs, the summary and the Rerun recording, all of them or none.
-
-    Runs of other engines that an earlier crosscheck left in the folder are removed.
-
-    Raises:
-        CrosscheckError: naming the path that cannot be written.
-    """
-    from crosscheck.rerun_log import write_recording
-
-    written = []
-    path = folder
-    try:
-        with ExitStack() as stack:
-
-            def temporary(target: Path) -> Path:
-                nonlocal path
-                path = target
-                written.append(target)
-                return stack.enter_context(atomic_file(target))
-
-            for name, run in result.runs.items():
-                run.save(temporary(folder / f"{name}.npz"))
-            summary = json.dumps(result.summary(), indent=1, allow_nan=False)
-            temporary(folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
-            write_recording(temporary(recording), result.scene, result.runs, verdict)
-        for name in ENGINES.keys() - result.runs.keys():
-            path = folder / f"{name}.npz"
-            path.unlink(missing_ok=True)
-    except OSError as error:
-        raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
-    return written

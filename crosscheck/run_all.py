@@ -15,11 +15,12 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from crosscheck.compare import Row
+from crosscheck.comparison.levels import Row
 from crosscheck.engines import choose
 from crosscheck.errors import CrosscheckError
+from crosscheck.output import check_writable, write
 from crosscheck.report import judged, markdown
-from crosscheck.run import Crosscheck, Progress, check_writable, crosscheck, write
+from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
 from newton_euler.errors import NewtonEulerError
 

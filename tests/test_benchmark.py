@@ -14,16 +14,13 @@ from command_line import run
 from mechanisms import slider_tree, spinning_top
 
 import newton_euler
-from crosscheck import (
-    benchmark,
-    benchmark_pinocchio,
-    benchmark_reference,
-)
-from crosscheck.benchmark import Ladder, Loading, Measured, Measurement, Model, Run, Setting
-from crosscheck.benchmark_engines import ENGINES, Benchmark, poses_only
-from crosscheck.benchmark_plot import write
-from crosscheck.benchmark_reference import Difference, Reference, reference
-from crosscheck.benchmark_report import (
+from crosscheck.benchmark import pinocchio as benchmark_pinocchio
+from crosscheck.benchmark import reference as benchmark_reference
+from crosscheck.benchmark import work_precision
+from crosscheck.benchmark.engines import ENGINES, Benchmark, poses_only
+from crosscheck.benchmark.plot import write
+from crosscheck.benchmark.reference import Difference, Reference, reference
+from crosscheck.benchmark.report import (
     answer,
     as_json,
     cheapest,
@@ -33,6 +30,7 @@ from crosscheck.benchmark_report import (
     row,
     terminal_tables,
 )
+from crosscheck.benchmark.work_precision import Ladder, Loading, Measured, Measurement, Model, Run, Setting
 from crosscheck.errors import CrosscheckError
 from newton_euler.euler_parameters import from_rotation_vector, product
 
@@ -61,7 +59,9 @@ def result(scene, measurements=MADE_UP, uncertainty=1e-12):
     against = Reference("made up", motion.position, motion.quaternion, differences, {"third": "no reason"})
     loadings = (Loading("mujoco", "MJCF", 0.25, "written"),)
     measured = Measured(tuple(measurements), loadings, (), {"mujoco: method": "its last setting"})
-    return Benchmark("tracker", {"leg_inertia": "aligned"}, scene, benchmark.machine(), against, measured)
+    return Benchmark(
+        "tracker", {"leg_inertia": "aligned"}, scene, work_precision.machine(), against, measured
+    )
 
 
 # Measuring
@@ -74,21 +74,21 @@ def test_errors_of_poses_are_distances_and_angles_whatever_the_sign_of_a_quatern
     moved, turned = position.copy(), -quaternion
     moved[1, 1] = [3e-6, 0.0, -4e-6]
     turned[2, 0] = product(from_rotation_vector(np.array([0.0, angle, 0.0])), quaternion[2, 0])
-    errors = benchmark.pose_errors((moved, turned), (position, quaternion))
+    errors = work_precision.pose_errors((moved, turned), (position, quaternion))
     # round-off of quaternions of norm 1, twice
     np.testing.assert_allclose(errors, [5e-6, angle], rtol=0.0, atol=1e-15)
 
 
 def test_equal_intervals_and_a_last_one_that_is_shorter():
-    assert benchmark.intervals(np.array([0.0, 0.5, 1.0])) == [(2, 0.5)]
-    assert benchmark.intervals(np.array([0.0, 0.5, 1.0, 1.25])) == [(2, 0.5), (1, 0.25)]
+    assert work_precision.intervals(np.array([0.0, 0.5, 1.0])) == [(2, 0.5)]
+    assert work_precision.intervals(np.array([0.0, 0.5, 1.0, 1.25])) == [(2, 0.5), (1, 0.25)]
 
 
 def test_fast_settings_are_repeated_more_often_than_slow_ones():
-    assert benchmark.repeats_of(1e-6, 5) == 5
-    assert benchmark.repeats_of(1e-6, 15) == int(benchmark.SHARE / benchmark.SAMPLE)
-    assert benchmark.repeats_of(benchmark.SHARE / 4.5, 15) == 4
-    assert benchmark.repeats_of(100.0, 15) == benchmark.LEAST_REPEATS
+    assert work_precision.repeats_of(1e-6, 5) == 5
+    assert work_precision.repeats_of(1e-6, 15) == int(work_precision.SHARE / work_precision.SAMPLE)
+    assert work_precision.repeats_of(work_precision.SHARE / 4.5, 15) == 4
+    assert work_precision.repeats_of(100.0, 15) == work_precision.LEAST_REPEATS
 
 
 POSES = (np.zeros((2, 1, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1, 1)))
@@ -111,21 +111,21 @@ def refuse(reason):
 def test_settings_run_once_for_their_error_and_then_take_turns():
     calls = []
     ladder = Ladder("m", (off_by(1e-3, 1e-3, calls, "a"), off_by(1e-6, 0.1, calls, "b")))
-    measured = benchmark.measure(
+    measured = work_precision.measure(
         {"engine": {"model": lambda: Model((ladder,), "")}}, POSES, 4, lambda message: None
     )
-    sample = round(benchmark.SAMPLE / 1e-3) * ["a"]  # short runs follow one another
+    sample = round(work_precision.SAMPLE / 1e-3) * ["a"]  # short runs follow one another
     assert calls == [*"ab", *sample, "b", *sample, *sample, "b", *sample, "b"]
-    assert [len(m.times) for m in measured.measurements] == [4, benchmark.LEAST_REPEATS]
+    assert [len(m.times) for m in measured.measurements] == [4, work_precision.LEAST_REPEATS]
     assert [m.error for m in measured.measurements] == pytest.approx([1e-3, 1e-6], rel=1e-12)
     assert measured.measurements[0].evaluations == 7
 
 
 def test_a_ladder_ends_after_a_run_that_takes_too_long_and_says_so():
     calls = []
-    slow = off_by(1e-3, 2.0 * benchmark.LONGEST, calls, "slow")
+    slow = off_by(1e-3, 2.0 * work_precision.LONGEST, calls, "slow")
     ladder = Ladder("m", (slow, off_by(1e-6, 1e-3, calls, "never")))
-    measured = benchmark.measure(
+    measured = work_precision.measure(
         {"engine": {"model": lambda: Model((ladder,), "")}}, POSES, 4, lambda message: None
     )
     assert "never" not in calls
@@ -138,10 +138,10 @@ def sleep_past_the_limit():
 
 
 def test_a_run_that_does_not_end_is_given_up_and_ends_its_ladder(monkeypatch):
-    monkeypatch.setattr(benchmark, "LIMIT", 0.05)
-    monkeypatch.setattr(benchmark, "LONGEST", 0.01)
+    monkeypatch.setattr(work_precision, "LIMIT", 0.05)
+    monkeypatch.setattr(work_precision, "LONGEST", 0.01)
     settings = (Setting("hangs", sleep_past_the_limit), off_by(1e-6, 1e-3, [], "never"))
-    measured = benchmark.measure(
+    measured = work_precision.measure(
         {"engine": {"model": lambda: Model((Ladder("m", settings),), "")}}, POSES, 3, lambda message: None
     )
     assert not measured.measurements
@@ -151,22 +151,22 @@ def test_a_run_that_does_not_end_is_given_up_and_ends_its_ladder(monkeypatch):
 
 def test_native_runs_are_given_up_too(tracker):
     endless = newton_euler.compile_scene(dataclasses.replace(poses_only(tracker), duration=1e4))
-    with pytest.raises(CrosscheckError, match=r"not finished after 0\.2 s"), benchmark.time_limit(0.2):
+    with pytest.raises(CrosscheckError, match=r"not finished after 0\.2 s"), work_precision.time_limit(0.2):
         endless.simulate(integrator="RK4", step=1e-5)
 
 
 def test_interrupts_from_the_keyboard_stay_what_they_are():
     before = signal.getsignal(signal.SIGALRM)
-    with pytest.raises(KeyboardInterrupt), benchmark.time_limit(30.0):
+    with pytest.raises(KeyboardInterrupt), work_precision.time_limit(30.0):
         signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGALRM) is before
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
 def test_a_model_begins_no_ladder_after_its_time(monkeypatch):
-    monkeypatch.setattr(benchmark, "BUDGET", 0.0)
+    monkeypatch.setattr(work_precision, "BUDGET", 0.0)
     ladder = Ladder("m", (off_by(1e-3, 1e-3, [], "a"),))
-    measured = benchmark.measure(
+    measured = work_precision.measure(
         {"engine": {"model": lambda: Model((ladder,), "")}}, POSES, 3, lambda message: None
     )
     assert not measured.measurements
@@ -183,7 +183,7 @@ def test_what_cannot_run_is_listed_with_its_reason_and_the_rest_goes_on():
         "broken": partial(refuse, "will not load"),
         "good": lambda: Model((Ladder("m", settings),), "a remark"),
     }
-    measured = benchmark.measure({"engine": models}, POSES, 3, lambda message: None)
+    measured = work_precision.measure({"engine": models}, POSES, 3, lambda message: None)
     assert [m.setting for m in measured.measurements] == ["runs"]
     assert [(f.method, f.setting, f.reason) for f in measured.failures] == [
         ("broken", "", "will not load"),
@@ -194,7 +194,7 @@ def test_what_cannot_run_is_listed_with_its_reason_and_the_rest_goes_on():
 
 
 def test_the_record_of_the_machine_names_processor_cores_and_versions():
-    found = benchmark.machine()
+    found = work_precision.machine()
     assert found["processor"]
     assert found["cores"] >= 1
     assert {"numpy", "mujoco", "pin", "scipy"} <= found["versions"].keys()
@@ -292,7 +292,7 @@ def short(tracker):
 
 
 def test_every_engine_and_setting_on_a_short_scene(short, monkeypatch):
-    monkeypatch.setattr(benchmark, "LEAST_REPEATS", 1)
+    monkeypatch.setattr(work_precision, "LEAST_REPEATS", 1)
     against = reference(short, lambda message: None)
     assert against.name.startswith("Pinocchio")
     assert len(against.differences) == 3
@@ -301,7 +301,7 @@ def test_every_engine_and_setting_on_a_short_scene(short, monkeypatch):
     assert against.uncertainty < 1e-13
     finest = {}
     for engine, load in ENGINES.items():
-        measured = benchmark.measure({engine: load(short)}, against.poses, 1, lambda message: None)
+        measured = work_precision.measure({engine: load(short)}, against.poses, 1, lambda message: None)
         assert not measured.failures
         finest[engine] = min(m.error for m in measured.measurements)
         methods = {m.method for m in measured.measurements}
@@ -322,7 +322,7 @@ def test_pinocchio_runs_scenes_with_quaternions(make):
     settings = {f"{ladder.method}, {s.name}": s for ladder in model.ladders for s in ladder.settings}
     found = settings["constraintDynamics, alpha 10, LSODA, atol = 0.01 rtol, rtol 1e-10"].run()
     # a few dozen steps, each off by its tolerance
-    assert max(benchmark.pose_errors(found.poses(), (own.position, own.quaternion))) < 1e-8
+    assert max(work_precision.pose_errors(found.poses(), (own.position, own.quaternion))) < 1e-8
 
 
 def test_a_scene_with_a_sampled_controller_is_refused(tracker):
@@ -353,14 +353,14 @@ def test_mujoco_delivers_poses_of_its_own_outputs(short, integrator):
     import mjcf
     from mjcf.tight import Stepper, compiled
 
-    stepper = Stepper(compiled(short), integrator, benchmark.intervals(short.times), 2, 1.0)
+    stepper = Stepper(compiled(short), integrator, work_precision.intervals(short.times), 2, 1.0)
     stepper.reset()
     stepper.run()
     same = dataclasses.replace(short, duration=0.04)
     own = mjcf.simulate(same, timestep=0.005, integrator=integrator)
     found = [array[: len(same.times)] for array in stepper.poses()]
     # the same arithmetic in another order of calls; a step before is 1e-3 off
-    assert max(benchmark.pose_errors(tuple(found), (own.position, own.quaternion))) < 1e-12
+    assert max(work_precision.pose_errors(tuple(found), (own.position, own.quaternion))) < 1e-12
 
 
 # Command line

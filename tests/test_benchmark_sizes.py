@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import newton_euler
-from crosscheck import benchmark, benchmark_batch, benchmark_reference, benchmark_rhs, benchmark_scaling
-from crosscheck.benchmark_batch_engines import MuJoCo, Own, cheapest, identical, references
-from crosscheck.benchmark_engines import poses_only
-from crosscheck.benchmark_rhs import (
+from crosscheck.benchmark import batch, rhs, scaling, work_precision
+from crosscheck.benchmark import reference as benchmark_reference
+from crosscheck.benchmark.batch_engines import MuJoCo, Own, cheapest, identical, references
+from crosscheck.benchmark.engines import poses_only
+from crosscheck.benchmark.rhs import (
     Timing,
     fastest_other,
     rhs_json,
@@ -56,19 +57,19 @@ def test_right_hand_sides_are_compared_with_the_fastest_of_the_others():
 
 def test_right_hand_sides_are_timed_here_and_weighed_in_processes_of_their_own(monkeypatch):
     wanted = {("mujoco", "mj_forward"), ("pinocchio", "constraintDynamics")}
-    ways = {way: make for way, make in benchmark_rhs.WAYS.items() if way in wanted}
-    monkeypatch.setattr(benchmark_rhs, "WAYS", ways)
-    monkeypatch.setattr(benchmark_rhs, "BATCH", 1e-4)
+    ways = {way: make for way, make in rhs.WAYS.items() if way in wanted}
+    monkeypatch.setattr(rhs, "WAYS", ways)
+    monkeypatch.setattr(rhs, "BATCH", 1e-4)
     timings = time_right_hand_sides("tracker", {}, lambda message: None)
     assert {(t.engine, t.way) for t in timings} == wanted
     for t in timings:
         assert not t.reason
-        assert len(t.times) == benchmark_rhs.ROUNDS
+        assert len(t.times) == rhs.ROUNDS
         assert 0 < t.own_memory < t.memory
 
 
 def test_a_process_that_fails_says_why():
-    found = benchmark_rhs._probe(("mujoco", "mj_forward"), "nowhere.yaml", {}, 60.0)
+    found = rhs._probe(("mujoco", "mj_forward"), "nowhere.yaml", {}, 60.0)
     assert "nowhere.yaml" in found.reason
     assert found.times == ()
 
@@ -82,10 +83,10 @@ def timing(way, seconds):
 
 OWN, OTHER = ("newton_euler", "relative"), ("mujoco", "mj_forward")
 
-SIZES = benchmark_scaling.Scaling(
+SIZES = scaling.Scaling(
     "chain",
     {},
-    benchmark.machine(),
+    work_precision.machine(),
     {
         1: (timing(OWN, 1e-6), timing(OTHER, 4e-6)),
         10: (timing(OWN, 1e-5), timing(OTHER, 4e-4)),
@@ -100,15 +101,15 @@ def test_growth_is_the_exponent_between_sizes():
 
 
 def test_sizes_as_table_words_json_and_picture():
-    cells = [list(column.cells) for column in benchmark_scaling.scaling_table(SIZES).columns]
+    cells = [list(column.cells) for column in scaling.scaling_table(SIZES).columns]
     assert [column[0] for column in cells[2:6]] == ["1", "10", "1000", "1.00, 2.00"]
     assert [column[1] for column in cells[2:6]] == ["4", "400", "-", "2.00"]
-    words = benchmark_scaling.scaling_words(SIZES)
+    words = scaling.scaling_words(SIZES)
     assert "newton_euler (relative) grows with exponents 1.00 from 1 to 10, 2.00 from 10 to 100" in words
     assert "N = 10: newton_euler (relative) takes 0.025 times as long as mujoco (mj_forward)" in words
     assert "N = 100: mujoco (mj_forward) cannot run: too large" in words
-    assert json.loads(benchmark_scaling.scaling_json(SIZES))["sizes"]["100"][1]["reason"] == "too large"
-    assert benchmark_scaling.scaling_picture(SIZES).startswith(b"\x89PNG")
+    assert json.loads(scaling.scaling_json(SIZES))["sizes"]["100"][1]["reason"] == "too large"
+    assert scaling.scaling_picture(SIZES).startswith(b"\x89PNG")
 
 
 def test_what_fails_at_a_size_is_not_tried_at_larger_ones(monkeypatch):
@@ -118,24 +119,24 @@ def test_what_fails_at_a_size_is_not_tried_at_larger_ones(monkeypatch):
         asked.append((options, ways))
         return [timing(OWN, 1e-6), Timing(*OTHER, reason="too large")]
 
-    monkeypatch.setattr(benchmark_scaling, "time_right_hand_sides", made_up_timings)
-    monkeypatch.setattr(benchmark_scaling, "SIZES", (1, 10))
-    benchmark_scaling.measure_sizes("chain", {}, lambda message: None)
-    assert asked == [({"N": "1"}, list(benchmark_scaling.WAYS)), ({"N": "10"}, [OWN])]
+    monkeypatch.setattr(scaling, "time_right_hand_sides", made_up_timings)
+    monkeypatch.setattr(scaling, "SIZES", (1, 10))
+    scaling.measure_sizes("chain", {}, lambda message: None)
+    assert asked == [({"N": "1"}, list(scaling.WAYS)), ({"N": "10"}, [OWN])]
 
 
 # Batches
 
 
 def test_outputs_are_as_rare_as_memory_needs(tracker):
-    assert benchmark_batch.rarer(tracker, 10).times == pytest.approx(tracker.times)
-    rare = benchmark_batch.rarer(tracker, 10_000)
+    assert batch.rarer(tracker, 10).times == pytest.approx(tracker.times)
+    rare = batch.rarer(tracker, 10_000)
     size = 10_000 * len(rare.times) * len(tracker.mechanism.bodies) * 7 * 8
     # one output more would be too much
-    assert 0.9 * benchmark_batch.MOST < size <= benchmark_batch.MOST
-    assert benchmark.intervals(rare.times) == [(len(rare.times) - 1, pytest.approx(rare.output_period))]
+    assert 0.9 * batch.MOST < size <= batch.MOST
+    assert work_precision.intervals(rare.times) == [(len(rare.times) - 1, pytest.approx(rare.output_period))]
     with pytest.raises(CrosscheckError, match="--batch 1000000"):
-        benchmark_batch.rarer(tracker, 1_000_000)
+        batch.rarer(tracker, 1_000_000)
 
 
 def test_batches_that_differ_in_one_bit_are_not_identical(short, tracker_states):
@@ -155,11 +156,11 @@ def test_rollouts_are_the_runs_one_by_one(short, tracker_states):
     found = rollout(starts)
     for k in (0, 24):
         single = compiled(dataclasses.replace(short, initial_state=states[k]))
-        stepper = Stepper(single, "RK4", benchmark.intervals(short.times), 2, 1.0)
+        stepper = Stepper(single, "RK4", work_precision.intervals(short.times), 2, 1.0)
         stepper.reset()
         stepper.run()
         # round-off of eight steps
-        assert max(benchmark.pose_errors(rollout.poses(found[k]), stepper.poses())) < 1e-13
+        assert max(work_precision.pose_errors(rollout.poses(found[k]), stepper.poses())) < 1e-13
 
 
 class MadeUp:
@@ -221,23 +222,23 @@ def test_the_setting_is_the_quickest_of_all_methods():
 
 
 def test_a_batch_is_measured_for_both_engines(monkeypatch):
-    monkeypatch.setattr(benchmark_batch, "LIMIT", 0.5)
-    monkeypatch.setattr(benchmark_batch, "SAMPLE", 2)
-    monkeypatch.setattr(benchmark_batch, "REPEATS", 2)
+    monkeypatch.setattr(batch, "LIMIT", 0.5)
+    monkeypatch.setattr(batch, "SAMPLE", 2)
+    monkeypatch.setattr(batch, "REPEATS", 2)
     own_setting = {"formulation": "relative", "stabilization": "projection", "rtol": 1e-8}
     other_setting = {"integrator": "RK4", "number": 2, "damping_ratio": 0.6}
     monkeypatch.setattr(Own, "ladders", lambda self: iter([[("m, a", own_setting)]]))
     monkeypatch.setattr(MuJoCo, "ladders", lambda self: iter([[("m, b", other_setting)]]))
-    result = benchmark_batch.benchmark_batch("tracker", {}, 4, 1e-5, lambda message: None)
+    result = batch.benchmark_batch("tracker", {}, 4, 1e-5, lambda message: None)
     own, other = result.sides
-    assert [(t.threads, t.runs) for t in own.throughputs] == [(n, 4) for n in benchmark_batch.thread_counts()]
+    assert [(t.threads, t.runs) for t in own.throughputs] == [(n, 4) for n in batch.thread_counts()]
     # an order above the tolerances; MuJoCo RK4 at 5 ms is 3e-6 off
     assert own.error < 1e-6
     assert own.error < other.error < 1e-5
     assert result.uncertainty < 1e-9
-    rows = list(benchmark_batch.batch_table(result).columns[0].cells)
-    assert len(rows) == 2 * len(benchmark_batch.thread_counts())
-    content = json.loads(benchmark_batch.batch_json(result))
+    rows = list(batch.batch_table(result).columns[0].cells)
+    assert len(rows) == 2 * len(batch.thread_counts())
+    content = json.loads(batch.batch_json(result))
     for side in content["sides"]:
         for found in side["throughputs"]:
             assert len(found["times"]) == 2
@@ -245,10 +246,10 @@ def test_a_batch_is_measured_for_both_engines(monkeypatch):
 
 
 def test_an_error_below_what_the_reference_is_known_to_is_refused(monkeypatch):
-    monkeypatch.setattr(benchmark_batch, "SAMPLE", 1)
-    monkeypatch.setattr(benchmark_batch, "references", lambda scene, states: ({}, 1e-9))
+    monkeypatch.setattr(batch, "SAMPLE", 1)
+    monkeypatch.setattr(batch, "references", lambda scene, states: ({}, 1e-9))
     with pytest.raises(CrosscheckError, match=r"--error 1e-10: the reference is known to 1\.0e-09 only"):
-        benchmark_batch.benchmark_batch("tracker", {}, 2, 1e-10, lambda message: None)
+        batch.benchmark_batch("tracker", {}, 2, 1e-10, lambda message: None)
 
 
 def test_a_batch_without_a_reference_is_refused(short, tracker_states, monkeypatch):

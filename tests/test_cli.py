@@ -218,7 +218,7 @@ def test_what_nobody_foresaw_is_one_line_too(tmp_path, capsys, good, monkeypatch
 
 
 def test_a_figure_that_is_not_a_number_is_refused(tmp_path, capsys, good, monkeypatch):
-    from crosscheck.compare import Row
+    from crosscheck.comparison.levels import Row
 
     row = Row("drift", "open joints", ("mujoco",), float("nan"), 1.0, "elbow")
     monkeypatch.setattr("crosscheck.run.compare", lambda *_: [row])
@@ -247,7 +247,7 @@ def test_one_engine_alone_agrees_with_nobody(tmp_path, capsys, good):
 
 
 def test_one_engine_alone_can_fail(tmp_path, capsys, good, monkeypatch):
-    from crosscheck.compare import Row
+    from crosscheck.comparison.levels import Row
 
     row = Row("drift", "open joints, m or rad", ("mujoco",), 2.0, 1.0, "elbow at 0 s")
     monkeypatch.setattr("crosscheck.run.compare", lambda *_: [row])

@@ -11,7 +11,7 @@ import pytest
 from mechanisms import GRAVITY, REGULAR, bar, pendulum, planar_four_bar, scaled, seven_hinges
 
 import mjcf
-from crosscheck.compare import Row, compare, compare_equations, compare_models
+from crosscheck.comparison.levels import Row, compare, compare_equations, compare_models
 from crosscheck.engines import ENGINES
 from crosscheck.scenes import load
 from newton_euler.assemble import random_states

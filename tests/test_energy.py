@@ -10,8 +10,8 @@ import pytest
 from mechanisms import ball_loop, pendulum, planar_four_bar
 
 import newton_euler
-from crosscheck.compare import compare
-from crosscheck.energy import energy_balance
+from crosscheck.comparison.energy import energy_balance
+from crosscheck.comparison.levels import compare
 from crosscheck.engines import ENGINES
 from crosscheck.scenes import load
 from newton_euler import PD, Body, JointSpring, Mechanism, Sampled, Scene

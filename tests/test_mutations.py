@@ -105,7 +105,7 @@ MISTAKES = {
         "test_urdf_dynamics.py",
     ),
     "Rerun's quaternions written w-first": (
-        "crosscheck/rerun_log.py",
+        "crosscheck/recording/log.py",
         "return quaternion[..., [1, 2, 3, 0]]",
         "return quaternion",
         "test_rerun_log.py",

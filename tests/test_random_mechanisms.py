@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from mechanisms import GRAVITY, inertia, planar_four_bar, seven_hinges
 
-import crosscheck.random_mechanisms as random_mechanisms
-from crosscheck.random_mechanisms import (
+from crosscheck.random import mechanisms as random_mechanisms
+from crosscheck.random.mechanisms import (
     ROUND_OFF,
     SYSTEMS,
     TOLERANCE,
@@ -21,7 +21,7 @@ from crosscheck.random_mechanisms import (
     rows_of,
     stress_random,
 )
-from crosscheck.random_scenes import KINDS, random_scene
+from crosscheck.random.scenes import KINDS, random_scene
 from newton_euler.cartesian import Cartesian
 from newton_euler.errors import SingularityError
 from newton_euler.forces import JointSpring, PointSpring, Wrench

@@ -13,8 +13,8 @@ import pytest
 from rerun.chunk import RrdReader
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.rerun_log import LONGEST_ARROW, SHELL, write_recording
-from crosscheck.rerun_plots import (
+from crosscheck.recording.log import LONGEST_ARROW, SHELL, write_recording
+from crosscheck.recording.plots import (
     SMALLEST,
     hinge_angle,
     panel,
@@ -23,7 +23,7 @@ from crosscheck.rerun_plots import (
     rotation_vector,
     slide_position,
 )
-from crosscheck.screenshot import screenshot
+from crosscheck.recording.screenshot import screenshot
 from newton_euler.control import PD
 from newton_euler.euler_parameters import (
     angle_between,

@@ -15,8 +15,8 @@ import newton_euler
 from crosscheck.errors import CrosscheckError
 from crosscheck.references import known_figures
 from crosscheck.scenes import FIGURES, load
-from crosscheck.stress_runs import lasting
-from crosscheck.stress_singular import from_flat
+from crosscheck.stress.runs import lasting
+from crosscheck.stress.singular import from_flat
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.assemble import random_states
 from newton_euler.cartesian import Cartesian

@@ -13,11 +13,24 @@ import pytest
 from command_line import command, run
 
 import newton_euler
-from crosscheck import stress_long, stress_singular, stress_soft, stress_starts, stress_traps
 from crosscheck.errors import CrosscheckError
 from crosscheck.references import known_figures
 from crosscheck.scenes import load
-from crosscheck.stress import (
+from crosscheck.stress import long_runs, singular, soft, starts, traps
+from crosscheck.stress.baumgarte import MOTION_LIMIT, RK4_LIMIT, border
+from crosscheck.stress.report import as_json, counts, markdown, write
+from crosscheck.stress.rotation import DAMPING, STIFFNESS
+from crosscheck.stress.runs import (
+    TIGHT,
+    bar_angles,
+    last_good,
+    lasting,
+    parallelogram_angle,
+    parallelogram_error,
+    symmetric_top,
+    top_error,
+)
+from crosscheck.stress.topics import (
     REFUSAL,
     TOPICS,
     Bound,
@@ -28,19 +41,6 @@ from crosscheck.stress import (
     judge,
     run_cases,
     stress,
-)
-from crosscheck.stress_baumgarte import MOTION_LIMIT, RK4_LIMIT, border
-from crosscheck.stress_report import as_json, counts, markdown, write
-from crosscheck.stress_rotation import DAMPING, STIFFNESS
-from crosscheck.stress_runs import (
-    TIGHT,
-    bar_angles,
-    last_good,
-    lasting,
-    parallelogram_angle,
-    parallelogram_error,
-    symmetric_top,
-    top_error,
 )
 from newton_euler.errors import IntegrationError
 
@@ -177,11 +177,11 @@ def test_closed_motion_of_windows_against_elliptic_functions(windows):
 
 
 def test_windows_that_start_flat_go_down_at_their_speed():
-    scene = stress_singular.from_flat(lasting(load("four_bar", N=2), 0.01, 10), 2)
+    scene = singular.from_flat(lasting(load("four_bar", N=2), 0.01, 10), 2)
     angle = parallelogram_angle(scene)
     assert angle[0] == pytest.approx(0.5 * np.pi, abs=1e-15)
     # ((N + 1)/2 + N) g / ((N + 1)/3 + N) / L = 3.5/3 g at first; the next term is of order t^3
-    expected = 0.5 * np.pi + stress_singular.FLAT_SPEED * 0.01 + 0.5 * 3.5 / 3.0 * 9.81 * 0.01**2
+    expected = 0.5 * np.pi + singular.FLAT_SPEED * 0.01 + 0.5 * 3.5 / 3.0 * 9.81 * 0.01**2
     assert angle[-1] == pytest.approx(expected, abs=1e-6)
     assert bar_angles(scene.initial_state.position[None], scene.mechanism.bodies)[0] == angle[0]
 
@@ -219,17 +219,17 @@ def test_the_limit_of_rk4_is_where_its_growth_is_one():
 @pytest.mark.parametrize("power", [0.5, 1.0, 4.0])
 def test_growth_is_fitted(power):
     times = np.linspace(0.0, 1e4, 201)
-    assert stress_long.growth(times, 1e-12 * times**power) == f"grows like t^{power:.2f}"
+    assert long_runs.growth(times, 1e-12 * times**power) == f"grows like t^{power:.2f}"
 
 
 def test_what_is_constant_does_not_grow():
     times = np.linspace(0.0, 1e4, 201)
-    assert stress_long.growth(times, np.full(201, 1e-12)) == "does not grow"
+    assert long_runs.growth(times, np.full(201, 1e-12)) == "does not grow"
 
 
 def test_bodies_are_put_off_by_as_much_as_asked_for():
     scene = load("tracker")
-    state = stress_starts.off_state(scene, 1e-4)
+    state = starts.off_state(scene, 1e-4)
     shifts = np.linalg.norm(state.position - scene.initial_state.position, axis=1)
     np.testing.assert_allclose(shifts, [0.0, *[1e-4] * 6], rtol=1e-9)
     assert not np.any(scene.initial_state.position - load("tracker").initial_state.position)
@@ -243,7 +243,7 @@ def newton_euler_cases(cases):
 
 
 @pytest.mark.parametrize(
-    "trap", newton_euler_cases(stress_traps.cases(True)), ids=lambda c: f"{c.name}, {c.setting}"
+    "trap", newton_euler_cases(traps.cases(True)), ids=lambda c: f"{c.name}, {c.setting}"
 )
 def test_traps(trap):
     """What has no answer is refused; what has one is found, or refused where squares of it overflow."""
@@ -255,15 +255,15 @@ def test_traps(trap):
         assert row.passes, row.reason
 
 
-@pytest.mark.parametrize("offset", stress_starts.OFFSETS)
+@pytest.mark.parametrize("offset", starts.OFFSETS)
 def test_starts_off_the_constraints_are_assembled(offset):
-    found = stress_starts.measure_assembly(offset)
-    assert stress_starts.ASSEMBLED.verdict(found.figure) == "survives"
+    found = starts.measure_assembly(offset)
+    assert starts.ASSEMBLED.verdict(found.figure) == "survives"
 
 
 def test_softness_of_reactions_is_what_solimp_says():
     # 1 - 0.9999 of the constraint's own inertia, times what other constraints make of it
-    assert 1e-4 < stress_soft.measure_reactions().figure < 1e-2
+    assert 1e-4 < soft.measure_reactions().figure < 1e-2
 
 
 # The report
@@ -339,20 +339,20 @@ def test_the_recommendation_is_what_has_less_of_the_steps_error(rows):
         more = {"setting": setting, "quantity": quantity, "figure": figure}
         return replace(rows[0], topic="d", name="time constant 0.02 s", **more)
 
-    softness = found("step to zero", stress_soft.SOFTNESS, 1e-7)
-    steps = [found("Euler", stress_soft.STEP, 1e-5), found("RK4", stress_soft.STEP, 2e-8)]
-    text = stress_soft.recommendation([softness, *steps])
+    softness = found("step to zero", soft.SOFTNESS, 1e-7)
+    steps = [found("Euler", soft.STEP, 1e-5), found("RK4", soft.STEP, 2e-8)]
+    text = soft.recommendation([softness, *steps])
     assert text.startswith("Recommended: RK4 with `solref = (2 timestep, 1)`.")
     assert "- RK4: at two steps a time constant the error of the step is 0.2 times that of softness" in text
     assert "- Euler: at two steps a time constant the error of the step is 1e+02 times" in text
-    assert stress_soft.recommendation([softness]) == ""
+    assert soft.recommendation([softness]) == ""
 
 
 def test_softness_and_step_are_told_apart():
     """Of order 2 in the time constant and, by RK4, 4 in the step at one time constant."""
-    soft = [stress_soft.measure_softness(constant).figure for constant in (0.02, 0.01)]
+    soft = [soft.measure_softness(constant).figure for constant in (0.02, 0.01)]
     assert soft[0] / soft[1] == pytest.approx(4.0, rel=0.2)
-    by_step = stress_soft.measure_steps("RK4", 0.02)
+    by_step = soft.measure_steps("RK4", 0.02)
     assert by_step.figure < soft[0]
     assert by_step.curves[0].x == (0.01, 0.005, 0.002)
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from mechanisms import planar_four_bar, seven_hinges
 
-from crosscheck.compare import compare_equations
+from crosscheck.comparison.levels import compare_equations
+from crosscheck.comparison.reactions import determined, undetermined, undetermined_joints
 from crosscheck.engines import ENGINES
-from crosscheck.reactions import determined, undetermined, undetermined_joints
 from crosscheck.scenes import load
 from newton_euler.assemble import random_states
 from newton_euler.cartesian import Cartesian

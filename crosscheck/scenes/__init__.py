@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.models import is_model, read_model
+from crosscheck.model_files.read import is_model, read_model
 from crosscheck.scenes import (
     andrews,
     bricard,

@@ -1,0 +1,1 @@
+"""Run time measured against error, for every engine and setting."""

@@ -1,0 +1,129 @@
+"""`crosscheck bench`: measure, write the files, and say what was found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from crosscheck.benchmark.work_precision import Progress
+from crosscheck.errors import CrosscheckError
+from crosscheck.output import check_writable
+from crosscheck.scenes import load
+from newton_euler.trajectory import atomic_file
+
+WIDTH = 200
+"""Columns that the tables need."""
+
+
+def bench(
+    source: str,
+    options: Mapping[str, str],
+    error: float,
+    repeats: int,
+    output: Path | None,
+    progress: Progress,
+) -> tuple[list[str], list[Path]]:
+    """Lines for the terminal and files of a benchmark of whole runs.
+
+    Raises:
+        CrosscheckError: for an impossible error, a scene that cannot be run and files that cannot be
+            written.
+    """
+    from crosscheck.benchmark.engines import benchmark
+    from crosscheck.benchmark.plot import FILES, write
+    from crosscheck.benchmark.report import answer, preamble, terminal_tables
+
+    _check_error(error)
+    scene = load(source, **options)
+    folder = output or Path("output") / "bench" / scene.name
+    check_writable(*(folder / name for name in FILES))
+    result = benchmark(scene, source, options, repeats, progress)
+    progress("writing")
+    written = write(result, folder, error)
+    return [*preamble(result), "", *_lines(terminal_tables(result)), answer(result, error)], written
+
+
+def bench_rhs(
+    source: str, options: Mapping[str, str], output: Path | None, progress: Progress
+) -> tuple[list[str], list[Path]]:
+    """Lines for the terminal and the file of a benchmark of right-hand sides; errors as of `bench`."""
+    from crosscheck.benchmark.rhs import rhs_json, rhs_table, rhs_words, time_right_hand_sides
+
+    path = _folder(source, options, output) / "rhs.json"
+    check_writable(path)
+    timings = time_right_hand_sides(source, options, progress)
+    _write(path, rhs_json(source, options, timings).encode())
+    return [*_lines([rhs_table(timings)]), *rhs_words(timings)], [path]
+
+
+def bench_batch(
+    source: str,
+    options: Mapping[str, str],
+    runs: int,
+    error: float,
+    output: Path | None,
+    progress: Progress,
+) -> tuple[list[str], list[Path]]:
+    """Lines for the terminal and the file of a benchmark of many runs; errors as of `bench`."""
+    from crosscheck.benchmark.batch import batch_json, batch_table, batch_words, benchmark_batch
+
+    _check_error(error)
+    path = _folder(source, options, output) / "batch.json"
+    check_writable(path)
+    result = benchmark_batch(source, options, runs, error, progress)
+    _write(path, batch_json(result).encode())
+    return [*_lines([batch_table(result)]), *batch_words(result)], [path]
+
+
+def bench_scaling(
+    source: str, options: Mapping[str, str], output: Path | None, progress: Progress
+) -> tuple[list[str], list[Path]]:
+    """Lines for the terminal and the files of right-hand sides over size; errors as of `bench`."""
+    from crosscheck.benchmark.scaling import (
+        check_sizable,
+        measure_sizes,
+        scaling_json,
+        scaling_picture,
+        scaling_table,
+        scaling_words,
+    )
+
+    check_sizable(source, options)
+    folder = _folder(source, options, output)
+    files = {"scaling.json": scaling_json, "scaling.png": scaling_picture}
+    check_writable(*(folder / name for name in files))
+    result = measure_sizes(source, options, progress)
+    for name, content in files.items():
+        _write(folder / name, content(result))
+    return [*_lines([scaling_table(result)]), *scaling_words(result)], [folder / name for name in files]
+
+
+def _check_error(error: float) -> None:
+    if not (math.isfinite(error) and error > 0.0):
+        raise CrosscheckError(f"--error is {error:g}; needed: a positive number (m and rad)")
+
+
+def _folder(source: str, options: Mapping[str, str], output: Path | None) -> Path:
+    """Where files go; a scene that cannot be is refused before anything is written."""
+    name = load(source, **options).name
+    return output or Path("output") / "bench" / name
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        with atomic_file(path) as temporary:
+            temporary.write_bytes(content)
+    except OSError as failed:
+        raise CrosscheckError(f"cannot write {path}: {failed.strerror}") from failed
+
+
+def _lines(tables: Iterable[Table]) -> list[str]:
+    console = Console(width=max(WIDTH, Console().width))
+    with console.capture() as capture:
+        for table in tables:
+            console.print(table)
+    return [line.rstrip() for line in capture.get().splitlines()]

@@ -1,0 +1,119 @@
+"""`crosscheck bench`, `stress`, `explain` and `figures`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from crosscheck.cli.shared import AGREE, cli, progress_shown, rendered, scene_options, setting_option
+from crosscheck.errors import CrosscheckError
+
+
+@cli.command("explain")
+@click.argument("scene", default="tracker")
+@setting_option
+def explain_command(scene: str, settings: tuple[str, ...]) -> int:
+    """Say what the compiler keeps of SCENE, what it leaves out, and what each feature costs."""
+    from crosscheck.explain import explain
+    from crosscheck.scenes import load
+
+    loaded = load(scene, **scene_options(settings))
+    with progress_shown() as progress:
+        parts = list(explain(loaded, progress))
+    click.echo(rendered(parts), nl=False)
+    return AGREE
+
+
+@cli.command("figures")
+@click.option("--output", type=click.Path(path_type=Path), default=Path("output/figures"), show_default=True)
+def figures_command(output: Path) -> int:
+    """Redraw the paper's Figures 5 to 9 from the three engines."""
+    from crosscheck.figures import draw
+
+    with progress_shown() as progress:
+        written = draw(output, progress)
+    for path in written:
+        click.echo(f"wrote {path}")
+    return AGREE
+
+
+@cli.command("bench")
+@click.argument("scene", default="tracker")
+@setting_option
+@click.option(
+    "--error", type=float, default=1e-6, show_default=True, help="Error to name the cheapest settings for."
+)
+@click.option("--repeats", type=click.IntRange(3, 1000), default=15, show_default=True)
+@click.option("--rhs", is_flag=True, help="Time one right-hand side of each engine instead of whole runs.")
+@click.option("--scaling", is_flag=True, help="The same over the scene's option N, from 1 to 1000.")
+@click.option(
+    "--batch",
+    type=click.IntRange(2, 10_000_000),
+    metavar="RUNS",
+    help="Runs per second from random states instead.",
+)
+@click.option(
+    "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/bench/SCENE]"
+)
+def bench_command(
+    scene: str,
+    settings: tuple[str, ...],
+    error: float,
+    repeats: int,
+    rhs: bool,
+    scaling: bool,
+    batch: int | None,
+    output: Path | None,
+) -> int:
+    """Measure run time against error on SCENE, for every engine and setting."""
+    from crosscheck.benchmark import run
+
+    options = scene_options(settings)
+    if rhs + scaling + (batch is not None) > 1:
+        raise CrosscheckError("--rhs, --scaling and --batch are different benchmarks; choose one")
+    with progress_shown() as progress:
+        if rhs:
+            lines, written = run.bench_rhs(scene, options, output, progress)
+        elif scaling:
+            lines, written = run.bench_scaling(scene, options, output, progress)
+        elif batch is not None:
+            lines, written = run.bench_batch(scene, options, batch, error, output, progress)
+        else:
+            lines, written = run.bench(scene, options, error, repeats, output, progress)
+    for line in lines:
+        click.echo(line)
+    click.echo("wrote " + ", ".join(str(path) for path in written))
+    return AGREE
+
+
+@cli.command("stress")
+@click.option(
+    "--full/--ci", "full", default=True, show_default=True, help="A quarter of an hour, or two minutes of it."
+)
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path),
+    default=Path("output/stress"),
+    show_default=True,
+    help="Folder.",
+)
+@click.option("--only", "letters", default="", metavar="LETTERS", help="Topics, such as bd.  [default: all]")
+def stress_command(full: bool, output: Path, letters: str) -> int:
+    """Push every engine until something breaks, and report where."""
+    import time
+
+    from crosscheck.stress.report import check_folder, tables, write
+    from crosscheck.stress.topics import stress
+
+    check_folder(output)
+    start = time.perf_counter()
+    with progress_shown() as progress:
+        rows = stress(letters, full, progress)
+        wall_time = time.perf_counter() - start
+        progress("writing")
+        written = write(rows, full, wall_time, output)
+    click.echo(rendered(tables(rows)), nl=False)
+    click.echo("wrote " + ", ".join(str(path) for path in written))
+    click.echo(f"{sum(row.passes for row in rows)} of {len(rows)} cases pass, in {wall_time:.0f} s")
+    return AGREE

@@ -1,0 +1,167 @@
+"""`crosscheck run`, `convert`, `list` and `view`."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+
+from crosscheck.cli.shared import (
+    AGREE,
+    DISAGREE,
+    cli,
+    load_scene,
+    progress_shown,
+    rendered,
+    scene_options,
+    setting_option,
+)
+from crosscheck.errors import CrosscheckError
+
+
+@cli.command("run")
+@click.argument("scene", required=False)
+@click.option("--all", "library", is_flag=True, help="Run all scenes of the library, a line each.")
+@click.option(
+    "--engines", default="newton_euler,mujoco,pinocchio", show_default=True, help="Comma-separated."
+)
+@setting_option
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Folder.  [default: output/SCENE, or output with --all]",
+)
+@click.option(
+    "--save", type=click.Path(path_type=Path), default=None, help="Recording.  [default: OUTPUT/SCENE.rrd]"
+)
+@click.option("--loops", metavar="FILE", default=None, help="Loop file (YAML) of a URDF.")
+def run_command(
+    scene: str | None,
+    library: bool,
+    engines: str,
+    settings: tuple[str, ...],
+    output: Path | None,
+    save: Path | None,
+    loops: str | None,
+) -> int:
+    """Run SCENE through the engines and compare them.
+
+    SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given.
+    """
+    wanted = [name.strip() for name in engines.split(",") if name.strip()]
+    if library:
+        if scene or settings or save or loops:
+            raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
+        return _run_all(wanted, output or Path("output"))
+    return _run(scene or "tracker", wanted, settings, output, save, loops)
+
+
+def _run_all(engines: list[str], folder: Path) -> int:
+    from crosscheck.run_all import outcome_lines, outcomes_table, run_all
+
+    with progress_shown() as progress:
+        outcomes = run_all(engines, folder, progress)
+    click.echo(rendered([outcomes_table(outcomes)]), nl=False)
+    for line in outcome_lines(outcomes):
+        click.echo(line)
+    return AGREE if all(outcome.agrees for outcome in outcomes) else DISAGREE
+
+
+def _run(
+    scene: str,
+    engines: list[str],
+    settings: tuple[str, ...],
+    output: Path | None,
+    save: Path | None,
+    loops: str | None,
+) -> int:
+    from crosscheck.engines import choose
+    from crosscheck.model_files.read import report_lines
+    from crosscheck.output import check_writable, write
+    from crosscheck.report import markdown, settings_lines, terminal_tables
+    from crosscheck.run import crosscheck
+
+    chosen = choose(engines)
+    options = scene_options(settings)
+    loaded, mapping = load_scene(scene, options, loops)
+    for line in report_lines(mapping) if mapping else ():
+        click.echo(line)
+    folder = output or Path("output") / loaded.name
+    recording = save or folder / f"{loaded.name}.rrd"
+    if recording.suffix != ".rrd":
+        raise CrosscheckError(f"--save {recording}: a recording's name ends in .rrd")
+    runs = [folder / f"{engine.name}.npz" for engine in chosen]
+    check_writable(*runs, folder / "summary.json", recording)
+    with progress_shown() as progress:
+        result = crosscheck(loaded, chosen, progress, scene, options, mapping)
+        progress("writing")
+        written = write(result, folder, recording, markdown(result))
+    click.echo(rendered(terminal_tables(result)), nl=False)
+    for line in settings_lines(result):
+        click.echo(line)
+    click.echo("wrote " + ", ".join(str(path) for path in written))
+    click.echo(click.style(result.verdict, bold=True))
+    return AGREE if result.agrees else DISAGREE
+
+
+@cli.command("list")
+def list_command() -> int:
+    """List the scenes and engines."""
+    from crosscheck.engines import ENGINES
+    from crosscheck.scenes import SCENES
+    from crosscheck.scenes.options import options_of
+
+    for name, scene in SCENES.items():
+        click.echo(f"{name}: {scene().description}")
+        for key, option in options_of(scene).items():
+            click.echo(f"    --set {key}={option.values}  [default: {option.default}]")
+    click.echo(f"engines: {', '.join(ENGINES)}")
+    return AGREE
+
+
+@cli.command("convert")
+@click.argument("source", metavar="IN")
+@click.argument("target", metavar="OUT", type=click.Path(path_type=Path))
+@setting_option
+@click.option("--loops", metavar="FILE", default=None, help="Loop file (YAML) of a URDF.")
+def convert_command(source: str, target: Path, settings: tuple[str, ...], loops: str | None) -> int:
+    """Write IN (a scene, MJCF or URDF) as OUT, in the format that its name ends in."""
+    from crosscheck.model_files.convert import check_target, scene_report, write_as
+    from crosscheck.model_files.read import report_lines
+    from crosscheck.output import check_writable
+
+    check_target(target)
+    check_writable(target)
+    scene, report = load_scene(source, scene_options(settings), loops)
+    report = report or scene_report(scene)
+    written = write_as(scene, target, report)
+    for line in report_lines(report):
+        click.echo(line)
+    click.echo("wrote " + ", ".join(str(path) for path in written))
+    return AGREE
+
+
+@cli.command("view")
+@click.argument("file", type=click.Path(path_type=Path))
+def view_command(file: Path) -> int:
+    """Open a recording in the Rerun viewer."""
+    if file.exists() and not file.is_file():
+        raise CrosscheckError(f"{file} is not a file")
+    try:
+        with file.open("rb") as stream:
+            if stream.read(4) != b"RRF2":
+                raise CrosscheckError(f"{file} is not a Rerun recording")
+    except OSError as error:
+        raise CrosscheckError(f"cannot read {file}: {error.strerror}") from error
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise CrosscheckError(
+            f"no display to open a viewer on; in a browser: rerun --bind 127.0.0.1 --serve-web {file}"
+        )
+    status = subprocess.run([sys.executable, "-m", "rerun", str(file)], check=False).returncode
+    if status != 0:
+        raise CrosscheckError(f"the viewer ended with status {status}")
+    return AGREE

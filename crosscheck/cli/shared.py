@@ -1,0 +1,77 @@
+"""What the commands share: the group, options, scenes and models, tables, exit statuses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import click
+
+from crosscheck.errors import CrosscheckError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+    from rich.text import Text
+
+    from newton_euler.mapping import Mapping
+    from newton_euler.scene import Scene
+
+TABLE_WIDTH = 130
+"""Columns that the tables of a run need; a narrower terminal wraps them itself."""
+
+AGREE, DISAGREE, BAD_INPUT = 0, 1, 2
+
+setting_option = click.option(
+    "--set", "settings", multiple=True, metavar="OPTION=VALUE", help="Option of the scene; repeatable."
+)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="crosscheck", prog_name="crosscheck")
+def cli() -> None:
+    """Compare closed-loop mechanism dynamics between engines."""
+
+
+def scene_options(settings: tuple[str, ...]) -> dict[str, str]:
+    options = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        if not (key and equals and value):
+            raise CrosscheckError(f"--set {setting!r} is not of the form OPTION=VALUE")
+        if key in options:
+            raise CrosscheckError(f"--set {key} is given twice")
+        options[key] = value
+    return options
+
+
+def load_scene(scene: str, options: dict[str, str], loops: str | None) -> tuple[Scene, Mapping | None]:
+    """A scene, and what became of the elements of its file if that is a model of another tool."""
+    from crosscheck.model_files.read import is_model, read_model
+    from crosscheck.scenes import load
+
+    if is_model(scene):
+        return read_model(scene, options, loops)
+    if loops is not None:
+        raise CrosscheckError(f"--loops {loops}: only a URDF has a loop file")
+    return load(scene, **options), None
+
+
+@contextmanager
+def progress_shown() -> Iterator[Callable[[str], None]]:
+    """A function that shows what is going on, on a terminal's standard error."""
+    from rich.console import Console
+    from rich.text import Text
+
+    with Console(stderr=True).status("") as status:
+        yield lambda message: status.update(Text(message))
+
+
+def rendered(parts: Iterable[Table | Text]) -> str:
+    from rich.console import Console
+
+    console = Console(width=max(TABLE_WIDTH, Console().width))
+    with console.capture() as capture:
+        for part in parts:
+            console.print(part)
+    return capture.get()

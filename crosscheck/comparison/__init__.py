@@ -1,0 +1,1 @@
+"""What engines are compared by: levels, energy, reactions, known figures."""

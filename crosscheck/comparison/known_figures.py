@@ -1,0 +1,126 @@
+"""Figures of a scene's runs against those that are known, see `crosscheck.references`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from crosscheck.comparison.levels import OWN_ERROR, UNRESOLVED
+from crosscheck.engines import Engine
+from crosscheck.errors import CrosscheckError
+from crosscheck.references import Known, known_figures
+from crosscheck.scenes import FIGURES, SCENES
+from crosscheck.scenes.measure import Figure
+from crosscheck.scenes.options import options_of
+from newton_euler.errors import NewtonEulerError
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.trajectory import Trajectory
+
+ROUND_OFF = 1e-14
+"""Share of a figure's largest value that some thousand steps of 1e-16 each leave of it."""
+
+Run = Callable[[Scene], Trajectory]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A known figure as one engine gives it.
+
+    Attributes:
+        engine: its name.
+        known: the figure.
+        value: of the engine's most exact run.
+        own_error: what that run may be off.
+    """
+
+    engine: str
+    known: Known
+    value: float
+    own_error: float
+
+    @property
+    def difference(self) -> float:
+        return abs(self.value - self.known.value)
+
+    @property
+    def allowed(self) -> float:
+        """The known figure's uncertainty and the run's own error."""
+        return self.known.uncertainty + self.own_error
+
+    @property
+    def agrees(self) -> bool:
+        """NaN does not agree with anything."""
+        return bool(self.difference <= self.allowed)
+
+    def summary(self) -> dict[str, Any]:
+        """For JSON."""
+        measured = {"value": self.value, "difference": self.difference, "allowed": self.allowed}
+        known = {"reference" if key == "value" else key: x for key, x in asdict(self.known).items()}
+        return {"engine": self.engine} | known | measured | {"agrees": self.agrees}
+
+
+def known_of(source: str, options: Mapping[str, str | int]) -> list[Known]:
+    """The known figures of a scene of the library under the options set; none for a scene file."""
+    if source not in FIGURES:
+        return []
+    chosen = {name: str(option.default) for name, option in options_of(SCENES[source]).items()}
+    chosen |= {name: str(value) for name, value in options.items()}
+    return [
+        known
+        for known in known_figures(source)
+        if all(chosen[name] == str(value) for name, value in known.options.items())
+    ]
+
+
+def measure(
+    source: str, scene: Scene, engine: Engine, run: Trajectory, known: list[Known]
+) -> Iterator[Measured]:
+    """All known figures of a scene as an engine gives them.
+
+    A figure's own error is `OWN_ERROR` times what it changes until its time, at most, if tolerances are ten
+    or a hundred times or steps twice as coarse, and round-off; but no more than `UNRESOLVED` of its largest
+    value is excused.
+
+    Args:
+        source: the scene's name in the library.
+        run: the engine's run at its defaults.
+        known: as `known_of` gives them.
+    """
+    fine, coarse = _two_runs(scene, engine, run)
+    for entry in known:
+        n = int(np.argmin(np.abs(fine.time - entry.time)))
+        if abs(fine.time[n] - entry.time) > 1e-9 * scene.output_period:
+            raise CrosscheckError(f"scene {scene.name!r} has no output at {entry.time:g} s")
+        figure = FIGURES[source][entry.quantity]
+        values = _values(figure, fine)[: n + 1]
+        change = float(np.max(np.abs(values - _values(figure, coarse)[: n + 1])))
+        scale = float(np.max(np.abs(values)))
+        own_error = min(OWN_ERROR * change, UNRESOLVED * scale) + ROUND_OFF * scale
+        yield Measured(engine.name, entry, float(values[n]), own_error)
+
+
+def _values(figure: Figure, run: Trajectory) -> Array:
+    values = figure(run)
+    assert values.shape == run.time.shape
+    return values
+
+
+def _two_runs(scene: Scene, engine: Engine, run: Trajectory) -> tuple[Trajectory, Trajectory]:
+    """The engine's most exact run and the next, out of those that it can make.
+
+    Next to a singular configuration tolerances can be too tight for round-off. An engine that can make
+    none but its usual run has no error of its own to show.
+    """
+    found: list[Trajectory] = []
+    for make in (engine.exact, engine.refined):
+        if make is not None and len(found) < 2:
+            try:
+                found.append(make(scene))
+            except NewtonEulerError:
+                continue
+    fine, coarse, *_ = [*found, run, run]
+    return fine, coarse

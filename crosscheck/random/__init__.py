@@ -1,0 +1,1 @@
+"""Random mechanisms with random loops, joints and inertias."""

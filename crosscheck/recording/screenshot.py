@@ -1,0 +1,129 @@
+"""A picture of a recording, taken without a display."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from rerun.chunk import RrdReader
+from rerun.experimental import ViewerClient
+
+from crosscheck.errors import CrosscheckError
+from newton_euler.trajectory import atomic_file
+
+WINDOW = "1600x900"
+PATIENCE = 30.0
+"""s to wait for the viewer to start, and again for it to load the recording."""
+
+SETTLE = 2.0
+"""s until the notices that a starting viewer shows over its views are gone."""
+
+POLL = 0.1
+"""s between questions to the viewer."""
+
+
+def screenshot(rrd: str | os.PathLike[str], png: str | os.PathLike[str], time_seconds: float) -> None:
+    """Write what the viewer shows of a recording at a time on its timeline `time`.
+
+    Raises:
+        CrosscheckError: if the viewer does not start or does not get as far as a picture.
+    """
+    try:
+        if not RrdReader(Path(rrd)).recordings():
+            raise CrosscheckError(f"no recording in {os.fspath(rrd)}")
+        with _viewer() as viewer, atomic_file(png) as temporary:
+            viewer.open(str(Path(rrd).resolve()))
+            _wait_until_loaded(viewer, rrd)
+            viewer.run_command("ui.toggle_top_panel")
+            time.sleep(SETTLE)
+            viewer.set_time("time", duration=time_seconds, play_state="paused")
+            viewer.save_screenshot(str(temporary.resolve()))
+    except (RuntimeError, OSError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise CrosscheckError(f"no picture of {os.fspath(rrd)}: {reason}") from error
+
+
+@contextmanager
+def _viewer() -> Iterator[ViewerClient]:
+    """A viewer without a window that listens to this machine only; killed on the way out."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    command = [sys.executable, "-m", "rerun_cli", "--headless", "--bind", "127.0.0.1"]
+    command += ["--port", str(port), "--window-size", WINDOW, "--hide-welcome-screen"]
+    with tempfile.TemporaryFile() as log:
+        # its own process group, because the command line tool starts the viewer as a child
+        process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
+        try:
+            yield _connect(process, port)
+        except (RuntimeError, ConnectionError):
+            if not _has_died(process):
+                raise
+            log.seek(0)
+            output = log.read().decode(errors="replace").splitlines()
+            reason = next((line for line in output if "panicked" in line), "no reason given")
+            raise CrosscheckError(
+                "the Rerun viewer died; it needs a Vulkan driver, on Debian the packages "
+                f"mesa-vulkan-drivers and libvulkan1 ({reason})"
+            ) from None
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def _has_died(process: subprocess.Popen[bytes]) -> bool:
+    try:
+        process.wait(timeout=1.0)  # it breaks the connection a little before it is gone
+    except subprocess.TimeoutExpired:
+        return False
+    return True
+
+
+def _connect(process: subprocess.Popen[bytes], port: int) -> ViewerClient:
+    deadline = time.monotonic() + PATIENCE
+    while process.poll() is None and time.monotonic() < deadline:
+        try:
+            client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            client.get_state()
+        except (RuntimeError, ConnectionError):
+            time.sleep(POLL)
+        else:
+            return client
+    raise ConnectionError(f"no answer from the Rerun viewer within {PATIENCE:g} s")
+
+
+def _wait_until_loaded(viewer: ViewerClient, rrd: str | os.PathLike[str]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    state = viewer.get_state()
+    while state.loading or state.active_recording is None:
+        if time.monotonic() > deadline:
+            raise CrosscheckError(f"the Rerun viewer did not load {os.fspath(rrd)}")
+        time.sleep(POLL)
+        state = viewer.get_state()
+
+
+def main() -> None:
+    """`python -m crosscheck.recording.screenshot FILE.rrd OUT.png`"""
+    parser = argparse.ArgumentParser(description="take a picture of a recording without a display")
+    parser.add_argument("rrd")
+    parser.add_argument("png")
+    parser.add_argument("--time", type=float, default=0.0, help="s on the recording's timeline")
+    arguments = parser.parse_args()
+    try:
+        screenshot(arguments.rrd, arguments.png, arguments.time)
+    except CrosscheckError as error:
+        sys.exit(f"crosscheck.recording.screenshot: {error}")
+
+
+if __name__ == "__main__":
+    main()

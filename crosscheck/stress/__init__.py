@@ -1,0 +1,1 @@
+"""Every engine pushed until something breaks."""
