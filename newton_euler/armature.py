@@ -2,7 +2,7 @@
 
 The rotor itself is no body of the mechanism: of its motion only the spin about its axis is taken into
 account, which is what a large gear ratio makes large (Featherstone, Rigid Body Dynamics Algorithms, 2008,
-section 9.6). It adds a to the diagonal of the mass matrix in joint coordinates.
+chapter 9, on gears). It adds a to the diagonal of the mass matrix in joint coordinates.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from newton_euler.control import check_coordinate, is_finite_number
+from newton_euler.control import check_key, is_finite_number
 from newton_euler.errors import MechanismError
 from newton_euler.mechanism import Mechanism
 
@@ -45,7 +45,7 @@ class Armature:
                 self.element, f"inertia is {self.inertia!r:.100}", "a positive finite number"
             )
         object.__setattr__(self, "inertia", float(self.inertia))
-        check_coordinate(self.element, self.coordinate)
+        check_key(self.element, self.joint, self.coordinate)
 
     @property
     def element(self) -> str:

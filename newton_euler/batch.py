@@ -67,7 +67,7 @@ class Batch(Sequence[Trajectory]):
         Raises:
             UnknownNameError: for what the scene does not ask for.
         """
-        places = self._compiled.places
+        places = self._compiled.layouts["output"]
         if name not in places:
             raise UnknownNameError("array", name, tuple(places))
         place, shape = places[name]

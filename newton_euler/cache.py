@@ -1,6 +1,6 @@
-"""Machine code kept on disk, by name.
+"""Machine code and traced programs kept on disk, by name.
 
-A file holds its own SHA-256 and then the code, so that a damaged one counts as missing; it is written
+A file holds its own SHA-256 and then the content, so that a damaged one counts as missing; it is written
 beside and renamed, so that no reader ever sees half of it, whoever else writes at the same time and
 wherever a run is killed. A cache that cannot be read or written costs a compilation, never a run.
 """
@@ -29,6 +29,13 @@ def _digest(code: bytes) -> bytes:
     import hashlib
 
     return hashlib.sha256(code).digest()
+
+
+def cache_key(*parts: object) -> str:
+    """The name of what depends on these parts, and on their text alone."""
+    import hashlib
+
+    return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
 
 
 def cache_directory() -> Path | None:

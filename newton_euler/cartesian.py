@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from newton_euler.blame import fastest_joint
 from newton_euler.cartesian_terms import CartesianTerms
 from newton_euler.couplings import turns
 from newton_euler.errors import SingularityError
@@ -24,7 +25,7 @@ from newton_euler.forces import power, rotors_energy, springs_energy
 from newton_euler.measured import carried_angles, carried_rates
 from newton_euler.reactions import at_joint_points, pushes
 from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros
-from newton_euler.solve import independent_rows
+from newton_euler.solve import independent_rows, singular_values
 from newton_euler.sparse import Rows, RowsInUse, Solution, add, dense, factorise, sparse_vector
 from newton_euler.sparse import solve_constrained as sparse_solve
 from newton_euler.state import Evaluation, MassProperties, State, energies
@@ -86,6 +87,9 @@ class Cartesian(CartesianTerms):
             unknowns = np.linalg.solve(left, np.concatenate([right[:n] / force_rows, combine.T @ right[n:]]))
         except np.linalg.LinAlgError as error:
             raise SingularityError(self._weakest_joint(q), f"{error} in equation (21)") from error
+        if not np.isfinite(unknowns).all():
+            joint = fastest_joint(self.mechanism, self.state(q, qdot))
+            raise SingularityError(joint, "equation (21) holds or gives what is not finite")
         return self.velocity_units * unknowns[:n], -(combine @ (unknowns[n:] / share))
 
     def sparse_solution(self, q: Array, qdot: Array, rows: RowsInUse) -> Solution:
@@ -155,7 +159,7 @@ class Cartesian(CartesianTerms):
     def _weakest_joint(self, q: Array) -> str:
         """Name of the joint that weighs most in the dependent combination of constraint rows."""
         frames = self.frames(q, np.zeros(self.nv))
-        left = np.linalg.svd(dense(self.joint_jacobian(q, frames)[1], 6 * len(self.bodies)))[0][:, -1]
+        left = singular_values(dense(self.joint_jacobian(q, frames)[1], 6 * len(self.bodies)))[0][:, -1]
         weights: dict[str, float] = {}
         for owner, share in zip(self.row_owners, left**2, strict=False):  # the norms are not among them
             weights[owner] = weights.get(owner, 0.0) + share

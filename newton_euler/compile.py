@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.cache import read_cache, write_cache
+from newton_euler.cache import cache_key, read_cache, write_cache
 from newton_euler.emit import LANES, declarations, emit_straight
 from newton_euler.expression import Program
 from newton_euler.rolled import emit_rolled
@@ -44,19 +44,18 @@ class NativeModule:
             optimise: for code with variables, which are to live in registers; a program has none.
         """
         start = time.perf_counter()
-        import hashlib
-
         import llvmlite.binding as llvm
 
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
         processor, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+        # 2, the default, makes the same code of programs and takes a sixth longer
         machine = llvm.Target.from_default_triple().create_target_machine(
-            cpu=processor, features=features, opt=2
+            cpu=processor, features=features, opt=1
         )
         made_by = Path(__file__).read_text(encoding="utf-8")
         versions = (made_by, optimise, llvm.llvm_version_info, sys.version, processor, features)
-        key = hashlib.sha256("\n".join([identity, *map(str, versions)]).encode()).hexdigest()
+        key = cache_key(identity, *versions)
         code = read_cache(key)
         self.from_cache = code is not None
         if code is None:
@@ -91,17 +90,23 @@ class NativeFunction:
         module: what it was compiled in.
     """
 
-    def __init__(self, program: Program, many: bool = False) -> None:
+    def __init__(self, program: Program, many: bool = False, identity: str | None = None) -> None:
         """Compile a program: straight-line code, or loops over repeated pieces if it is `LARGE`.
 
-        `many` makes straight-line code for several x at once.
+        Args:
+            program: what to compile.
+            many: make straight-line code for several x at once.
+            identity: all that the program depends on, and this package; its text if None.
         """
         self.inputs, self.outputs = program.inputs, len(program.outputs)
         straight = program.operations < LARGE
         self.lanes = LANES if many and straight else 1
-        body = emit_straight(program, "f", self.lanes) if straight else emit_rolled(program, "f")
-        text = declarations(self.lanes) + body
-        self.module = NativeModule(text, lambda: text, optimise=False)
+
+        def text() -> str:
+            body = emit_straight(program, "f", self.lanes) if straight else emit_rolled(program, "f")
+            return declarations(self.lanes) + body
+
+        self.module = NativeModule(identity or text(), text, optimise=False)
         self.address = self.module.address("f")
         self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
 

@@ -6,17 +6,20 @@ call follow the conventions of `newton_euler.steppers.march`.
 
 from __future__ import annotations
 
+import pickle
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
+from newton_euler.cache import cache_key, read_cache, write_cache
 from newton_euler.cartesian import Cartesian
 from newton_euler.compile import NativeFunction
 from newton_euler.errors import UnknownNameError
 from newton_euler.expression import Graph, Program, differentiate
+from newton_euler.fingerprint import fingerprint
 from newton_euler.parameters import parameter_values, place_of, with_values
 from newton_euler.redundancy import rows_in_use
 from newton_euler.relative import Relative
@@ -25,6 +28,8 @@ from newton_euler.scene import Scene
 from newton_euler.sparse import RowsInUse, least_squares
 from newton_euler.stabilize import PAPER_ALPHA, baumgarte_alpha
 from newton_euler.system import at_time
+
+T = TypeVar("T")
 
 Formulation = Relative | Cartesian
 
@@ -53,6 +58,8 @@ class Code:
         inputs: length of (q, v, time, parameters).
         programs: what has been traced, by name: derivative, position, velocity, rate, jacobian, output,
             measured, surface.
+        layouts: where a program has its results: the arrays of `output` by name, as (slice, shape); the
+            rows and columns of what `surface` gives of matrices.
         functions: the same in native code.
         trace_time, compile_time: s that it took so far; loading from the cache counts as compiling.
     """
@@ -74,6 +81,7 @@ class Code:
         self.size = self.system.nq + self.system.nv
         self.inputs = self.size + 1 + sum(int(np.prod(shape)) for shape in self.parameters.values())
         self.programs: dict[str, Program] = {}
+        self.layouts: dict[str, Any] = {}
         self.functions: dict[str, NativeFunction] = {}
         self.trace_time = self.compile_time = 0.0
 
@@ -117,7 +125,8 @@ class Code:
         """One of the functions, traced and compiled if it has not been."""
         if name not in self.functions:
             program = self.program(name)
-            function = self.functions[name] = NativeFunction(program, many=name == "output")
+            identity = self._identity and f"{self._identity} {name}"
+            function = self.functions[name] = NativeFunction(program, name == "output", identity)
             self.compile_time += function.module.time
         return self.functions[name]
 
@@ -125,14 +134,32 @@ class Code:
         """One of the programs, traced if it has not been."""
         if name not in self.programs:
             start = time.perf_counter()
-            self.programs[name] = self._trace(name)
+            self.programs[name], self.layouts[name] = self._remembered(name, lambda: self._trace(name))
             self.trace_time += time.perf_counter() - start
         return self.programs[name]
 
     @cached_property
+    def _identity(self) -> str | None:
+        """What programs depend on, see `fingerprint`."""
+        chosen = (self.formulation, self.stabilization, self._alpha, tuple(self.parameters))
+        return fingerprint(self.scene, *chosen)
+
+    def _remembered(self, what: str, make: Callable[[], T]) -> T:
+        """What an earlier process made of the same scene, or made now."""
+        if self._identity is None:
+            return make()
+        key = cache_key(self._identity, what)
+        kept = read_cache(key)
+        if kept is not None:
+            return pickle.loads(kept)
+        made = make()
+        write_cache(key, pickle.dumps(made))
+        return made
+
+    @cached_property
     def _rows(self) -> tuple[RowsInUse, list[int]]:
         with np.errstate(all="ignore"):  # forces that overflow are for the march to report
-            return rows_in_use(self.system)
+            return self._remembered("rows", lambda: rows_in_use(self.system))
 
     @property
     def rows(self) -> RowsInUse:
@@ -186,7 +213,8 @@ class Code:
 
     # Tracing
 
-    def _trace(self, name: str) -> Program:
+    def _trace(self, name: str) -> tuple[Program, Any]:
+        """A program and its layout."""
         graph = Graph()
         x = graph.variables(self.inputs)
         scene = with_values(self.scene, self._values(x))
@@ -194,7 +222,8 @@ class Code:
         if self.scene.motions:
             system.in_use = self.rows
         q, v = x[: system.nq], x[system.nq : self.size]
-        return graph.prune(getattr(self, f"_trace_{name}")(system, q, v))
+        scalars = getattr(self, f"_trace_{name}")(system, q, v)
+        return graph.prune(scalars), self.layouts.get(name)
 
     def _trace_derivative(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """(qdot, vdot, health)."""
@@ -251,11 +280,11 @@ class Code:
         for rows in (jacobian, system.mass_rows(q)):
             places.append(np.array([(i, k) for i, row in enumerate(rows) for k in row], int).reshape(-1, 2))
             scalars.extend(x for row in rows for x in row.values())
-        self.patterns = places[0], places[1]
+        self.layouts["surface"] = places[0], places[1]
         return scalars
 
     def _trace_output(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """The arrays that the scene asks for, one after the other: see `places`."""
+        """The arrays that the scene asks for, one after the other: see `layouts`."""
         e, health = system.sparse_evaluation(q, v, self.rows)
         wanted = self.scene.outputs
         arrays: dict[str, Any] = {"position": e.state.position, "quaternion": e.state.quaternion}
@@ -275,11 +304,12 @@ class Code:
             arrays["phi"] = system.joint_phi(q)
         if "reactions" in wanted:
             arrays["health"] = np.array(minimum(health, 1.0))
-        self.places: dict[str, tuple[slice, tuple[int, ...]]] = {}
+        places: dict[str, tuple[slice, tuple[int, ...]]] = {}
         scalars: list[Scalar] = []
         for name, array in arrays.items():
-            self.places[name] = (slice(len(scalars), len(scalars) + array.size), array.shape)
+            places[name] = (slice(len(scalars), len(scalars) + array.size), array.shape)
             scalars.extend(array.ravel())
+        self.layouts["output"] = places
         return scalars
 
     def _trace_measured(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:

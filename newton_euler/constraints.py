@@ -182,7 +182,7 @@ class Distance:
     """(d . d - L^2) / (2 L), d from point s_first of body i to point s_second of body j: |d| stays L.
 
     To first order it is the rod's elongation in metres, and its multiplier the force along the rod
-    (Nikravesh, section 7.2.9, there without the 2 L).
+    (Nikravesh, section 7.2, there without the 2 L).
     """
 
     s_first: Array

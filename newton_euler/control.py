@@ -53,7 +53,7 @@ class PD:
             if not is_finite_number(value):
                 raise MechanismError(where, f"{name} is {value!r}", "a finite number")
             object.__setattr__(self, name, float(value))
-        check_coordinate(where, self.coordinate)
+        check_key(where, self.joint, self.coordinate)
 
     @property
     def element(self) -> str:
@@ -109,7 +109,7 @@ class Sampled:
             needed = f"a number of seconds, at least {SHORTEST_PERIOD:g}"
             raise MechanismError(where, f"period is {self.period!r}", needed)
         object.__setattr__(self, "period", float(self.period))
-        check_coordinate(where, self.coordinate)
+        check_key(where, self.joint, self.coordinate)
 
     @property
     def element(self) -> str:
@@ -128,7 +128,9 @@ class Sampled:
 Law = PD | Sampled
 
 
-def check_coordinate(where: str, coordinate: object) -> None:
-    """Raise `MechanismError` for what is no whole number."""
+def check_key(where: str, joint: object, coordinate: object) -> None:
+    """Raise `MechanismError` for what is no name of a joint, and no whole number."""
+    if not isinstance(joint, str):
+        raise MechanismError(where, f"joint is {joint!r:.100}", "a name")
     if not isinstance(coordinate, Integral) or isinstance(coordinate, bool):
         raise MechanismError(where, f"coordinate is {coordinate!r}", "an index from 0")

@@ -6,7 +6,7 @@ All are one thing, a linear combination of joint coordinates that equals a funct
     gamma = sum_i c_i gamma_i + f''(t)
 
 with d2x_i/dt2 = dx_i/dq . qddot - gamma_i (Haug, Computer Aided Kinematics and Dynamics of
-Mechanical Systems, 1989, sections 3.5 and 9.4).
+Mechanical Systems, 1989, chapters 3 and 9).
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from newton_euler.constraints import Frame
-from newton_euler.control import check_coordinate, is_finite_number
-from newton_euler.errors import MechanismError
+from newton_euler.control import check_key, is_finite_number
+from newton_euler.errors import MechanismError, check_texts
 from newton_euler.joints import Joint, JointEquations, Screw
 from newton_euler.measured import Key
 from newton_euler.motions import PrescribedMotion, TimeFunction
@@ -29,6 +29,14 @@ from newton_euler.scalars import Array, Scalar
 if TYPE_CHECKING:
     from newton_euler.mechanism import Mechanism
     from newton_euler.scene import Scene
+
+
+MOST_TURNS = 1000
+"""Of the slowest of angles that are coupled only to each other, where a state begins."""
+
+SAME_POSE = 1e-6
+"""rad, by which angles may miss a pose that they are to agree with: far more than states are off, and so
+little that other numbers of turns hardly ever agree by chance."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +64,13 @@ class Gear:
     follower_coordinate: int = 0
 
     def __post_init__(self) -> None:
-        where = f"gear {self.name!r}"
+        where = f"gear {self.name!r:.100}"
+        check_texts(where, self, "name")
         if not is_finite_number(self.ratio) or self.ratio == 0.0:
             raise MechanismError(where, f"ratio is {self.ratio!r}", "a finite number, not 0")
         object.__setattr__(self, "ratio", float(self.ratio))
-        check_coordinate(where, self.driver_coordinate)
-        check_coordinate(where, self.follower_coordinate)
+        check_key(where, self.driver, self.driver_coordinate)
+        check_key(where, self.follower, self.follower_coordinate)
         if (self.driver, self.driver_coordinate) == (self.follower, self.follower_coordinate):
             raise MechanismError(where, f"couples joint {self.driver!r} to itself", "two joint coordinates")
 
@@ -172,24 +181,64 @@ def turns(
 ) -> dict[Key, float]:
     """What to add to angles, multiples of 2 pi, so that they are in the turn their couplings ask for.
 
-    Poses tell angles within half a turn only. A coupling decides the turn of its first angle that no
-    coupling before it has decided.
+    Poses tell angles within half a turn only. Motions tell the rest of theirs, slides know what they are,
+    and both tell the angles that they are coupled to. Of angles that are only coupled to each other, the
+    fewest turns are taken that agree with all poses. The order of the couplings does not matter.
 
     Args:
-        couplings: in their order.
+        couplings: those of several coordinates without a function of time.
         x: the coordinates as poses tell them, m or rad.
         angles: which of them are angles.
         time: s.
     """
-    x, added = dict(x), dict[Key, float]()
+    wanted: dict[Key, float] = {}
     for coupling in couplings:
-        key = next((key for key in coupling.factors if key in angles and key not in added), None)
-        if key is not None:
-            wanted = coupling.function.value(time) if coupling.function else 0.0
-            gap = (wanted - coupling.combine(x)) / coupling.factors[key]
-            added[key] = 2.0 * np.pi * float(np.round(gap / (2.0 * np.pi)))
-            x[key] += added[key]
-    return added
+        if coupling.function:
+            (key,) = coupling.factors
+            wanted[key] = float(coupling.function.value(time))
+    linked = sorted((c for c in couplings if c.function is None), key=lambda c: (c.what, c.name))
+    _follow(linked, wanted)
+    coupled = {key for coupling in couplings for key in coupling.factors}
+    wanted |= {key: x[key] for key in coupled if key not in angles and key not in wanted}
+    _follow(linked, wanted)
+    while coupled - wanted.keys():
+        ratios = {min(coupled - wanted.keys()): 1.0}
+        _follow(linked, ratios)
+        wanted |= _fewest_turns(ratios, x)
+    return {
+        key: 2.0 * np.pi * float(np.round((wanted[key] - x[key]) / (2.0 * np.pi)))
+        for key in coupled
+        if key in angles
+    }
+
+
+def _follow(couplings: Sequence[Coupling], wanted: dict[Key, float]) -> None:
+    """Add to what coordinates are wanted to be all that follows from it by couplings."""
+    before = -1
+    while before < len(wanted):
+        before = len(wanted)
+        for coupling in couplings:
+            missing = [key for key in coupling.factors if key not in wanted]
+            if len(missing) == 1:
+                known = sum(f * wanted[key] for key, f in coupling.factors.items() if key in wanted)
+                wanted[missing[0]] = -known / coupling.factors[missing[0]]
+
+
+def _fewest_turns(ratios: Mapping[Key, float], x: Mapping[Key, float]) -> dict[Key, float]:
+    """Angles of these ratios that agree with their poses x, the smallest of at most `MOST_TURNS` turns.
+
+    If there are none, those of the slowest one within half a turn.
+    """
+    slowest = min(ratios, key=lambda key: (abs(ratios[key]), key))
+    share = np.array([ratios[key] / ratios[slowest] for key in ratios])
+    count = np.arange(MOST_TURNS + 1)
+    count = np.stack([count, -count], axis=1).ravel()
+    angle = (
+        x[slowest] + 2.0 * np.pi * count[np.argsort(np.abs(x[slowest] + 2.0 * np.pi * count), kind="stable")]
+    )
+    turned = (np.outer(angle, share) - [x[key] for key in ratios]) / (2.0 * np.pi)
+    agree = np.all(np.abs(turned - np.round(turned)) < SAME_POSE / (2.0 * np.pi), axis=1)
+    return dict(zip(ratios, float(angle[np.argmax(agree)]) * share, strict=True))
 
 
 def residuals(

@@ -5,9 +5,21 @@ Every error keeps the raw values it was raised with as attributes and reads as o
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from newton_euler.trajectory import Trajectory
+
+
+T = TypeVar("T")
+
 
 class NewtonEulerError(Exception):
-    """Base of every error that `newton_euler` raises on purpose."""
+    """Base of every error that `newton_euler` raises on purpose; reads as one line."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.split()))
 
 
 class MechanismError(NewtonEulerError):
@@ -20,6 +32,25 @@ class MechanismError(NewtonEulerError):
         super().__init__(f"{element}: {problem}; needed: {needed}")
 
 
+def check_texts(where: str, thing: object, *fields: str) -> None:
+    """Raise `MechanismError` unless these attributes, names of elements, are text."""
+    for field in fields:
+        value = getattr(thing, field)
+        if not isinstance(value, str):
+            raise MechanismError(where, f"{field} is {value!r:.100}", "a name")
+
+
+def elements_of(where: str, field: str, given: Iterable[T], kind: type[T]) -> tuple[T, ...]:
+    """Elements of a kind as a tuple; raises `MechanismError` for anything else."""
+    if not isinstance(given, Iterable):
+        raise MechanismError(where, f"{field} is {given!r:.200}", f"a tuple of {kind.__name__}")
+    elements = tuple(given)
+    for element in elements:
+        if not isinstance(element, kind):
+            raise MechanismError(where, f"{field} holds {element!r:.200}", f"a tuple of {kind.__name__}")
+    return elements
+
+
 class UnknownNameError(NewtonEulerError):
     """A name that is not among the valid ones."""
 
@@ -28,6 +59,12 @@ class UnknownNameError(NewtonEulerError):
         self.name = name
         self.valid = valid
         super().__init__(f"unknown {what} {name!r}; choose from: {', '.join(valid)}")
+
+
+def check_choice(what: str, name: object, valid: Collection[str]) -> None:
+    """Raise `UnknownNameError` for anything that is not among the valid names."""
+    if not isinstance(name, str) or name not in valid:
+        raise UnknownNameError(what, name, tuple(valid))
 
 
 class OptionError(NewtonEulerError):
@@ -53,13 +90,28 @@ class AssemblyError(NewtonEulerError):
         )
 
 
-class IntegrationError(NewtonEulerError):
-    """A run that could not go on: the time it reached, and why."""
+class StoppedError(NewtonEulerError):
+    """Base of errors of runs, in any engine, that end before their time.
 
-    def __init__(self, time: float, reason: str) -> None:
+    Attributes:
+        time: s, that the run had reached.
+        reason: why it could not go on, with the joint or the force that it is about.
+        partial: the run at the output times before, a trajectory like any other; None if it did not
+            come that far, or was one of a batch.
+    """
+
+    def __init__(self, time: float, reason: str, message: str) -> None:
         self.time = time
         self.reason = reason
-        super().__init__(f"integration stopped at t = {time:.6g} s: {reason}")
+        self.partial: Trajectory | None = None
+        super().__init__(message)
+
+
+class IntegrationError(StoppedError):
+    """A run that an integrator could not carry on."""
+
+    def __init__(self, time: float, reason: str) -> None:
+        super().__init__(time, reason, f"integration stopped at t = {time:.6g} s: {reason}")
 
 
 class SingularityError(NewtonEulerError):

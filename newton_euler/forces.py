@@ -3,7 +3,7 @@
 Points are given in the world at the mechanism's initial pose, like those of joints, and move with
 their bodies. What forces between points and wrenches do to the bodies is worked out here, once for
 all formulations, over generic scalars (Nikravesh, Computer-Aided Analysis of Mechanical Systems,
-1988, section 9.2, for the elements between two points).
+1988, chapter 9, for the elements between two points).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from newton_euler.constraints import Frame
-from newton_euler.control import check_coordinate, is_finite_number
-from newton_euler.errors import MechanismError
+from newton_euler.control import check_key, is_finite_number
+from newton_euler.errors import MechanismError, check_texts
 from newton_euler.joints import Pose
 from newton_euler.measured import Key
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism, check_name
@@ -55,7 +55,7 @@ class JointSpring:
     def __post_init__(self) -> None:
         _set_numbers(self, self.element, ("stiffness", "damping"), 0.0)
         _set_numbers(self, self.element, ("rest",))
-        check_coordinate(self.element, self.coordinate)
+        check_key(self.element, self.joint, self.coordinate)
 
     @property
     def element(self) -> str:
@@ -113,6 +113,7 @@ class PointSpring:
 
     def __post_init__(self) -> None:
         check_name("point spring", self.name)
+        check_texts(self.element, self, "first", "second")
         for name in ("point_on_first", "point_on_second"):
             _set_vector(self, self.element, name)
         _set_numbers(self, self.element, self.parameters, 0.0)
@@ -173,9 +174,10 @@ class Wrench:
 
     def __post_init__(self) -> None:
         check_name("wrench", self.name)
+        check_texts(self.element, self, "body")
         for name in ("point", "force", "torque"):
             _set_vector(self, self.element, name)
-        if self.frame not in ("world", "body"):
+        if not isinstance(self.frame, str) or self.frame not in ("world", "body"):
             raise MechanismError(self.element, f"frame is {self.frame!r}", "'world' or 'body'")
 
     @property
@@ -220,7 +222,7 @@ def _set_vector(thing: PointSpring | Wrench, element: str, name: str) -> None:
     raw = getattr(thing, name)
     try:
         value = np.array(raw, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         value = np.zeros(0)
     if value.shape != (3,) or not np.all(np.isfinite(value)):
         raise MechanismError(element, f"{name} is {raw!r:.100}", "three finite numbers")
@@ -340,15 +342,16 @@ def power(scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured
     return power
 
 
-def strongest(
+def pulls(
     scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured: Measurements
-) -> str | None:
-    """What errors call the largest of a scene's forces; torques count as forces at the mechanism's size."""
+) -> dict[str, float]:
+    """N, how strong each of a scene's forces is, by what errors call it; a torque as a force at the
+    mechanism's size."""
     size = scene.mechanism.size
     found: dict[str, float] = {}
     for law in scene.joint_forces:
         joint = scene.mechanism.joints[scene.mechanism.joint_index(law.joint)]
-        turns = [motion.kind == "hinge" for motion in joint.motions if motion.kind != "ball"][law.coordinate]
+        turns = joint.coordinate_kinds[law.coordinate] == "hinge"
         x, rate = measured[law.joint, law.coordinate][:2]
         found[law.element] = abs(law.force(x, rate)) / (size if turns else 1.0)
     for force in scene.forces:
@@ -357,9 +360,7 @@ def strongest(
             found[force.element] = float(np.max(np.abs(pull)))
         elif isinstance(force, Wrench):
             found[force.element] = float(np.max(np.abs([force.force, force.torque / size])))
-    if not found:
-        return None
-    return max(found, key=lambda element: np.nan_to_num(found[element], nan=np.inf))
+    return found
 
 
 def _identity(force: Force) -> str:

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from newton_euler.blame import fastest_joint, strongest_force
 from newton_euler.control import is_finite_number
-from newton_euler.errors import IntegrationError, OptionError, UnknownNameError
+from newton_euler.errors import IntegrationError, NewtonEulerError, OptionError, check_choice
 from newton_euler.scalars import Array
 from newton_euler.stabilize import project_position, project_velocity
 from newton_euler.system import System, at_time
@@ -25,18 +26,26 @@ the new velocities."""
 
 INTEGRATORS = ADAPTIVE + FIXED
 
+NUDGE = 1e-8
+"""Relative, and of coordinates (m, rad) and velocities below 1, for differences."""
+
 MOST_STEPS = 50_000
 """Steps after which an adaptive method is taken to be getting nowhere, if a run does not say."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """q (n, nq) and v (n, nv) at the n output times, and what it took."""
+    """q (n, nq) and v (n, nv) at the n output times that were reached, and what it took.
+
+    Attributes:
+        stopped: what ended it before the last output; None if nothing did.
+    """
 
     q: Array
     v: Array
     steps: int
     evaluations: int
+    stopped: IntegrationError | None
 
 
 @dataclass(frozen=True)
@@ -61,8 +70,7 @@ class Options:
     projection: bool = True
 
     def __post_init__(self) -> None:
-        if self.integrator not in INTEGRATORS:
-            raise UnknownNameError("integrator", self.integrator, INTEGRATORS)
+        check_choice("integrator", self.integrator, INTEGRATORS)
         for name in ("rtol", "atol"):
             value = getattr(self, name)
             if not isinstance(value, int | float) or not 0.0 < value < 1.0:
@@ -84,40 +92,62 @@ class Options:
 
 
 def integrate(system: System, q: Array, v: Array, times: Array, options: Options) -> Solution:
-    """Integrate from q, v at times[0] and return the solution at all times.
+    """Integrate from q, v at times[0]: the solution at all times, or at those before it had to stop.
 
-    Raises:
-        IntegrationError: with the time reached and the reason, for steps that shrink to nothing or
-            numbers that are not finite.
+    It stops, with the time, the reason and the joint or force that it is about, for steps that shrink to
+    nothing, numbers that are not finite, and equations or constraints that cannot be solved.
     """
     evaluations = 0
+    good = np.concatenate([q, v])  # where accelerations were finite last
 
     def derivative(t: float, y: Array) -> Array:
-        nonlocal evaluations
+        nonlocal evaluations, good
         evaluations += 1
         q, v = y[: system.nq], y[system.nq :]
-        with np.errstate(over="ignore", invalid="ignore"):  # checked on the next line
-            now = at_time(system, t)
+        now = at_time(system, t)
+        try:
             rates = np.concatenate([now.rate(q, v), now.acceleration(q, v)])
+        except (NewtonEulerError, np.linalg.LinAlgError) as error:
+            raise IntegrationError(t, _with_blame(system, good, str(error))) from error
         if not np.all(np.isfinite(rates)):
-            raise IntegrationError(t, "accelerations are not finite")
+            raise IntegrationError(t, _with_blame(system, good, "accelerations are not finite"))
+        good = y
         return rates
 
     def project(t: float, y: Array) -> Array:
         if not options.projection:
             return y
         now = at_time(system, t)
-        q = project_position(now, y[: system.nq])
-        return np.concatenate([q, project_velocity(now, q, y[system.nq :])])
+        try:
+            q = project_position(now, y[: system.nq])
+            return np.concatenate([q, project_velocity(now, q, y[system.nq :])])
+        except (NewtonEulerError, np.linalg.LinAlgError) as error:
+            raise IntegrationError(t, f"projection fails: {error}") from error
 
-    start = project(float(times[0]), np.concatenate([q, v]))
-    march = _march_adaptive if options.integrator in ADAPTIVE else _march_fixed
-    marched = list(march(system, derivative, project, start, times, options))
-    steps = marched[-1][0]
-    table = np.array([start, *(y for _, y in marched)])
-    if not np.all(np.isfinite(table)):
-        raise IntegrationError(float(times[-1]), "the solution is not finite")
-    return Solution(table[:, : system.nq], table[:, system.nq :], steps, evaluations)
+    steps, stopped = 0, None
+    rows: list[Array] = []
+    try:
+        with np.errstate(all="ignore"):  # numbers are checked
+            rows.append(project(float(times[0]), good))
+            march = _march_adaptive if options.integrator in ADAPTIVE else _march_fixed
+            for step, y in march(system, derivative, project, rows[0], times, options):
+                steps = step
+                if not np.all(np.isfinite(y)):
+                    reason = _with_blame(system, good, "the solution is not finite")
+                    raise IntegrationError(float(times[len(rows)]), reason)
+                rows.append(y)
+    except IntegrationError as error:
+        stopped = error
+    table = np.array(rows).reshape(len(rows), system.nq + system.nv)
+    return Solution(table[:, : system.nq], table[:, system.nq :], steps, evaluations, stopped)
+
+
+def _with_blame(system: System, y: Array, reason: str) -> str:
+    """A reason with the joint that moves fastest and the largest force."""
+    state = system.state(y[: system.nq], y[system.nq :])
+    force = strongest_force(system.scene, state)
+    reason = f"{reason}; fastest at joint {fastest_joint(system.mechanism, state)!r}"
+    return reason if force is None else f"{reason}, largest force: {force}"
 
 
 Derivative = Callable[[float, Array], Array]
@@ -130,18 +160,31 @@ def _march_adaptive(
     """Yield (steps so far, y) at times[1:], from the steps' dense output."""
     from scipy.integrate import DOP853, Radau
 
-    method = {"DOP853": DOP853, "Radau": Radau}[options.integrator]
-    solver = method(derivative, times[0], y, times[-1], rtol=options.rtol, atol=options.atol)
+    def jacobian(t: float, y: Array) -> Array:
+        """By one-sided differences: scipy's own nudge grows without end for what nothing depends on."""
+        at = derivative(t, y)
+        nudges = NUDGE * np.maximum(1.0, np.abs(y))
+        columns = [(derivative(t, y + np.eye(1, len(y), k)[0] * h) - at) / h for k, h in enumerate(nudges)]
+        return np.array(columns).T
+
+    given = {"rtol": options.rtol, "atol": options.atol}
+    if options.integrator == "Radau":
+        solver = Radau(derivative, times[0], y, times[-1], jac=jacobian, **given)
+    else:
+        solver = DOP853(derivative, times[0], y, times[-1], **given)
     steps, due = 0, 1
     while due < len(times):
-        message = solver.step()
+        try:
+            message = solver.step()
+        except ValueError as error:  # scipy's, of a Jacobian that is not finite
+            raise IntegrationError(float(solver.t), _with_blame(system, solver.y, str(error))) from error
         if solver.status == "failed":
-            raise IntegrationError(float(solver.t), str(message))
+            raise IntegrationError(float(solver.t), _with_blame(system, solver.y, str(message)))
         steps += 1
         most = options.most_steps or MOST_STEPS
         if steps > most:
             reason = f"more than {most} steps of {options.integrator}; for stiff equations use Radau"
-            raise IntegrationError(float(solver.t), reason)
+            raise IntegrationError(float(solver.t), _with_blame(system, solver.y, reason))
         if times[due] <= solver.t:
             dense = solver.dense_output()
             while due < len(times) and times[due] <= solver.t:
@@ -163,9 +206,11 @@ def _march_fixed(
         count = max(1, int(np.ceil((end - begin) / options.step * (1.0 - 1e-9))))
         h = (end - begin) / count
         for k in range(count):
-            y = project(begin + (k + 1) * h, advance(system, derivative, begin + k * h, y, h))
-            if not np.all(np.isfinite(y)):
-                raise IntegrationError(float(begin + (k + 1) * h), "the solution is not finite")
+            moved = advance(system, derivative, begin + k * h, y, h)
+            if not np.all(np.isfinite(moved)):
+                reason = _with_blame(system, y, "the solution is not finite")
+                raise IntegrationError(float(begin + (k + 1) * h), reason)
+            y = project(begin + (k + 1) * h, moved)
         steps += count
         yield steps, y
 

@@ -16,11 +16,11 @@ import numpy as np
 
 from newton_euler.constraints import Frame
 from newton_euler.couplings import Gear, check_gears
-from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.errors import MechanismError, check_choice, elements_of
 from newton_euler.euler_parameters import rotation
 from newton_euler.joints import Joint, JointEquations, Pose
 from newton_euler.scalars import Array
-from newton_euler.shapes import UNIT_TOLERANCE, Capsule, Shape
+from newton_euler.shapes import UNIT_TOLERANCE, Capsule, Mesh, Shape
 
 CLOSURE_TOLERANCE = 1e-9
 """How far (metres or radians) a joint may be open at an initial pose."""
@@ -52,6 +52,7 @@ class Body:
         shapes: what it looks like; bars from the centre of mass to the joints if empty.
         allow_unrealisable_inertia: accept principal moments that break A + B >= C, which no mass
             distribution has, so that a published table can be run as printed.
+        meshes: what it looks like in more detail, for viewers; model files get the shapes.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Body:
     quaternion: Array = (1.0, 0.0, 0.0, 0.0)  # type: ignore[assignment]
     shapes: tuple[Shape, ...] = ()
     allow_unrealisable_inertia: bool = False
+    meshes: tuple[Mesh, ...] = ()
 
     def __post_init__(self) -> None:
         check_name("body", self.name)
@@ -73,7 +75,7 @@ class Body:
             raw = getattr(self, name)
             try:
                 value = np.array(raw, dtype=float)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 value = np.zeros((0, 0))
             if value.shape != shape or not np.all(np.isfinite(value)):
                 count = int(np.prod(shape))
@@ -83,9 +85,11 @@ class Body:
             object.__setattr__(self, name, value if shape else float(value))
 
     @classmethod
-    def ground(cls, name: str = "ground", shapes: tuple[Shape, ...] = ()) -> Body:
+    def ground(
+        cls, name: str = "ground", shapes: tuple[Shape, ...] = (), meshes: tuple[Mesh, ...] = ()
+    ) -> Body:
         """The fixed body of a mechanism: the world frame itself. Its mass counts for nothing."""
-        return cls(name, 0.0, np.zeros(3), np.zeros((3, 3)), shapes=shapes)
+        return cls(name, 0.0, np.zeros(3), np.zeros((3, 3)), shapes=shapes, meshes=meshes)
 
     def check(self) -> None:
         """Raise `MechanismError` unless a moving rigid body can have these values."""
@@ -122,12 +126,14 @@ class Mechanism:
         couplings: gears between joint coordinates.
     """
 
+    DEFINED_BY = ("bodies", "joints", "couplings")
+
     def __init__(
         self, bodies: Iterable[Body], joints: Iterable[Joint], couplings: Iterable[Gear] = ()
     ) -> None:
-        self.bodies = tuple(bodies)
-        self.joints = tuple(joints)
-        self.couplings = tuple(couplings)
+        self.bodies = elements_of("mechanism", "bodies", bodies, Body)
+        self.joints = elements_of("mechanism", "joints", joints, Joint)
+        self.couplings = elements_of("mechanism", "couplings", couplings, Gear)
         if len(self.bodies) < 2:
             raise MechanismError(
                 "mechanism", f"has {len(self.bodies)} bodies", "the ground and at least one more"
@@ -220,14 +226,12 @@ class Mechanism:
 
     def body_index(self, name: str) -> int:
         """Index of a body; raises `UnknownNameError`."""
-        if name not in self._body_indices:
-            raise UnknownNameError("body", name, self.body_names)
+        check_choice("body", name, self.body_names)
         return self._body_indices[name]
 
     def joint_index(self, name: str) -> int:
         """Index of a joint; raises `UnknownNameError`."""
-        if name not in self._joint_indices:
-            raise UnknownNameError("joint", name, self.joint_names)
+        check_choice("joint", name, self.joint_names)
         return self._joint_indices[name]
 
     @cached_property

@@ -6,9 +6,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from newton_euler.control import check_coordinate, is_finite_number
+from newton_euler.control import check_key, is_finite_number
 from newton_euler.errors import MechanismError
 from newton_euler.scalars import Scalar, cos, sin
+
+HIGHEST = 1e15
+"""rad/s, or rad: a double holds no part of a turn beyond."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,9 @@ class Polynomial:
         if not isinstance(given, Iterable) or isinstance(given, str):
             given = ()
         given = tuple(given)
-        if not given or not all(map(is_finite_number, given)):
+        if not given or not all(
+            is_finite_number(c) and is_finite_number(k * k * c) for k, c in enumerate(given)
+        ):
             needed = "one finite number or more, lowest power first"
             raise MechanismError("polynomial", f"coefficients is {self.coefficients!r:.100}", needed)
         object.__setattr__(self, "coefficients", tuple(float(c) for c in given))
@@ -82,6 +87,13 @@ class Sine:
             if not is_finite_number(value):
                 raise MechanismError("sine", f"{name} is {value!r:.100}", "a finite number")
             object.__setattr__(self, name, float(value))
+        w = self.angular_frequency
+        if not is_finite_number(self.amplitude * w * w) or abs(w) > HIGHEST or abs(self.phase) > HIGHEST:
+            problem = (
+                f"amplitude is {self.amplitude:g}, angular_frequency {w:g} rad/s, phase {self.phase:g} rad"
+            )
+            needed = f"an acceleration that a double holds, and phases of at most {HIGHEST:g} rad"
+            raise MechanismError("sine", problem, needed)
 
     def value(self, time: Scalar) -> Scalar:
         """At a time in s: m or rad."""
@@ -110,10 +122,11 @@ class Sum:
 
     def __post_init__(self) -> None:
         given: Any = self.terms
-        if not isinstance(given, Iterable) or not all(isinstance(term, TimeFunction) for term in given):
+        terms = tuple(given) if isinstance(given, Iterable) else ()
+        if not terms or not all(isinstance(term, TimeFunction) for term in terms):
             problem = f"terms is {self.terms!r:.100}"
-            raise MechanismError("sum", problem, "a tuple of Polynomial, Sine and Sum")
-        object.__setattr__(self, "terms", tuple(given))
+            raise MechanismError("sum", problem, "one or more of Polynomial, Sine and Sum")
+        object.__setattr__(self, "terms", terms)
 
     def value(self, time: Scalar) -> Scalar:
         """At a time in s: m or rad."""
@@ -152,4 +165,4 @@ class PrescribedMotion:
         where = f"motion of joint {self.joint!r}"
         if not isinstance(self.function, TimeFunction):
             raise MechanismError(where, f"function is {self.function!r:.100}", "a Polynomial, Sine or Sum")
-        check_coordinate(where, self.coordinate)
+        check_key(where, self.joint, self.coordinate)

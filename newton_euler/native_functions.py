@@ -51,5 +51,9 @@ def _address(argument: Any) -> Any:
     if isinstance(argument, np.ndarray):
         if argument.dtype != np.float64 or not argument.flags.c_contiguous:
             raise TypeError(f"got an array of {argument.dtype}; needed: contiguous doubles")
+        if argument.flags.writeable and argument.size:
+            return ctypes.addressof(
+                ctypes.c_char.from_buffer(argument.data)
+            )  # far quicker than `ctypes.data`
         return argument.ctypes.data
     return getattr(argument, "address", argument)

@@ -101,7 +101,7 @@ def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
     for name, value in values.items():
         try:
             array = np.array(value, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             array = np.full(1, np.nan)
         if array.shape != own[name].shape or not np.all(np.isfinite(array)):
             needed = f"finite numbers of shape {own[name].shape}"

@@ -111,29 +111,47 @@ def holding(system: S, forces: Mapping[str, float]) -> S:
     return changed
 
 
-def march_sampled(code: Code, x: Array, options: Options) -> tuple[dict[str, Array], dict[str, int]]:
-    """A run in native code: the arrays that the scene asks for at its output times, and all counts.
+class Marched(NamedTuple):
+    """A run in native code.
 
-    `x` (inputs,) is the start; it ends up at the end.
+    Attributes:
+        arrays: what the scene asks for at the output times that were reached; none if none was.
+        counts: what it took, by name.
+        stopped: what ended the run before the last output; None if nothing did.
     """
+
+    arrays: dict[str, Array]
+    counts: dict[str, int]
+    stopped: IntegrationError | None
+
+
+def march_sampled(code: Code, x: Array, options: Options) -> Marched:
+    """Run from x (inputs,), which ends up at the end."""
     from newton_euler.steppers.run import March
 
-    times = code.scene.times
     if not code.scene.sampled:
-        march = March(code, times, options)
-        march(x)
-        return march.outputs(np.empty(march.outputs.shape)), march.counted
+        march = March(code, code.scene.times, options)
+        arrays, stopped = march.attempt(x)
+        return Marched(arrays, march.counted, stopped)
     parts: list[dict[str, Array]] = []
     total: Counter[str] = Counter()
     for interval in intervals(code.scene):
         seen = np.split(code.function("measured")(x), 2)
-        for name, force in sample(interval.due, float(interval.times[0]), *seen).items():
+        try:
+            forces = sample(interval.due, float(interval.times[0]), *seen)
+        except IntegrationError as error:
+            stopped = error
+            break
+        for name, force in forces.items():
             x[code.place(name)] = force
         march = March(code, interval.times, options)
-        march(x)
-        arrays = march.outputs(np.empty(march.outputs.shape))
-        parts.append({name: array[interval.wanted] for name, array in arrays.items()})
+        arrays, stopped = march.attempt(x)
         total.update(march.counted)
+        if arrays:
+            parts.append({name: array[interval.wanted[: len(array)]] for name, array in arrays.items()})
+        if stopped:
+            break
         x[:] = march.x
-    arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return arrays, dict(total)
+    names = parts[0] if parts else {}
+    arrays = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    return Marched(arrays, dict(total), stopped)

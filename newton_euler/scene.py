@@ -13,7 +13,7 @@ import numpy as np
 from newton_euler.armature import Armature, check_armatures
 from newton_euler.control import Law, Sampled, is_finite_number
 from newton_euler.couplings import check_motions, couplings, residuals
-from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.errors import MechanismError, check_choice
 from newton_euler.forces import Force, JointSpring, check_forces
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.motions import PrescribedMotion
@@ -96,8 +96,7 @@ class Scene:
         if not isinstance(self.outputs, Iterable) or isinstance(self.outputs, str):
             raise MechanismError(where, f"outputs is {self.outputs!r}", "a set of names")
         for output in self.outputs:
-            if output not in OUTPUTS:
-                raise UnknownNameError("output", output, OUTPUTS)
+            check_choice("output", output, OUTPUTS)
         object.__setattr__(self, "outputs", frozenset(self.outputs))
         self._check_control()
         object.__setattr__(self, "motions", check_motions(self.motions, self.mechanism))
@@ -121,7 +120,7 @@ class Scene:
     def _check_gravity(self) -> None:
         try:
             gravity = np.array(self.gravity, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             gravity = np.zeros(0)
         if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
             raise MechanismError(

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from newton_euler.errors import MechanismError
 from newton_euler.scalars import Array
@@ -21,7 +22,7 @@ def _set_array(shape: Box | Capsule, name: str, size: tuple[int, ...]) -> Array:
     raw = getattr(shape, name)
     try:
         value = np.array(raw, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         value = np.full(1, np.nan)
     if value.shape != size or not np.all(np.isfinite(value)):
         needed = f"{size[0]} finite numbers" if size else "a finite number"
@@ -73,3 +74,36 @@ class Capsule:
 
 
 Shape = Box | Capsule
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles between points.
+
+    Attributes:
+        vertices: (n, 3).
+        triangles: (m, 3) rows of `vertices`, counterclockwise seen from outside.
+        color: red, green, blue and opacity, from 0 to 1; None for the viewer's choice.
+
+    Raises:
+        MechanismError: naming the attribute at fault.
+    """
+
+    vertices: Array
+    triangles: NDArray[np.int32]
+    color: tuple[float, float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        vertices, triangles = np.array(self.vertices, dtype=float), np.array(self.triangles, dtype=np.int32)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.all(np.isfinite(vertices)):
+            raise MechanismError("mesh", f"vertices of shape {vertices.shape}", "(n, 3) finite numbers")
+        if triangles.ndim != 2 or triangles.shape[1] != 3:
+            raise MechanismError("mesh", f"triangles of shape {triangles.shape}", "(m, 3) rows of vertices")
+        if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(vertices):
+            found = f"triangles name vertices {triangles.min()} to {triangles.max()}"
+            raise MechanismError("mesh", found, f"0 to {len(vertices) - 1}")
+        if self.color is not None and not all(0.0 <= part <= 1.0 for part in self.color):
+            raise MechanismError("mesh", f"color is {self.color}", "four numbers from 0 to 1")
+        for name, value in (("vertices", vertices), ("triangles", triangles)):
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.compiled import Code
+from newton_euler.compiled import FORMULATIONS, Code
 from newton_euler.couplings import couplings
+from newton_euler.errors import IntegrationError, NewtonEulerError, OptionError, StoppedError, check_choice
 from newton_euler.euler_parameters import continuous
 from newton_euler.integrate import Options, integrate
 from newton_euler.sampling import holding, intervals, sample
@@ -48,6 +49,7 @@ def simulate(
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
     """
     options = Options(integrator, rtol, atol, step, most_steps)
+    check_choice("formulation", formulation, FORMULATIONS)
     return CompiledScene(scene, formulation, stabilization, alpha)._run(options)
 
 
@@ -66,6 +68,9 @@ def compile_scene(
     Raises:
         NewtonEulerError: for an unknown name or an impossible option.
     """
+    check_choice("formulation", formulation, FORMULATIONS)
+    if not isinstance(parameters, list | tuple) or not all(isinstance(name, str) for name in parameters):
+        raise OptionError("parameters", parameters, "names of parameters")
     compiled = CompiledScene(scene, formulation, stabilization, alpha, parameters)
     compiled.load()
     return compiled
@@ -110,14 +115,18 @@ class CompiledScene(Code):
         load(self, options.integrator)
         x = self.start.copy()
         start = time.perf_counter()
-        arrays, counts = march_sampled(self, x, options)
+        arrays, counts, stopped = march_sampled(self, x, options)
         wall_time = time.perf_counter() - start
         settings: dict[str, Any] = {"formulation": self.formulation, "stabilization": self.stabilization}
         if self.stabilization == "baumgarte":
             settings["alpha"] = self.alpha
         settings |= options.chosen() | counts
         settings |= {"trace_time": self.trace_time, "compile_time": self.compile_time}
-        return native_trajectory(self.scene, settings, wall_time, arrays)
+        if stopped is None:
+            return native_trajectory(self.scene, settings, wall_time, arrays)
+        if len(arrays.get("position", ())):
+            stopped.partial = native_trajectory(self.scene, settings, wall_time, arrays)
+        raise stopped
 
 
 def native_trajectory(
@@ -151,26 +160,52 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     start = time.perf_counter()
     rows: list[tuple[System, float, Array, Array]] = []
     counts = {"steps": 0, "evaluations": 0}
+    stopped: IntegrationError | None = None
     for interval in intervals(scene):
         if interval.due:
             x, x_rate = np.array(system.measure(q, v), dtype=float).T
-            system = holding(system, sample(interval.due, float(interval.times[0]), x, x_rate))
+            try:
+                system = holding(system, sample(interval.due, float(interval.times[0]), x, x_rate))
+            except IntegrationError as error:
+                stopped = error
+                break
         solution = integrate(system, q, v, interval.times, options)
-        q, v = solution.q[-1], solution.v[-1]
-        states = (interval.times, solution.q, solution.v)
-        wanted = zip(*(array[interval.wanted] for array in states), strict=True)
-        rows.extend((system, *row) for row in wanted)
+        for t, wanted, *state in zip(interval.times, interval.wanted, solution.q, solution.v, strict=False):
+            if wanted:
+                rows.append((system, t, *state))
         counts["steps"] += solution.steps
         counts["evaluations"] += solution.evaluations
+        stopped = solution.stopped
+        if stopped:
+            break
+        q, v = solution.q[-1], solution.v[-1]
     wall_time = time.perf_counter() - start
-    evaluations = [at_time(system, t).evaluate(q, v) for system, t, q, v in rows]
-    return trajectory_from(scene, engine, settings | options.chosen() | counts, wall_time, evaluations)
+    evaluations: list[Evaluation] = []
+    for now, t, q, v in rows:
+        try:
+            with np.errstate(all="ignore"):  # numbers are checked
+                evaluations.append(at_time(now, t).evaluate(q, v))
+        except NewtonEulerError as error:
+            stopped = stopped or IntegrationError(t, str(error))
+            break
+    settings = settings | options.chosen() | counts
+    return trajectory_from(scene, engine, settings, wall_time, evaluations, stopped)
 
 
 def trajectory_from(
-    scene: Scene, engine: str, settings: dict[str, Any], wall_time: float, evaluations: list[Evaluation]
+    scene: Scene,
+    engine: str,
+    settings: dict[str, Any],
+    wall_time: float,
+    evaluations: list[Evaluation],
+    stopped: StoppedError | None = None,
 ) -> Trajectory:
-    """The trajectory of a scene from an engine's evaluations at the output times."""
+    """The trajectory of a scene from an engine's evaluations at the output times.
+
+    Raises:
+        IntegrationError: for numbers that are not finite, with the trajectory before them.
+        `stopped`: what ended the run after these evaluations, if something did, with their trajectory.
+    """
     mechanism = scene.mechanism
     states = [evaluation.state for evaluation in evaluations]
     optional: dict[str, dict[str, Any]] = {
@@ -200,8 +235,16 @@ def trajectory_from(
         arrays["constraint_violation"] = np.array([joint_violations(mechanism, s) for s in states])
     arrays["position"] = np.array([s.position for s in states])
     arrays["quaternion"] = np.array([s.quaternion for s in states])
-    check_finite(scene.times, arrays)
-    return _trajectory(scene, engine, settings, wall_time, arrays)
+    try:
+        check_finite(scene.times, arrays)
+    except IntegrationError as error:
+        stopped, rows = stopped or error, int(np.searchsorted(scene.times, error.time))
+        arrays = {name: array[:rows] for name, array in arrays.items()}
+    if stopped is None:
+        return _trajectory(scene, engine, settings, wall_time, arrays)
+    if len(arrays["position"]):
+        stopped.partial = _trajectory(scene, engine, settings, wall_time, arrays)
+    raise stopped
 
 
 def _trajectory(
@@ -212,7 +255,7 @@ def _trajectory(
         engine=engine,
         settings=settings,
         wall_time=wall_time,
-        time=scene.times,
+        time=scene.times[: len(arrays["position"])],
         body_names=scene.mechanism.body_names,
         joint_names=scene.mechanism.joint_names,
         **arrays,

@@ -15,6 +15,17 @@ RANK_TOLERANCE = 1e-9
 """Singular values of a dimensionless matrix below this, or this share of the largest, count as zero."""
 
 
+def singular_values(matrix: Array, full: bool = False) -> tuple[Array, Array, Array]:
+    """U, s and V^T of a matrix, reduced or `full`.
+
+    Raises `numpy.linalg.LinAlgError` for one that is not finite: LAPACK would go on for ever, or print.
+    """
+    if not np.isfinite(matrix).all():
+        raise np.linalg.LinAlgError("a matrix is not finite")
+    u, s, vt = np.linalg.svd(matrix, full_matrices=full)
+    return u, s, vt
+
+
 def numerical_rank(singular_values: Array) -> int:
     """How many singular values of a dimensionless matrix are not round-off."""
     return int(np.sum(singular_values > RANK_TOLERANCE * max(1.0, np.max(singular_values, initial=0.0))))
@@ -22,7 +33,7 @@ def numerical_rank(singular_values: Array) -> int:
 
 def rank(matrix: Array) -> int:
     """Numerical rank of a dimensionless matrix."""
-    return numerical_rank(np.linalg.svd(matrix, compute_uv=False)) if matrix.size else 0
+    return numerical_rank(singular_values(matrix)[1]) if matrix.size else 0
 
 
 def minimum_norm(matrix: Array, right: Array, row_units: Array, column_units: Array) -> Array:
@@ -34,7 +45,7 @@ def minimum_norm(matrix: Array, right: Array, row_units: Array, column_units: Ar
     """
     if not matrix.size:
         return np.zeros(matrix.shape[1])
-    u, s, vt = np.linalg.svd(matrix * column_units / row_units[:, None], full_matrices=False)
+    u, s, vt = singular_values(matrix * column_units / row_units[:, None])
     r = numerical_rank(s)
     return np.asarray(column_units * (vt[:r].T @ ((u[:, :r].T @ (right / row_units)) / s[:r])))
 
@@ -45,7 +56,7 @@ def independent_rows(jacobian: Array, row_units: Array, column_units: Array) -> 
     With them as C, constraints J a = gamma become C^T J a = C^T gamma, and multipliers mu of those are
     lambda = C mu: of all equivalent multipliers the smallest, in dimensionless terms.
     """
-    u, s, _ = np.linalg.svd(jacobian * column_units / row_units[:, None], full_matrices=False)
+    u, s, _ = singular_values(jacobian * column_units / row_units[:, None])
     return np.asarray(u[:, : numerical_rank(s)] / row_units[:, None])
 
 
@@ -56,8 +67,11 @@ def solve_constrained(
 
     Redundant constraints are combined into independent ones first. With L the Cholesky factor of M
     and QR = L^-1 J^T, L^T a = L^-1 f + Q (R^-T gamma - Q^T L^-1 f); not squaring J keeps its digits.
-    Units are as in `minimum_norm`. Raises `numpy.linalg.LinAlgError` for an indefinite M.
+    Units are as in `minimum_norm`. Raises `numpy.linalg.LinAlgError` for an indefinite M, and for what is
+    not finite.
     """
+    if not (np.isfinite(force).all() and np.isfinite(gamma).all()):
+        raise np.linalg.LinAlgError("a force is not finite")
     lower = np.linalg.cholesky(mass)
     if not jacobian.size:
         return np.linalg.solve(lower.T, np.linalg.solve(lower, force)), np.zeros(len(gamma))
@@ -71,7 +85,7 @@ def solve_constrained(
 
 def orthonormal_range(matrix: Array) -> Array:
     """Orthonormal columns that span the range of a dimensionless matrix."""
-    u, s, _ = np.linalg.svd(matrix, full_matrices=False)
+    u, s, _ = singular_values(matrix)
     return np.asarray(u[:, : numerical_rank(s)])
 
 
@@ -79,5 +93,5 @@ def orthonormal_null(matrix: Array) -> Array:
     """Orthonormal columns that span the null space of a dimensionless matrix."""
     if not matrix.size:
         return np.eye(matrix.shape[1])
-    _, s, vt = np.linalg.svd(matrix, full_matrices=True)
+    _, s, vt = singular_values(matrix, full=True)
     return np.asarray(vt[numerical_rank(s) :].T)

@@ -2,7 +2,7 @@
 
 Baumgarte stabilisation is part of the equations of motion (the gains of a `System`); projection
 acts on the result of each step (Eich-Soellner and Fuehrer, Numerical Methods in Multibody Dynamics,
-1998, section 5.3).
+1998, chapter 5).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from newton_euler.control import is_finite_number
 from newton_euler.couplings import couplings, residuals
-from newton_euler.errors import AssemblyError, OptionError, UnknownNameError
+from newton_euler.errors import AssemblyError, OptionError, check_choice
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.scalars import Array
 from newton_euler.solve import minimum_norm
@@ -33,8 +33,7 @@ def baumgarte_alpha(stabilization: str, alpha: float) -> float:
     """The alpha that a system of equations takes under a stabilisation; raises for impossible ones."""
     if not is_finite_number(alpha) or alpha < 0.0:
         raise OptionError("alpha", alpha, "a number of 1/s, zero or more")
-    if stabilization not in STABILIZATIONS:
-        raise UnknownNameError("stabilization", stabilization, STABILIZATIONS)
+    check_choice("stabilization", stabilization, STABILIZATIONS)
     return alpha if stabilization == "baumgarte" else 0.0
 
 

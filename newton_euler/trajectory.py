@@ -75,11 +75,12 @@ class Trajectory:
 
 
 def check_finite(times: Array, arrays: Mapping[str, Array]) -> None:
-    """Raise `IntegrationError` for the first array, a row for each time, that is not finite."""
-    for name, array in arrays.items():
-        finite = np.isfinite(array)
-        if not finite.all():
-            raise IntegrationError(float(times[np.argwhere(~finite)[0, 0]]), f"{name} is not finite")
+    """Raise `IntegrationError` for the first time at which an array, a row for each, is not finite."""
+    wrong = {name: np.argwhere(~np.isfinite(array)) for name, array in arrays.items()}
+    first = [(int(rows[0, 0]), name) for name, rows in wrong.items() if len(rows)]
+    if first:
+        row, name = min(first)
+        raise IntegrationError(float(times[row]), f"{name} is not finite")
 
 
 def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:

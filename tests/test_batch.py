@@ -83,7 +83,9 @@ def test_parameters_are_those_of_a_scene_made_with_them(short, formulation):
     expected = newton_euler.simulate(other, formulation)
     # other constants are folded, so rounding differs; it grows a hundredfold in half a second
     assert np.abs(batch[0].position - expected.position).max() < 1e-11
-    assert np.abs(batch[0].reaction_force - expected.reaction_force).max() < 1e-8
+    force = np.abs(expected.reaction_force).max()
+    # the tolerance of both runs; their steps are not the same to the last digit
+    assert np.abs(batch[0].reaction_force - expected.reaction_force).max() < 1e-10 * force
 
 
 def test_a_run_that_fails_does_not_end_the_others(short):

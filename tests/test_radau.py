@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from mechanisms import pendulum
 
 import newton_euler
+from crosscheck.scenes import load
 from newton_euler import PD, compile_scene
 from newton_euler.joints import Prismatic
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.scene import Scene
+from newton_euler.steppers.collocation import ALPHA, BETA, GAMMA
 from newton_euler.steppers.linear import factor_complex, factor_real, solve_complex, solve_real
 from newton_euler.steppers.march import COUNTS, DONE
-from newton_euler.steppers.radau import ALPHA, BETA, GAMMA, march_radau
+from newton_euler.steppers.radau import march_radau
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +117,19 @@ def test_stiff_gains_cost_a_stiff_stepper_nothing():
     assert explicit.settings["evaluations"] > 1e6
 
 
+def test_tight_tolerances_of_stiff_gains_are_met():
+    """Round-off of forces of 1e6 N/m is more than Newton's iteration is asked to leave there."""
+    scene = replace(load("tracker"), duration=0.5, output_period=0.05, outputs=frozenset())
+    stiff = replace(scene, control=tuple(PD(law.joint, 1e6, 1e3, law.target) for law in scene.control))
+    compiled = compile_scene(stiff)
+    runs = [compiled.simulate("Radau", rtol=rtol, atol=1e-3 * rtol) for rtol in (1e-8, 1e-9, 1e-10)]
+    errors = [np.abs(run.position - runs[-1].position).max() for run in runs[:-1]]
+    assert errors[0] < 1e-8  # one tolerance of lengths of 1 m
+    assert errors[1] < 1e-9
+    # order 5: 1.6 times the steps for a tenth of the tolerance
+    assert all(after.settings["steps"] < 2.5 * run.settings["steps"] for run, after in pairwise(runs))
+
+
 def test_an_unstable_law_is_reported():
     scene = spring_cart(stiffness=-1e5, damping=0.0)
     with pytest.raises(newton_euler.NewtonEulerError, match="joint 'rail'"):
@@ -147,7 +163,7 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         system = (jacobian, derivative, derivative, 0, 1e-12, None, None, None, pause, np.zeros(n))
         states = (np.zeros(2), np.zeros(2))
         status = march_radau(
-            n, len(times), times, rtol, 1e-2 * rtol, 10**6, *system, *states, *scratch, table, counts
+            n, len(times), times, rtol, 1e-2 * rtol, 10**6, 0, *system, *states, *scratch, table, counts
         )
         assert status == DONE
         assert np.abs(table - np.sin(times)).max() < rtol  # one tolerance: stiff errors do not add up

@@ -25,7 +25,7 @@ from newton_euler.constraints import (
     Jacobian,
     Perpendicular,
 )
-from newton_euler.errors import MechanismError
+from newton_euler.errors import MechanismError, check_texts
 from newton_euler.scalars import Array, cross
 
 
@@ -104,7 +104,7 @@ def perpendicular_pair(axis: Array) -> tuple[Array, Array]:
 def _vector(joint: str, name: str, value: object) -> Array:
     try:
         vector = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         vector = np.zeros(0)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise MechanismError(f"joint {joint!r}", f"{name} is {value!r}", "three finite numbers")
@@ -149,6 +149,11 @@ class Joint:
     """True for a joint that no `motions` describe, so that it can only close loops of a tree."""
 
     def __post_init__(self) -> None:
+        check_texts(f"joint {self.name!r:.100}", self, "name", "first", "second")
+        if not isinstance(self.actuated, bool):
+            raise MechanismError(
+                f"joint {self.name!r:.100}", f"actuated is {self.actuated!r:.100}", "a truth value"
+            )
         object.__setattr__(self, "point", _vector(self.name, "point", self.point))
         second = self.point if self.point_on_second is None else self.point_on_second
         object.__setattr__(self, "point_on_second", _vector(self.name, "point_on_second", second))

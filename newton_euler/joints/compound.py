@@ -53,6 +53,8 @@ class Compound(Joint):
                 raise MechanismError(where, problem, "at most three axes, not in one plane or line")
             axes.flags.writeable = False
             object.__setattr__(self, name, axes)
+        if not isinstance(self.ball, bool):
+            raise MechanismError(where, f"ball is {self.ball!r:.100}", "a truth value")
         if self.ball and len(self.hinges):
             raise MechanismError(where, "has a ball and hinges", "one or the other")
 

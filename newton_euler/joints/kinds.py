@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -225,7 +226,7 @@ class Rod(Joint):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.length < LEAST_LENGTH:
+        if not LEAST_LENGTH <= self.length < math.inf:
             problem = f"its two points are {self.length:.3g} m apart"
             needed = f"point_on_second at least {LEAST_LENGTH:g} m from point, a ball joint otherwise"
             raise MechanismError(f"joint {self.name!r}", problem, needed)
@@ -233,7 +234,7 @@ class Rod(Joint):
     @property
     def length(self) -> float:
         """m."""
-        return float(np.linalg.norm(self.reaction_point - self.point))
+        return math.dist(self.reaction_point, self.point)
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         s_i, s_j = first.point_to_body(self.point), second.point_to_body(self.reaction_point)

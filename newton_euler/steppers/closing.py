@@ -11,6 +11,7 @@ from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import AssemblyError
 from newton_euler.mechanism import CLOSURE_TOLERANCE
 from newton_euler.scalars import Array
+from newton_euler.solve import singular_values
 from newton_euler.stabilize import largest, worst_joint
 
 NEWTON_STEPS = 20
@@ -38,7 +39,7 @@ def surface(code: Code, x: Array) -> Surface:
     values = code.function("surface")(x)
     k, n = len(code.system.phi_units), code.system.nv
     jacobian, mass = np.zeros((k, n)), np.zeros((n, n))
-    on_jacobian, on_mass = code.patterns
+    on_jacobian, on_mass = code.layouts["surface"]
     end = 2 * k + len(on_jacobian)
     jacobian[tuple(on_jacobian.T)] = values[2 * k : end]
     mass[tuple(on_mass.T)] = values[end:]
@@ -80,7 +81,7 @@ def _correction(system: Formulation, found: Surface) -> Callable[[Array], Array]
     mass = found.mass * np.outer(units, units)
     # what the constraints measure costs nothing on them, and makes Euler parameters definite
     lower = np.linalg.cholesky(mass / np.max(np.diag(mass)) + jacobian.T @ jacobian)
-    u, s, vt = np.linalg.svd(np.linalg.solve(lower, jacobian.T).T, full_matrices=False)
+    u, s, vt = singular_values(np.linalg.solve(lower, jacobian.T).T)
     strong = s > WEAK * np.max(s, initial=0.0)
     back = np.linalg.solve(lower.T, vt[strong].T) / s[strong]
 

@@ -106,10 +106,13 @@ def stage(
 ) -> int:
     """Stage s of a step of size h from `now`, its derivative into row s of k; returns a status."""
     for i in range(n):
-        total = 0.0
-        for j in range(s):
-            total += COUPLING[16 * s + j] * k[(n + 1) * j + i]
-        at[i] = now[i] + h * total
+        at[i] = now[i]
+    for j in range(s):
+        weight = h * COUPLING[16 * s + j]
+        if weight != 0.0:
+            rates = k[(n + 1) * j :]
+            for i in range(n):
+                at[i] += weight * rates[i]
     at[n] = now[n] + NODES[s] * h
     return evaluate(n, derivative, dense, at, k[(n + 1) * s :], counts)
 
@@ -142,11 +145,16 @@ def prepare_dense(n: int, h: float, now: Vector, end: Vector, k: Vector, terms: 
         terms[i] = change
         terms[n + i] = h * k[i] - change
         terms[2 * n + i] = 2.0 * change - h * (k[last + i] + k[i])
-        for row in range(4):
-            total = 0.0
-            for j in range(16):
-                total += DENSE[16 * row + j] * k[(n + 1) * j + i]
-            terms[(3 + row) * n + i] = h * total
+    for row in range(4):
+        term = terms[(3 + row) * n :]
+        for i in range(n):
+            term[i] = 0.0
+        for j in range(16):
+            weight = h * DENSE[16 * row + j]
+            if weight != 0.0:
+                rates = k[(n + 1) * j :]
+                for i in range(n):
+                    term[i] += weight * rates[i]
 
 
 @native

@@ -8,16 +8,30 @@ from __future__ import annotations
 
 from newton_euler.native import Callback, Vector, native
 from newton_euler.steppers.march import (
+    DENSE_HEALTH,
     DONE,
     INTERRUPTED,
+    NEAR,
     REACHED,
     STEPS,
+    STRAYING,
+    UNSAFE,
     begin,
     evaluate,
     interrupted,
+    leave,
     project,
+    record,
     unwind,
 )
+
+CONTRADICTION = 1e-3
+"""Share of the velocities by which accelerations within a step may contradict each other near a singular
+configuration. Chosen from runs of a parallelogram of bars without projection: those that went over to another
+branch had k3 - k2 of 8e-3 or more somewhere, good ones mostly less than 1e-3: some good ones are refused."""
+
+KICK = 0.1
+"""The same for accelerations of two steps of semi-implicit Euler, which has nothing else to compare."""
 
 
 @native
@@ -30,11 +44,30 @@ def divisions(span: float, step: float) -> int:
 
 
 @native
+def contradiction(n: int, nq: int, h: float, now: Vector, k: Vector) -> float:
+    """How far the four stages k (4, n + 1) of a step of size h contradict each other, as a share of speeds.
+
+    Two combinations of accelerations are looked at that are of order h^2, h^3 in velocities, of a smooth
+    motion. Near a singular configuration, where multipliers lose their digits, they are noise, and where a
+    motion goes over to another branch they are as large as the velocities.
+    """
+    row = n + 1
+    gap = 0.0
+    speed = 0.0
+    for i in range(nq, n):
+        gap += abs(k[2 * row + i] - k[row + i])
+        gap += abs(k[i] - k[row + i] - k[2 * row + i] + k[3 * row + i])
+        speed += abs(now[i]) + h * abs(k[i])
+    return h * gap / speed if speed > 0.0 else 0.0
+
+
+@native
 def march_rk4(
     n: int,
     outputs: int,
     times: Vector,
     step: float,
+    nq: int,
     derivative: Callback,
     dense: Callback,
     projecting: int,
@@ -53,9 +86,10 @@ def march_rk4(
 ) -> int:
     """Integrate `now` from times[0] and write the states at all times into the table (outputs, n).
 
-    `now` and `at` are states with time and parameters; k and total (n + 2) are scratch.
+    `now` and `at` are states with time and parameters; k (4, n + 1) and total (n + 2) are scratch.
     """
-    status = begin(n, projecting, tolerance, position, velocity, closing, now, total, table)
+    row = n + 1
+    status = begin(n, projecting, tolerance, position, velocity, closing, now, total, table, counts)
     if status != DONE:
         return status
     for due in range(1, outputs):
@@ -68,16 +102,26 @@ def march_rk4(
             for i in range(n + 1):
                 at[i] = now[i]
                 total[i] = 0.0
+            health = NEAR
             for s in range(4):
-                status = evaluate(n, derivative, dense, at, k, counts)
+                status = evaluate(n, derivative, dense, at, k[row * s :], counts)
                 if status != DONE:
                     return status
+                health = min(health, k[row * s + n])
                 weight = h / 6.0 if s == 0 or s == 3 else h / 3.0
                 reach = h if s == 2 else 0.5 * h
                 for i in range(n):
-                    total[i] += weight * k[i]
-                    at[i] = now[i] + reach * k[i]
+                    total[i] += weight * k[row * s + i]
+                    at[i] = now[i] + reach * k[row * s + i]
                 at[n] = now[n] + reach
+            if health < NEAR:
+                if k[n] >= UNSAFE:
+                    if contradiction(n, nq, h, now, k) > CONTRADICTION:
+                        return STRAYING
+                elif counts[STEPS] == 0.0 and not k[n] > DENSE_HEALTH:
+                    status = leave(n, nq, times[outputs - 1] - times[0], projecting, now, k)
+                    if status != DONE:
+                        return status
             for i in range(n):
                 now[i] += total[i]
             now[n] = times[due - 1] + (j + 1) * h
@@ -87,10 +131,20 @@ def march_rk4(
                 status = project(n, tolerance, position, velocity, closing, now, total)
                 if status != DONE:
                     return status
-        for i in range(n):
-            table[n * due + i] = now[i]
+        record(n, due, now, table, counts)
     counts[REACHED] = now[n]
     return DONE
+
+
+@native
+def kick(n: int, nq: int, h: float, now: Vector, k: Vector, last: Vector) -> float:
+    """What accelerations k differ from those of the last step, in velocities, as a share of speeds."""
+    gap = 0.0
+    speed = 0.0
+    for i in range(nq, n):
+        gap += abs(k[i] - last[i])
+        speed += abs(now[i]) + h * abs(last[i])
+    return h * gap / speed if speed > 0.0 else 0.0
 
 
 @native
@@ -112,11 +166,15 @@ def march_euler(
     turning: Vector,
     now: Vector,
     k: Vector,
+    last: Vector,
     table: Vector,
     counts: Vector,
 ) -> int:
-    """As `march_rk4`: velocities first, then positions with the new velocities; k (n + 2) is scratch."""
-    status = begin(n, projecting, tolerance, position, velocity, closing, now, k, table)
+    """As `march_rk4`: velocities first, then positions with the new velocities.
+
+    k (n + 2) and last (n,) are scratch.
+    """
+    status = begin(n, projecting, tolerance, position, velocity, closing, now, k, table, counts)
     if status != DONE:
         return status
     for due in range(1, outputs):
@@ -129,7 +187,16 @@ def march_euler(
             status = evaluate(n, derivative, dense, now, k, counts)
             if status != DONE:
                 return status
+            if k[n] < NEAR:
+                if counts[STEPS] == 0.0:
+                    if not k[n] > DENSE_HEALTH:
+                        status = leave(n, nq, times[outputs - 1] - times[0], 1, now, k)
+                        if status != DONE:
+                            return status
+                elif k[n] >= UNSAFE and kick(n, nq, h, now, k, last) > KICK:
+                    return STRAYING
             for i in range(nq, n):
+                last[i] = k[i]
                 now[i] += h * k[i]
             rate(now, k)
             for i in range(nq):
@@ -141,7 +208,6 @@ def march_euler(
                 status = project(n, tolerance, position, velocity, closing, now, k)
                 if status != DONE:
                     return status
-        for i in range(n):
-            table[n * due + i] = now[i]
+        record(n, due, now, table, counts)
     counts[REACHED] = now[n]
     return DONE

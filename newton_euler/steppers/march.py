@@ -13,13 +13,15 @@ from math import pi
 
 from newton_euler.native import Callback, Vector, native
 
-DONE, NOT_FINITE, SINGULAR, TOO_MANY_STEPS, STEP_TOO_SMALL, OPEN, INTERRUPTED = 0, 1, 2, 3, 4, 5, 6
+DONE, NOT_FINITE, SINGULAR, TOO_MANY_STEPS = 0, 1, 2, 3
+STEP_TOO_SMALL, OPEN, INTERRUPTED, STRAYING = 4, 5, 6, 7
+UNDETERMINED, UNPROJECTED = 8, 9
 """Statuses: how a march ended."""
 
-STEPS, EVALUATIONS, REJECTED, DENSE_CALLS, REACHED, WISH = 0, 1, 2, 3, 4, 5
-"""Places in the vector of counts; REACHED is the time, WISH is 1 to stop."""
+STEPS, EVALUATIONS, REJECTED, DENSE_CALLS, REACHED, WISH, WRITTEN = 0, 1, 2, 3, 4, 5, 6
+"""Places in the vector of counts; REACHED is the time, WISH is 1 to stop, WRITTEN are rows of the table."""
 
-COUNTS = 6
+COUNTS = 7
 
 PATIENCE = 64
 """Steps after which Python is given a chance to see that the user wants to stop."""
@@ -34,15 +36,30 @@ HUGE = 1e300
 HALF_TURN = pi
 NEWTON_STEPS = 10
 
+NEAR = 1e-3
+"""Health below which a configuration is near a singular one. Health falls with the square of the distance
+there, and round-off in accelerations grows with the cube of its inverse."""
+
 UNSAFE = 1e-8
 """Health of the equations of motion below which accelerations may be so wrong that a run would leave a
 singular configuration on another branch. Only a run that starts there takes steps through it."""
 
+LEAVING = 1e-4
+"""rad or m, within which accelerations are unsafe; what leaves slower than they would make it is at rest."""
+
+STAYS = 1e-9
+"""rad or m, by which a run may move from where it begins and still be said to stay there."""
+
 DENSE_HEALTH = 1e-12
-"""Health of what the dense path made of an unhealthy configuration."""
+"""Health of what the dense path made of an unhealthy configuration; one that is singular has no more. Great
+mass ratios alone leave more."""
 
 SURE = 1e-10
 """Health of the least-squares problem above which its corrections are more than magnified round-off."""
+
+SQUARING = 1e-4
+"""Of Newton's method: a residual r leaves one of r^2 times a number that grows with the root of 1 / health; a
+hundred such are allowed for."""
 
 OPEN_TOLERANCE = 1e-9
 """Sizes of the mechanism, or rad, that a constraint may stay open after projection."""
@@ -103,8 +120,11 @@ def project(
         if scratch[n] < tolerance * tolerance or scratch[n] >= 0.25 * before:  # at round-off
             break
         before = scratch[n]
+        health = scratch[n + 1]
         for i in range(n):
             x[i] = scratch[i]
+        if before * before < SQUARING * health * tolerance * tolerance:  # so the next one would find
+            break
     velocity(x, scratch)
     if not scratch[n] < HUGE:
         return NOT_FINITE
@@ -140,6 +160,14 @@ def interrupted(pause: Callback, counts: Vector) -> int:
 
 
 @native
+def record(n: int, row: int, state: Vector, table: Vector, counts: Vector) -> None:
+    """Write a state into a row of the table."""
+    for i in range(n):
+        table[n * row + i] = state[i]
+    counts[WRITTEN] = float(row + 1)
+
+
+@native
 def begin(
     n: int,
     projecting: int,
@@ -150,14 +178,34 @@ def begin(
     now: Vector,
     scratch: Vector,
     table: Vector,
+    counts: Vector,
 ) -> int:
     """Put the first state on the constraints if wanted, and into the table; returns a status."""
-    status = DONE
     if projecting == 1:
         status = project(n, tolerance, position, velocity, closing, now, scratch)
-    for i in range(n):
-        table[i] = now[i]
-    return status
+        if status != DONE:
+            return status
+    record(n, 0, now, table, counts)
+    return DONE
+
+
+@native
+def leave(n: int, nq: int, span: float, projecting: int, now: Vector, rates: Vector) -> int:
+    """Whether a run of a span (s) may begin where it is singular, with its rates (n + 1) there; a status.
+
+    Velocities say on which branch it goes on, and projection keeps it there. From rest the branch is not
+    determined, unless nothing pulls and it stays.
+    """
+    speed = 0.0
+    push = 0.0
+    for i in range(nq, n):
+        speed += abs(now[i])
+        push += abs(rates[i])
+    if push * span * span < STAYS and speed * span < STAYS:
+        return DONE
+    if speed * speed < LEAVING * push:
+        return UNDETERMINED
+    return DONE if projecting == 1 else UNPROJECTED
 
 
 @native
@@ -188,14 +236,18 @@ def map_rows(
             source = row + lane
             if source >= rows:
                 source = rows - 1
+            state = table[n * source :]
+            taken = given[lane:]
             for i in range(n):
-                given[lanes * i + lane] = table[n * source + i]
-            given[lanes * n + lane] = times[source]
+                taken[lanes * i] = state[i]
+            taken[lanes * n] = times[source]
         function(given, found)
         for lane in range(lanes):
             if row + lane < rows:
+                result = results[m * (row + lane) :]
+                made = found[lane:]
                 for j in range(m):
-                    results[m * (row + lane) + j] = found[lanes * j + lane]
+                    result[j] = made[lanes * j]
         row += lanes
 
 

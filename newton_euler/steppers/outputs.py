@@ -39,8 +39,8 @@ class Outputs:
         given, found = (np.empty((size, function.lanes)) for size in (code.inputs, function.outputs))
         self._write = loops().bind(m.map_rows, *sizes, function, x, times, table, given, found)
 
-    def __call__(self, results: Array) -> dict[str, Array]:
-        """Write the results (n, outputs); returns views of them by name.
+    def __call__(self, results: Array, rows: int | None = None) -> dict[str, Array]:
+        """Write the results (n, outputs); returns views of them, of the first `rows` if given, by name.
 
         Reactions near singular or under redundant constraints come from the float form, which knows the
         smallest ones.
@@ -49,6 +49,7 @@ class Outputs:
             IntegrationError: for results that no double holds, and where that form fails.
         """
         self._write(results)
+        results = results[:rows]
         arrays = named(self._code, results)
         if "reactions" in self._code.scene.outputs:
             self._settle_reactions(arrays)
@@ -57,8 +58,8 @@ class Outputs:
         return arrays
 
     def _settle_reactions(self, arrays: dict[str, Array]) -> None:
-        code, times = self._code, self._times
-        for row in range(len(times)) if code.redundant else np.flatnonzero(~(arrays["health"] > 0.0)):
+        code, times, health = self._code, self._times, arrays["health"]
+        for row in range(len(health)) if code.redundant else np.flatnonzero(~(health > 0.0)):
             system, state = at_time(code.float_system(self._x), float(times[row])), self._table[row]
             try:
                 evaluation = system.evaluate(state[: system.nq], state[system.nq :])
@@ -71,7 +72,8 @@ class Outputs:
 def named(code: Code, results: Array) -> dict[str, Array]:
     """Views of results (n, outputs) by name."""
     return {
-        name: results[:, place].reshape(len(results), *shape) for name, (place, shape) in code.places.items()
+        name: results[:, place].reshape(len(results), *shape)
+        for name, (place, shape) in code.layouts["output"].items()
     }
 
 

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 from newton_euler.compiled import Code, Formulation
-from newton_euler.errors import IntegrationError, NewtonEulerError, OptionError
-from newton_euler.forces import strongest
+from newton_euler.errors import IntegrationError, OptionError
 from newton_euler.integrate import Options
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.scalars import Array
-from newton_euler.stabilize import ROUND_OFF, worst_joint
+from newton_euler.stabilize import ROUND_OFF
 from newton_euler.steppers import march as m
-from newton_euler.steppers.adaptive import NEAR, march_dop853
+from newton_euler.steppers.adaptive import march_dop853
 from newton_euler.steppers.closing import close
+from newton_euler.steppers.failure import failure
 from newton_euler.steppers.fixed import march_euler, march_rk4
 from newton_euler.steppers.outputs import Outputs, loops
 from newton_euler.steppers.radau import march_radau
@@ -144,13 +144,15 @@ class March:
     def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
         """Make everything ready; a run stops if `stopped`, which other threads may fill, holds something."""
         self._code, self._python, self._integrator = code, Fallback(code, stopped), options.integrator
+        self._times = times
         n, outputs, empty = code.size, len(times), np.empty
         self.x, self.table, self.counts = np.zeros(code.inputs), empty((outputs, n)), np.zeros(m.COUNTS)
         at, end = np.zeros(code.inputs), np.zeros(code.inputs)
         self._copies = (at, end)  # of the parameters
         self._most = options.most_steps or MOST_STEPS
-        adaptive = (n, outputs, times, options.rtol, options.atol, self._most)
-        fixed = (n, outputs, times, options.step)
+        nq = code.system.nq
+        adaptive = (n, outputs, times, options.rtol, options.atol, self._most, nq)
+        fixed = (n, outputs, times, options.step, nq)
         if options.step is not None and (times[-1] - times[0]) / options.step > MOST_FIXED_STEPS:
             needed = (
                 f"at least {(times[-1] - times[0]) / MOST_FIXED_STEPS:.3g} s, {MOST_FIXED_STEPS:.0e} steps"
@@ -168,9 +170,9 @@ class March:
                 empty(4 * n), empty(3 * n + 3), empty(3 * n + 2), empty(3 * n), empty(4 * n * n),
                 empty(2 * n), *result,
             ),
-            "RK4": lambda: (*fixed, *system, self.x, at, empty(n + 2), empty(n + 2), *result),
+            "RK4": lambda: (*fixed, *system, self.x, at, empty(4 * (n + 1)), empty(n + 2), *result),
             "Euler": lambda: (
-                *fixed, code.system.nq, code.function("rate"), *system, self.x, empty(n + 2), *result,
+                *fixed, code.function("rate"), *system, self.x, empty(n + 2), empty(n), *result,
             ),
         }  # fmt: skip
         self.outputs = Outputs(code, times, self.x, self.table)
@@ -194,7 +196,25 @@ class March:
             raise KeyboardInterrupt
         if status != m.DONE:
             error = self._python.error
-            raise _failure(self._code, self._integrator, self._most, status, self.x, self.counts, error)
+            raise failure(self._code, self._integrator, self._most, status, self.x, self.counts, error)
+
+    def attempt(self, x: Array) -> tuple[dict[str, Array], IntegrationError | None]:
+        """Run from x (inputs,): outputs at the times that were reached, and what ended it before the last.
+
+        The arrays have a row for each of the first times; without any there are no arrays.
+        """
+        stopped: IntegrationError | None = None
+        try:
+            self(x)
+        except IntegrationError as error:
+            stopped = error
+        rows = int(self.counts[m.WRITTEN])
+        while rows > 0:
+            try:
+                return self.outputs(np.empty(self.outputs.shape), rows), stopped
+            except IntegrationError as error:
+                stopped, rows = stopped or error, int(np.searchsorted(self._times, error.time))
+        return {}, stopped
 
     @property
     def counted(self) -> dict[str, int]:
@@ -232,33 +252,3 @@ class Projection:
             return False
         x[:] = self.x
         return True
-
-
-def _failure(
-    code: Code, integrator: str, most: int, status: int, x: Array, counts: Array, error: Exception | None
-) -> IntegrationError:
-    """What to say of a march that could not go on; x is the last state that it reached."""
-    system, reached = code.float_system(x), float(counts[m.REACHED])
-    q, v = x[: system.nq], x[system.nq : code.size]
-    if error is not None and status in (m.SINGULAR, m.OPEN):
-        if not isinstance(error, NewtonEulerError | np.linalg.LinAlgError):
-            raise error
-        return IntegrationError(reached, str(error))
-    if status == m.OPEN:
-        joint, gap = worst_joint(system, system.state(q, v))
-        reason = f"projection cannot close joint {joint!r}, which is open by {gap:.3g} (m or rad)"
-        return IntegrationError(reached, reason)
-    near = code.function("derivative")(x)[-1] < NEAR
-    advice = {True: "", False: "; for stiff equations use Radau"}[near or integrator != "DOP853"]
-    reasons = {
-        m.NOT_FINITE: "the solution is not finite",
-        m.SINGULAR: "the equations of motion are singular",
-        m.TOO_MANY_STEPS: f"more than {most} steps{advice}",
-        m.STEP_TOO_SMALL: f"steps have become too small{advice}",
-    }
-    if near and status in (m.TOO_MANY_STEPS, m.STEP_TOO_SMALL):
-        reasons[status] += "; round-off near a singular configuration is larger than rtol allows"
-    reason = f"{reasons[status]}; fastest at joint {system.fastest_joint(q, v)!r}"
-    with np.errstate(all="ignore"):
-        force = strongest(system.scene, *system.seen(q, v))
-    return IntegrationError(reached, reason if force is None else f"{reason}, largest force: {force}")

@@ -1,0 +1,66 @@
+"""On which branch a loop is closed: which way an elbow bends.
+
+The ways in which a loop can be closed meet at dead centres, where the derivative of its constraints by the
+coordinates that depend on the others is singular. Its determinant has another sign beyond.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from newton_euler.scalars import Array
+from newton_euler.solve import RANK_TOLERANCE
+
+NEAR = 1e-3
+"""Of the least of the factors of a determinant to the largest: nearer to a dead centre no side is told."""
+
+SIDES = {
+    True: "joints {1} bend the same way as in {0}",
+    False: "joints {1} bend the other way than in {0}: a dead centre lies between it and the closed pose",
+    None: "{0} or the closed pose is so near to a dead centre that either way of bending is as near",
+}
+"""What to say of two configurations, with a name of the first and the joints in question."""
+
+MOST_NAMES = 6
+
+
+@dataclass(frozen=True)
+class Branch:
+    """How one configuration lies to another.
+
+    Attributes:
+        columns: of the velocities that were taken as those that depend on the others.
+        same: whether both lie on the same side of the dead centres of these; None if one is too near to tell.
+    """
+
+    columns: tuple[int, ...]
+    same: bool | None
+
+
+def branch(first: Array, second: Array) -> Branch:
+    """Compare two configurations by the derivatives (k, nv) of the same constraint equations in them.
+
+    The dependent velocities are those that the second one's derivative determines best.
+    """
+    from scipy.linalg import qr
+
+    if first.shape != second.shape or not second.size:
+        return Branch((), None)
+    _, triangle, rows = qr(second.T, mode="economic", pivoting=True)
+    factors = np.abs(np.diag(triangle))
+    rank = int(np.sum(factors > RANK_TOLERANCE * factors[0])) if factors[0] > 0.0 else 0
+    if rank == 0:
+        return Branch((), None)
+    rows = np.sort(rows[:rank])
+    _, triangle, columns = qr(second[rows], mode="economic", pivoting=True)
+    columns = np.sort(columns[:rank])
+    signs = []
+    for jacobian in (first, second):
+        square = jacobian[np.ix_(rows, columns)]
+        values = np.linalg.svd(square, compute_uv=False)
+        if values[-1] < NEAR * values[0]:
+            return Branch(tuple(map(int, columns)), None)
+        signs.append(np.linalg.slogdet(square)[0])
+    return Branch(tuple(map(int, columns)), bool(signs[0] == signs[1]))

@@ -1,0 +1,154 @@
+"""Runs that end before their time: when, where, why, and everything that was computed by then."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from command_line import run as command
+from test_singular import STARTS, crank, parallelogram
+
+import mjcf
+import newton_euler
+import urdf
+from crosscheck.scenes.write_file import write_scene
+from newton_euler import PD, Body, Mechanism, Sampled, Scene
+from newton_euler.errors import IntegrationError, StoppedError
+from newton_euler.integrate import Options
+from newton_euler.joints import Prismatic
+from newton_euler.relative import Relative
+from newton_euler.simulate import run
+from newton_euler.trajectory import load_arrays
+
+GROWTH = 1000.0
+"""1/s: a speed of 1 m/s, cosh(1000 t), is 1e300 after 0.7 s."""
+
+DOP853 = {"rtol": 1e-6, "atol": 1e-8}
+INTEGRATORS = {
+    "DOP853": DOP853,
+    "Radau": {"integrator": "Radau", "rtol": 1e-6, "atol": 1e-8},
+    "RK4": {"integrator": "RK4", "step": 1e-3},
+    "Euler": {"integrator": "Euler", "step": 1e-3},
+}
+
+ENGINES = {
+    **{
+        f"{formulation}, {integrator}": partial(newton_euler.simulate, formulation=formulation, **options)
+        for formulation in ("relative", "cartesian")
+        for integrator, options in INTEGRATORS.items()
+    },
+    **{
+        f"floats, {integrator}": lambda scene, options=options: run(
+            Relative(scene), "newton_euler", Options(**options), {}
+        )
+        for integrator, options in INTEGRATORS.items()
+        if integrator in ("DOP853", "Euler")
+    },
+    "pinocchio": partial(urdf.simulate, **DOP853),
+    "mujoco": mjcf.simulate,
+}
+
+
+def runaway(outputs=("velocities", "actuation"), duration=1.0) -> Scene:
+    """A cart of 1 kg on a rail, pushed away from its start by 1e6 N/m, 1 m/s fast at first."""
+    cart = Body("cart", 1.0, np.zeros(3), np.eye(3))
+    rail = Prismatic("rail", "ground", "cart", np.zeros(3), axis=[1.0, 0.0, 0.0], actuated=True)
+    mechanism = Mechanism([Body.ground(), cart], [rail])
+    control = (PD("rail", -(GROWTH**2), 0.0, 0.0),)
+    scene = Scene("runaway", mechanism, duration, 0.01, control=control, outputs=frozenset(outputs))
+    state = replace(scene.initial_state, linear_velocity=np.array([[0.0] * 3, [1.0, 0.0, 0.0]]))
+    return replace(scene, initial_state=state)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_what_was_computed_is_kept(engine):
+    scene = runaway()
+    with pytest.raises(StoppedError) as caught:
+        ENGINES[engine](scene)
+    error, found = caught.value, caught.value.partial
+    assert "'rail'" in error.reason
+    assert f"at t = {error.time:.6g} s" in str(error)
+    rows = len(found.time)
+    assert 1 < rows < len(scene.times)
+    assert np.array_equal(found.time, scene.times[:rows])
+    # what is left out is beyond the time that was reached, which may be that of a stage
+    assert found.time[-1] <= error.time <= scene.times[rows] + 2e-3
+    assert {len(array) for name, array in found.arrays().items() if "names" not in name} == {rows}
+    assert np.isfinite(found.linear_velocity).all()
+    if "RK4" in engine or "Euler" in engine or engine == "mujoco":  # the same steps up to there
+        early = ENGINES[engine](runaway(duration=found.time[-1]))
+        assert np.allclose(found.linear_velocity, early.linear_velocity, rtol=1e-12, atol=0.0)
+    else:
+        # hundreds of steps of a relative error of 1e-6 each, of one sign
+        assert found.linear_velocity[:, 1, 0] == pytest.approx(np.cosh(GROWTH * found.time), rel=1e-2)
+
+
+@pytest.mark.parametrize("engine", ["relative, RK4", "cartesian, RK4", "floats, Euler"])
+def test_outputs_that_no_double_holds_end_a_run_too(engine):
+    """v^2 with v = g t is 1.8e308 m^2/s^2 after 0.134 s, while the run itself goes on."""
+    scene = replace(runaway(("velocities", "energy")), control=(), gravity=np.array([1e155, 0.0, 0.0]))
+    with pytest.raises(IntegrationError, match="kinetic_energy is not finite") as caught:
+        ENGINES[engine](scene)
+    found = caught.value.partial
+    assert np.array_equal(found.time, scene.times[:14])
+    assert caught.value.time == scene.times[14]
+    assert found.kinetic_energy == pytest.approx(
+        (0.5e155 * found.time) * (1e155 * found.time), rel=1e-12, abs=1.0
+    )
+
+
+@pytest.mark.parametrize(
+    "engine", ["relative, DOP853", "cartesian, RK4", "floats, Euler", "pinocchio", "mujoco"]
+)
+def test_what_came_before_a_controllers_mistake_is_kept(engine):
+    def control(time, x, rate):
+        return 1.0 if time < 0.25 else float("nan")
+
+    scene = replace(runaway(), control=(Sampled("rail", control, 0.05),))
+    with pytest.raises(
+        IntegrationError, match=r"t = 0.25 s: controller of joint 'rail' returned nan"
+    ) as caught:
+        ENGINES[engine](scene)
+    found = caught.value.partial
+    assert np.array_equal(found.time, scene.times[:25])
+    # constant acceleration, at MuJoCo's and all others' round-off
+    assert found.linear_velocity[:, 1, 0] == pytest.approx(1.0 + found.time, rel=1e-12)
+
+
+def test_a_stop_at_the_start_leaves_nothing():
+    scene = replace(runaway(), control=(Sampled("rail", lambda time, x, rate: None, 0.05),))
+    with pytest.raises(IntegrationError, match=r"t = 0 s: .* returned None") as caught:
+        newton_euler.simulate(scene)
+    assert caught.value.partial is None
+
+
+@pytest.mark.parametrize("formulation", ["relative", "cartesian"])
+def test_the_joint_that_loses_rank_is_named(formulation):
+    """Without projection no step near flat bars is exact; the run up to there is."""
+    scene = parallelogram(*STARTS[0])
+    with pytest.raises(
+        IntegrationError, match=r"near a singular configuration, where joint '[A-D]' loses"
+    ) as caught:
+        newton_euler.simulate(scene, formulation, stabilization="none")
+    found = caught.value.partial
+    assert len(found.time) > 1
+    # rtol 1e-10 where accelerations lose digits
+    assert np.abs(found.position[:, 1] - crank(scene)[: len(found.time)]).max() < 1e-6
+
+
+def test_crosscheck_run_saves_what_each_engine_computed(capsys, tmp_path):
+    path, folder = tmp_path / "runaway.yaml", tmp_path / "out"
+    write_scene(runaway(("velocities", "reactions", "violation")), path)
+    (folder / "mujoco.partial.npz").parent.mkdir()
+    (folder / "mujoco.partial.npz").write_text("of an earlier run")
+    status, _, err = command(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", folder)
+    assert status == 2
+    assert err.count("\n") == 1
+    assert "newton_euler: integration stopped at t = " in err
+    assert "'rail'" in err
+    assert f"wrote {folder / 'newton_euler.partial.npz'}, up to t = " in err
+    assert [found.name for found in folder.iterdir()] == ["newton_euler.partial.npz"]
+    arrays = load_arrays(folder / "newton_euler.partial.npz")
+    assert arrays["linear_velocity"][:, 1, 0] == pytest.approx(np.cosh(GROWTH * arrays["time"]), rel=1e-4)
