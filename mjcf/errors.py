@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NewtonEulerError, StoppedError
 
 
 class MjcfError(NewtonEulerError):
@@ -18,10 +18,8 @@ class ModelError(MjcfError):
         super().__init__(f"scene {scene!r} makes no MuJoCo model: {reason}")
 
 
-class DivergenceError(MjcfError):
+class DivergenceError(MjcfError, StoppedError):
     """A run that MuJoCo could not carry on: the time it had reached, and MuJoCo's warning."""
 
     def __init__(self, time: float, reason: str) -> None:
-        self.time = time
-        self.reason = reason
-        super().__init__(f"MuJoCo diverged at t = {time:.6g} s: {reason}")
+        super().__init__(time, reason, f"MuJoCo diverged at t = {time:.6g} s: {reason}")

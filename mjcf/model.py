@@ -54,10 +54,12 @@ class CompiledScene:
         self.actuate()
 
     def _restore_inertias(self) -> None:
-        """Put back moments of inertia that had to be raised, or lost digits, on the way in."""
+        """Put back moments and products of inertia that were raised, rounded or dropped on the way in."""
         for body, index in zip(self.welded.mechanism.bodies[1:], self.body_id[1:], strict=True):
             axes = rotation(self.model.body_iquat[index])
             self.model.body_inertia[index] = np.diag(axes.T @ body.inertia @ axes)
+        # frames that are nearly the body's own would be taken for it, and products of inertia with them
+        self.model.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         # MuJoCo keeps constant parts of the mass matrix
         mujoco.mj_setConst(self.model, self.data)
 

@@ -20,9 +20,12 @@ from mjcf.reading.forces import Forces, armatures
 from mjcf.reading.joints import Joints
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
-from mjcf.reading.original import acceleration_gap
+from mjcf.reading.original import acceleration_gap, without_left
+from mjcf.reading.sag import sag_line
 from mjcf.reading.source import SourceError, compiled
 from mjcf.reading.start import Start
+from mjcf.reading.ties import Ties
+from mjcf.silence import heard_warnings
 from newton_euler.armature import Armature
 from newton_euler.assemble import assemble
 from newton_euler.errors import NewtonEulerError
@@ -78,7 +81,13 @@ def read(
     Raises:
         MjcfError: naming the file and the element at fault.
     """
-    where = os.fspath(path)
+    with heard_warnings() as warnings:
+        found = _reading(os.fspath(path), key, duration, output_period, root)
+    found.report.start.extend(f"MuJoCo warns: {warning}" for warning in warnings)
+    return found
+
+
+def _reading(where: str, key: str | None, duration: float, output_period: float, root: str | None) -> Reading:
     report = Mapping()
     start = Start(where, compiled(where, root), key, report)
     try:
@@ -89,9 +98,13 @@ def read(
     except NewtonEulerError as error:
         raise SourceError(where, str(error)) from error
     gap = acceleration_gap(start, bodies, scene)
-    report.start.append(
-        f"accelerations at rest there are off MuJoCo's of the file itself, rigid, by {gap:.1e} relative"
-    )
+    line = f"accelerations at rest there are off MuJoCo's of the file itself, rigid, by {gap:.1e} relative"
+    if start.left:
+        with without_left(start):
+            gap = acceleration_gap(start, bodies, scene)
+        line += f", and by {gap:.1e} of the file without what is left out"
+    sag = sag_line(start, duration)
+    report.start.extend([sag, line] if sag else [line])
     return Reading(scene, report, start)
 
 
@@ -104,9 +117,10 @@ def _scene(
     joints = Joints(start, bodies, driven_joints(model), report)
     loops = Loops(start, bodies, joints, report)
     gravity = np.array(model.opt.gravity)
-    forces = Forces(start, bodies, joints, gravity, report)
-    actuators = Actuators(start, bodies, joints, forces, report)
-    rotors = armatures(start, joints, report)
+    ties = Ties(loops.gears)
+    forces = Forces(start, bodies, joints, ties, gravity, report)
+    actuators = Actuators(start, bodies, joints, ties, forces, report)
+    rotors = armatures(start, joints, ties, report)
     for key, inertia in actuators.armatures.items():
         rotors[key] = rotors.get(key, 0.0) + inertia
     report_leftovers(start, joints, report)

@@ -14,7 +14,8 @@ import numpy as np
 
 from mjcf.errors import DivergenceError
 from mjcf.write import SOLIMP, TIMESTEP
-from newton_euler.errors import OptionError, UnknownNameError
+from newton_euler.blame import fastest_joint, strongest_force
+from newton_euler.errors import IntegrationError, OptionError, StoppedError, UnknownNameError
 from newton_euler.sampling import Interval, holding, intervals, sample
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -75,7 +76,7 @@ def simulate(
     system.model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
 
     start = time.perf_counter()
-    states = _run(system, plan, stiffness)
+    states, stopped = _run(system, plan, stiffness)
     wall_time = time.perf_counter() - start
     settings: dict[str, Any] = {
         "timestep": largest,
@@ -87,11 +88,11 @@ def simulate(
     if steps[-1].size != largest:
         settings["last_timestep"] = steps[-1].size
     evaluations = []
-    for (system, q, v, size, work), now in zip(states, scene.times, strict=True):
+    for (system, q, v, size, work), now in zip(states, scene.times, strict=stopped is None):
         _use(system.model, size, stiffness)
         system.time = float(now)
         evaluations.append(replace(system.evaluate(q, v), work=work))
-    return trajectory_from(scene, "mujoco", settings, wall_time, evaluations)
+    return trajectory_from(scene, "mujoco", settings, wall_time, evaluations, stopped)
 
 
 class Steps(NamedTuple):
@@ -198,8 +199,8 @@ class Output(NamedTuple):
 
 def _run(
     system: SoftMuJoCo, plan: list[tuple[Interval, list[Steps]]], solref: tuple[float, float] | None
-) -> list[Output]:
-    """The states at all outputs."""
+) -> tuple[list[Output], StoppedError | None]:
+    """The states at all outputs, or at those that were reached and what ended the run."""
     import mujoco
 
     model, data, layout = system.model, system.data, system.layout
@@ -215,7 +216,10 @@ def _run(
     with _collected_warnings(data) as warnings, system.following():
         for interval, steps in plan:
             if interval.due:
-                forces = sample(interval.due, float(interval.times[0]), *system.read_measured())
+                try:
+                    forces = sample(interval.due, float(interval.times[0]), *system.read_measured())
+                except IntegrationError as error:
+                    return rows, error
                 system = holding(system, forces)
                 system.actuate()
             if interval.wanted[0]:
@@ -230,10 +234,19 @@ def _run(
                 mujoco.mj_checkPos(model, data)
                 mujoco.mj_checkVel(model, data)
                 if warnings:  # after one MuJoCo starts again from its initial state
-                    raise DivergenceError(*warnings[0])
+                    return rows, _divergence(*warnings[0], rows)
                 if wanted:
                     record()
-    return rows
+    return rows, None
+
+
+def _divergence(time: float, warning: str, rows: Sequence[Output]) -> DivergenceError:
+    """MuJoCo's warning, with the joint that was fastest and the force that was largest at the last output."""
+    system, q, v = rows[-1][:3]
+    state = system.state(q, v)
+    force = strongest_force(system.scene, state)
+    reason = f"{warning}; fastest at joint {fastest_joint(system.mechanism, state)!r}"
+    return DivergenceError(time, reason if force is None else f"{reason}, largest force: {force}")
 
 
 def _stepped(system: SoftMuJoCo, number: int) -> float:

@@ -8,7 +8,6 @@ allows, with a time constant of two steps.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import repeat
 from typing import Any
 
@@ -17,6 +16,7 @@ import mujoco.rollout
 import numpy as np
 
 from mjcf.errors import DivergenceError, MjcfError
+from mjcf.silence import heard_warnings
 from mjcf.soft import SoftMuJoCo
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -117,7 +117,7 @@ class Stepper:
         """Fill `position` and `quaternion`."""
         model, data = self._system.model, self._system.data
         rows = zip(self.position, self.quaternion, strict=True)
-        with _no_warnings():
+        with heard_warnings():
             for count, interval in self._intervals:
                 _use(model, interval / self._number, self._ratio)
                 self._march(model, data, rows, count, self._number)
@@ -205,7 +205,7 @@ class Rollout:
         kept = np.empty((len(starts), len(self._system.scene.times), model.nq))
         kept[:, 0] = starts[:, 1 : 1 + model.nq]
         steps = self._states.shape[1]
-        with _no_warnings():
+        with heard_warnings():
             for begin in range(0, len(starts), len(self._states)):
                 portion = starts[begin : begin + len(self._states)]
                 runs = len(portion)
@@ -257,14 +257,3 @@ def _of_scene(system: SoftMuJoCo, position: Array, quaternion: Array) -> tuple[A
     position, quaternion = position[:, bodies], quaternion[:, bodies]
     position[:, 0], quaternion[:, 0] = ground.center_of_mass, ground.quaternion
     return position, quaternion
-
-
-@contextmanager
-def _no_warnings() -> Iterator[None]:
-    """No warnings on the terminal and in a file of MuJoCo's own; what diverges is seen in its numbers."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)

@@ -14,8 +14,10 @@ from mjcf.errors import MjcfError
 from mjcf.read import Reading, read
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.original import acceleration_gap
+from mjcf.reading.ties import Ties
 from newton_euler import Armature, Mechanism
 from newton_euler.compiled import FORMULATIONS, formulate
+from newton_euler.couplings import Gear
 from newton_euler.joints import (
     Compound,
     Cylindrical,
@@ -136,12 +138,58 @@ def test_a_four_bar_written_two_ways_moves_the_same(pair: tuple[int, int], tmp_p
 def test_an_open_start_is_closed_and_reported(tmp_path: Path) -> None:
     key = '<keyframe><key name="bent" qpos="0.3 -0.2 0.1"/></keyframe></mujoco>'
     found = reading(tmp_path, FOUR_BARS["cut at C by a connect"].replace("</mujoco>", key))
-    first, second, _ = found.report.start
+    first, second, third, *_ = found.report.start
     assert first.startswith("bent is open, in m or rad: equality 'c' 0.")
-    assert "assembled on the branch of bent: closed to" in second
+    assert "assembled next to bent: closed to" in second
+    assert third.startswith("branch: joints")
+    assert third.endswith("bend the same way as in bent")
     assert gap(found) < SAME
     other = reading(tmp_path, FOUR_BARS["cut at C by a connect"].replace("</mujoco>", key), key="qpos0")
     assert other.report.start[0] == "starts from qpos0: all 1 equalities closed, to 0.0e+00"
+
+
+ELBOW = FOUR_BARS["cut at C by a connect"].replace("</mujoco>", "<keyframe>{0}</keyframe></mujoco>")
+UP, DOWN, ACROSS = "0.02 0.01 0", "0.02 1.55 -2.0", "-0.5 -1.2 0.5"
+
+
+def test_each_keyframe_is_assembled_the_way_its_elbow_bends(tmp_path: Path) -> None:
+    keys = (("up", UP), ("down", DOWN), ("across", ACROSS))
+    text = ELBOW.format("".join(f'<key name="{name}" qpos="{qpos}"/>' for name, qpos in keys))
+    up, down, across = (reading(tmp_path, text, key=name) for name, _ in keys)
+
+    def bend(found: Reading) -> float:
+        """Of the coupler against the rocker: no longer positive beyond where they are in line."""
+        data, body = found.start.data, found.start.model.body("coupler").id
+        b, c = data.xpos[body], data.xpos[body] + data.xmat[body].reshape(3, 3) @ [0.8, 0.0, 0.3]
+        return float(np.cross(c - b, [1.0, 0.0, 0.0] - c)[1])
+
+    assert up.report.start[2] == "branch: joints 'a', 'd' bend the same way as in up"
+    assert down.report.start[2].endswith("bend the same way as in down")
+    assert np.max(np.abs(up.start.data.qpos - [float(x) for x in UP.split()])) < 0.05
+    assert np.max(np.abs(down.start.data.qpos - [float(x) for x in DOWN.split()])) < 0.1
+    assert bend(up) * bend(down) < 0.0
+    keyframes = up.report.start[3]
+    assert keyframes.startswith("keyframes of the file, as they stand, in m or rad: up open by 0.02")
+    assert "; across open by 1.75 at equality 'c'" in keyframes
+    assert "bend the other way than in across: a dead centre lies between" in across.report.start[2]
+
+
+def test_how_far_the_file_itself_sags(tmp_path: Path) -> None:
+    stiff, soft = (
+        reading(tmp_path, FOUR_BARS["cut at C by a connect"].replace('name="c"', f'name="c" solref="{x} 1"'))
+        for x in (0.004, 0.1)
+    )
+    sags = []
+    for found, solref in ((stiff, "0.004 1"), (soft, "0.1 1")):
+        (line,) = [
+            line for line in found.report.start if line.startswith("MuJoCo's own run of the file, EULER")
+        ]
+        assert f"of solref {solref}; here they are rigid" in line
+        sags.append(float(line.split("at most ")[1].split()[0]))
+    # a time constant 25 times as long; at steps of 2 ms the shorter one has errors of the step as well
+    assert sags[1] > 5.0 * sags[0]
+    tree = reading(tmp_path, ELEMENTS["hinge"]).report.start
+    assert not [line for line in tree if line.startswith("MuJoCo's own run")]
 
 
 def test_velocities_of_a_keyframe(tmp_path: Path) -> None:
@@ -155,7 +203,7 @@ def test_what_is_left_out_and_what_is_approximated(tmp_path: Path) -> None:
         PAIR.replace('name="p"', 'name="p" range="-1 1" limited="true" frictionloss="0.2"'),
         '<equality><joint name="bent" joint1="p" joint2="q" polycoef="0 1 0.5 0 0"/>'
         '<connect name="off" active="false" body1="one" body2="two" anchor="0 0 0"/></equality>'
-        '<tendon><fixed name="sum" stiffness="2"><joint joint="p" coef="1"/><joint joint="q" coef="1"/>'
+        '<tendon><fixed name="sum" stiffness="2"><joint joint="p" coef="1"/><joint joint="r" coef="1"/>'
         '</fixed></tendon><actuator><muscle name="pull" joint="p" lengthrange="0 1"/></actuator>'
         "<sensor><clock/></sensor>",
     )
@@ -204,6 +252,54 @@ def test_what_cannot_be_read(text: str, message: str, tmp_path: Path) -> None:
         reading(tmp_path, text)
     assert message in str(caught.value)
     assert str(caught.value).startswith(str(tmp_path / "model.xml"))
+
+
+TIED = model(
+    PAIR,
+    '<tendon><fixed name="t" stiffness="30" damping="2" springlength="0.2" armature="0.4">'
+    '<joint joint="p" coef="2"/><joint joint="q" coef="-0.5"/></fixed></tendon>'
+    '<equality><joint joint1="p" joint2="q" polycoef="0 -1.5 0 0 0"/></equality>'
+    '<actuator><position tendon="t" kp="40" kv="3" gear="2" armature="0.01"/></actuator>'
+    '<keyframe><key qpos="0.3 -0.2 0.1" ctrl="0.5"/></keyframe>',
+)
+
+
+def test_springs_and_actuators_on_joints_that_a_gear_ties(tmp_path: Path) -> None:
+    """A sum of joint coordinates of which one tells the others needs no left-out line."""
+    found = reading(tmp_path, TIED)
+    assert gap(found) < SAME
+    assert not [e for e in found.report.of("left out") if e.element.startswith(("tendon", "actuator"))]
+    untied = reading(tmp_path, TIED.replace("<equality>", "<!--").replace("</equality>", "-->"))
+    lines = [str(entry) for entry in untied.report.of("left out")]
+    assert (
+        "actuator 0: left out: its force depends on a sum of 2 joint coordinates that no gears tie" in lines
+    )
+    # with what is left out the file's own accelerations are others, without it they are the same
+    last = untied.report.start[-1]
+    assert float(last.split(" by ")[1].split()[0]) > 1e-3
+    assert float(last.split(" by ")[2].split()[0]) < SAME
+
+
+def test_ties_through_several_gears() -> None:
+    ties = Ties([Gear("one", "p", "q", 2.0), Gear("two", "r", "s", 3.0), Gear("three", "s", "p", -0.5)])
+    p, q, r, s, other = (("p", 0), ("q", 0), ("r", 0), ("s", 0), ("q", 1))
+    assert ties.rates([r, s, p, q]) == {r: 1.0, s: 3.0, p: -1.5, q: -3.0}
+    # 4 r - q is 7 r, and -7/3 q
+    assert ties.slopes({r: 4.0, q: -1.0}) == pytest.approx({r: 7.0, q: -7.0 / 3.0})
+    assert ties.rates([p, other]) is None
+    assert ties.rates([other]) == {other: 1.0}
+    assert ties.rates([]) is None
+
+
+def test_a_force_at_its_limit_is_held_there(tmp_path: Path) -> None:
+    text = ELEMENTS["actuators"].replace('kp="20"', 'kp="20" forcerange="-3 3"')
+    found = reading(tmp_path, text)
+    assert gap(found) < SAME
+    (entry,) = found.report.of("approximated")
+    assert entry.how == "its force would be 11 at the start and is held at its limit there, 3"
+    within = reading(tmp_path, text.replace("-3 3", "-30 30"))
+    assert not within.report.of("approximated")
+    assert any("its limit of the force, -30 to 30" in e.how for e in within.report.of("left out"))
 
 
 def test_an_unknown_keyframe(tmp_path: Path) -> None:

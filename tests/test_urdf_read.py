@@ -137,7 +137,8 @@ def test_a_loop_that_is_open_is_closed_or_refused(tmp_path: Path) -> None:
     loops = LOOPS.format(pairs="[[tip_a, tip_b]]", types="[3d]", motors="[ja]")
     found = reading(tmp_path, robot(*parts), loops)
     assert found.report.start[0].startswith("coordinates 0 are open, in m or rad: loop of tip_a and tip_b 0.")
-    assert "assembled on the branch of coordinates 0" in found.report.start[1]
+    assert "assembled next to coordinates 0" in found.report.start[1]
+    assert found.report.start[2].startswith("branch: ")
     (closing,) = [joint for joint in found.scene.mechanism.joints if isinstance(joint, Spherical)]
     assert closing.point == pytest.approx(closing.reaction_point, abs=1e-12)
     assert [joint.name for joint in found.scene.mechanism.joints if joint.actuated] == ["ja"]
@@ -181,7 +182,7 @@ def test_there_and_back(name: str, tmp_path: Path) -> None:
         ),
         (LOOPS.format(pairs="[[tip_a, tip_x]]", types="[3d]", motors="[]"), "has no link 'tip_x'"),
         (LOOPS.format(pairs="[]", types="[]", motors="[jx]"), "no moving joint 'jx'"),
-        ("[" * 5000, "document: nested too deeply"),
+        ("[" * 5000, "document: not YAML: line 1: nested too deeply"),
     ],
 )
 def test_loop_files_that_cannot_be(loops: str, message: str, tmp_path: Path) -> None:

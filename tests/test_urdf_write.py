@@ -272,7 +272,7 @@ def test_missing_key_is_named(tracker, key):
         ("type", ["5d"], "unknown '5d'; choose from: 3d, 6d"),
         ("type", [], "0 entries for 1 of closed_loop"),
         ("type", "3d", "'3d' is not a list"),
-        ("type", [3], "3 is not a name"),
+        ("type", [["3d"]], "['3d'] is not a name"),
         ("joint_type", ["CARDAN"], "unknown 'CARDAN'; choose from: SPHERICAL"),
         ("joint_type", [], "0 entries for 1 of joint_name"),
         ("joint_name", ["hinge_99"], "the URDF has no moving joint 'hinge_99'"),
@@ -280,7 +280,7 @@ def test_missing_key_is_named(tracker, key):
         ("closed_loop", [["ball_67_on_leg_6", "nothing"]], "the URDF has no link 'nothing'"),
         ("closed_loop", [["ball_67_on_leg_6", "hinge_26"]], "the URDF has no link 'hinge_26'"),
         ("closed_loop", [["ball_67_on_leg_6"]], "is not a pair of frame names"),
-        ("closed_loop", None, "None is not a list"),
+        ("closed_loop", None, "'null' is not a list"),
     ],
 )
 def test_bad_entry_is_named_with_its_file_and_key(tracker, key, value, problem):

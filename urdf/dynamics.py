@@ -115,11 +115,9 @@ class PinocchioSystem:
 
         Not the other one: Pinocchio's kinetic energy has them only in part.
         """
-        self._rotors = [
-            (self._actuator(*armature.key), armature.inertia) for armature in self.scene.armatures
-        ]
+        self.rotors = [(self._actuator(*armature.key), armature.inertia) for armature in self.scene.armatures]
         inertias = np.zeros(self.nv)
-        for rotor, inertia in self._rotors:
+        for rotor, inertia in self.rotors:
             inertias[rotor.on_v] = inertia
         units = self._mass * self._length**2 / self.velocity_units**2
         self._scaled.model.armature = self.map.v_to_pinocchio(inertias / units)
@@ -197,7 +195,7 @@ class PinocchioSystem:
         pin.forwardKinematics(self._model, self._data, pin_q, pin_v)
         pin.updateFramePlacements(self._model, self._data)
 
-    def _generalized_force(self, q: Array, v: Array) -> Array:
+    def generalized_force(self, q: Array, v: Array) -> Array:
         """(nv,) of all forces but gravity."""
         force = np.zeros(self.nv)
         for actuator, u in zip(self._actuators, self.actuation(q, v), strict=True):
@@ -236,7 +234,7 @@ class PinocchioSystem:
             return self.map.v_from_pinocchio(acceleration)
 
         unit = self._mass * self._length**2  # of generalized forces
-        force = self._generalized_force(q, v) * self.velocity_units / unit
+        force = self.generalized_force(q, v) * self.velocity_units / unit
         rows, gamma = self._rows.equations(self._data, q, v, self.time)
         units = self._rows.units
         acceleration, multipliers = solve(
@@ -363,10 +361,10 @@ class PinocchioSystem:
         pin.computeJointJacobians(self._model, self._data, pin_q)
         columns = self.map.v_from_pinocchio(np.reshape(self._data.J, (6, self.nv)))
         forces_on = list(zip(self._actuators, actuation, strict=True))
-        forces_on += [(rotor, -inertia * qddot[rotor.on_v]) for rotor, inertia in self._rotors]
+        forces_on += [(rotor, -inertia * qddot[rotor.on_v]) for rotor, inertia in self.rotors]
         forces, torques = reactions(self.scene, wrenches, state, driven(self._tree, columns, forces_on))
         kinetic = pin.computeKineticEnergy(self._model, self._data, pin_q, pin_v)
-        kinetic += sum(0.5 * inertia * v[rotor.on_v] ** 2 for rotor, inertia in self._rotors)
+        kinetic += sum(0.5 * inertia * v[rotor.on_v] ** 2 for rotor, inertia in self.rotors)
         potential = pin.computePotentialEnergy(self._model, self._data, pin_q)
         return Evaluation(
             state,

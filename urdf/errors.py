@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from newton_euler.errors import NewtonEulerError
+from newton_euler.source_file import shortened
 
 
 class UrdfError(NewtonEulerError):
@@ -25,4 +26,4 @@ class LoopFileError(UrdfError):
         self.source = source
         self.key = key
         self.problem = problem
-        super().__init__(f"{source}: {key}: {problem}")
+        super().__init__(f"{source}: {key}: {shortened(problem)}")

@@ -5,12 +5,13 @@ Its keys are those of Gepetto's example-parallel-robots (`robot.yaml`), and `cou
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
-import yaml
-
-from newton_euler.control import is_finite_number
+from newton_euler.source_file import SourceError
+from newton_euler.xml_source import LARGEST
+from newton_euler.yaml_source import parse_yaml
 from urdf.errors import LoopFileError
 
 CLOSURE_TYPES = ("3d", "6d", "rod")
@@ -46,21 +47,21 @@ def parse_loops(text: str, source: str) -> Loops:
     """Read the text of a loop file named `source`.
 
     Raises:
-        LoopFileError: for text that is not YAML and for keys that are missing, of the wrong form,
-            of different lengths or with a type that is not known.
+        LoopFileError: for text that is not plain YAML, see `newton_euler.yaml_source`, and for keys that are
+            missing, of the wrong form, of different lengths or with a type that is not known.
     """
     try:
-        document = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise LoopFileError(source, "document", f"not YAML: {error}") from error
-    except RecursionError as error:
-        raise LoopFileError(source, "document", "nested too deeply") from error
+        document = parse_yaml(source, text)
+    except SourceError as error:
+        raise LoopFileError(source, "document", error.problem) from error
     if not isinstance(document, dict):
         raise LoopFileError(source, "document", "not a mapping from keys to lists")
     pairs = _entry(document, source, "closed_loop")
     for pair in pairs:
         if not isinstance(pair, list) or len(pair) != 2 or not all(isinstance(n, str) for n in pair):
-            raise LoopFileError(source, "closed_loop", f"{pair!r} is not a pair of frame names")
+            raise LoopFileError(source, "closed_loop", f"{pair!r:.200} is not a pair of frame names")
+        if pair[0] == pair[1]:
+            raise LoopFileError(source, "closed_loop", f"{pair!r:.200} is one frame; needed: two")
     names = {key: _names(document, source, key) for key in ("type", "name_mot", "joint_name", "joint_type")}
     _check_types(source, "type", names["type"], CLOSURE_TYPES, "closed_loop", len(pairs))
     _check_types(
@@ -71,20 +72,26 @@ def parse_loops(text: str, source: str) -> Loops:
         "joint_name",
         len(names["joint_name"]),
     )
-    coupled = _entry({"coupled": [], **document}, source, "coupled")
-    for coupling in coupled:
-        if not isinstance(coupling, dict) or not all(
-            isinstance(name, str) and is_finite_number(factor) for name, factor in coupling.items()
-        ):
-            raise LoopFileError(source, "coupled", f"{coupling!r} is not a mapping from joints to numbers")
+    coupled = [_coupling(entry, source) for entry in _entry({"coupled": [], **document}, source, "coupled")]
     return Loops(source, tuple((first, second) for first, second in pairs), **names, coupled=tuple(coupled))
+
+
+def _coupling(entry: Any, source: str) -> dict[str, float]:
+    try:
+        factors = {name: float(factor) for name, factor in entry.items()}
+    except (AttributeError, TypeError, ValueError):
+        factors = {"": math.nan}
+    if not all(abs(factor) <= LARGEST for factor in factors.values()):
+        needed = f"is not a mapping from joints to numbers of at most {LARGEST:g} in magnitude"
+        raise LoopFileError(source, "coupled", f"{entry!r:.200} {needed}")
+    return factors
 
 
 def _entry(document: dict[str, Any], source: str, key: str) -> list[Any]:
     if key not in document:
         raise LoopFileError(source, key, "missing")
     if not isinstance(document[key], list):
-        raise LoopFileError(source, key, f"{document[key]!r} is not a list")
+        raise LoopFileError(source, key, f"{document[key]!r:.200} is not a list")
     return document[key]
 
 
@@ -92,7 +99,7 @@ def _names(document: dict[str, Any], source: str, key: str) -> tuple[str, ...]:
     entries = _entry(document, source, key)
     for entry in entries:
         if not isinstance(entry, str):
-            raise LoopFileError(source, key, f"{entry!r} is not a name")
+            raise LoopFileError(source, key, f"{entry!r:.200} is not a name")
     return tuple(entries)
 
 
@@ -103,4 +110,4 @@ def _check_types(
         raise LoopFileError(source, key, f"{len(types)} entries for {count} of {of}")
     for entry in types:
         if entry not in valid:
-            raise LoopFileError(source, key, f"unknown {entry!r}; choose from: {', '.join(valid)}")
+            raise LoopFileError(source, key, f"unknown {entry!r:.200}; choose from: {', '.join(valid)}")

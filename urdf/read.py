@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,11 +26,12 @@ from newton_euler.mechanism import Mechanism
 from newton_euler.scene import Scene
 from newton_euler.tree import unweld_loops
 from urdf.errors import UrdfError
-from urdf.loops import Loops, parse_loops
+from urdf.loops import Loops
 from urdf.model import ClosedLoopModel, build
 from urdf.reading.bodies import Tree
-from urdf.reading.source import SourceError, check_inertias, parsed, read_text
+from urdf.reading.source import SourceError, check_inertias, parsed, read_loops, read_text
 from urdf.reading.start import Mimic, Start
+from urdf.reading.visuals import dressed
 
 DURATION = 1.0
 """s, of a run of a model that says nothing about how long it wants to be run."""
@@ -73,9 +75,10 @@ def read(
     text = _without_declaration(text)
     closing = Loops("", (), (), (), (), (), ())
     if loops is not None:
-        closing = parse_loops(read_text(loops), os.fspath(loops))
+        closing = read_loops(os.fspath(loops))
+    words: list[str] = []
     try:
-        with _quiet():
+        with _overheard(words):
             closed = build(text, closing)
         if closed.model.nv == 0:
             raise SourceError(where, "no joint can move")
@@ -83,6 +86,7 @@ def read(
         mimics = [Mimic(j, m) for j in moving for m in j.findall("mimic")]
         start = Start(where, closed, closing, mimics, report)
         tree = Tree(where, start, set(closing.name_mot), report)
+        tree.bodies = dressed(where, root, start, tree, report)
         scene = _scene(where, root, closed, closing, start, tree, mimics, report, duration, output_period)
     except RuntimeError as error:  # what Pinocchio asserts, of inertias for one
         check_inertias(where, root)
@@ -90,24 +94,27 @@ def read(
     except UrdfError as error:
         if str(error).startswith(where) or (closing.source and str(error).startswith(closing.source)):
             raise
-        raise SourceError(where, str(error)) from error
+        raise SourceError(where, "; ".join([str(error), *words])) from error
     except NewtonEulerError as error:
         raise SourceError(where, str(error)) from error
     return Reading(scene, report)
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Without the lines that the parser writes to standard error beside what it raises."""
+def _overheard(words: list[str]) -> Iterator[None]:
+    """Keep what the parser says on standard error beside what it raises, which names no element."""
     sys.stderr.flush()
     before = os.dup(2)
-    with open(os.devnull, "wb") as nothing:
-        os.dup2(nothing.fileno(), 2)
-    try:
-        yield
-    finally:
-        os.dup2(before, 2)
-        os.close(before)
+    with tempfile.TemporaryFile() as said:
+        os.dup2(said.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
+            said.seek(0)
+            lines = said.read().decode(errors="replace").splitlines()
+            words += [line.removeprefix("Error:").strip() for line in lines if line.startswith("Error:")]
 
 
 def _without_declaration(text: str) -> str:
@@ -215,9 +222,8 @@ def _report_leftovers(root: ET.Element, report: Mapping) -> None:
             report.left_out(element, "its limits: limits are no bilateral constraints")
         if joint.find("safety_controller") is not None:
             report.left_out(element, "its safety controller")
-    for tag, why in (("collision", "contacts are no bilateral constraints"), ("visual", "drawn as bars")):
-        count = len(root.findall(f"link/{tag}"))
-        if count:
-            report.left_out(f"{count} {tag} elements", why)
+    count = len(root.findall("link/collision"))
+    if count:
+        report.left_out(f"{count} collision elements", "contacts are no bilateral constraints")
     for tag in dict.fromkeys(child.tag for child in root if child.tag not in ("link", "joint", "material")):
         report.left_out(f"{len(root.findall(tag))} <{tag}>", "no part of a URDF's mechanics")

@@ -5,7 +5,9 @@ joint coordinate and x = q less its value at the start, the force on the joint i
 
     u = g (gain ctrl + b_0) + g^2 b_1 (q_start + x) + g^2 b_2 dx/dt,
 
-a PD law of stiffness -g^2 b_1, damping -g^2 b_2 and target 0, and the rest as its feedforward.
+a PD law of stiffness -g^2 b_1, damping -g^2 b_2 and target 0, and the rest as its feedforward. Where l is
+a sum of coordinates that gears tie to each other, l - l_start = s x for each of them, and g s takes the
+place of g^2.
 """
 
 from __future__ import annotations
@@ -17,10 +19,11 @@ import mujoco
 import numpy as np
 
 from mjcf.reading.bodies import GROUND, Bodies
-from mjcf.reading.forces import Forces
+from mjcf.reading.forces import Forces, reduced_inertia
 from mjcf.reading.joints import Joints
 from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
+from mjcf.reading.ties import Ties
 from newton_euler.control import PD
 from newton_euler.forces import Wrench
 from newton_euler.mapping import Mapping
@@ -62,9 +65,12 @@ class Actuators:
         armatures: what actuators' rotors add to those of joints, by joint and coordinate.
     """
 
-    def __init__(self, start: Start, bodies: Bodies, joints: Joints, forces: Forces, report: Mapping) -> None:
+    def __init__(
+        self, start: Start, bodies: Bodies, joints: Joints, ties: Ties, forces: Forces, report: Mapping
+    ) -> None:
         self._start, self._model, self._data = start, start.model, start.data
-        self._bodies, self._joints, self._forces, self._report = bodies, joints, forces, report
+        self._bodies, self._joints, self._ties = bodies, joints, ties
+        self._forces, self._report = forces, report
         self._laws: dict[Key, PD] = {}
         self.armatures: dict[Key, float] = {}
         for actuator in range(self._model.nu):
@@ -100,7 +106,7 @@ class Actuators:
             self._add_wrench(actuator, element, law, gear)
         else:
             what = kind.name.removeprefix("mjTRN_").lower()
-            self._report.left_out(element, f"no control law acts through its transmission, {what}")
+            self._leave(actuator, element, f"no control law acts through its transmission, {what}")
 
     def _affine(self, actuator: int, element: str) -> Affine | None:
         """Its force with the control held; None if it is no affine function of length and rate."""
@@ -114,7 +120,7 @@ class Actuators:
             and BIAS(model.actuator_biastype[actuator]) in (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE)
         )
         if not known:
-            self._report.left_out(element, "has dynamics, gain or bias that is no affine function")
+            self._leave(actuator, element, "has dynamics, gain or bias that is no affine function")
             return None
         place = int(model.actuator_ctrladr[actuator])
         ctrl = float(self._data.ctrl[place])
@@ -125,40 +131,57 @@ class Actuators:
             gain = gain * [1.0, 0.0, 0.0]
         if BIAS(model.actuator_biastype[actuator]) == BIAS.mjBIAS_AFFINE:
             gain = gain + bias
-        return Affine(*(float(x) for x in gain))
+        return self._limited(actuator, element, Affine(*(float(x) for x in gain)))
+
+    def _leave(self, actuator: int, element: str, why: str) -> None:
+        self._report.left_out(element, why)
+        self._start.left.append(("actuator", actuator))
+
+    def _limited(self, actuator: int, element: str, law: Affine) -> Affine:
+        """The law, or its limit where it is above that at the start."""
+        model, data = self._model, self._data
+        if not model.actuator_forcelimited[actuator]:
+            return law
+        low, high = (float(x) for x in model.actuator_forcerange[actuator])
+        length, rate = data.actuator_length[actuator], data.actuator_velocity[actuator]
+        force = float(law.constant + law.by_length * length + law.by_rate * rate)
+        if low <= force <= high:
+            self._report.left_out(element, f"its limit of the force, {low:g} to {high:g}")
+            return law
+        held = min(max(force, low), high)
+        why = f"its force would be {force:.4g} at the start and is held at its limit there, {held:g}"
+        self._report.approximated(element, why)
+        return Affine(held, 0.0, 0.0)
 
     def _report_limits(self, actuator: int, element: str) -> None:
         model = self._model
-        if model.actuator_forcelimited[actuator]:
-            low, high = model.actuator_forcerange[actuator]
-            self._report.left_out(element, f"its limit of the force, {low:g} to {high:g}")
         if np.any(model.actuator_damping[actuator]) or np.any(model.actuator_dampingpoly[actuator]):
             self._report.left_out(element, "damping of its own")
 
     def _add_to_joints(self, actuator: int, element: str, law: Affine, moments: dict[int, float]) -> None:
         model = self._model
         inertia = float(model.actuator_armature[actuator])
-        coupled = len(moments) > 1
-        if inertia and coupled:
-            self._report.left_out(element, f"its armature {inertia:g}: it couples {len(moments)} joints")
-        if coupled and (law.by_length or law.by_rate):
-            why = f"its force depends on a sum of {len(moments)} joint coordinates, laws on one each"
-            self._report.left_out(element, why)
+        keys = self._joints.keys
+        slopes = self._ties.slopes({keys[joint]: moment for joint, moment in moments.items()})
+        if slopes is None and (law.by_length or law.by_rate or inertia):
+            what = f"a sum of {len(moments)} joint coordinates that no gears tie"
+            self._leave(actuator, element, f"its force depends on {what}")
             return
+        constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
+        rotor = reduced_inertia(self._start, self._joints, self._ties, moments, inertia) if inertia else None
+        if rotor is not None:
+            self.armatures[rotor[0]] = self.armatures.get(rotor[0], 0.0) + rotor[1]
         for joint, moment in moments.items():
-            key = self._joints.keys[joint]
-            if inertia and not coupled:
-                self.armatures[key] = self.armatures.get(key, 0.0) + moment * moment * inertia
-            x = float(self._data.qpos[model.jnt_qposadr[joint]])
-            constant = moment * law.constant + moment * moment * law.by_length * x
+            key = keys[joint]
+            slope = 0.0 if slopes is None else slopes[key]
             before = self._laws.get(key, PD(key[0], 0.0, 0.0, 0.0, key[1]))
             self._laws[key] = PD(
                 key[0],
-                before.stiffness - moment * moment * law.by_length,
-                before.damping - moment * moment * law.by_rate,
+                before.stiffness - moment * slope * law.by_length,
+                before.damping - moment * slope * law.by_rate,
                 0.0,
                 key[1],
-                before.feedforward + constant,
+                before.feedforward + moment * constant,
             )
             if model.jnt_actfrclimited[joint]:
                 self._report.left_out(self._joints.element(joint), "its limit of actuator forces")
@@ -173,10 +196,10 @@ class Actuators:
         body = self._bodies.names[int(model.site_bodyid[site])]
         turning = reference < 0
         if law.by_length or law.by_rate or body == GROUND:
-            self._report.left_out(element, "its force on a site depends on where that is")
+            self._leave(actuator, element, "its force on a site depends on where that is")
             return
         if not turning and self._bodies.names[int(model.site_bodyid[reference])] != GROUND:
-            self._report.left_out(element, "its force on a site turns with another moving body")
+            self._leave(actuator, element, "its force on a site turns with another moving body")
             return
         axes = data.site_xmat[site if turning else reference].reshape(3, 3)
         force, torque = law.constant * (gear.reshape(2, 3) @ axes.T)

@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjcf.reading.meshes import meshes, visible_geoms
 from mjcf.reading.source import SourceError
 from mjcf.reading.start import Start
 from newton_euler.euler_parameters import rotation
@@ -39,7 +40,7 @@ class Bodies:
         for root in self.roots[1:]:
             taken[root] = unique_name(model.body(root).name, f"body_{root}", taken.values())
         self.names = [taken[root] for root in self._root]
-        self.bodies = [Body.ground(GROUND, self._shapes(0))]
+        self.bodies = [Body.ground(GROUND, self._shapes(0), meshes(model, start.data, self.members(0)))]
         for root in self.roots[1:]:
             self.bodies.append(self._body(root, start.path))
         for k in range(1, model.nbody):
@@ -79,13 +80,14 @@ class Bodies:
         local = 0.5 * (local + local.T)
         a, b, c = np.linalg.eigvalsh(local)
         unrealisable = bool(a + b < c * (1.0 - REALISABLE_TOLERANCE))
-        return Body(name, mass, center, local, quaternion, self._shapes(root), unrealisable)
+        drawn = meshes(model, data, members)
+        return Body(name, mass, center, local, quaternion, self._shapes(root), unrealisable, drawn)
 
     def _shapes(self, root: int) -> tuple[Shape, ...]:
-        """Boxes and round bars among the geoms; meshes have none."""
-        model, found = self._model, list[Shape]()
-        for geom in np.flatnonzero(np.isin(model.geom_bodyid, self.members(root))):
-            shape = self._shape(int(geom))
+        """Boxes and round bars among the visible geoms."""
+        found = list[Shape]()
+        for geom in visible_geoms(self._model, self.members(root)):
+            shape = self._shape(geom)
             if shape is not None:
                 found.append(shape)
         return tuple(found)

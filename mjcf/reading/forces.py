@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,10 @@ from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.joints import BALL, Joints
 from mjcf.reading.loops import fixed, straight
 from mjcf.reading.start import Start
+from mjcf.reading.ties import Ties
 from newton_euler.forces import Force, JointSpring, PointSpring, Wrench
 from newton_euler.mapping import Mapping, unique_name
+from newton_euler.measured import Key
 from newton_euler.scalars import Array
 
 
@@ -22,9 +25,11 @@ class Forces:
         forces: springs and wrenches.
     """
 
-    def __init__(self, start: Start, bodies: Bodies, joints: Joints, gravity: Array, report: Mapping) -> None:
+    def __init__(
+        self, start: Start, bodies: Bodies, joints: Joints, ties: Ties, gravity: Array, report: Mapping
+    ) -> None:
         self._start, self._model, self._data = start, start.model, start.data
-        self._bodies, self._joints, self._report = bodies, joints, report
+        self._bodies, self._joints, self._ties, self._report = bodies, joints, ties, report
         self.forces: list[Force] = []
         self._springs, self._dampers = not start.disabled("SPRING"), not start.disabled("DAMPER")
         for number in range(self._model.njnt):
@@ -46,12 +51,14 @@ class Forces:
         curved = np.any(model.jnt_stiffnesspoly[number]) or np.any(model.dof_dampingpoly[dof])
         if curved:
             self._report.left_out(element, "the part of its stiffness or damping that is not linear")
+            self._start.left.append(("joint", number))
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
         if number not in self._joints.keys:
             kind = "ball" if model.jnt_type[number] == BALL else "free"
             self._report.left_out(element, f"{what}: a {kind} joint has no coordinate to act on")
+            self._start.left.append(("joint", number))
             return
         joint, coordinate = self._joints.keys[number]
         rest = float(model.qpos_spring[place] - self._data.qpos[place])
@@ -65,28 +72,61 @@ class Forces:
         stiffness = float(model.tendon_stiffness[tendon]) if self._springs else 0.0
         damping = float(model.tendon_damping[tendon]) if self._dampers else 0.0
         if np.any(model.tendon_stiffnesspoly[tendon]) or np.any(model.tendon_dampingpoly[tendon]):
-            self._report.left_out(element, "the part of its stiffness or damping that is not linear")
-        if model.tendon_armature[tendon]:
-            self._report.left_out(element, f"its armature {model.tendon_armature[tendon]:g}")
+            self._leave_tendon(tendon, element, "the part of its stiffness or damping that is not linear")
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
         low, high = (float(x) for x in model.tendon_lengthspring[tendon])
         ends = straight(self._start, tendon)
-        if ends is None:
-            kind = "sums of joint coordinates" if fixed(self._start, tendon) else "tendons around corners"
-            self._report.left_out(element, f"{what}: springs are straight, not {kind}")
-            return
+        weights = fixed(self._start, tendon)
         if low != high and stiffness:
-            self._report.left_out(element, f"{what}: it is slack between {low:g} and {high:g} m")
+            self._leave_tendon(tendon, element, f"{what}: it is slack between {low:g} and {high:g} m")
+        elif weights is not None:
+            self._add_sum(tendon, element, what, weights, JointSpring("", stiffness, damping, low))
+        elif ends is None:
+            self._leave_tendon(tendon, element, f"{what}: springs are straight, not tendons around corners")
+        else:
+            self._add_straight(tendon, element, what, ends, (stiffness, damping, max(low, 0.0)))
+
+    def _leave_tendon(self, tendon: int, element: str, why: str) -> None:
+        self._report.left_out(element, why)
+        self._start.left.append(("tendon", tendon))
+
+    def _add_sum(
+        self, tendon: int, element: str, what: str, weights: dict[int, float], along: JointSpring
+    ) -> None:
+        """A spring along a sum of joint coordinates as one on the first of them, which the others follow."""
+        slopes = self._ties.slopes({self._joints.keys[joint]: w for joint, w in weights.items()})
+        if slopes is None:
+            why = f"{what}: it acts on a sum of {len(weights)} joint coordinates that no gears tie"
+            self._leave_tendon(tendon, element, why)
             return
+        (joint, coordinate), slope = next(iter(slopes.items()))
+        if slope == 0.0:
+            self._report.left_out(element, f"{what}: equalities keep its length, so that it does no work")
+            return
+        rest = (along.rest - float(self._data.ten_length[tendon])) / slope
+        stiffness, damping = along.stiffness * slope * slope, along.damping * slope * slope
+        self.forces.append(JointSpring(joint, stiffness, damping, rest, coordinate))
+        self._report.exactly(element, f"{what} as a spring of joint {joint!r}, which tells its length")
+
+    def _add_straight(
+        self,
+        tendon: int,
+        element: str,
+        what: str,
+        ends: tuple[tuple[int, Array], tuple[int, Array]],
+        values: tuple[float, float, float],
+    ) -> None:
+        """A spring from one site to another, of this stiffness, damping and rest length."""
         (first, p), (second, q) = ends
         names = self._bodies.names[first], self._bodies.names[second]
         if names[0] == names[1]:
             self._report.left_out(element, f"{what}: both its ends are parts of {names[0]!r}")
             return
+        stiffness, damping, rest = values
+        name = self._model.tendon(tendon).name
         own = self.name(name.removeprefix("spring "), f"tendon_{tendon}")
-        rest = max(low, 0.0)
         spring = PointSpring(own, *names, p, q, stiffness=stiffness, rest_length=rest, damping=damping)
         self.forces.append(spring)
         self._report.exactly(element, f"{what} as point spring {spring.name!r}")
@@ -103,10 +143,10 @@ class Forces:
         self._report.exactly(element, f"gravity compensation {share:g} as wrench {wrench!r}")
 
 
-def armatures(start: Start, joints: Joints, report: Mapping) -> dict[tuple[str, int], float]:
+def armatures(start: Start, joints: Joints, ties: Ties, report: Mapping) -> dict[Key, float]:
     """Rotor inertias (kg m^2 or kg) by joint and coordinate."""
     model: Any = start.model
-    found: dict[tuple[str, int], float] = {}
+    found: dict[Key, float] = {}
     for number in range(model.njnt):
         inertia = float(model.dof_armature[model.jnt_dofadr[number]])
         if inertia == 0.0:
@@ -119,4 +159,44 @@ def armatures(start: Start, joints: Joints, report: Mapping) -> dict[tuple[str, 
         else:
             kind = "ball" if model.jnt_type[number] == BALL else "free"
             report.left_out(element, f"its armature {inertia:g}: a {kind} joint has no coordinate for it")
+            start.left.append(("joint", number))
+    for tendon in np.flatnonzero(model.tendon_armature):
+        element = f"tendon {model.tendon(tendon).name or int(tendon)!r}"
+        inertia = float(model.tendon_armature[tendon])
+        weights = fixed(start, int(tendon)) or {}
+        rotor = reduced_inertia(start, joints, ties, weights, inertia)
+        if rotor is None:
+            report.left_out(element, f"its armature {inertia:g}: no single joint coordinate tells its length")
+            start.left.append(("tendon", int(tendon)))
+            continue
+        key, reduced = rotor
+        found[key] = found.get(key, 0.0) + reduced
+        report.exactly(element, f"its armature {inertia:g} at joint {key[0]!r}, which tells its length")
     return found
+
+
+def reduced_inertia(
+    start: Start, joints: Joints, ties: Ties, moments: dict[int, float], inertia: float
+) -> tuple[Key, float] | None:
+    """An inertia along a sum of joint coordinates as one at the first of them, which the others follow.
+
+    MuJoCo's mass matrix has no entries for two joints of different branches, and so it leaves out their part.
+    None if they do not follow, or there are none.
+    """
+    rates = ties.rates(joints.keys[joint] for joint in moments)
+    if rates is None:
+        return None
+    total = 0.0
+    for one, two in product(moments, moments):
+        if _one_branch(start, one, two):
+            total += moments[one] * moments[two] * rates[joints.keys[one]] * rates[joints.keys[two]]
+    return next(iter(rates)), inertia * total
+
+
+def _one_branch(start: Start, one: int, two: int) -> bool:
+    """Whether one of two hinges or slides is above the other in the tree, or the same."""
+    model: Any = start.model
+    low, high = (int(x) for x in sorted((model.jnt_dofadr[one], model.jnt_dofadr[two])))
+    while high > low:
+        high = int(model.dof_parentid[high])
+    return high == low

@@ -30,9 +30,7 @@ def report_leftovers(start: Start, joints: Joints, report: Mapping) -> None:
         report.left_out(f"{model.npair} contact pairs", "contacts are no bilateral constraints")
     meshes = int(np.sum(model.geom_dataid >= 0))
     if meshes:
-        report.left_out(
-            f"shapes of {meshes} geoms of meshes", "drawn as bars; their masses are in the bodies"
-        )
+        report.exactly(f"{meshes} geoms of meshes", "drawn where visible; their masses are in the bodies")
     for number in range(model.njnt):
         _report_joint(start, joints, number, report)
     for tendon in range(model.ntendon):

@@ -25,7 +25,6 @@ class Loops:
         joints: of connects, welds and tendons of constant length.
         gears: of equalities of two joint coordinates.
         held: motions of joints that an equality holds.
-        left: numbers of active equalities that were left out.
     """
 
     def __init__(self, start: Start, bodies: Bodies, joints: Joints, report: Mapping) -> None:
@@ -34,7 +33,6 @@ class Loops:
         self.joints: list[Joint] = []
         self.gears: list[Gear] = []
         self.held: list[PrescribedMotion] = []
-        self.left: list[int] = []
         self._taken = [joint.name for joint in joints.joints]
         off = start.disabled("EQUALITY") or start.disabled("CONSTRAINT")
         for index in range(self._model.neq):
@@ -51,7 +49,7 @@ class Loops:
 
     def _leave(self, index: int, why: str) -> None:
         self._report.left_out(self._start.equality(index), why)
-        self.left.append(index)
+        self._start.left.append(("equality", index))
 
     def _add(self, index: int) -> None:
         match mujoco.mjtEq(self._model.eq_type[index]):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import mujoco
 import numpy as np
 
@@ -16,6 +19,29 @@ from newton_euler.state import State
 
 AT_REST = 1e-3
 """m/s^2, of a mechanism in which nothing moves."""
+
+
+@contextmanager
+def without_left(start: Start) -> Iterator[None]:
+    """Within it MuJoCo's model lacks what was left out of the scene."""
+    model, data = start.model, start.data
+    dofs = {int(joint): model.dof_jntid == joint for kind, joint in start.left if kind == "joint"}
+    changed = [(array, array.copy()) for array in (
+        data.eq_active, model.tendon_stiffness, model.tendon_stiffnesspoly, model.tendon_armature,
+        model.actuator_gainprm, model.actuator_biasprm, model.actuator_armature,
+        model.jnt_stiffness, model.jnt_stiffnesspoly, model.dof_armature,
+    )]  # fmt: skip
+    of_kind = {"equality": slice(0, 1), "tendon": slice(1, 4), "actuator": slice(4, 7), "joint": slice(7, 9)}
+    for kind, index in start.left:
+        for array, _ in changed[of_kind[kind]]:
+            array[index] = 0
+    for mask in dofs.values():
+        model.dof_armature[mask] = 0.0
+    try:
+        yield
+    finally:
+        for array, before in changed:
+            array[:] = before
 
 
 def rigid_accelerations(start: Start) -> Array:

@@ -2,54 +2,54 @@
 
 from __future__ import annotations
 
-import stat
+import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.parsers import expat
 
 import numpy as np
 
 from mjcf.errors import MjcfError
-
-MAXIMUM_BYTES = 10_000_000
-"""Of one XML file."""
-
-MAXIMUM_DEPTH = 400
-"""Of nested elements; recursive parsers run out of stack somewhere above."""
+from newton_euler import source_file
+from newton_euler.source_file import read_text
+from newton_euler.xml_source import LARGEST, MAXIMUM_BYTES, NOT_FINITE, scan
 
 MAXIMUM_FILES = 100
 """That may be included."""
 
-LARGEST = 1e15
-"""Of any number of a model, so that squares and triple products stay finite and keep digits."""
-
 WALL_TIME = 60.0
 """s, for a compiler that waits for something; its processor time is limited in `mjcf.reading.compile`."""
 
-ASSETS = ("mesh", "texture", "hfield", "skin", "model", "flexcomp", "composite")
-"""Elements whose `file` is read by MuJoCo."""
+FOLDERS = ("meshdir", "texturedir", "assetdir")
+"""Attributes of compiler elements that say where assets are."""
+
+ASSETS = ("mesh", "texture", "hfield", "skin", "flexcomp", "composite")
+"""Elements whose `file`, or `fileright` and so on of a cube's faces, is read by MuJoCo."""
 
 NAMED = ("body", "jnt", "site", "eq", "tendon", "actuator", "key")
 """Prefixes of elements that have names."""
 
+MAXIMUM_ASSET_BYTES = 100_000_000
+"""Of a mesh, a texture and the like."""
+
 MAXIMUM_VELOCITIES = 300
 """Degrees of freedom without loops; comparisons at random states are dense."""
+
+MAXIMUM_EQUALITIES = 300
+"""The rows of all of them are one dense matrix."""
 
 CHECKED = ("body", "jnt", "dof", "site", "eq", "tendon", "actuator", "key", "qpos")
 """Prefixes of what a scene is made of."""
 
+UNCHECKED = ("solref", "solimp", "range", "user", "invweight0", "acc0", "M0", "length0")
+"""Ends of names of what no scene has, or of what MuJoCo works out of the others."""
 
-class SourceError(MjcfError):
+
+class SourceError(source_file.SourceError, MjcfError):
     """A file that is no usable model: names the file and what is wrong where."""
-
-    def __init__(self, path: str, problem: str) -> None:
-        self.path = path
-        self.problem = problem
-        super().__init__(f"{path}: {problem}")
 
 
 def compiled(path: str, root: str | None = None) -> Any:
@@ -64,7 +64,7 @@ def compiled(path: str, root: str | None = None) -> Any:
         SourceError: for a file that cannot be read, that is no MJCF, that reaches outside, or that MuJoCo
             refuses, with MuJoCo's reason.
     """
-    _Scan(Path(path), root).run()
+    _Scan(path, root).run()
     import mujoco
 
     with tempfile.TemporaryDirectory() as folder:
@@ -90,118 +90,143 @@ def compiled(path: str, root: str | None = None) -> Any:
     _check_numbers(path, model)
     if model.nv > MAXIMUM_VELOCITIES:
         raise SourceError(path, f"its joints have {model.nv} velocities, at most {MAXIMUM_VELOCITIES} here")
+    if model.neq > MAXIMUM_EQUALITIES:
+        raise SourceError(path, f"it has {model.neq} equalities, at most {MAXIMUM_EQUALITIES} here")
     return model
+
+
+@dataclass(frozen=True)
+class _Reference:
+    """What an element says of where a file is.
+
+    Attributes:
+        where: path of the XML that says so.
+        line: in that.
+        element: its tag.
+        target: the file.
+    """
+
+    where: str
+    line: int
+    element: str
+    target: str
+
+    def refused(self, problem: str) -> SourceError:
+        text = f"line {self.line}: {self.element} file {self.target!r:.200} {problem}"
+        return SourceError(self.where, text)
+
+    def within(self, root: str, folder: str) -> str:
+        """The path of the file, if it is relative to a folder; raises `SourceError` if it leaves the root."""
+        path = os.path.realpath(os.path.join(folder, self.target))
+        outside = os.path.commonpath((root, path)) != root
+        if outside or "\\" in self.target or os.path.isabs(self.target):
+            problem = f"leads outside of {root!r}; a model of several folders needs the option root"
+            raise self.refused(problem)
+        return path
 
 
 class _Scan:
     """One pass over a file and what it includes, without building anything."""
 
-    def __init__(self, path: Path, root: str | None) -> None:
+    def __init__(self, path: str, root: str | None) -> None:
         self._top = path
-        self._home = path.resolve().parent
+        self._home = os.path.dirname(os.path.realpath(path))
         # models are often kept in a folder of their own beside those of their meshes
-        around = self._home.parent
-        around = self._home if around == Path(around.anchor) else around
-        self._roots = (self._home, around) if root is None else (Path(root).resolve(),) * 2
-        self._files = 0
+        around = os.path.dirname(self._home)
+        around = self._home if around == os.path.dirname(around) else around
+        top = None if root is None else os.path.realpath(root)
+        self._inner, self._around = top or self._home, top or around
+        self._homes = [self._home]
+        self._folders: dict[str, list[str]] = {name: [] for name in FOLDERS}
+        self._assets: list[_Reference] = []
+        self._files = self._bytes = 0
 
     def run(self) -> None:
         self._read(self._top, ())
+        # compiler elements hold wherever in the file they stand, so folders are known at the end only
+        for reference in self._assets:
+            self._check_asset(reference)
 
-    def _read(self, path: Path, including: tuple[Path, ...]) -> None:
-        where = str(path)
-        if path.resolve() in including:
-            raise SourceError(str(self._top), f"include of {path.name!r} by itself, through {where!r}")
+    def _read(self, path: str, including: tuple[str, ...]) -> None:
+        own = os.path.realpath(path)
+        if own in including:
+            problem = f"include of {os.path.basename(path)!r} by itself, through {including[-1]!r}"
+            raise SourceError(self._top, problem)
         self._files += 1
         if self._files > MAXIMUM_FILES:
-            raise SourceError(str(self._top), f"includes more than {MAXIMUM_FILES} files")
-        for element, target, line in list(_references(where, read_bytes(where), not including)):
-            self._check_path(where, element, target, line)
-            if element == "include":
-                inner = self._home / target
-                if not inner.exists():
-                    problem = f"line {line}: include of {target!r}, which does not exist"
-                    raise SourceError(where, problem)
-                self._read(inner, (*including, path.resolve()))
+            raise SourceError(self._top, f"includes more than {MAXIMUM_FILES} files")
+        inner: list[_Reference] = []
 
-    def _check_path(self, where: str, element: str, target: str, line: int) -> None:
-        root = self._roots[element != "include"]
-        inside = "\\" not in target and (self._home / target).resolve().is_relative_to(root)
-        if Path(target).is_absolute() or not inside:
-            problem = f"line {line}: {element} file {target!r:.200} leads outside of {str(root)!r}"
-            raise SourceError(where, f"{problem}; a model of several folders needs the option root")
-
-
-def read_bytes(path: str) -> bytes:
-    """The content of a regular file of reasonable size; raises `SourceError`."""
-    try:
-        status = Path(path).stat()
-        if not stat.S_ISREG(status.st_mode):  # a pipe would keep its reader waiting
-            raise SourceError(path, "not a regular file")
-        if status.st_size > MAXIMUM_BYTES:
-            raise SourceError(path, f"larger than {MAXIMUM_BYTES} bytes")
-        return Path(path).read_bytes()
-    except OSError as error:
-        raise SourceError(path, f"cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise SourceError(repr(path), f"cannot be read: {error}") from error
-
-
-def _references(path: str, content: bytes, top: bool) -> Iterator[tuple[str, str, int]]:
-    """(element, file, line) of what an XML text refers to; raises `SourceError` unless it is well formed."""
-    parser = expat.ParserCreate()
-    found: list[tuple[str, str, int]] = []
-    folders = dict.fromkeys(("meshdir", "texturedir", "assetdir"), "")
-    depth = 0
-
-    def begin(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        line = parser.CurrentLineNumber
-        if depth == 0 and top and tag != "mujoco":
-            raise SourceError(path, f"line {line}: root element is <{tag}>, not <mujoco>")
-        depth += 1
-        if depth > MAXIMUM_DEPTH:
-            raise SourceError(path, f"line {line}: more than {MAXIMUM_DEPTH} nested elements")
-        for name, value in attributes.items():
-            if name in folders and tag == "compiler":
-                folders[name] = value
-                found.append((f"compiler {name}", value or ".", line))
-            for token in value.split():
-                if token.lower().lstrip("+-") in ("nan", "inf", "infinity"):
+        def begin(tag: str, attributes: dict[str, str], line: int) -> None:
+            for name, value in attributes.items():
+                if any(token.lower().lstrip("+-") in NOT_FINITE for token in value.split()):
                     raise SourceError(path, f"line {line}: <{tag}> has {name}={value!r:.100}, not finite")
-        if "file" in attributes and (tag == "include" or tag in ASSETS):
-            own = folders.get({"texture": "texturedir"}.get(tag, "meshdir"), "") or folders["assetdir"]
-            folder = "" if tag in ("include", "model") else own
-            found.append((tag, str(Path(folder) / attributes["file"]), line))
+                if tag == "compiler" and name in FOLDERS:
+                    _Reference(path, line, f"compiler {name}", value or ".").within(self._around, self._home)
+                    self._folders[name].append(value)
+                if name == "file" and tag in ("include", "model"):
+                    inner.append(_Reference(path, line, tag, value))
+                elif name.startswith("file") and tag in ASSETS:
+                    self._assets.append(_Reference(path, line, tag, value))
 
-    def end(tag: str) -> None:
-        nonlocal depth
-        depth -= 1
+        text = read_text(path, MAXIMUM_BYTES - self._bytes, SourceError)
+        self._bytes += len(text)
+        scan(path, text, None if including else "mujoco", begin, SourceError)
+        for reference in inner:
+            self._read(self._found(reference, os.path.dirname(own)), (*including, own))
 
-    def refuse(*_: object) -> None:
-        raise SourceError(path, f"line {parser.CurrentLineNumber}: a document type declaration, refused")
+    def _found(self, reference: _Reference, beside: str) -> str:
+        """Path of an XML file: MuJoCo looks next to the first one, and next to the one that includes it."""
+        root = self._inner if reference.element == "include" else self._around
+        for home in (self._home, beside):
+            path = reference.within(root, home)
+            if os.path.exists(path):
+                if os.path.dirname(path) not in self._homes:  # MuJoCo finds assets beside any of them
+                    self._homes.append(os.path.dirname(path))
+                return os.path.join(home, reference.target)
+        raise reference.refused("does not exist")
 
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
-    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
-    try:
-        parser.Parse(content, True)
-    except expat.ExpatError as error:
-        problem = expat.errors.messages[error.code]
-        raise SourceError(path, f"not XML: line {error.lineno}: {problem}") from error
-    yield from found
+    def _check_asset(self, reference: _Reference) -> None:
+        """Look wherever MuJoCo may: by any of the compilers, with or without the path in the name."""
+        name = "texturedir" if reference.element == "texture" else "meshdir"
+        folders = [*self._folders[name], *self._folders["assetdir"]] or [""]
+        stripped = replace(reference, target=os.path.basename(reference.target))
+        paths = [
+            file.within(self._around, os.path.join(home, folder))
+            for home in self._homes
+            for folder in folders
+            for file in (reference, stripped)
+        ]
+        found = [path for path in paths if os.path.exists(path)]
+        if not found:
+            raise reference.refused("does not exist")
+        for path in found:
+            if not os.path.isfile(path):  # a pipe would keep MuJoCo waiting
+                raise reference.refused("is not a regular file")
+            if os.path.getsize(path) > MAXIMUM_ASSET_BYTES:
+                raise reference.refused(f"is larger than {MAXIMUM_ASSET_BYTES} bytes")
 
 
 def _check_numbers(path: str, model: Any) -> None:
     """Raise `SourceError` for the first number of an element that is not finite or far too large."""
-    for field in dir(model):
-        prefix = field.split("_")[0].removesuffix("0")
-        if prefix not in CHECKED or field.endswith(("solref", "solimp", "range", "user", "lengthrange")):
-            continue
-        values = np.asarray(getattr(model, field)) if not callable(getattr(model, field)) else np.zeros(0)
-        if values.dtype.kind != "f" or not values.size:
-            continue
+    if not np.all(np.abs(model.opt.gravity) <= LARGEST):
+        raise SourceError(path, f"option: gravity is {model.opt.gravity}; needed: at most {LARGEST:g}")
+    for prefix, field in _number_fields(model):
+        values = getattr(model, field)
         bad = ~(np.abs(values) <= LARGEST)
         if np.any(bad):
             row = int(np.argwhere(bad)[0][0])
             name = getattr(model, prefix)(row).name if prefix in NAMED else ""
             raise SourceError(path, f"{prefix} {name or row!r}: {field} is {values[bad][0]:g}")
+
+
+def _number_fields(model: Any) -> list[tuple[str, str]]:
+    """Prefixes and names of the arrays of numbers that the file itself gives, in the order of `CHECKED`."""
+    found = []
+    for field in dir(model):
+        prefix = field.split("_")[0].removesuffix("0")
+        if prefix in CHECKED and not field.endswith(UNCHECKED):
+            values = getattr(model, field)
+            if isinstance(values, np.ndarray) and values.dtype.kind == "f":
+                found.append((prefix, field))
+    return sorted(found, key=lambda pair: CHECKED.index(pair[0]))

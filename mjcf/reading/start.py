@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
 
 from mjcf.reading.source import SourceError
+from newton_euler.branch import MOST_NAMES, SIDES, branch
 from newton_euler.mapping import Mapping
 from newton_euler.scalars import Array
 from newton_euler.solve import minimum_norm
@@ -23,8 +24,14 @@ NEWTON_STEPS = 60
 LONGEST_STEP = 0.2
 """rad or m, of one step of assembly, so that it stays on the branch it starts on."""
 
+MOST_KEYFRAMES = 20
+"""That are looked at."""
+
 DISABLED = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
 """What is outside of rigid dynamics with bilateral constraints."""
+
+
+Element = Literal["equality", "tendon", "actuator", "joint"]
 
 
 class Start:
@@ -35,6 +42,7 @@ class Start:
         model: without contacts, limits and dry friction.
         data: at the start, positions and velocities worked out.
         key: name of the keyframe, or "qpos0".
+        left: kinds and numbers of MuJoCo's elements that were left out although they act on accelerations.
     """
 
     def __init__(self, path: str, model: Any, key: str | None, report: Mapping) -> None:
@@ -44,14 +52,32 @@ class Start:
             SourceError: for an unknown keyframe, and for loops that do not close from there.
         """
         self.path, self.model = path, model
+        self.left: list[tuple[Element, int]] = []
         self.data: Any = mujoco.MjData(model)
         self._disabled = int(model.opt.disableflags)
         model.opt.disableflags |= sum(int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{n}")) for n in DISABLED)
         if self.disabled("GRAVITY"):
             model.opt.gravity[:] = 0.0
+        others = self._keyframes() if model.nkey > 1 else []
         self.key = self._place(key)
         mujoco.mj_normalizeQuat(model, self.data.qpos)
         self._close(report)
+        if others:
+            report.start.append(f"keyframes of the file, as they stand, in m or rad: {'; '.join(others)}")
+
+    def _keyframes(self) -> list[str]:
+        """Of each keyframe, whether it closes, and where it is open the most if not."""
+        lines = []
+        for number in range(min(self.model.nkey, MOST_KEYFRAMES)):
+            name = self._place(self.model.key(number).name or f"{number}")
+            mujoco.mj_normalizeQuat(self.model, self.data.qpos)
+            gaps = self.gaps()
+            worst = max(gaps, key=lambda index: gaps[index], default=-1)
+            closed = worst < 0 or gaps[worst] <= CLOSED
+            lines.append(
+                f"{name} closed" if closed else f"{name} open by {gaps[worst]:.3g} at {self.equality(worst)}"
+            )
+        return lines
 
     def disabled(self, feature: str) -> bool:
         """Whether the file itself switches a feature off."""
@@ -100,6 +126,7 @@ class Start:
             report.start.append(f"starts from {self.key}: {found}")
             self._finish()
             return
+        places, rows_there = data.xipos.copy(), self.jacobian()
         best, least = first, worst
         for _ in range(NEWTON_STEPS):
             rows = self.jacobian()
@@ -125,13 +152,21 @@ class Start:
         moved = np.zeros(model.nv)
         mujoco.mj_differentiatePos(model, moved, 1.0, first, data.qpos)
         dof = int(np.argmax(np.abs(moved)))
-        joint = model.joint(int(model.dof_jntid[dof])).name or f"number {model.dof_jntid[dof]}"
+        side = branch(rows_there, self.jacobian())
+        apart = np.max(np.linalg.norm(data.xipos - places, axis=1))
         report.start.append(f"{self.key} is open, in m or rad: {'; '.join(lines)}")
         report.start.append(
-            f"assembled on the branch of {self.key}: closed to {least:.1e}, joint {joint!r} moved most, "
-            f"by {moved[dof]:.3g}"
+            f"assembled next to {self.key}: closed to {least:.1e}, joint {self._joint(dof)!r} moved most, "
+            f"by {moved[dof]:.3g}, bodies by up to {apart:.3g} m"
         )
+        bending = ", ".join(dict.fromkeys(repr(self._joint(k)) for k in side.columns[:MOST_NAMES]))
+        report.start.append(f"branch: {SIDES[side.same].format(self.key, bending)}")
         self._finish()
+
+    def _joint(self, dof: int) -> str:
+        """Name of the joint that a velocity belongs to."""
+        number = int(self.model.dof_jntid[dof])
+        return self.model.joint(number).name or f"number {number}"
 
     def equality(self, index: int) -> str:
         """What reports call an equality."""

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import math
-import os
-import stat
 import xml.etree.ElementTree as ET
 from collections import Counter
-from pathlib import Path
-from xml.parsers import expat
 
 import numpy as np
 
-from urdf.errors import UrdfError
+from newton_euler import source_file, yaml_source
+from newton_euler.xml_source import LARGEST, MAXIMUM_BYTES, scan
+from urdf.errors import LoopFileError, UrdfError
+from urdf.loops import Loops, parse_loops
 
-MAXIMUM_BYTES = 10_000_000
+MAXIMUM_VELOCITIES = 300
+"""Degrees of freedom without loops; comparisons at random states are dense."""
 
-MAXIMUM_DEPTH = 50
-"""Of nested elements; a URDF has a handful."""
+MAXIMUM_CLOSURES = 300
+"""The rows of all of them are one dense matrix."""
 
-LARGEST = 1e15
-"""Of any number of a model, so that squares and triple products stay finite and keep digits."""
+MAXIMUM_LINKS = 2000
+"""Pinocchio takes time with the square of their number."""
 
 NUMBERS = {
     "origin": ("xyz", "rpy"),
@@ -33,34 +33,27 @@ NUMBERS = {
 }
 """Attributes that hold numbers, by element."""
 
-JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+JOINT_TYPES = {"revolute": 1, "continuous": 1, "prismatic": 1, "fixed": 0, "floating": 6, "planar": 3}
+"""And how many velocities each of them has."""
 
 
-class SourceError(UrdfError):
+class SourceError(source_file.SourceError, UrdfError):
     """A file that is no usable model: names the file and what is wrong where."""
 
-    def __init__(self, path: str, problem: str) -> None:
-        self.path = path
-        self.problem = problem
-        super().__init__(f"{path}: {problem}")
+
+def read_text(path: str) -> str:
+    """The text of a URDF of reasonable size; raises `SourceError`."""
+    return source_file.read_text(path, MAXIMUM_BYTES, SourceError)
 
 
-def read_text(path: str | os.PathLike[str]) -> str:
-    """The text of a regular file of reasonable size; raises `SourceError`."""
-    where = os.fspath(path)
-    try:
-        status = Path(path).stat()
-        if not stat.S_ISREG(status.st_mode):  # a pipe would keep its reader waiting
-            raise SourceError(where, "not a regular file")
-        if status.st_size > MAXIMUM_BYTES:
-            raise SourceError(where, f"larger than {MAXIMUM_BYTES} bytes")
-        return Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise SourceError(where, f"cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise SourceError(where, "not a UTF-8 text file") from error
-    except ValueError as error:
-        raise SourceError(repr(where), f"cannot be read: {error}") from error
+def read_loops(path: str) -> Loops:
+    """A loop file of reasonable size; raises `SourceError` and `LoopFileError`."""
+    loops = parse_loops(source_file.read_text(path, yaml_source.MAXIMUM_BYTES, SourceError), path)
+    for key in ("closed_loop", "coupled"):
+        count = len(getattr(loops, key))
+        if count > MAXIMUM_CLOSURES:
+            raise LoopFileError(path, key, f"{count} entries, at most {MAXIMUM_CLOSURES} here")
+    return loops
 
 
 def parsed(path: str, text: str) -> ET.Element:
@@ -69,28 +62,41 @@ def parsed(path: str, text: str) -> ET.Element:
     Raises:
         SourceError: naming the line or the element at fault.
     """
-    _scan(path, text)
-    root = ET.fromstring(text)
-    if root.tag != "robot":
-        raise SourceError(path, f"root element is <{root.tag:.100}>, not <robot>")
+    scan(path, text, "robot", lambda tag, attributes, line: None, SourceError)
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:  # a prefix of no namespace
+        raise SourceError(path, f"not XML: {error}") from error
     for what in ("link", "joint"):
         names = [element.get("name") for element in root.findall(what)]
         if not all(names):
             raise SourceError(path, f"a {what} without a name")
         for name, count in Counter(names).items():
             if count > 1:
-                raise SourceError(path, f"{what} {name!r}: {count} of that name")
-    links = {link.get("name") for link in root.findall("link")}
+                raise SourceError(path, f"{what} {name!r:.100}: {count} of that name")
+    links, joints = ({element.get("name") for element in root.findall(tag)} for tag in ("link", "joint"))
     if not links:
         raise SourceError(path, "no links")
+    if len(links) > MAXIMUM_LINKS:
+        raise SourceError(path, f"it has {len(links)} links, at most {MAXIMUM_LINKS} here")
     for joint in root.findall("joint"):
-        _check_joint(path, joint, links)
+        _check_joint(path, joint, links, joints)
+    _check_tree(path, root)
+    velocities = sum(JOINT_TYPES[str(joint.get("type"))] for joint in root.findall("joint"))
+    if velocities > MAXIMUM_VELOCITIES:
+        raise SourceError(path, f"its joints have {velocities} velocities, at most {MAXIMUM_VELOCITIES} here")
     for element in (*root.findall("link"), *root.findall("joint")):
-        where = f"{element.tag} {element.get('name')!r}"
+        where = f"{element.tag} {element.get('name')!r:.100}"
         for part in element.iter():
             for name in NUMBERS.get(part.tag, ()):
                 if name in part.attrib:
                     _check_numbers(f"{where}: <{part.tag}>", path, name, part.attrib[name])
+                elif part.tag in ("mass", "inertia"):
+                    raise SourceError(path, f"{where}: <{part.tag}> has no {name}")
+            if part.tag == "mass" and float(part.attrib["value"]) < 0.0:
+                raise SourceError(
+                    path, f"{where}: mass is {part.attrib['value']:.100} kg; needed: none below 0"
+                )
     return root
 
 
@@ -108,36 +114,8 @@ def check_inertias(path: str, root: ET.Element) -> None:
             raise SourceError(path, f"{problem}; needed: none below 0")
 
 
-def _scan(path: str, text: str) -> None:
-    """Raise `SourceError` unless a text is well-formed XML without a document type."""
-    parser = expat.ParserCreate()
-    depth = 0
-
-    def begin(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        depth += 1
-        if depth > MAXIMUM_DEPTH:
-            problem = f"line {parser.CurrentLineNumber}: more than {MAXIMUM_DEPTH} nested elements"
-            raise SourceError(path, problem)
-
-    def end(tag: str) -> None:
-        nonlocal depth
-        depth -= 1
-
-    def refuse(*_: object) -> None:
-        raise SourceError(path, f"line {parser.CurrentLineNumber}: a document type declaration, refused")
-
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
-    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
-    try:
-        parser.Parse(text, True)
-    except expat.ExpatError as error:
-        problem = expat.errors.messages[error.code]
-        raise SourceError(path, f"not XML: line {error.lineno}: {problem}") from error
-
-
-def _check_joint(path: str, joint: ET.Element, links: set[str | None]) -> None:
-    where = f"joint {joint.get('name')!r}"
+def _check_joint(path: str, joint: ET.Element, links: set[str | None], joints: set[str | None]) -> None:
+    where = f"joint {joint.get('name')!r:.100}"
     if joint.get("type") not in JOINT_TYPES:
         problem = f"{where}: unknown type {joint.get('type')!r:.100}; choose from: {', '.join(JOINT_TYPES)}"
         raise SourceError(path, problem)
@@ -146,6 +124,40 @@ def _check_joint(path: str, joint: ET.Element, links: set[str | None]) -> None:
         link = None if element is None else element.get("link")
         if link not in links:
             raise SourceError(path, f"{where}: {end} link {link!r:.100} does not exist")
+    for mimic in joint.findall("mimic"):
+        if mimic.get("joint") not in joints - {joint.get("name")}:
+            raise SourceError(path, f"{where}: mimics {mimic.get('joint')!r:.100}; needed: another joint")
+
+
+def _check_tree(path: str, root: ET.Element) -> None:
+    """Raise `SourceError` unless the joints lead from one link to all others; parsers run in circles."""
+    above: dict[str, ET.Element] = {}
+    for joint in root.findall("joint"):
+        child = _end(joint, "child")
+        if child in above:
+            both = f"{above[child].get('name')!r:.100} and {joint.get('name')!r:.100}"
+            raise SourceError(path, f"link {child!r:.100}: child of both joint {both}; needed: of one")
+        above[child] = joint
+    tops = [str(link.get("name")) for link in root.findall("link") if link.get("name") not in above]
+    if len(tops) > 1:
+        problem = f"links {tops[0]!r:.100} and {tops[1]!r:.100}: no joint leads to either"
+        raise SourceError(path, f"{problem}; needed: one such link, the root")
+    reached = set(tops)
+    for child in above:
+        trail: dict[str, None] = {}
+        while child not in reached:
+            if child in trail:
+                problem = f"link {child!r:.100}: its joints lead round in a circle, back to it"
+                raise SourceError(path, f"{problem}; needed: a tree, with loops in the loop file")
+            trail[child] = None
+            child = _end(above[child], "parent")
+        reached |= trail.keys()
+
+
+def _end(joint: ET.Element, end: str) -> str:
+    """The link that a joint which has been checked has at one end."""
+    element = joint.find(end)
+    return "" if element is None else str(element.get("link"))
 
 
 def _check_numbers(where: str, path: str, name: str, value: str) -> None:

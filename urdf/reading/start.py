@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.branch import MOST_NAMES, SIDES, branch
 from newton_euler.mapping import Mapping
 from newton_euler.scalars import Array
 from newton_euler.solve import minimum_norm
@@ -103,6 +104,7 @@ class Start:
             found = f"all loops closed, to {least:.1e}" if len(phi) else "no loops"
             report.start.append(f"starts from coordinates 0: {found}")
             return
+        places, rows_there = self._places(), jacobian
         for _ in range(NEWTON_STEPS):
             step = minimum_norm(jacobian, phi, np.ones(len(phi)), np.ones(self.model.nv))
             step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), 1e-300))
@@ -114,7 +116,7 @@ class Start:
             elif least < MUST_CLOSE:
                 break
         self.q = best
-        phi, _ = self._residual()
+        phi, jacobian = self._residual()
         worst = int(np.argmax(np.abs(phi)))
         if least > MUST_CLOSE:
             raise SourceError(
@@ -128,10 +130,22 @@ class Start:
         lines = "; ".join(f"{owner} {gap:.3g}" for owner, gap in gaps.items() if gap > CLOSED)
         moved = pin.difference(self.model, self._zero, self.q)
         dof = int(np.argmax(np.abs(moved)))
-        joint = next(n for n, j in zip(self.model.names, self.model.joints, strict=True)
-                     if j.idx_v <= dof < j.idx_v + j.nv)  # fmt: skip
+        side = branch(rows_there, jacobian)
+        apart = np.max(np.linalg.norm(self._places() - places, axis=1))
         report.start.append(f"coordinates 0 are open, in m or rad: {lines}")
         report.start.append(
-            f"assembled on the branch of coordinates 0: closed to {least:.1e}, joint {joint!r} moved most, "
-            f"by {moved[dof]:.3g}"
+            f"assembled next to coordinates 0: closed to {least:.1e}, joint {self._joint(dof)!r} moved most, "
+            f"by {moved[dof]:.3g}, bodies by up to {apart:.3g} m"
         )
+        bending = ", ".join(dict.fromkeys(repr(self._joint(k)) for k in side.columns[:MOST_NAMES]))
+        report.start.append(f"branch: {SIDES[side.same].format('coordinates 0', bending)}")
+
+    def _joint(self, dof: int) -> str:
+        """Name of the joint that a velocity belongs to."""
+        named = zip(self.model.names, self.model.joints, strict=True)
+        return str(next(name for name, joint in named if joint.idx_v <= dof < joint.idx_v + joint.nv))
+
+    def _places(self) -> Array:
+        """(n, 3) centres of mass of Pinocchio's bodies, m."""
+        poses = zip(self.data.oMi, self.model.inertias, strict=True)
+        return np.array([pose.act(inertia.lever) for pose, inertia in poses])

@@ -1,0 +1,41 @@
+"""Read mesh files in a process of its own, which may not use much time or memory.
+
+`python load_meshes.py FOLDER FILE...` writes the k-th file's vertices and triangles to FOLDER/k.npz; a
+file that cannot be read has none. Parsers of mesh formats are large, and what they are given may be hostile.
+"""
+
+from __future__ import annotations
+
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+PROCESSOR_TIME = 3
+"""s"""
+
+MEMORY = 900_000_000
+"""Bytes of data."""
+
+
+def main() -> None:
+    folder, *files = sys.argv[1:]
+    with suppress(ImportError):  # not everywhere
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_TIME, PROCESSOR_TIME))
+        resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    import coal
+    import numpy as np
+
+    loader = coal.MeshLoader(coal.NODE_TYPE.BV_AABB)
+    for number, file in enumerate(files):
+        with suppress(ValueError, RuntimeError, MemoryError):
+            mesh = loader.load(file, np.ones(3))
+            rows = (mesh.tri_indices(k) for k in range(mesh.num_tris))
+            triangles = [(row[0], row[1], row[2]) for row in rows]  # they cannot be iterated over
+            np.savez(Path(folder) / f"{number}.npz", vertices=mesh.vertices(), triangles=triangles)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""What the links of a URDF look like: boxes, round bars and meshes, for the eye only."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import tempfile
+import xml.etree.ElementTree as ET
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from newton_euler.errors import NewtonEulerError
+from newton_euler.mapping import Mapping
+from newton_euler.mechanism import Body
+from newton_euler.scalars import Array
+from newton_euler.shapes import Box, Capsule, Mesh, Shape
+from urdf.reading.bodies import Tree
+from urdf.reading.start import Start
+
+MAXIMUM_BYTES = 50_000_000
+"""Of a mesh file."""
+
+WALL_TIME = 10.0
+"""s for all meshes; they may use less of a processor, see `urdf.reading.load_meshes`."""
+
+Color = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class _Visual:
+    """A visual element, where its body is and how it is placed in the world at the start."""
+
+    body: int
+    link: str
+    element: ET.Element
+    pose: Any
+    color: Color | None
+
+
+class _Unusable(Exception):
+    """Why a visual element cannot be drawn."""
+
+
+def dressed(path: str, root: ET.Element, start: Start, tree: Tree, report: Mapping) -> list[Body]:
+    """The bodies of a tree with the shapes and meshes of their links; each mesh missing is reported.
+
+    Mesh files have to be in the URDF's folder or the one around it, or in the package that they name, a
+    folder of that name that the URDF is in or beside.
+    """
+    shapes: list[tuple[_Visual, Shape]] = []
+    meshes: list[tuple[_Visual, Path, Array]] = []
+    for visual in _visuals(root, start, tree):
+        element = f"visual of link {visual.link!r}"
+        try:
+            shape = _primitive(visual)
+            if shape is None:
+                meshes.append((visual, *_mesh(Path(path), visual)))
+            else:
+                shapes.append((visual, shape))
+        except (_Unusable, NewtonEulerError) as error:
+            report.left_out(element, str(error))
+    files = _loaded(list(dict.fromkeys(file for _, file, _ in meshes)))
+    drawn: list[tuple[_Visual, Mesh]] = []
+    for visual, file, scale in meshes:
+        mesh = files[file]
+        if mesh is None:
+            report.left_out(f"visual of link {visual.link!r}", f"no mesh can be read from {file.name!r}")
+        else:
+            drawn.append((visual, _placed(visual, mesh, scale)))
+    if shapes or drawn:
+        report.exactly(f"{len(shapes) + len(drawn)} visuals", "drawn")
+    return [
+        replace(
+            body,
+            shapes=tuple(shape for visual, shape in shapes if visual.body == k),
+            meshes=tuple(mesh for visual, mesh in drawn if visual.body == k),
+        )
+        for k, body in enumerate(tree.bodies)
+    ]
+
+
+def _visuals(root: ET.Element, start: Start, tree: Tree) -> list[_Visual]:
+    """Those of the links that are part of a body."""
+    bodies = {body.name: k for k, body in enumerate(tree.bodies)}
+    colors = {m.get("name"): _rgba(m) for m in root.findall("material")}
+    found = []
+    frames = {f.name: k for k, f in enumerate(start.model.frames) if f.type == pin.FrameType.BODY}
+    for link in root.findall("link"):
+        name = str(link.get("name"))
+        frame = frames.get(name)
+        body = None if frame is None else tree.names[start.model.frames[frame].parentJoint]
+        if body is None:
+            continue
+        for element in link.findall("visual"):
+            material = element.find("material")
+            color = None if material is None else _rgba(material) or colors.get(material.get("name"))
+            pose = start.data.oMf[frame] * _origin(element.find("origin"))
+            found.append(_Visual(bodies[body], name, element, pose, color))
+    return found
+
+
+def _rgba(material: ET.Element) -> Color | None:
+    element = material.find("color")
+    if element is None:
+        return None
+    try:
+        red, green, blue, opacity = (min(max(float(x), 0.0), 1.0) for x in element.get("rgba", "").split())
+    except ValueError:
+        return None
+    return red, green, blue, opacity
+
+
+def _origin(element: ET.Element | None) -> Any:
+    """The pose that an <origin> gives, whose numbers have been checked."""
+    if element is None:
+        return pin.SE3.Identity()
+    rpy = [float(x) for x in element.get("rpy", "0 0 0").split()]
+    xyz = [float(x) for x in element.get("xyz", "0 0 0").split()]
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz))
+
+
+def _primitive(visual: _Visual) -> Shape | None:
+    """The box or round bar of a visual; None if it has neither."""
+    geometry = visual.element.find("geometry")
+    box, cylinder = (None if geometry is None else geometry.find(kind) for kind in ("box", "cylinder"))
+    pose = visual.pose
+    if box is not None:
+        quaternion = pin.SE3ToXYZQUAT(pose)[[6, 3, 4, 5]]
+        half = 0.5 * _numbers(box, "size", 3)
+        return Box(half, pose.translation, quaternion / np.linalg.norm(quaternion))
+    if cylinder is not None:
+        arm = 0.5 * _numbers(cylinder, "length", 1) * pose.rotation[:, 2]
+        radius = float(_numbers(cylinder, "radius", 1)[0])
+        return Capsule(pose.translation - arm, pose.translation + arm, radius)
+    return None
+
+
+def _numbers(element: ET.Element, name: str, count: int) -> Array:
+    try:
+        values = [float(x) for x in element.get(name, "").split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(math.isfinite, values)):
+        needed = "a number" if count == 1 else f"{count} numbers"
+        raise _Unusable(f"<{element.tag}> has {name}={element.get(name, '')!r:.100}; needed: {needed}")
+    return np.array(values)
+
+
+def _mesh(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
+    """The file of a visual's mesh, and its scale (3,)."""
+    mesh = visual.element.find("geometry/mesh")
+    if mesh is None:
+        raise _Unusable("no box, cylinder or mesh, which are what is drawn")
+    scale = _numbers(mesh, "scale", 3) if mesh.get("scale") else np.ones(3)
+    name = mesh.get("filename", "")
+    home = urdf.resolve().parent
+    package, _, rest = name.removeprefix("package://").partition("/")
+    if name.startswith("package://"):
+        around = [folder if folder.name == package else folder / package for folder in (home, *home.parents)]
+        candidates = [(folder, folder / rest) for folder in around]
+    else:
+        outer = home if home.parent == Path(home.anchor) else home.parent
+        candidates = [(outer, home / name.removeprefix("file://"))]
+    for folder, file in candidates:
+        if "\0" in name or not file.resolve().is_relative_to(folder.resolve()):
+            raise _Unusable(f"mesh {name!r:.200} leads outside of {str(folder)!r}")
+        if file.is_file():
+            if file.stat().st_size > MAXIMUM_BYTES:
+                raise _Unusable(f"mesh {name!r:.200} is larger than {MAXIMUM_BYTES} bytes")
+            return file.resolve(), scale
+    raise _Unusable(f"mesh {name!r:.200} does not exist")
+
+
+def _loaded(files: list[Path]) -> dict[Path, Mesh | None]:
+    """The meshes of files in the files' own coordinates; None for what no mesh can be read from."""
+    found: dict[Path, Mesh | None] = dict.fromkeys(files)
+    if not files:
+        return found
+    with tempfile.TemporaryDirectory() as folder:
+        # by its path, without the packages around it: nothing but coal has to be imported
+        script = Path(__file__).with_name("load_meshes.py")
+        command = [sys.executable, "-P", str(script), folder, *map(str, files)]
+        with suppress(subprocess.TimeoutExpired):
+            subprocess.run(
+                command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=WALL_TIME, check=False
+            )
+        for number, file in enumerate(files):
+            with suppress(OSError, ValueError, KeyError, EOFError, NewtonEulerError):
+                arrays = np.load(Path(folder) / f"{number}.npz")
+                found[file] = Mesh(arrays["vertices"], arrays["triangles"].reshape(-1, 3))
+    return found
+
+
+def _placed(visual: _Visual, mesh: Mesh, scale: Array) -> Mesh:
+    """A file's mesh where a visual has it in the world."""
+    vertices = (scale * mesh.vertices) @ visual.pose.rotation.T + visual.pose.translation
+    turned = mesh.triangles if np.prod(scale) > 0.0 else mesh.triangles[:, ::-1]
+    return Mesh(vertices, turned, visual.color)
