@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from mechanisms import planar_four_bar, seven_hinges
 
-from crosscheck.comparison.levels import compare_equations
+from crosscheck.comparison.levels import compare_equations, sampled
 from crosscheck.comparison.reactions import determined, undetermined, undetermined_joints
+from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import ENGINES
+from crosscheck.random.scenes import random_scene
 from crosscheck.scenes import load
 from newton_euler.assemble import random_states
 from newton_euler.cartesian import Cartesian
@@ -35,13 +37,17 @@ def test_windows_and_flat_loops():
 
 
 @pytest.mark.parametrize(
-    "make", [lambda: load("bricard"), planar_four_bar], ids=["bricard", "planar_four_bar"]
+    "make",
+    [lambda: load("bricard"), planar_four_bar, lambda: random_scene(0, 2)],
+    ids=["bricard", "planar_four_bar", "with a redundant coupling"],
 )
 def test_what_is_undetermined_acts_on_no_body(make):
     scene = make()
     (state,) = random_states(scene, 1)
     size, frames = scene.mechanism.size, state.frames()
-    for column in undetermined(scene, state).T:
+    basis = undetermined(scene, state)
+    assert basis.shape[1] > 0
+    for column in basis.T:
         total = np.zeros((len(frames), 6))
         for wrench, equations in zip(column.reshape(-1, 6), scene.mechanism.equations, strict=True):
             force, torque = wrench[:3], size * wrench[3:]
@@ -64,11 +70,15 @@ def test_determined_keeps_what_is_across():
     assert kept == pytest.approx(torque)
 
 
-@pytest.mark.parametrize("make", [lambda: load("bricard"), seven_hinges], ids=["bricard", "seven_hinges"])
+@pytest.mark.parametrize(
+    "make",
+    [lambda: load("bricard"), seven_hinges, lambda: random_scene(0, 2)],
+    ids=["bricard", "seven_hinges", "with a redundant coupling"],
+)
 def test_engines_agree_on_what_is_determined_and_an_error_there_is_found(make):
     scene = make()
     engines = [ENGINES["newton_euler"], ENGINES["pinocchio"]]
-    states = [scene.initial_state, *random_states(scene, 2)]
+    states = States(scene, (scene.initial_state, *random_states(scene, 2)))
 
     class Pushed(Cartesian):
         """The first joint's force is off by a thousandth."""
@@ -78,12 +88,12 @@ def test_engines_agree_on_what_is_determined_and_an_error_there_is_found(make):
             found.reaction_force[0] *= 1.001
             return found
 
-    systems = {engine.name: engine.systems(scene) for engine in engines}
-    rows = [row for row in compare_equations(scene, engines, systems, states) if "reaction" in row.quantity]
+    samples = sampled(engines, states)
+    rows = [row for row in compare_equations(engines, samples) if "reaction" in row.quantity]
     assert len(rows) == 4  # forces and torques of two pairs: engines, formulations
     assert all(row.agrees for row in rows)
-    systems["newton_euler"] = (Pushed(scene),)
-    rows = compare_equations(scene, engines, systems, states)
+    samples["newton_euler"] = [Samples(Pushed(scene), states)]
+    rows = list(compare_equations(engines, samples))
     failed = {row.quantity for row in rows if not row.agrees}
     assert "reaction force, rel" in failed
     assert failed <= {"reaction force, rel", "reaction torque, rel"}  # what is left has parts of both

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.comparison.levels import OWN_ERROR, UNRESOLVED
+from crosscheck.comparison.rows import OWN_ERROR, UNRESOLVED
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.references import Known, known_figures

@@ -11,8 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from newton_euler.euler_parameters import rotation
-from newton_euler.scalars import Array, cross
+from newton_euler.cartesian import Cartesian
+from newton_euler.constraints import Jacobian
+from newton_euler.couplings import couplings
+from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.solve import RANK_TOLERANCE, orthonormal_null, orthonormal_range
 from newton_euler.state import State
@@ -22,27 +24,41 @@ def undetermined(scene: Scene, state: State) -> Array:
     """(6 j, r) orthonormal reactions that together act on no body: r redundant constraints.
 
     For each joint force and torque over the mechanism's size, N both, on the second body at the joint
-    point; world frame. Couplings are not looked at.
+    point; world frame. What couplings and prescribed motions put on a joint's coordinates is among them.
     """
     mechanism, frames = scene.mechanism, state.frames()
-    rows, wrenches = [], []
+    size, rows, wrenches = mechanism.size, [], []
+
+    def add(parts: list[tuple[int, int, int, Jacobian]], unit: Array) -> None:
+        """Equations of these joints, first and second bodies, of those units; the ground takes anything."""
+        row = np.zeros((len(unit), len(frames), 6))
+        wrench = np.zeros((len(mechanism.joints), 6, len(unit)))
+        for k, i, j, blocks in parts:
+            for body, r, theta in (
+                (i, blocks.r_first, blocks.theta_first),
+                (j, blocks.r_second, blocks.theta_second),
+            ):
+                row[:, body] += np.hstack([r, theta / size])
+            pose = mechanism.bodies[j].pose
+            arm = frames[j].rotation @ pose.point_to_body(mechanism.joints[k].reaction_point)
+            torque = blocks.theta_second - np.cross(arm, blocks.r_second)
+            wrench[k] += np.hstack([blocks.r_second, torque / size]).T
+        row[:, 0] = 0.0
+        rows.append(row.reshape(len(unit), 6 * len(frames)) * size / unit[:, None])
+        wrenches.append(wrench.reshape(6 * len(mechanism.joints), len(unit)) * size / unit)
+
     for k, equations in enumerate(mechanism.equations):
         i, j = equations.first, equations.second
-        blocks = equations.jacobian(frames[i], frames[j])
-        unit = equations.units(mechanism.size)[:, None]
-        row = np.zeros((equations.count, len(frames), 6))
-        row[:, i, :3], row[:, i, 3:] = blocks.r_first, blocks.theta_first / mechanism.size
-        row[:, j, :3], row[:, j, 3:] = blocks.r_second, blocks.theta_second / mechanism.size
-        row[:, 0] = 0.0  # the ground takes anything
-        rows.append(row.reshape(equations.count, 6 * len(frames)) * mechanism.size / unit)
-        body = mechanism.bodies[j]
-        arm = rotation(state.quaternion[j]) @ body.pose.point_to_body(equations.joint.reaction_point)
-        wrench = np.zeros((6 * len(mechanism.joints), equations.count))
-        wrench[6 * k : 6 * k + 3] = blocks.r_second.T
-        wrench[6 * k + 3 : 6 * k + 6] = (
-            blocks.theta_second.T - np.array([cross(arm, force) for force in blocks.r_second]).T
-        ) / mechanism.size
-        wrenches.append(wrench * mechanism.size / unit.T)
+        add([(k, i, j, equations.jacobian(frames[i], frames[j]))], equations.units(size))
+    measured = Cartesian(scene).measured
+    for coupling in couplings(scene):
+        parts = []
+        for key, factor in coupling.factors.items():
+            i, j = measured[key].first, measured[key].second
+            blocks = measured[key].constraint.jacobian(frames[i], frames[j])
+            share = Jacobian(*(factor * block for block in blocks))
+            parts.append((mechanism.joint_index(key[0]), i, j, share))
+        add(parts, np.array([size if coupling.is_length else 1.0]))
     null = orthonormal_null(np.concatenate(rows).T)
     return orthonormal_range(np.concatenate(wrenches, axis=1) @ null)
 

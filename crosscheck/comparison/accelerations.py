@@ -1,0 +1,96 @@
+"""Level 4: constrained accelerations, and joint reactions in one form for all engines.
+
+Reactions are force and torque on the second body, at the joint point, in the world frame. Where redundant
+constraints leave them open they are compared as J^T lambda, what they do to bodies, see `reactions`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cache
+
+import numpy as np
+
+from crosscheck.comparison.blame import SHARE, dynamic_cause
+from crosscheck.comparison.reactions import determined
+from crosscheck.comparison.rows import EPSILON, Row, round_off
+from crosscheck.comparison.samples import Samples, Scales
+from newton_euler.scalars import Array
+from newton_euler.state import Evaluation
+
+LEVEL = "accelerations and reactions"
+
+SOFTNESS = 1e-2
+"""Relative to the largest: MuJoCo caps solimp at 0.9999, so its constraint forces are off by the
+order of 0.1 % however small the step, and by more where a mechanism is ill-conditioned; they are
+shown beside the rigid ones."""
+
+
+def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Row]:
+    """Accelerations of bodies and reactions of joints.
+
+    Tolerances are round-off magnified by the condition of the constraints and of the mass matrix; reactions
+    lose the constraints' condition once more. What fails is blamed on the body or term whose equations of
+    motion are violated.
+    """
+    states = first.states
+    constraints, masses = max(first.condition, second.condition), states.mass_condition
+    yield Row(LEVEL, "condition of masses", pair, masses, 1.0 / EPSILON, "", informs=True)
+    tolerance, looser = round_off(constraints * masses), round_off(constraints**2 * masses)
+    scales, mechanism = Scales(first), states.scene.mechanism
+
+    @cache
+    def cause() -> str | None:
+        return dynamic_cause(first, second)
+
+    def row(quantity: str, gap: Array, tolerance: float, names: Sequence[str], moved: bool = False) -> Row:
+        value, where = float(gap.max()), names[int(np.argmax(gap.max(axis=0)))]
+        if not value <= tolerance and not moved:
+            where = cause() or where
+        return Row(LEVEL, quantity, pair, value, tolerance, where)
+
+    def apart(name: str) -> Array:
+        return np.asarray(np.linalg.norm(first.stack(name) - second.stack(name), axis=-1))
+
+    linear = apart("linear_acceleration") / scales.acceleration
+    angular = apart("angular_acceleration") * scales.size / scales.acceleration
+    yield row("linear acceleration, rel", linear, tolerance, mechanism.body_names)
+    yield row("angular acceleration, rel", angular, tolerance, mechanism.body_names)
+    names = mechanism.joint_names
+    force, torque = (first.stack(name) - second.stack(name) for name in ("reaction_force", "reaction_torque"))
+    force, torque = determined(force, torque, states.undetermined, scales.size)
+    yield row("reaction force, rel", np.linalg.norm(force, axis=2) / scales.force, looser, names)
+    gap = np.linalg.norm(torque, axis=2) / (scales.force * scales.size)
+    moved = _is_another_point(torque, first.stack("reaction_force"))
+    yield row("reaction torque, rel", gap, looser, names, moved)
+
+
+def _is_another_point(torque: Array, force: Array) -> bool:
+    """Whether differences of torques (n, j, 3) are those of one joint that is seen from another point.
+
+    Then they are arms times forces (n, j, 3), perpendicular to the forces in every state.
+    """
+    largest = np.linalg.norm(torque, axis=2).max(axis=0)
+    if np.sum(largest > SHARE * largest.max()) != 1:
+        return False
+    joint = int(np.argmax(largest))
+    along = np.abs(np.sum(torque[:, joint] * force[:, joint], axis=1))
+    return bool(np.all(along <= SHARE * largest[joint] * np.linalg.norm(force[:, joint], axis=1)))
+
+
+def softness_row(name: str, soft: Evaluation, rigid: Samples) -> Row:
+    """What soft constraints of an engine do to its reaction forces at the start."""
+    states = rigid.states
+    force = rigid.evaluations[0].reaction_force
+    floor = states.energy / states.scene.mechanism.size
+    gap = np.linalg.norm(soft.reaction_force - force, axis=1)
+    gap = gap / max(floor, float(np.linalg.norm(force, axis=1).max()))
+    return Row(
+        LEVEL,
+        "reaction force, rel",
+        (f"{name} soft", f"{name} rigid"),
+        float(gap.max()),
+        SOFTNESS,
+        states.scene.mechanism.joint_names[int(np.argmax(gap))],
+        informs=True,
+    )

@@ -1,0 +1,79 @@
+"""Level 3: what actuators push with, energies, and the inertia and force that independent velocities see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+
+from crosscheck.comparison.blame import dynamic_cause
+from crosscheck.comparison.rows import Row, round_off
+from crosscheck.comparison.samples import Samples, Scales
+from newton_euler.scalars import Array
+
+
+def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Row]:
+    """Actuator forces, energies, and the free motion's inertia and force; its basis is the states'.
+
+    Tolerances are round-off magnified by the condition of the constraints, which independent velocities
+    come from; the effective force holds accelerations across them, whose round-off the mass matrix magnifies.
+    What fails is blamed on the joint that is actuated, or on the body or term whose equations of
+    motion are violated.
+    """
+    states = first.states
+    condition = max(first.condition, second.condition)
+    tolerance = round_off(condition)
+
+    @cache
+    def cause(forces: bool) -> str | None:
+        return dynamic_cause(first, second, forces)
+
+    def row(
+        quantity: str, gap: Array, unit: float, joint: str | None = None, tolerance: float = tolerance
+    ) -> Row:
+        """`gap` has a first axis of states."""
+        worst = gap.reshape(len(states.all), -1).max(axis=1)
+        value = float(worst.max()) / unit
+        where = states.name(int(np.argmax(worst)))
+        if not value <= tolerance:
+            by_force = quantity not in ("kinetic energy, rel", "effective inertia, rel")
+            where = joint or cause(by_force) or where
+        return Row("dynamics", quantity, pair, value, tolerance, where)
+
+    if states.scene.control:
+        units = _actuator_units(first)
+        gap = np.abs(first.stack("actuator_force") - second.stack("actuator_force")) / units
+        joint = states.scene.control[int(np.argmax(gap.max(axis=0)))].joint
+        yield row("actuator force, rel", gap, 1.0, joint)
+    for name in ("kinetic_energy", "potential_energy"):
+        one, two = first.stack(name), second.stack(name)
+        unit = max(states.energy, float(np.abs(one).max()))
+        yield row(f"{name.replace('_', ' ')}, rel", np.abs(one - two), unit)
+    if not all(basis.shape[1] for basis in states.bases):
+        return  # nothing can move
+    inertia, other = ([mass for mass, _ in samples.free_motions] for samples in (first, second))
+    force, push = ([force for _, force in samples.free_motions] for samples in (first, second))
+    yield row("effective inertia, rel", *_apart(inertia, other, 0.0))
+    looser = round_off(condition * states.mass_condition)
+    yield row("effective force, rel", *_apart(force, push, states.energy), tolerance=looser)
+
+
+def _apart(one: list[Array], two: list[Array], floor: float) -> tuple[Array, float]:
+    """The largest difference at each state (n,), and the largest of the first, `floor` at least.
+
+    States with more freedoms than others have larger arrays.
+    """
+    gap = [float(np.max(np.abs(x - y))) for x, y in zip(one, two, strict=True)]
+    return np.array(gap), max(floor, *(float(np.max(np.abs(x))) for x in one))
+
+
+def _actuator_units(samples: Samples) -> Array:
+    """(a,) what actuator forces are relative to: the largest force, at the mechanism's size for torques."""
+    scene, scales = samples.states.scene, Scales(samples)
+    units = []
+    for law in scene.control:
+        joint = scene.mechanism.joints[scene.mechanism.joint_index(law.joint)]
+        turns = joint.coordinate_kinds[law.coordinate] == "hinge"
+        units.append(scales.force * (scales.size if turns else 1.0))
+    return np.maximum(units, np.abs(samples.stack("actuator_force")).max(axis=0))

@@ -1,0 +1,86 @@
+"""What a comparison yields: rows of figures, each at one of the levels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+
+LEVELS = (
+    "model",
+    "kinematics",
+    "dynamics",
+    "accelerations and reactions",
+    "trajectories",
+    "drift",
+    "energy",
+)
+
+OWN_ERROR = 4.0
+"""Share of the difference between a run and a finer one that the run may be off: three times 4/3, which
+is its error where half a step leaves a quarter of it. Where it leaves half, its error is twice the
+difference; where error control is a hundred times tighter, the difference itself."""
+
+UNRESOLVED = 1e-2
+"""Largest share of reach, 1 rad or energy that a refinement may excuse."""
+
+
+EPSILON = float(np.finfo(float).eps)
+
+ROUND_OFF = 1e-12
+"""Relative: numbers written with 17 digits and rotated a few times, and some hundred operations in a row,
+each to 1e-16. Engines lose a fiftieth of it in the scenes of the library."""
+
+
+def round_off(condition: float) -> float:
+    """Relative difference that double precision may make where a condition number magnifies it."""
+    return min(ROUND_OFF * condition, UNRESOLVED)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One compared figure.
+
+    Attributes:
+        level: one of `LEVELS`.
+        quantity: what is compared, with its unit.
+        between: the engines or systems compared, one or two.
+        value, tolerance: the figure and what it may be at most, or usually is where it only informs.
+        where: the body, joint, term or time of the largest difference.
+        informs: a figure that says how an engine works and is not judged.
+    """
+
+    level: str
+    quantity: str
+    between: tuple[str, ...]
+    value: float
+    tolerance: float
+    where: str
+    informs: bool = False
+
+    @property
+    def agrees(self) -> bool:
+        """NaN does not agree with anything."""
+        return self.informs or bool(self.value <= self.tolerance)
+
+
+def not_compared(rows: Sequence[Row]) -> Iterator[str]:
+    """A line for each pair that parts: at which level, and that those after it were not compared."""
+    for between in dict.fromkeys(row.between for row in rows if len(row.between) == 2):
+        failed = [row for row in rows if row.between == between and not row.agrees]
+        if failed:
+            last = max(LEVELS.index(row.level) for row in failed)
+            if last + 1 < len(LEVELS):
+                yield f"{' and '.join(between)}: levels after {LEVELS[last]!r} not compared"
+
+
+def reach(scene: Scene, position: Array) -> float:
+    """The size of a mechanism or how far (..., 3) positions lie from the origin, whichever is larger, m.
+
+    Coordinates carry round-off in proportion to it.
+    """
+    return max(scene.mechanism.size, float(np.max(np.abs(position))))

@@ -1,0 +1,282 @@
+"""Systems at consistent states: what the levels before runs compare, each worked out when first asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from crosscheck.comparison.energy import RANDOM_RATE, energy_scale
+from crosscheck.comparison.joint_geometry import joint_geometry
+from crosscheck.comparison.reactions import undetermined
+from crosscheck.comparison.terms import mass_and_force
+from newton_euler.joint_geometry import JointGeometry
+from newton_euler.relative import Relative
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.solve import numerical_rank, orthonormal_null, orthonormal_range
+from newton_euler.state import Evaluation, MassProperties, State
+from newton_euler.system import System
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """Consistent states of a scene, the initial one first.
+
+    Attributes:
+        scene: the description that engines are compared on.
+        all: the states.
+    """
+
+    scene: Scene
+    all: tuple[State, ...]
+
+    @cached_property
+    def units(self) -> Array:
+        """(6 b,) see `body_units`: the scene's for all systems."""
+        return body_units(self.scene)
+
+    @cached_property
+    def _system(self) -> Relative:
+        return Relative(self.scene)
+
+    @cached_property
+    def _coordinates(self) -> list[tuple[Array, Array]]:
+        return [self._system.coordinates(state) for state in self.all]
+
+    @cached_property
+    def bases(self) -> list[Array]:
+        """(6 b, d) for each state, see `admissible_basis`: the independent velocities of level 3."""
+        return [admissible_basis(self._system, q, self.units)[0] for q, _ in self._coordinates]
+
+    @cached_property
+    def opening(self) -> float:
+        """See `_opening`: a state may be given with fewer digits than engines work with."""
+        return _opening(self._system, self._coordinates)
+
+    @cached_property
+    def mass_condition(self) -> float:
+        """The largest of all states, of the tree's mass matrix with unit diagonal.
+
+        Factorising it loses as many digits as after the best choice of units (N. J. Higham, Accuracy and
+        Stability of Numerical Algorithms, 2nd ed., 2002, section 10.1.1).
+        """
+        return max(_equilibrated(mass_and_force(self._system, q, v)[0]) for q, v in self._coordinates)
+
+    @cached_property
+    def undetermined(self) -> list[Array]:
+        """For each state what `reactions.undetermined` gives."""
+        return [undetermined(self.scene, state) for state in self.all]
+
+    @cached_property
+    def energy(self) -> float:
+        """J, see `energy_scale`."""
+        return energy_scale(self.scene, list(self.all))
+
+    def name(self, index: int) -> str:
+        """What people call a state."""
+        return "the initial state" if index == 0 else f"random state {index}"
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """One system at a number of states."""
+
+    system: System
+    states: States
+
+    @property
+    def name(self) -> str:
+        """The system's."""
+        return self.system.name
+
+    @cached_property
+    def mass_properties(self) -> MassProperties:
+        """In the system's own model."""
+        return self.system.mass_properties()
+
+    @cached_property
+    def joints(self) -> dict[str, JointGeometry]:
+        """Of the system's own model."""
+        return joint_geometry(self.system)
+
+    @cached_property
+    def initial_orientations(self) -> Array:
+        """(b, 4) of the bodies' frames where all coordinates are zero, by the system's own kinematics."""
+        mechanism = self.system.mechanism
+        q, v = self.system.coordinates(State.initial(mechanism))
+        return self.system.state(q, v).quaternion
+
+    @cached_property
+    def coordinates(self) -> list[tuple[Array, Array]]:
+        """q and v at each state."""
+        return [self.system.coordinates(state) for state in self.states.all]
+
+    @cached_property
+    def motions(self) -> list[State]:
+        """Poses and velocities at each state, by the system's own kinematics."""
+        return [self.system.state(q, v) for q, v in self.coordinates]
+
+    @property
+    def closes(self) -> bool:
+        """Whether the system has constraints beside what its coordinates are."""
+        return len(self.system.phi_units) > 0
+
+    @cached_property
+    def opening(self) -> float:
+        """See `_opening`."""
+        return _opening(self.system, self.coordinates)
+
+    @cached_property
+    def evaluations(self) -> list[Evaluation]:
+        """At each state."""
+        return [self.system.evaluate(q, v) for q, v in self.coordinates]
+
+    @cached_property
+    def _bases(self) -> list[tuple[Array, float]]:
+        return [admissible_basis(self.system, q, self.states.units) for q, _ in self.coordinates]
+
+    @property
+    def bases(self) -> list[Array]:
+        """(6 b, d) at each state, see `admissible_basis`."""
+        return [basis for basis, _ in self._bases]
+
+    @cached_property
+    def condition(self) -> float:
+        """Of the constraints, the largest of all states."""
+        return max(condition for _, condition in self._bases)
+
+    @cached_property
+    def free_motions(self) -> list[tuple[Array, Array]]:
+        """Inertia (d, d) and force (d,) at each state, see `free_motion`, for the bases of the states."""
+        return [
+            free_motion(self.system, q, v, evaluation, basis, self.states.units)
+            for (q, v), evaluation, basis in zip(
+                self.coordinates, self.evaluations, self.states.bases, strict=True
+            )
+        ]
+
+    def stack(self, name: str) -> Array:
+        """(n, bodies or joints, ...) array of that name, of the motions or else of the evaluations."""
+        sources = self.motions if hasattr(self.motions[0], name) else self.evaluations
+        return np.array([getattr(source, name) for source in sources])
+
+
+def body_units(scene: Scene) -> Array:
+    """(6 b,) units of body velocities: sizes a second and radians a second."""
+    size = scene.mechanism.size
+    return np.tile([size, size, size, 1.0, 1.0, 1.0], len(scene.mechanism.bodies))
+
+
+def admissible_basis(system: System, q: Array, units: Array) -> tuple[Array, float]:
+    """Orthonormal (6 b, d) body velocities that the constraints leave free, and their condition.
+
+    Velocities are divided by `body_units`, so that all rows are in 1/s. The projector onto them
+    is the constraint Jacobian in a form that depends on no choice of coordinates or rows. The condition is
+    that of the independent constraint rows, 1 without constraints.
+    """
+    jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
+    transformation = system.velocity_transformation(q) * system.velocity_units
+    basis = orthonormal_range(transformation / units[:, None] @ orthonormal_null(jacobian))
+    values = np.linalg.svd(jacobian, compute_uv=False) if jacobian.size else np.ones(1)
+    rank = numerical_rank(values)
+    return basis, float(values[0] / values[rank - 1]) if rank else 1.0
+
+
+def free_motion(
+    system: System, q: Array, v: Array, evaluation: Evaluation, basis: Array, units: Array
+) -> tuple[Array, Array]:
+    """Inertia (d, d), kg m^2, and force (d,), N m, that independent velocities see.
+
+    With the columns W of `basis` as velocities of all bodies, V = U W y with the units U of
+    `body_units`, the equations of motion M vdot = f + J^T lambda become
+
+        (Y^T M Y) dy/dt = Y^T (f - M v_p),   T Y = U W,   J Y = 0
+
+    where T is the system's velocity transformation and v_p is any acceleration of its coordinates under
+    which the bodies accelerate across W alone, as the constraints make them at this velocity. Both sides
+    are the same for all coordinates (J. Garcia de Jalon, E. Bayo, Kinematic and Dynamic Simulation of
+    Multibody Systems, 1994, section 5.2), and hold nothing that was solved for.
+    """
+    transformation = system.velocity_transformation(q) * system.velocity_units / units[:, None]
+    mass, force = mass_and_force(system, q, v)
+    mass = mass * system.velocity_units
+    accelerations = np.hstack([evaluation.linear_acceleration, evaluation.angular_acceleration]).ravel()
+    along = basis.T @ (accelerations / units)
+    if len(mass) < system.nv:  # Cartesian: T qddot are the accelerations, because Gdot pdot = 0
+        motion = np.linalg.lstsq(transformation, np.column_stack([basis, accelerations / units]))[0]
+        velocities, acceleration = motion[:, :-1], motion[:, -1]
+        onto = _on_wrenches(evaluation.state, units[:, None] * basis)
+    else:
+        jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
+        rows = np.concatenate([transformation, jacobian])  # T is silent on halves of bodies
+        right = np.concatenate([basis, np.zeros((len(jacobian), basis.shape[1]))])
+        velocities = np.linalg.lstsq(rows, right)[0]
+        acceleration = system.acceleration(q, v) / system.velocity_units
+        onto = system.velocity_units[:, None] * velocities
+    across = acceleration - velocities @ along
+    return onto.T @ mass @ velocities, onto.T @ (force - mass @ across)
+
+
+def _opening(system: System, coordinates: list[tuple[Array, Array]]) -> float:
+    """How far a system's own constraints are open at some states, in sizes or rad."""
+    units = system.phi_units
+    return max(float(np.max(np.abs(system.phi(q)) / units, initial=0.0)) for q, _ in coordinates)
+
+
+def _equilibrated(mass: Array) -> float:
+    """Condition of a mass matrix scaled to a unit diagonal."""
+    scale = 1.0 / np.sqrt(np.diag(mass))
+    return float(np.linalg.cond(mass * np.outer(scale, scale))) if len(mass) else 1.0
+
+
+def _on_wrenches(state: State, velocities: Array) -> Array:
+    """Velocities of all bodies (6 b, d) against forces, world, and torques, body, of those that move."""
+    turned = velocities.reshape(len(state.position), 6, -1).copy()
+    for body, frame in zip(turned, state.frames(), strict=True):
+        body[3:] = frame.rotation.T @ body[3:]
+    return turned[1:].reshape(-1, velocities.shape[1])
+
+
+class Scales:
+    """What differences at a number of states are relative to: the largest there, with physical floors.
+
+    Angular quantities count at the mechanism's size, so that a ball's torque, which vanishes, is held
+    against its force.
+    """
+
+    def __init__(self, samples: Samples) -> None:
+        self._samples = samples
+        self._scene = samples.states.scene
+        self.size = self._scene.mechanism.size
+
+    def _norms(self, name: str) -> Array:
+        return np.asarray(np.linalg.norm(self._samples.stack(name), axis=-1))
+
+    @cached_property
+    def velocity(self) -> float:
+        """m/s, at least the size at `RANDOM_RATE`."""
+        rates = [self._norms("linear_velocity"), self.size * self._norms("angular_velocity")]
+        return float(np.max(rates, initial=self.size * RANDOM_RATE))
+
+    @cached_property
+    def acceleration(self) -> float:
+        """m/s^2, at least gravity and the centripetal one of the velocity at the size."""
+        floor = max(float(np.linalg.norm(self._scene.gravity)), self.velocity**2 / self.size)
+        rates = [self._norms("linear_acceleration"), self.size * self._norms("angular_acceleration")]
+        return float(np.max(rates, initial=floor))
+
+    @cached_property
+    def force(self) -> float:
+        """N, at least the largest inertia force and the energy of `energy_scale` over the size."""
+        bodies = self._scene.mechanism.bodies
+        mass = np.array([body.mass for body in bodies])
+        moment = np.array([np.linalg.norm(body.inertia, ord=2) for body in bodies])
+        inertia = [
+            mass * self._norms("linear_acceleration"),
+            moment * self._norms("angular_acceleration") / self.size,
+        ]
+        floor = max(float(np.max(inertia)), self._samples.states.energy / self.size)
+        forces = [self._norms("reaction_force"), self._norms("reaction_torque") / self.size]
+        return float(np.max(forces, initial=floor))

@@ -1,0 +1,1 @@
+"""Faults planted in one engine's model, and what the comparison makes of them."""
