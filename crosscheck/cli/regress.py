@@ -1,0 +1,111 @@
+"""`crosscheck regress`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from crosscheck.cli.shared import (
+    AGREE,
+    DISAGREE,
+    cli,
+    load_scene,
+    progress_shown,
+    rendered,
+    scene_options,
+    setting_options,
+)
+from crosscheck.errors import CrosscheckError
+
+if TYPE_CHECKING:
+    from crosscheck.regress.run import Guarded
+
+_file = click.Path(path_type=Path)
+
+
+@cli.command("regress")
+@click.argument("sources", nargs=-1, metavar="[SCENE]...")
+@setting_options
+@click.option("--baseline", type=_file, help="Baseline of one SCENE.  [default: of a file, beside it]")
+@click.option("--speed", is_flag=True, help="Compare ratios of speeds too.")
+@click.option("--update", "updates", is_flag=True, help="Make the baselines anew; needs --reason.")
+@click.option("--reason", metavar="TEXT", default=None, help="Why; kept with the baselines.")
+@click.option(
+    "--output", type=_file, default=Path("output/regress"), show_default=True, help="Folder for recordings."
+)
+@click.option("--junit", type=_file, help="Write JUnit XML.")
+@click.option("--json", "json_path", type=_file, help="Write JSON.")
+@click.option("--markdown", type=_file, help="Write a summary in markdown.")
+def regress_command(
+    sources: tuple[str, ...],
+    settings: tuple[str, ...],
+    loops: str | None,
+    baseline: Path | None,
+    speed: bool,
+    updates: bool,
+    reason: str | None,
+    output: Path,
+    junit: Path | None,
+    json_path: Path | None,
+    markdown: Path | None,
+) -> int:
+    """Compare the figures of SCENEs or model files with stored baselines.
+
+    The library of scenes if none is given. Exit status 1 if a figure moved out of its band.
+    """
+    from crosscheck.output import check_writable
+    from crosscheck.regress.report import tables, verdict
+    from crosscheck.regress.run import check, update, write_reports
+
+    if len(sources) != 1 and (settings or loops or baseline):
+        raise CrosscheckError("--set, --loops and --baseline are of one SCENE; name it")
+    reports = [path for path in (junit, json_path, markdown) if path is not None]
+    if len(set(reports)) < len(reports):
+        raise CrosscheckError("--junit, --json and --markdown name the same file")
+    if updates != (reason is not None):
+        raise CrosscheckError("--update and --reason TEXT go together")
+    options = scene_options(sources[0], settings, loops) if len(sources) == 1 else {}
+    guarded = _guarded(sources, options, baseline)
+    if reason is not None:
+        if reports or speed:
+            raise CrosscheckError("--update compares nothing: no --speed, --junit, --json and --markdown")
+        with progress_shown() as progress:
+            made = update(guarded, reason, progress)
+        for each, found in zip(guarded, made, strict=True):
+            click.echo(f"wrote {each.path}: {len(found.figures)} figures")
+            for group, why in found.left_out.items():
+                click.echo(f"  {group} left out: {why}")
+        return AGREE
+    check_writable(*reports)
+    with progress_shown() as progress:
+        compared, recordings = check(guarded, speed, output, progress)
+        written = write_reports(compared, recordings, junit, json_path, markdown)
+    click.echo(rendered(tables(compared)), nl=False)
+    for comparison in compared:
+        click.echo(comparison.verdict)
+        if comparison.scene in recordings:
+            click.echo(f"  recording: {recordings[comparison.scene]}")
+    if written:
+        click.echo("wrote " + ", ".join(str(path) for path in written))
+    click.echo(click.style(verdict(compared), bold=True))
+    return DISAGREE if any(comparison.moved for comparison in compared) else AGREE
+
+
+def _guarded(sources: tuple[str, ...], options: dict[str, str], baseline: Path | None) -> list[Guarded]:
+    from crosscheck.regress.run import Guarded, usual_path
+    from crosscheck.scenes import SCENES
+
+    guarded: list[Guarded] = []
+    for source in sources or tuple(SCENES):
+        if source in SCENES and options and baseline is None:
+            raise CrosscheckError(
+                f"the baseline of {source!r} is of its defaults; --set needs --baseline FILE"
+            )
+        scene, _ = load_scene(source, options)
+        for other in guarded:
+            if other.scene.name == scene.name:
+                raise CrosscheckError(f"{other.source} and {source} are both named {scene.name!r}")
+        guarded.append(Guarded(source, options, scene, baseline or usual_path(source)))
+    return guarded

@@ -1,0 +1,201 @@
+"""Baselines: what a scene's figures were, how far each may move, and who changed them why.
+
+A file is JSON, one figure a line, so that a change of a baseline can be read line by line.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import reprlib
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.scenes.file_entries import Number
+from newton_euler.scalars import Array
+from newton_euler.state import State
+
+PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin", "crosscheck")
+
+MAXIMUM_BYTES = 20_000_000
+"""A scene of a thousand bodies takes a quarter of that."""
+
+Band = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Figure(_Strict):
+    """One figure: a table of numbers, SI, world frame.
+
+    Attributes:
+        group: what measures it; one group fails or succeeds as a whole.
+        name, unit: of the quantity.
+        rows, columns: names of bodies, joints, times or components; one empty name for a single number.
+        value: a row for each of `rows`.
+        band: how far the numbers of each row may move.
+    """
+
+    group: str
+    name: str
+    unit: str
+    rows: list[str]
+    columns: list[str]
+    value: list[list[Number]]
+    band: list[Band]
+
+    @model_validator(mode="after")
+    def _check_shape(self) -> Figure:
+        if len(self.value) != len(self.rows) or any(len(row) != len(self.columns) for row in self.value):
+            raise ValueError(f"value is not a table of {len(self.rows)} x {len(self.columns)} numbers")
+        if len(self.band) != len(self.rows):
+            raise ValueError(f"band has {len(self.band)} numbers for {len(self.rows)} rows")
+        return self
+
+    @property
+    def array(self) -> Array:
+        """(rows, columns)."""
+        return np.array(self.value, dtype=float).reshape(len(self.rows), len(self.columns))
+
+
+class StoredState(_Strict):
+    """A state of all bodies, as `newton_euler.state.State`."""
+
+    position: list[list[Number]]
+    quaternion: list[list[Number]]
+    linear_velocity: list[list[Number]]
+    angular_velocity: list[list[Number]]
+
+    @model_validator(mode="after")
+    def _check_shape(self) -> StoredState:
+        count = len(self.position)
+        for name in type(self).model_fields:
+            rows, width = getattr(self, name), 4 if name == "quaternion" else 3
+            if len(rows) != count or any(len(row) != width for row in rows):
+                raise ValueError(f"{name} is not a table of {count} x {width} numbers")
+        return self
+
+    @classmethod
+    def of(cls, state: State) -> StoredState:
+        return cls(**{name: getattr(state, name).tolist() for name in cls.model_fields})
+
+    def state(self) -> State:
+        return State(**{name: np.array(getattr(self, name), dtype=float) for name in type(self).model_fields})
+
+
+class Plan(_Strict):
+    """How a scene's figures are measured; chosen when the baseline is made, the same ever after.
+
+    Attributes:
+        rtol: of the runs in each formulation of newton_euler.
+        step: s, of methods with fixed steps.
+        time: s, of `state`.
+        state: one that the scene passes through, with all that moves moving.
+    """
+
+    rtol: dict[str, Annotated[float, Field(gt=0.0, lt=0.1)]]
+    step: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+    time: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+    state: StoredState
+
+
+class Record(_Strict):
+    """One time that the baseline was made."""
+
+    date: str
+    reason: Annotated[str, Field(min_length=1)]
+    versions: dict[str, str]
+
+    @classmethod
+    def now(cls, reason: str) -> Record:
+        return cls(date=datetime.now(UTC).strftime("%Y-%m-%d"), reason=reason, versions=versions())
+
+
+class Baseline(_Strict):
+    """A scene's figures.
+
+    Attributes:
+        format: of the file; another number is another meaning of its fields.
+        scene: its name.
+        options: of the scene, as they were set.
+        history: every time that the file was made; the last made what is in it.
+        left_out: groups that have no figures here, and why.
+    """
+
+    format: Literal[1] = 1
+    scene: str
+    options: dict[str, str]
+    history: Annotated[list[Record], Field(min_length=1)]
+    plan: Plan
+    left_out: dict[str, str]
+    figures: Annotated[list[Figure], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Baseline:
+        names = [(figure.group, figure.name) for figure in self.figures]
+        for group, name in names:
+            if names.count((group, name)) > 1:
+                raise ValueError(f"figure {name!r} of {group!r} is there twice")
+        return self
+
+    @property
+    def made(self) -> Record:
+        """When and why the figures were last made."""
+        return self.history[-1]
+
+    @property
+    def groups(self) -> list[str]:
+        """Groups that have figures, in their order."""
+        return list(dict.fromkeys(figure.group for figure in self.figures))
+
+    def figure(self, group: str, name: str) -> Figure | None:
+        found = (figure for figure in self.figures if (figure.group, figure.name) == (group, name))
+        return next(found, None)
+
+    def text(self) -> str:
+        """The content of the file."""
+        content = self.model_dump(mode="json")
+        figures = ",\n".join(f"  {json.dumps(figure, allow_nan=False)}" for figure in content.pop("figures"))
+        parts = [
+            f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in content.items()
+        ]
+        return "{\n" + ",\n".join(parts) + f',\n "figures": [\n{figures}\n ]\n}}\n'
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that figures depend on."""
+    return {"python": platform.python_version()} | {package: version(package) for package in PACKAGES}
+
+
+def read(path: Path, command: str) -> Baseline:
+    """Read a baseline.
+
+    Args:
+        path: of the file.
+        command: what makes it, for the error message.
+
+    Raises:
+        CrosscheckError: naming the file and the field at fault, or the command that makes it.
+    """
+    try:
+        if path.stat().st_size > MAXIMUM_BYTES:
+            raise CrosscheckError(f"{path}: larger than {MAXIMUM_BYTES} bytes")
+        return Baseline.model_validate_json(path.read_bytes())
+    except FileNotFoundError as error:
+        raise CrosscheckError(f"no baseline {path}; make it with: {command}") from error
+    except OSError as error:
+        raise CrosscheckError(f"cannot read {path}: {error.strerror}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"]) or "file"
+        # all of the file is at fault where it is not JSON, and would be no help in a message
+        got = f" (got {reprlib.repr(first['input'])})" if first["loc"] else ""
+        raise CrosscheckError(f"{path}: {field:.100}: {first['msg']}{got}") from error

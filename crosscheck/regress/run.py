@@ -1,0 +1,158 @@
+"""Scenes and models against their baselines, and new baselines."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.output import check_writable
+from crosscheck.regress import bands, recording
+from crosscheck.regress.baseline import Baseline, read
+from crosscheck.regress.compare import Comparison, compare
+from crosscheck.regress.report import as_json, junit, markdown
+from crosscheck.scenes import SCENES
+from newton_euler.scene import Scene
+from newton_euler.trajectory import atomic_file
+
+STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
+"""The variable in which GitHub names the file for a step's summary."""
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Guarded:
+    """A scene and where its baseline is.
+
+    Attributes:
+        source: the name or file that it was loaded from.
+        options: of the scene, as they were set.
+        scene: as loaded.
+        path: of the baseline.
+    """
+
+    source: str
+    options: dict[str, str]
+    scene: Scene
+    path: Path
+
+    @property
+    def command(self) -> str:
+        """What makes the baseline."""
+        words = ["crosscheck", "regress", self.source]
+        for option, value in self.options.items():
+            words += ["--set", f"{option}={value}"]
+        if self.path != usual_path(self.source):
+            words += ["--baseline", str(self.path)]
+        return f"{shlex.join(words)} --update --reason TEXT"
+
+    def baseline(self) -> Baseline:
+        """The stored baseline; raises `CrosscheckError` if there is none, or if it is of something else."""
+        found = read(self.path, self.command)
+        if found.scene != self.scene.name:
+            raise CrosscheckError(f"{self.path}: scene: it is of {found.scene!r}, not of {self.scene.name!r}")
+        if found.options != self.options:
+            raise CrosscheckError(f"{self.path}: options: it is of {found.options}, not of {self.options}")
+        return found
+
+
+def usual_path(source: str) -> Path:
+    """Where a baseline is unless told otherwise: in this package for the library, else beside the file."""
+    if source in SCENES:
+        return Path(__file__).parents[1] / "baselines" / f"{source}.json"
+    return Path(source).with_suffix(".baseline.json")
+
+
+def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[Baseline]:
+    """Make baselines anew and write them, all of them or none; what they were stays in the history.
+
+    Raises:
+        CrosscheckError: for a reason that says nothing, a scene that cannot be run, and a file that cannot be
+            written or that holds no baseline.
+    """
+    reason = " ".join(reason.split())
+    if not reason:
+        raise CrosscheckError("--reason is empty; it is kept with the baseline")
+    check_writable(*(each.path for each in guarded))
+    made = []
+    for each in guarded:
+        history = each.baseline().history if each.path.exists() else []
+        made.append(bands.make(each.scene, each.options, reason, history, progress))
+    with ExitStack() as stack:
+        for each, baseline in zip(guarded, made, strict=True):
+            try:
+                temporary = stack.enter_context(atomic_file(each.path))
+                temporary.write_text(baseline.text(), encoding="utf-8")
+            except OSError as error:
+                raise CrosscheckError(f"cannot write {each.path}: {error.strerror}") from error
+    return made
+
+
+def check(
+    guarded: Sequence[Guarded], speed: bool, folder: Path, progress: Progress
+) -> tuple[list[Comparison], dict[str, Path]]:
+    """Compare scenes with their baselines, and record those that moved.
+
+    Args:
+        speed: whether ratios of speeds are compared too.
+        folder: for the recordings, a file NAME.rrd for each scene that moved.
+        progress: is told each stage.
+
+    Returns:
+        What was found, and the recordings by scene.
+
+    Raises:
+        CrosscheckError: for a baseline that is missing or cannot be read.
+    """
+    baselines = [each.baseline() for each in guarded]
+    found, recordings = [], {}
+    for each, baseline in zip(guarded, baselines, strict=True):
+        comparison = compare(each.scene, baseline, speed, progress, time.perf_counter)
+        found.append(comparison)
+        if comparison.moved:
+            progress(f"{each.scene.name}: recording")
+            path = folder / f"{each.scene.name}.rrd"
+            check_writable(path)
+            verdict = markdown([comparison], {})
+            if recording.write(path, each.scene, baseline, comparison.diverges, verdict):
+                recordings[each.scene.name] = path
+    return found, recordings
+
+
+def write_reports(
+    found: Sequence[Comparison],
+    recordings: dict[str, Path],
+    junit_path: Path | None,
+    json_path: Path | None,
+    markdown_path: Path | None,
+) -> list[Path]:
+    """Write the reports that were asked for, and the step summary if GitHub names a file for it.
+
+    Raises:
+        CrosscheckError: naming the file that cannot be written.
+    """
+    summary = markdown(found, recordings)
+    wanted = ((junit_path, junit(found)), (json_path, as_json(found, recordings)), (markdown_path, summary))
+    written = []
+    for path, text in wanted:
+        if path is not None:
+            try:
+                with atomic_file(path) as temporary:
+                    temporary.write_text(text, encoding="utf-8")
+            except OSError as error:
+                raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
+            written.append(path)
+    step = os.environ.get(STEP_SUMMARY)
+    if step:
+        try:
+            with open(step, "a", encoding="utf-8") as stream:  # other summaries may be in it
+                stream.write(summary)
+        except OSError as error:
+            raise CrosscheckError(f"cannot write {STEP_SUMMARY} {step}: {error.strerror}") from error
+    return written
