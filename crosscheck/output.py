@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
+import signal
 import tempfile
-from contextlib import ExitStack
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from crosscheck.engines import ENGINES
@@ -12,9 +17,16 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.run import Crosscheck
 from newton_euler.trajectory import atomic_file
 
+ABANDONED = 60.0
+"""s after which an unfinished file is that of a process that was killed: files are made in memory first,
+and writing them takes no longer."""
+
 
 def check_writable(*paths: Path) -> None:
-    """Raise `CrosscheckError` before a run whose files could not be written after it."""
+    """Raise `CrosscheckError` before a run whose files could not be written after it.
+
+    What earlier runs that were killed left unfinished of these files is removed.
+    """
     for path in paths:
         try:
             if path.is_dir():
@@ -24,37 +36,87 @@ def check_writable(*paths: Path) -> None:
                 pass
         except OSError as error:
             raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
+        _remove_abandoned(path)
 
 
-def write(result: Crosscheck, folder: Path, recording: Path, verdict: str) -> list[Path]:
+def _remove_abandoned(path: Path) -> None:
+    """Remove the temporary files of `atomic_file`, and those of their own, that nobody writes any more."""
+    unfinished = re.compile(rf"\.+{re.escape(path.stem)}(-[0-9a-f]{{8}})+{re.escape(path.suffix)}")
+    for found in path.parent.iterdir():
+        if unfinished.fullmatch(found.name):
+            with suppress(OSError):  # another process may have been quicker
+                if time.time() - found.stat().st_mtime > ABANDONED:
+                    found.unlink()
+
+
+@contextmanager
+def tidied_up() -> Iterator[None]:
+    """A block that a request to end interrupts as Ctrl-C does, so that it tidies up behind itself.
+
+    Elsewhere there is nothing to tidy up, and Python would hear of the request only after what runs in
+    native code.
+    """
+    if threading.current_thread() is not threading.main_thread():  # the only one that hears of signals
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def write(result: Crosscheck, folder: Path, recording: Path | None, verdict: str) -> list[Path]:
     """Write the runs, the summary and the Rerun recording, all of them or none.
 
-    Runs of other engines that an earlier crosscheck left in the folder are removed.
+    The summary is removed first and comes back last, so that a folder that has one is complete wherever
+    a process that wrote to it was killed. What an earlier crosscheck left in the folder of other engines,
+    or a recording if this one goes elsewhere, is removed.
+
+    Args:
+        recording: file that the recording goes to; no file if None.
+        verdict: Markdown.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.
     """
-    from crosscheck.recording.log import write_recording
-
-    written = []
+    summary = folder / "summary.json"
+    usual = recording_path(result, folder)
     path = folder
     try:
-        with ExitStack() as stack:
+        content = b""
+        if recording is not None:
+            from crosscheck.recording.log import recorded
+
+            content = recorded(result.scene, result.runs, verdict, result.title)
+        with tidied_up(), ExitStack() as stack:
 
             def temporary(target: Path) -> Path:
                 nonlocal path
                 path = target
-                written.append(target)
                 return stack.enter_context(atomic_file(target))
 
-            for name, run in result.runs.items():
-                run.save(temporary(folder / f"{name}.npz"))
-            summary = json.dumps(result.summary(), indent=1, allow_nan=False)
-            temporary(folder / "summary.json").write_text(summary + "\n", encoding="utf-8")
-            write_recording(temporary(recording), result.scene, result.runs, verdict)
-        for name in ENGINES.keys() - result.runs.keys():
-            path = folder / f"{name}.npz"
-            path.unlink(missing_ok=True)
+            # the stack is left from its top: what is entered first is in its place last
+            text = json.dumps(result.summary(), indent=1, allow_nan=False)
+            temporary(summary).write_text(text + "\n", encoding="utf-8")
+            runs = [folder / f"{name}.npz" for name in result.runs]
+            for target, run in zip(runs, result.runs.values(), strict=True):
+                run.save(temporary(target))
+            if recording is not None:
+                temporary(recording).write_bytes(content)
+            path = summary
+            summary.unlink(missing_ok=True)
+            for name in ENGINES.keys() - result.runs.keys():
+                path = folder / f"{name}.npz"
+                path.unlink(missing_ok=True)
+            if recording != usual:
+                path = usual
+                usual.unlink(missing_ok=True)
     except OSError as error:
         raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
-    return written
+    return [*runs, summary, *([] if recording is None else [recording])]
+
+
+def recording_path(result: Crosscheck, folder: Path) -> Path:
+    """Where a crosscheck's recording is if it was not sent anywhere else."""
+    return folder / f"{result.scene.name}.rrd"

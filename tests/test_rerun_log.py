@@ -2,129 +2,51 @@
 
 from __future__ import annotations
 
-import struct
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from recordings import (
+    AXIS,
+    LID_BAR,
+    LID_BOX,
+    PERIOD,
+    VERDICT,
+    N,
+    Recording,
+    lid_runs,
+    lid_scene,
+    motion,
+    read_recording,
+)
 from rerun.chunk import RrdReader
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.recording.log import LONGEST_ARROW, SHELL, write_recording
-from crosscheck.recording.plots import (
-    SMALLEST,
-    hinge_angle,
-    panel,
-    plots,
-    rotated,
-    rotation_vector,
-    slide_position,
+from crosscheck.recording.log import (
+    LATER,
+    LONGEST_ARROW,
+    SHELL,
+    TIME,
+    application_id,
+    write_recording,
 )
-from crosscheck.recording.screenshot import screenshot
-from newton_euler.control import PD
-from newton_euler.euler_parameters import (
-    angle_between,
-    from_rotation_vector,
-    product,
-    rotation,
-)
-from newton_euler.joints import Prismatic, Revolute, Spherical, Universal
-from newton_euler.mechanism import Body, Mechanism
+from crosscheck.recording.plots import SMALLEST, plots
+from newton_euler.euler_parameters import angle_between, rotation
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
-from newton_euler.shapes import Box, Capsule
-from newton_euler.state import State
 from newton_euler.trajectory import Trajectory
-
-N = 5
-PERIOD = 0.3  # 3 periods are a little less than 0.9 s in floating point
-TILT = from_rotation_vector(np.array([0.3, -0.2, 0.5]))
-AXIS = np.array([0.6, 0.0, 0.8])
-LID_BOX = Box([0.1, 0.2, 0.01], [0.5, 0.1, 0.3], TILT)
-LID_BAR = Capsule([0.4, 0.1, 0.3], [0.6, 0.3, 0.2], 0.02)
-VERDICT = "# Verdict\n\n| a | b |\n|---|---|\n| 1 | 2 |\n"
 
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    """A slider on an inclined rail, and on it a hinged lid with a body frame that is turned."""
-    inertia = np.diag([0.1, 0.1, 0.1])
-    bodies = (
-        Body.ground(shapes=(Box([0.5, 0.5, 0.01], [0.0, 0.0, -0.01]),)),
-        Body("slider", 1.0, [0.3, 0.1, 0.3], inertia),
-        Body("lid", 1.0, [0.5, 0.1, 0.35], inertia, TILT, shapes=(LID_BOX, LID_BAR)),
-    )
-    joints = (
-        Prismatic("rail", "ground", "slider", [0.3, 0.1, 0.3], axis=AXIS, actuated=True),
-        Revolute("hinge", "slider", "lid", [0.4, 0.1, 0.3], axis=[0.0, 1.0, 0.0]),
-    )
-    control = (PD("rail", 10.0, 1.0, 0.1),)
-    return Scene("lid_scene", Mechanism(bodies, joints), (N - 1) * PERIOD, PERIOD, control=control)
-
-
-def motion(scene: Scene, seed: int) -> Trajectory:
-    """Numbers of the right shapes; quaternions are of unit length, nothing else is physical."""
-    random = np.random.default_rng(seed)
-    mechanism = scene.mechanism
-    b, j = len(mechanism.bodies), len(mechanism.joints)
-    state = State.initial(mechanism)
-    quaternion = state.quaternion + 0.2 * random.standard_normal((N, b, 4))
-    position = state.position + 0.1 * random.standard_normal((N, b, 3))
-    quaternion[:, 0], position[:, 0] = state.quaternion[0], state.position[0]
-    return Trajectory(
-        engine="made up",
-        settings={},
-        wall_time=0.0,
-        time=scene.times,
-        body_names=mechanism.body_names,
-        joint_names=mechanism.joint_names,
-        position=position,
-        quaternion=quaternion / np.linalg.norm(quaternion, axis=2, keepdims=True),
-        reaction_force=random.standard_normal((N, j, 3)),
-        reaction_torque=random.standard_normal((N, j, 3)),
-        actuator_force=random.standard_normal((N, 1)),
-        constraint_violation=random.random((N, j)) * 1e-9,
-        kinetic_energy=random.random(N),
-        potential_energy=random.random(N),
-    )
+    return lid_scene()
 
 
 @pytest.fixture(scope="module")
 def runs(scene: Scene) -> dict[str, Trajectory]:
-    return {"zeta": motion(scene, 1), "alpha": motion(scene, 2)}
-
-
-class Recording(NamedTuple):
-    """Values by (entity, component), as rows of instances; times in ns by entity."""
-
-    static: dict[tuple[str, str], Any]
-    columns: dict[tuple[str, str], list[Any]]
-    times: dict[str, list[int]]
-
-    @property
-    def entities(self) -> set[str]:
-        return {path for path, _ in self.static} | {path for path, _ in self.columns}
-
-    def scalars(self, path: str) -> Array:
-        return np.array(self.columns[path, "Scalars:scalars"])[:, 0]
-
-
-def read(path: Path) -> Recording:
-    static, columns, times = {}, {}, {}
-    for chunk in RrdReader(path).stream():
-        batch = chunk.to_record_batch()
-        values = {name: batch.column(name) for name in batch.schema.names if ":" in name}
-        for component, column in values.items():
-            if chunk.is_static:
-                static[chunk.entity_path, component] = column.to_pylist()[0]
-            else:
-                columns[chunk.entity_path, component] = column.to_pylist()
-                assert chunk.timeline_names == ["time"]
-                times[chunk.entity_path] = batch.column("time").cast("int64").to_pylist()
-    return Recording(static, columns, times)
+    return lid_runs(scene)
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +55,7 @@ def recording(
 ) -> Recording:
     path = tmp_path_factory.mktemp("recording") / "lid.rrd"
     write_recording(path, scene, runs, VERDICT)
-    return read(path)
+    return read_recording(path)
 
 
 def of_engines(*paths: str) -> set[str]:
@@ -198,7 +120,7 @@ def test_no_difference_is_drawn_at_the_floor(
     scene: Scene, runs: dict[str, Trajectory], tmp_path: Path
 ) -> None:
     write_recording(tmp_path / "same.rrd", scene, {"one": runs["zeta"], "two": runs["zeta"]}, VERDICT)
-    values = read(tmp_path / "same.rrd").scalars("/plots/difference_log10/position/two")
+    values = read_recording(tmp_path / "same.rrd").scalars("/plots/difference_log10/position/two")
     np.testing.assert_array_equal(values, np.full(N, np.log10(SMALLEST)))
 
 
@@ -295,15 +217,59 @@ def test_verdict_is_markdown(recording: Recording) -> None:
     assert recording.static["/verdict", "TextDocument:media_type"] == ["text/markdown"]
 
 
-def test_name_and_unique_identity(
+def test_runs_open_side_by_side(scene: Scene, runs: dict[str, Trajectory], tmp_path: Path) -> None:
+    """Two runs of one scene: one application, whose layout fits both, and two recordings."""
+    one, two = tmp_path / "one.rrd", tmp_path / "two.rrd"
+    write_recording(one, scene, runs, VERDICT)
+    write_recording(two, scene, {engine: motion(scene, 7) for engine in runs}, VERDICT, "a second run")
+    together = tmp_path / "together.rrd"
+    merge = [sys.executable, "-m", "rerun", "rrd", "merge", one, two, "-o", together]
+    subprocess.run(merge, check=True, capture_output=True)
+    a, b = RrdReader(together).recordings()
+    assert a.application_id == b.application_id == "crosscheck_lid_scene"
+    assert a.recording_id != b.recording_id
+    assert {x.application_id for x in RrdReader(together).blueprints()} == {a.application_id}
+    first, second = read_recording(one), read_recording(two)
+    assert first.entities == second.entities
+    assert first.static["/__properties", "RecordingInfo:name"] == ["lid_scene"]
+    assert second.static["/__properties", "RecordingInfo:name"] == ["a second run"]
+    assert layout(one) == layout(two)
+
+
+def test_other_scenes_have_a_layout_of_their_own(scene: Scene) -> None:
+    assert application_id(replace(scene, name="other")) != application_id(scene)
+
+
+def test_a_recording_can_open_at_a_time(
     scene: Scene, runs: dict[str, Trajectory], recording: Recording, tmp_path: Path
 ) -> None:
-    assert recording.static["/__properties", "RecordingInfo:name"] == ["lid_scene"]
-    for name in ("a.rrd", "b.rrd"):
-        write_recording(tmp_path / name, scene, runs, VERDICT)
-    (a,), (b,) = (RrdReader(tmp_path / name).recordings() for name in ("a.rrd", "b.rrd"))
-    assert a.application_id == b.application_id == "crosscheck"
-    assert a.recording_id != b.recording_id
+    """Viewers start where the blueprint's timeline does: it holds the rows from that time on."""
+    path = tmp_path / "later.rrd"
+    write_recording(path, scene, runs, VERDICT, opens_at=2.5 * PERIOD)
+    found: dict[tuple[str, str], list[int]] = {}
+    for chunk in RrdReader(path).stream():
+        if not chunk.is_static:
+            (timeline,) = chunk.timeline_names
+            times = chunk.to_record_batch().column(timeline).cast("int64").to_pylist()
+            found[chunk.entity_path, timeline] = times
+    everything, later = (
+        [0, 300_000_000, 600_000_000, 900_000_000, 1_200_000_000],
+        [900_000_000, 1_200_000_000],
+    )
+    assert found == {(e, TIME): everything for e in MOVING} | {(e, LATER): later for e in MOVING}
+    assert layout(path)["TimePanelBlueprint:timeline"] == [LATER]
+
+
+def layout(path: Path) -> dict[str, list[str]]:
+    """What the views of a file's blueprint show, and the timeline that it plays."""
+    reader = RrdReader(path)
+    (entry,) = reader.blueprints()
+    values: dict[str, list[str]] = {"ViewBlueprint:space_origin": [], "TimePanelBlueprint:timeline": []}
+    for chunk in reader.stream(store=entry):
+        batch = chunk.to_record_batch()
+        for component in values.keys() & set(batch.schema.names):
+            values[component] += batch.column(component).to_pylist()[0]
+    return {component: sorted(entries) for component, entries in values.items()}
 
 
 def test_blueprint_is_in_the_file_and_shows_every_plot(
@@ -311,22 +277,11 @@ def test_blueprint_is_in_the_file_and_shows_every_plot(
 ) -> None:
     path = tmp_path / "lid.rrd"
     write_recording(path, scene, runs, VERDICT)
-    reader = RrdReader(path)
-    (entry,) = reader.blueprints()
-    assert entry.application_id == "crosscheck"
-    values: dict[str, list[str]] = {
-        "ViewBlueprint:space_origin": [],
-        "TimePanelBlueprint:timeline": [],
-    }
-    for chunk in reader.stream(store=entry):
-        batch = chunk.to_record_batch()
-        for component in values.keys() & set(batch.schema.names):
-            values[component] += batch.column(component).to_pylist()[0]
-    origins, timelines = values.values()
+    origins, timelines = layout(path).values()
     expected = {"/plots/" + "/".join(plot.path) for plot in plots(scene, runs)}
     assert len(expected) == 16
-    assert sorted(origins) == sorted(expected | {"/", "/verdict"})
-    assert timelines == ["time"]
+    assert origins == sorted(expected | {"/", "/verdict"})
+    assert timelines == [TIME]
 
 
 def test_outputs_that_were_not_asked_for_are_left_out(
@@ -345,7 +300,7 @@ def test_outputs_that_were_not_asked_for_are_left_out(
     kinds = ("/reactions/", "/plots/control/", "/plots/drift_log10/", "/plots/energy/")
     skipped = {path for path in MOVING if path.startswith(kinds)}
     assert len(skipped) == 12
-    assert set(read(tmp_path / "bare.rrd").times) == MOVING - skipped
+    assert set(read_recording(tmp_path / "bare.rrd").times) == MOVING - skipped
     assert len(plots(scene, {"zeta": bare})) == 8  # without the lines there is no empty plot either
 
 
@@ -353,7 +308,7 @@ def test_one_engine_alone_has_no_differences(
     scene: Scene, runs: dict[str, Trajectory], tmp_path: Path
 ) -> None:
     write_recording(tmp_path / "one.rrd", scene, {"zeta": runs["zeta"]}, VERDICT)
-    moving = set(read(tmp_path / "one.rrd").times)
+    moving = set(read_recording(tmp_path / "one.rrd").times)
     assert moving == {path for path in MOVING if "zeta" in path}
 
 
@@ -362,127 +317,11 @@ def test_a_failing_write_leaves_what_was_there(
 ) -> None:
     # energies are logged after the 3D entities, so this fails in the middle of the file
     short = replace(runs["zeta"], kinetic_energy=np.zeros(N - 1))
-    with pytest.raises(ValueError, match="length"):
+    with pytest.raises(IndexError, match="boolean index did not match"):
         write_recording(tmp_path / "new.rrd", scene, {"zeta": short}, VERDICT)
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "old.rrd").write_bytes(b"old")
-    with pytest.raises(ValueError, match="length"):
+    with pytest.raises(IndexError, match="boolean index did not match"):
         write_recording(tmp_path / "old.rrd", scene, {"zeta": short}, VERDICT)
     assert [path.name for path in tmp_path.iterdir()] == ["old.rrd"]
     assert (tmp_path / "old.rrd").read_bytes() == b"old"
-
-
-def turning(mechanism: Mechanism, quaternions: dict[int, Array]) -> Trajectory:
-    """A motion in which some bodies turn, (n, 4) each, and the others stay."""
-    n = len(next(iter(quaternions.values())))
-    state = State.initial(mechanism)
-    quaternion = np.tile(state.quaternion, (n, 1, 1))
-    for body, values in quaternions.items():
-        quaternion[:, body] = values
-    position = np.tile(state.position, (n, 1, 1))
-    names = (mechanism.body_names, mechanism.joint_names)
-    return Trajectory("made up", {}, 0.0, np.arange(n) * 0.1, *names, position, quaternion)
-
-
-def test_hinge_angle_counts_whole_turns_and_ignores_signs(scene: Scene) -> None:
-    mechanism = scene.mechanism
-    hinge = mechanism.joints[1]
-    angles = np.linspace(0.0, 15.0, 40)
-    spin = np.array([from_rotation_vector(a * np.array([0.0, 1.0, 0.0])) for a in angles])
-    spin *= np.where(np.arange(40) % 3 == 0, -1.0, 1.0)[:, None]
-    carried = from_rotation_vector(np.array([0.4, 0.5, -0.6]))
-    lid = np.array([product(carried, product(p, TILT)) for p in spin])
-    run = turning(mechanism, {1: np.tile(carried, (40, 1)), 2: lid})
-    found = hinge_angle(mechanism, hinge, hinge.motions[0], run)
-    np.testing.assert_allclose(found, angles, atol=1e-12)
-
-
-def test_both_angles_of_a_universal_joint() -> None:
-    x, y = np.eye(3)[:2]
-    cardan = Universal("cardan", "ground", "disc", np.zeros(3), axis_on_first=x, axis_on_second=y)
-    disc = Body("disc", 1.0, [0.0, 0.0, 0.1], np.eye(3))
-    mechanism = Mechanism((Body.ground(), disc), (cardan,))
-    a, b = np.linspace(0.0, 2.0, 9), np.linspace(0.0, -1.2, 9)
-    turns = [
-        product(from_rotation_vector(s * x), from_rotation_vector(t * y)) for s, t in zip(a, b, strict=True)
-    ]
-    run = turning(mechanism, {1: np.array(turns)})
-    for motion_, expected in zip(cardan.motions, (a, b), strict=True):
-        found = hinge_angle(mechanism, cardan, motion_, run)
-        np.testing.assert_allclose(found, expected, atol=1e-12)
-    titles = [p.path for p in plots(Scene("s", mechanism, 0.8, 0.1), {"e": run})][:2]
-    assert titles == [("joint_angle", "cardan:0"), ("joint_angle", "cardan:1")]
-
-
-def test_slide_position_is_seen_from_a_first_body_that_turns() -> None:
-    x, z = np.eye(3)[[0, 2]]
-    arm = Body("arm", 1.0, [0.0, 0.0, 0.2], np.eye(3), TILT)
-    rod = Body("rod", 1.0, [0.3, 0.0, 0.2], np.eye(3))
-    joints = (
-        Spherical("ball", "ground", "arm", np.zeros(3)),
-        Prismatic("slide", "arm", "rod", [0.1, 0.0, 0.2], axis=x),
-    )
-    mechanism = Mechanism((Body.ground(), arm, rod), joints)
-    turn = from_rotation_vector(0.7 * z)
-    run = turning(mechanism, {1: product(turn, TILT)[None]})
-    run.position[0, 2] = run.position[0, 1] + rotation(turn) @ [0.5, 0.0, 0.0]
-    found = slide_position(mechanism, joints[1], joints[1].motions[0], run)
-    np.testing.assert_allclose(found, [0.5], atol=1e-15)
-
-
-def test_rotated_agrees_with_the_rotation_matrix(runs: dict[str, Trajectory]) -> None:
-    vector = np.array([0.3, -0.4, 0.5])
-    quaternions = runs["zeta"].quaternion[:, 2]
-    expected = [rotation(p) @ vector for p in quaternions]
-    np.testing.assert_allclose(rotated(quaternions, vector), expected, atol=1e-15)
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-5, 1.0, np.pi, 4.0, 6.28])
-def test_rotation_vector_at_any_angle(angle: float) -> None:
-    vector = angle * AXIS
-    np.testing.assert_allclose(
-        rotation_vector(from_rotation_vector(vector)[None])[0], vector, rtol=1e-12, atol=0.0
-    )
-
-
-def test_panel_is_the_largest_thin_box_of_a_moving_body(scene: Scene) -> None:
-    found = panel(scene.mechanism)
-    assert found is not None
-    assert found[0] == 2
-    assert found[1] is LID_BOX
-    ground, slider, lid = scene.mechanism.bodies
-    both = replace(lid, shapes=(Box([0.1, 0.1, 0.01], [0.5, 0.1, 0.3]), LID_BOX))
-    found = panel(Mechanism((ground, slider, both), scene.mechanism.joints))
-    assert found is not None
-    assert found[1] is LID_BOX
-    cube = replace(lid, shapes=(Box([0.1, 0.1, 0.05], [0.5, 0.1, 0.3]),))
-    assert panel(Mechanism((ground, slider, cube), scene.mechanism.joints)) is None
-
-
-def test_screenshot_of_no_recording(tmp_path: Path) -> None:
-    with pytest.raises(CrosscheckError, match=r"absent\.rrd"):
-        screenshot(tmp_path / "absent.rrd", tmp_path / "out.png", 0.0)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_screenshot_without_a_working_viewer(
-    scene: Scene, runs: dict[str, Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_recording(tmp_path / "lid.rrd", scene, runs, VERDICT)
-    viewer = tmp_path / "viewer"
-    viewer.write_text("#!/bin/sh\necho panicked for want of an adapter\nexit 101\n")
-    viewer.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(viewer))
-    with pytest.raises(CrosscheckError, match=r"mesa-vulkan-drivers and libvulkan1 \(panicked for"):
-        screenshot(tmp_path / "lid.rrd", tmp_path / "out.png", 0.0)
-    assert not (tmp_path / "out.png").exists()
-
-
-@pytest.mark.skipif(not list(Path("/usr/share/vulkan/icd.d").glob("*.json")), reason="needs a Vulkan driver")
-def test_screenshot(scene: Scene, runs: dict[str, Trajectory], tmp_path: Path) -> None:
-    write_recording(tmp_path / "lid.rrd", scene, runs, VERDICT)
-    screenshot(tmp_path / "lid.rrd", tmp_path / "out.png", 0.6)
-    png = (tmp_path / "out.png").read_bytes()
-    assert png.startswith(b"\x89PNG")
-    assert struct.unpack(">II", png[16:24]) == (1600, 900)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["lid.rrd", "out.png"]

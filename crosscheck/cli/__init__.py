@@ -15,11 +15,11 @@ from typing import NoReturn
 
 import click
 
-from crosscheck.cli import measure, run
+from crosscheck.cli import faults, measure, regress, report, run
 from crosscheck.cli.shared import BAD_INPUT, cli
 from crosscheck.errors import CrosscheckError
 
-__all__ = ["main", "measure", "run"]
+__all__ = ["faults", "main", "measure", "regress", "report", "run"]
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:

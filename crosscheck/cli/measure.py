@@ -6,19 +6,19 @@ from pathlib import Path
 
 import click
 
-from crosscheck.cli.shared import AGREE, cli, progress_shown, rendered, scene_options, setting_option
+from crosscheck.cli.shared import AGREE, cli, progress_shown, rendered, scene_options, setting_options
 from crosscheck.errors import CrosscheckError
 
 
 @cli.command("explain")
 @click.argument("scene", default="tracker")
-@setting_option
-def explain_command(scene: str, settings: tuple[str, ...]) -> int:
+@setting_options
+def explain_command(scene: str, settings: tuple[str, ...], loops: str | None) -> int:
     """Say what the compiler keeps of SCENE, what it leaves out, and what each feature costs."""
     from crosscheck.explain import explain
     from crosscheck.scenes import load
 
-    loaded = load(scene, **scene_options(settings))
+    loaded = load(scene, **scene_options(scene, settings, loops))
     with progress_shown() as progress:
         parts = list(explain(loaded, progress))
     click.echo(rendered(parts), nl=False)
@@ -40,7 +40,7 @@ def figures_command(output: Path) -> int:
 
 @cli.command("bench")
 @click.argument("scene", default="tracker")
-@setting_option
+@setting_options
 @click.option(
     "--error", type=float, default=1e-6, show_default=True, help="Error to name the cheapest settings for."
 )
@@ -59,6 +59,7 @@ def figures_command(output: Path) -> int:
 def bench_command(
     scene: str,
     settings: tuple[str, ...],
+    loops: str | None,
     error: float,
     repeats: int,
     rhs: bool,
@@ -69,7 +70,7 @@ def bench_command(
     """Measure run time against error on SCENE, for every engine and setting."""
     from crosscheck.benchmark import run
 
-    options = scene_options(settings)
+    options = scene_options(scene, settings, loops)
     if rhs + scaling + (batch is not None) > 1:
         raise CrosscheckError("--rhs, --scaling and --batch are different benchmarks; choose one")
     with progress_shown() as progress:

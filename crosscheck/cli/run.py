@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
+from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -15,11 +16,13 @@ from crosscheck.cli.shared import (
     cli,
     load_scene,
     progress_shown,
+    recording_options,
     rendered,
     scene_options,
-    setting_option,
+    setting_options,
 )
 from crosscheck.errors import CrosscheckError
+from crosscheck.recording.destination import Destination
 
 
 @cli.command("run")
@@ -28,36 +31,37 @@ from crosscheck.errors import CrosscheckError
 @click.option(
     "--engines", default="newton_euler,mujoco,pinocchio", show_default=True, help="Comma-separated."
 )
-@setting_option
+@setting_options
 @click.option(
     "--output",
     type=click.Path(path_type=Path),
     default=None,
     help="Folder.  [default: output/SCENE, or output with --all]",
 )
-@click.option(
-    "--save", type=click.Path(path_type=Path), default=None, help="Recording.  [default: OUTPUT/SCENE.rrd]"
-)
-@click.option("--loops", metavar="FILE", default=None, help="Loop file (YAML) of a URDF.")
+@recording_options
 def run_command(
     scene: str | None,
     library: bool,
     engines: str,
     settings: tuple[str, ...],
     output: Path | None,
-    save: Path | None,
     loops: str | None,
+    **recording: Any,
 ) -> int:
     """Run SCENE through the engines and compare them.
 
-    SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given.
+    SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given. The recording is saved
+    unless it is told to go elsewhere.
     """
+    destination = Destination(**recording)
     wanted = [name.strip() for name in engines.split(",") if name.strip()]
     if library:
-        if scene or settings or save or loops:
+        if scene or settings or loops or destination != Destination():
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
         return _run_all(wanted, output or Path("output"))
-    return _run(scene or "tracker", wanted, settings, output, save, loops)
+    destination.check()
+    with redirect_stdout(sys.stderr) if destination.stdout else nullcontext():
+        return _run(scene or "tracker", wanted, settings, output, destination, loops)
 
 
 def _run_all(engines: list[str], folder: Path) -> int:
@@ -76,36 +80,42 @@ def _run(
     engines: list[str],
     settings: tuple[str, ...],
     output: Path | None,
-    save: Path | None,
+    destination: Destination,
     loops: str | None,
 ) -> int:
     from crosscheck.engines import choose
     from crosscheck.model_files.read import report_lines
     from crosscheck.output import check_writable, write
+    from crosscheck.partial import partial_runs_saved
     from crosscheck.report import markdown, settings_lines, terminal_tables
     from crosscheck.run import crosscheck
 
     chosen = choose(engines)
-    options = scene_options(settings)
-    loaded, mapping = load_scene(scene, options, loops)
+    options = scene_options(scene, settings, loops)
+    loaded, mapping = load_scene(scene, options)
     for line in report_lines(mapping) if mapping else ():
         click.echo(line)
     folder = output or Path("output") / loaded.name
-    recording = save or folder / f"{loaded.name}.rrd"
-    if recording.suffix != ".rrd":
-        raise CrosscheckError(f"--save {recording}: a recording's name ends in .rrd")
+    recording = (destination.save or folder / f"{loaded.name}.rrd") if destination.to_file else None
     runs = [folder / f"{engine.name}.npz" for engine in chosen]
-    check_writable(*runs, folder / "summary.json", recording)
+    check_writable(*runs, folder / "summary.json", *([recording] if recording else []))
     with progress_shown() as progress:
-        result = crosscheck(loaded, chosen, progress, scene, options, mapping)
+        with partial_runs_saved(folder):
+            result = crosscheck(loaded, chosen, progress, scene, options, mapping)
         progress("writing")
-        written = write(result, folder, recording, markdown(result))
+        verdict = markdown(result)
+        written = write(result, folder, recording, verdict)
     click.echo(rendered(terminal_tables(result)), nl=False)
     for line in settings_lines(result):
         click.echo(line)
     click.echo("wrote " + ", ".join(str(path) for path in written))
-    click.echo(click.style(result.verdict, bold=True))
-    return AGREE if result.agrees else DISAGREE
+    status = AGREE if result.agrees else DISAGREE
+    with destination.sent(result, verdict) as sent:
+        for line in sent.lines:
+            click.echo(line)
+        click.echo(click.style(result.verdict, bold=True))
+        sent.wait()
+    return status
 
 
 @cli.command("list")
@@ -126,8 +136,7 @@ def list_command() -> int:
 @cli.command("convert")
 @click.argument("source", metavar="IN")
 @click.argument("target", metavar="OUT", type=click.Path(path_type=Path))
-@setting_option
-@click.option("--loops", metavar="FILE", default=None, help="Loop file (YAML) of a URDF.")
+@setting_options
 def convert_command(source: str, target: Path, settings: tuple[str, ...], loops: str | None) -> int:
     """Write IN (a scene, MJCF or URDF) as OUT, in the format that its name ends in."""
     from crosscheck.model_files.convert import check_target, scene_report, write_as
@@ -136,7 +145,7 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...], loops:
 
     check_target(target)
     check_writable(target)
-    scene, report = load_scene(source, scene_options(settings), loops)
+    scene, report = load_scene(source, scene_options(source, settings, loops))
     report = report or scene_report(scene)
     written = write_as(scene, target, report)
     for line in report_lines(report):
@@ -146,22 +155,25 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...], loops:
 
 
 @cli.command("view")
-@click.argument("file", type=click.Path(path_type=Path))
-def view_command(file: Path) -> int:
-    """Open a recording in the Rerun viewer."""
-    if file.exists() and not file.is_file():
-        raise CrosscheckError(f"{file} is not a file")
-    try:
-        with file.open("rb") as stream:
-            if stream.read(4) != b"RRF2":
-                raise CrosscheckError(f"{file} is not a Rerun recording")
-    except OSError as error:
-        raise CrosscheckError(f"cannot read {file}: {error.strerror}") from error
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise CrosscheckError(
-            f"no display to open a viewer on; in a browser: rerun --bind 127.0.0.1 --serve-web {file}"
-        )
-    status = subprocess.run([sys.executable, "-m", "rerun", str(file)], check=False).returncode
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
+def view_command(files: tuple[Path, ...]) -> int:
+    """Open recordings in the Rerun viewer, side by side if they are several."""
+    from crosscheck.recording.server import LOOPBACK, has_display
+
+    for file in files:
+        if file.exists() and not file.is_file():
+            raise CrosscheckError(f"{file} is not a file")
+        try:
+            with file.open("rb") as stream:
+                if stream.read(4) != b"RRF2":
+                    raise CrosscheckError(f"{file} is not a Rerun recording")
+        except OSError as error:
+            raise CrosscheckError(f"cannot read {file}: {error.strerror}") from error
+    arguments = ["--bind", LOOPBACK, *map(str, files)]
+    if not has_display():
+        command = " ".join(["rerun --serve-web", *arguments])
+        raise CrosscheckError(f"no display to open a viewer on; in a browser: {command}")
+    status = subprocess.run([sys.executable, "-m", "rerun", *arguments], check=False).returncode
     if status != 0:
         raise CrosscheckError(f"the viewer ended with status {status}")
     return AGREE

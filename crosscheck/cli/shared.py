@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -22,10 +23,6 @@ TABLE_WIDTH = 130
 
 AGREE, DISAGREE, BAD_INPUT = 0, 1, 2
 
-setting_option = click.option(
-    "--set", "settings", multiple=True, metavar="OPTION=VALUE", help="Option of the scene; repeatable."
-)
-
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="crosscheck", prog_name="crosscheck")
@@ -33,7 +30,36 @@ def cli() -> None:
     """Compare closed-loop mechanism dynamics between engines."""
 
 
-def scene_options(settings: tuple[str, ...]) -> dict[str, str]:
+def setting_options(command: Callable[..., int]) -> Callable[..., int]:
+    """What `scene_options` takes."""
+    loops = click.option("--loops", metavar="FILE", default=None, help="Loop file (YAML) of a URDF.")
+    settings = click.option(
+        "--set", "settings", multiple=True, metavar="OPTION=VALUE", help="Option of the scene; repeatable."
+    )
+    return settings(loops(command))
+
+
+def recording_options(command: Callable[..., int]) -> Callable[..., int]:
+    """The options of `crosscheck.recording.destination.Destination`."""
+    options = (
+        click.option(
+            "--save", type=click.Path(path_type=Path), help="Recording's file.  [default: OUTPUT/SCENE.rrd]"
+        ),
+        click.option("--spawn", is_flag=True, help="Show the recording in a viewer instead."),
+        click.option("--connect", metavar="URL", help="Send the recording to a viewer instead."),
+        click.option("--serve", is_flag=True, help="Serve the recording to browsers instead."),
+        click.option("--bind", metavar="ADDRESS", help="Where --serve listens.  [default: 127.0.0.1]"),
+        click.option("--stdout", is_flag=True, help="Write the recording to standard output instead."),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def scene_options(scene: str, settings: tuple[str, ...], loops: str | None) -> dict[str, str]:
+    """Options of a scene by name, out of `--set` and `--loops`."""
+    from crosscheck.model_files.read import is_urdf
+
     options = {}
     for setting in settings:
         key, equals, value = setting.partition("=")
@@ -42,18 +68,22 @@ def scene_options(settings: tuple[str, ...]) -> dict[str, str]:
         if key in options:
             raise CrosscheckError(f"--set {key} is given twice")
         options[key] = value
+    if loops is not None:
+        if not is_urdf(scene):
+            raise CrosscheckError(f"--loops {loops}: only a URDF has a loop file, {scene!r} is none")
+        if "loops" in options:
+            raise CrosscheckError(f"--loops {loops} and --set loops={options['loops']} are one option")
+        options["loops"] = loops
     return options
 
 
-def load_scene(scene: str, options: dict[str, str], loops: str | None) -> tuple[Scene, Mapping | None]:
+def load_scene(scene: str, options: dict[str, str]) -> tuple[Scene, Mapping | None]:
     """A scene, and what became of the elements of its file if that is a model of another tool."""
     from crosscheck.model_files.read import is_model, read_model
     from crosscheck.scenes import load
 
     if is_model(scene):
-        return read_model(scene, options, loops)
-    if loops is not None:
-        raise CrosscheckError(f"--loops {loops}: only a URDF has a loop file")
+        return read_model(scene, options)
     return load(scene, **options), None
 
 

@@ -15,12 +15,17 @@ EYE_DIRECTION = np.array([0.5, -0.72, 0.5])
 EYE_DISTANCE = 3.1
 """Distance of the camera in multiples of the mechanism's size."""
 
+MESH_DISTANCE = 2.0
+"""Least distance of the camera in multiples of how far meshes reach."""
+
 MOST_COLUMNS = 4
 """Plots side by side in one group."""
 
 
-def blueprint(mechanism: Mechanism, engines: list[str], plots: list[Plot], title: str) -> rrb.Blueprint:
-    """The mechanism and the verdict at the left, rows of plots at the right.
+def blueprint(
+    mechanism: Mechanism, engines: list[str], plots: list[Plot], title: str, timeline: str
+) -> rrb.Blueprint:
+    """The mechanism and the verdict at the left, rows of plots over a timeline at the right.
 
     Joint points and reactions are shown for the first engine; those of the others can be switched
     on in the viewer.
@@ -46,7 +51,7 @@ def blueprint(mechanism: Mechanism, engines: list[str], plots: list[Plot], title
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline="time", loop_mode="all"),
+        rrb.TimePanel(state="collapsed", timeline=timeline, loop_mode="all"),
         auto_layout=False,
         auto_views=False,
     )
@@ -56,10 +61,13 @@ def _eye(mechanism: Mechanism) -> rrb.EyeControls3D:
     points = [body.center_of_mass for body in mechanism.bodies[1:]]
     points += [joint.point for joint in mechanism.joints]
     target = np.mean(points, axis=0)
+    corners = [mesh.vertices - target for body in mechanism.bodies[1:] for mesh in body.meshes]
+    reach = max((float(np.max(np.linalg.norm(arms, axis=1), initial=0.0)) for arms in corners), default=0.0)
+    distance = max(EYE_DISTANCE * mechanism.size, MESH_DISTANCE * reach)
     direction = EYE_DIRECTION / np.linalg.norm(EYE_DIRECTION)
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
-        position=target + EYE_DISTANCE * mechanism.size * direction,
+        position=target + distance * direction,
         look_target=target,
         eye_up=[0.0, 0.0, 1.0],
     )

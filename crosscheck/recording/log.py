@@ -2,37 +2,40 @@
 
 Entities:
     /ground                      shapes of the fixed body, once
+    /ground/mesh_K               its meshes
     /mechanism/ENGINE/BODY       shapes, and the body's pose over time
+    /mechanism/ENGINE/BODY/mesh_K  its meshes
     /mechanism/ENGINE/BODY/normal  an arrow across the panel
     /joints/ENGINE/JOINT         joint point on the second body over time
     /reactions/ENGINE/JOINT      constraint force on the second body over time
-    /plots/QUANTITY/.../ENGINE   scalars over time, see `rerun_plots`
+    /plots/QUANTITY/.../ENGINE   scalars over time, see `crosscheck.recording.plots`
     /verdict                     the tables, as text
 
 Poses and arrows are for the eye and hold single precision; the scalars hold double precision.
-Rerun's quaternions are x-y-z-w; they are turned round in this module and nowhere else.
+Rerun's quaternions are x-y-z-w; `crosscheck.recording.shapes.xyzw` turns them round.
+
+Recordings of one scene have one application id, so that a viewer that opens several lays them out alike
+and switches between them, and each run has a recording id of its own.
 """
 
 from __future__ import annotations
 
 import os
 import uuid
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
 
 from crosscheck.recording.blueprint import blueprint
 from crosscheck.recording.plots import Plot, panel, plots, rotated
-from newton_euler.euler_parameters import conjugate, from_rotation, product
-from newton_euler.joints import perpendicular_pair
+from crosscheck.recording.shapes import Style, log_shapes, xyzw
 from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
-from newton_euler.shapes import Box, Capsule
+from newton_euler.shapes import Box
 from newton_euler.trajectory import Trajectory, atomic_file
-
-APPLICATION = "crosscheck"
 
 COLORS = ((230, 159, 0), (86, 180, 233), (204, 121, 167), (0, 158, 115))
 """One colour an engine: M. Okabe and K. Ito, Color Universal Design, 2008."""
@@ -52,56 +55,102 @@ LONGEST_ARROW = 1.0
 """Length of the largest reaction, in multiples of the mechanism's size."""
 
 
-class Style(NamedTuple):
-    """How one engine is drawn."""
-
-    color: tuple[int, int, int]
-    line_width: float
-    """Of its lines where those of other engines lie under or over them, points."""
-    fill: rr.components.FillMode
-    rank: int
-    """0 for the first engine."""
-    shell: float
-    """m, by which its shapes are grown."""
+TIME = "time"
+LATER = "time_from_here"
+"""The timelines of a recording. A blueprint names a timeline but no time on it, and viewers start at its
+beginning; the second has only what comes after the time that a recording opens at."""
 
 
-def write_recording(
-    path: str | os.PathLike[str], scene: Scene, trajectories: dict[str, Trajectory], verdict: str
+class Clock(NamedTuple):
+    """A timeline, and the time that it begins at, s."""
+
+    timeline: str
+    start: float
+
+
+def application_id(scene: Scene) -> str:
+    """What recordings of a scene have in common."""
+    return f"crosscheck_{scene.name}"
+
+
+def new_recording(scene: Scene) -> rr.RecordingStream:
+    """A recording with an id of its own, that nothing is logged to yet."""
+    rr.set_strict_mode(True)
+    return rr.RecordingStream(application_id(scene), recording_id=uuid.uuid4())
+
+
+def log_run(
+    recording: rr.RecordingStream,
+    scene: Scene,
+    trajectories: dict[str, Trajectory],
+    verdict: str,
+    title: str,
+    opens_at: float | None = None,
 ) -> None:
-    """Write an .rrd; the file appears whole or not at all.
+    """Log all there is to see of a run, and how the viewer lays it out.
 
     Args:
         scene: what was run.
         trajectories: by engine, at the same output times; the first is the one that the others are
             compared with.
         verdict: Markdown.
-
-    Raises:
-        OSError: if the file cannot be written to its end.
+        title: of the recording, to tell it from others of the scene.
+        opens_at: time that the viewer starts at, s; the beginning if None.
     """
-    rr.set_strict_mode(True)
     mechanism = scene.mechanism
     styles = _styles(list(trajectories), mechanism.size)
     shown = plots(scene, trajectories)
     arrow_scale = _arrow_scale(mechanism, trajectories)
-    title = scene.name if arrow_scale is None else f"{scene.name} (reactions: 1 N is {arrow_scale:.2g} m)"
-    layout = blueprint(mechanism, list(trajectories), shown, title)
-    recording = rr.RecordingStream(APPLICATION, recording_id=uuid.uuid4())
-    # in memory first: the writer's own thread would wait for ever on a disk that is full
-    memory = recording.memory_recording()
+    heading = title if arrow_scale is None else f"{title} (reactions: 1 N is {arrow_scale:.2g} m)"
+    clocks = [Clock(TIME, -np.inf)] if opens_at is None else [Clock(TIME, -np.inf), Clock(LATER, opens_at)]
+    layout = blueprint(mechanism, list(trajectories), shown, heading, clocks[-1].timeline)
     recording.send_blueprint(layout, make_active=False)
-    recording.send_recording_name(scene.name)
+    recording.send_recording_name(title)
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     recording.log("/verdict", rr.TextDocument(verdict, media_type=rr.MediaType.MARKDOWN), static=True)
     _log_ground(recording, mechanism)
     for engine, run in trajectories.items():
-        _log_bodies(recording, mechanism, engine, run, styles[engine])
-        _log_joints(recording, mechanism, engine, run, arrow_scale)
-    times = {engine: _time_column(run.time) for engine, run in trajectories.items()}
+        _log_bodies(recording, mechanism, engine, run, styles[engine], clocks)
+        _log_joints(recording, mechanism, engine, run, arrow_scale, clocks)
+    times = {engine: run.time for engine, run in trajectories.items()}
     for plot in shown:
-        _log_plot(recording, plot, times, styles)
+        _log_plot(recording, plot, times, styles, clocks)
+
+
+def recorded(
+    scene: Scene,
+    trajectories: dict[str, Trajectory],
+    verdict: str,
+    title: str,
+    opens_at: float | None = None,
+) -> bytes:
+    """The content of an .rrd; arguments as of `log_run`."""
+    recording = new_recording(scene)
+    memory = recording.memory_recording()
+    log_run(recording, scene, trajectories, verdict, title, opens_at)
+    return bytes(memory.drain_as_bytes())
+
+
+def write_recording(
+    path: str | os.PathLike[str],
+    scene: Scene,
+    trajectories: dict[str, Trajectory],
+    verdict: str,
+    title: str | None = None,
+    opens_at: float | None = None,
+) -> None:
+    """Write an .rrd; the file appears whole or not at all. Arguments as of `log_run`.
+
+    Args:
+        title: the scene's name if None.
+
+    Raises:
+        OSError: if the file cannot be written to its end.
+    """
+    # in memory first: Rerun's own writer would wait for ever on a disk that is full
+    content = recorded(scene, trajectories, verdict, title or scene.name, opens_at)
     with atomic_file(path) as temporary:
-        temporary.write_bytes(memory.drain_as_bytes())
+        temporary.write_bytes(content)
 
 
 def _styles(engines: list[str], size: float) -> dict[str, Style]:
@@ -124,77 +173,50 @@ def _styles(engines: list[str], size: float) -> dict[str, Style]:
     }
 
 
-def _time_column(time: Array) -> rr.TimeColumn:
-    return rr.TimeColumn("time", duration=np.round(time * 1e9).astype("timedelta64[ns]"))
-
-
-def _xyzw(quaternion: Array) -> Array:
-    """Rerun's order of w-x-y-z quaternions (..., 4)."""
-    return quaternion[..., [1, 2, 3, 0]]
+def _send(
+    recording: rr.RecordingStream,
+    path: str,
+    time: Array,
+    clocks: Sequence[Clock],
+    columns: Callable[..., Any],
+    **values: Array,
+) -> None:
+    """Log values, (n, ...) each, at times (n,), s, on all timelines."""
+    for clock in clocks:
+        rows = time >= clock.start
+        nanoseconds = np.round(time[rows] * 1e9).astype("timedelta64[ns]")
+        chosen = {name: value[rows] for name, value in values.items()}
+        recording.send_columns(path, [rr.TimeColumn(clock.timeline, duration=nanoseconds)], columns(**chosen))
 
 
 def _log_ground(recording: rr.RecordingStream, mechanism: Mechanism) -> None:
     body = mechanism.bodies[0]
-    quaternion = rr.Quaternion(xyzw=_xyzw(body.quaternion))
+    quaternion = rr.Quaternion(xyzw=xyzw(body.quaternion))
     pose = rr.Transform3D(translation=body.center_of_mass, quaternion=quaternion)
     recording.log("/ground", pose, static=True)
     style = Style(GROUND_COLOR, 0.0, rr.components.FillMode.Solid, 0, 0.0)
-    _log_shapes(recording, "/ground", mechanism, 0, style)
+    log_shapes(recording, "/ground", mechanism, 0, style)
 
 
 def _log_bodies(
-    recording: rr.RecordingStream, mechanism: Mechanism, engine: str, run: Trajectory, style: Style
+    recording: rr.RecordingStream,
+    mechanism: Mechanism,
+    engine: str,
+    run: Trajectory,
+    style: Style,
+    clocks: Sequence[Clock],
 ) -> None:
-    time = _time_column(run.time)
     for k in range(1, len(mechanism.bodies)):
         path = rr.new_entity_path(["mechanism", engine, mechanism.body_names[k]])
-        _log_shapes(recording, path, mechanism, k, style)
-        pose = rr.Transform3D.columns(translation=run.position[:, k], quaternion=_xyzw(run.quaternion[:, k]))
-        recording.send_columns(path, [time], pose)
+        log_shapes(recording, path, mechanism, k, style)
+        position, quaternion = run.position[:, k], xyzw(run.quaternion[:, k])
+        pose = rr.Transform3D.columns
+        _send(recording, path, run.time, clocks, pose, translation=position, quaternion=quaternion)
     found = panel(mechanism)
     if found is not None:
         body, box = found
         path = rr.new_entity_path(["mechanism", engine, mechanism.body_names[body]])
         _log_normal(recording, path, mechanism, body, box, style)
-
-
-def _log_shapes(
-    recording: rr.RecordingStream, path: str, mechanism: Mechanism, body: int, style: Style
-) -> None:
-    """Shapes in the frame of their body."""
-    pose = mechanism.bodies[body].pose
-    back = conjugate(mechanism.bodies[body].quaternion)
-    boxes = [shape for shape in mechanism.shapes(body) if isinstance(shape, Box)]
-    bars = [shape for shape in mechanism.shapes(body) if isinstance(shape, Capsule)]
-    if boxes:
-        drawn = rr.Boxes3D(
-            half_sizes=[box.half_sizes + style.shell for box in boxes],
-            centers=[pose.point_to_body(box.center) for box in boxes],
-            quaternions=[_xyzw(product(back, box.quaternion)) for box in boxes],
-            colors=style.color,
-            fill_mode=style.fill,
-        )
-        recording.log(path, drawn, static=True)
-    if bars:
-        starts = [pose.point_to_body(bar.start) for bar in bars]
-        ends = [pose.point_to_body(bar.end) for bar in bars]
-        pairs = list(zip(starts, ends, strict=True))
-        capsules = rr.Capsules3D(
-            lengths=[float(np.linalg.norm(end - start)) for start, end in pairs],
-            radii=[bar.radius + style.shell for bar in bars],
-            translations=starts,
-            quaternions=[_xyzw(_from_z(end - start)) for start, end in pairs],
-            colors=style.color,
-            fill_mode=style.fill,
-        )
-        recording.log(path, capsules, static=True)
-
-
-def _from_z(vector: Array) -> Array:
-    """A rotation (4,) that takes z to the direction of a vector; that of a zero vector is z."""
-    length = float(np.linalg.norm(vector))
-    axis = vector / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
-    return from_rotation(np.column_stack([*perpendicular_pair(axis), axis]))
 
 
 def _log_normal(
@@ -234,8 +256,8 @@ def _log_joints(
     engine: str,
     run: Trajectory,
     arrow_scale: float | None,
+    clocks: Sequence[Clock],
 ) -> None:
-    time = _time_column(run.time)
     for j, joint in enumerate(mechanism.joints):
         second = mechanism.body_index(joint.second)
         arm = mechanism.bodies[second].pose.point_to_body(joint.reaction_point)
@@ -243,20 +265,22 @@ def _log_joints(
         path = rr.new_entity_path(["joints", engine, joint.name])
         look = rr.Points3D.from_fields(colors=JOINT_COLOR, radii=0.07 * mechanism.size)
         recording.log(path, look, static=True)
-        recording.send_columns(path, [time], rr.Points3D.columns(positions=points))
+        _send(recording, path, run.time, clocks, rr.Points3D.columns, positions=points)
         if run.reaction_force is not None and arrow_scale is not None:
             path = rr.new_entity_path(["reactions", engine, joint.name])
             arrow_look = rr.Arrows3D.from_fields(colors=REACTION_COLOR, radii=0.02 * mechanism.size)
             recording.log(path, arrow_look, static=True)
-            arrows = rr.Arrows3D.columns(origins=points, vectors=arrow_scale * run.reaction_force[:, j])
-            recording.send_columns(path, [time], arrows)
+            vectors = arrow_scale * run.reaction_force[:, j]
+            arrows = rr.Arrows3D.columns
+            _send(recording, path, run.time, clocks, arrows, origins=points, vectors=vectors)
 
 
 def _log_plot(
     recording: rr.RecordingStream,
     plot: Plot,
-    times: dict[str, rr.TimeColumn],
+    times: dict[str, Array],
     styles: dict[str, Style],
+    clocks: Sequence[Clock],
 ) -> None:
     for engine, values in plot.lines.items():
         path = rr.new_entity_path(["plots", *plot.path, engine])
@@ -264,4 +288,4 @@ def _log_plot(
         width = style.line_width if plot.lines_coincide else LINE_WIDTH
         line = rr.SeriesLines(colors=style.color, names=engine, widths=width)
         recording.log(path, line, static=True)
-        recording.send_columns(path, [times[engine]], rr.Scalars.columns(scalars=values))
+        _send(recording, path, times[engine], clocks, rr.Scalars.columns, scalars=values)

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.recording.server import LOOPBACK, PATIENCE, end, free_port, start
 from newton_euler.trajectory import atomic_file
 
 WINDOW = "1600x900"
-PATIENCE = 30.0
-"""s to wait for the viewer to start, and again for it to load the recording."""
-
 SETTLE = 2.0
 """s until the notices that a starting viewer shows over its views are gone."""
 
@@ -37,32 +33,43 @@ def screenshot(rrd: str | os.PathLike[str], png: str | os.PathLike[str], time_se
     Raises:
         CrosscheckError: if the viewer does not start or does not get as far as a picture.
     """
+    (content,) = screenshots(rrd, [time_seconds])
+    try:
+        with atomic_file(png) as temporary:
+            temporary.write_bytes(content)
+    except OSError as error:
+        raise CrosscheckError(f"cannot write {os.fspath(png)}: {error.strerror}") from error
+
+
+def screenshots(rrd: str | os.PathLike[str], times: Sequence[float]) -> list[bytes]:
+    """What the viewer shows of a recording at times on its timeline `time`, s, as PNG; errors as above."""
+    pictures = []
     try:
         if not RrdReader(Path(rrd)).recordings():
             raise CrosscheckError(f"no recording in {os.fspath(rrd)}")
-        with _viewer() as viewer, atomic_file(png) as temporary:
+        with _viewer() as viewer, tempfile.TemporaryDirectory() as folder:
             viewer.open(str(Path(rrd).resolve()))
             _wait_until_loaded(viewer, rrd)
             viewer.run_command("ui.toggle_top_panel")
             time.sleep(SETTLE)
-            viewer.set_time("time", duration=time_seconds, play_state="paused")
-            viewer.save_screenshot(str(temporary.resolve()))
+            for moment in times:
+                viewer.set_time("time", duration=moment, play_state="paused")
+                picture = Path(folder) / "picture.png"
+                viewer.save_screenshot(str(picture))
+                pictures.append(picture.read_bytes())
     except (RuntimeError, OSError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise CrosscheckError(f"no picture of {os.fspath(rrd)}: {reason}") from error
+    return pictures
 
 
 @contextmanager
 def _viewer() -> Iterator[ViewerClient]:
-    """A viewer without a window that listens to this machine only; killed on the way out."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    command = [sys.executable, "-m", "rerun_cli", "--headless", "--bind", "127.0.0.1"]
-    command += ["--port", str(port), "--window-size", WINDOW, "--hide-welcome-screen"]
+    """A viewer without a window that listens to this machine only; ended on the way out."""
+    port = free_port(LOOPBACK)
     with tempfile.TemporaryFile() as log:
-        # its own process group, because the command line tool starts the viewer as a child
-        process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
+        options = ["--headless", "--port", str(port), "--window-size", WINDOW]
+        process = start(options, LOOPBACK, log)
         try:
             yield _connect(process, port)
         except (RuntimeError, ConnectionError):
@@ -76,9 +83,7 @@ def _viewer() -> Iterator[ViewerClient]:
                 f"mesa-vulkan-drivers and libvulkan1 ({reason})"
             ) from None
         finally:
-            with suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+            end(process)
 
 
 def _has_died(process: subprocess.Popen[bytes]) -> bool:
@@ -93,7 +98,7 @@ def _connect(process: subprocess.Popen[bytes], port: int) -> ViewerClient:
     deadline = time.monotonic() + PATIENCE
     while process.poll() is None and time.monotonic() < deadline:
         try:
-            client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+            client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
             client.get_state()
         except (RuntimeError, ConnectionError):
             time.sleep(POLL)

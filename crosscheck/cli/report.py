@@ -1,0 +1,21 @@
+"""`crosscheck report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from crosscheck.cli.shared import AGREE, cli, progress_shown
+
+
+@cli.command("report")
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+def report_command(folder: Path) -> int:
+    """Write DIR/report.html, one page about what run, run --all or bench left in DIR."""
+    from crosscheck.html.report import write_report
+
+    with progress_shown() as progress:
+        path = write_report(folder, progress)
+    click.echo(f"wrote {path}")
+    return AGREE

@@ -1,0 +1,179 @@
+"""The sections of a page about one crosscheck."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.html import drawing, page, plots
+from crosscheck.html.page import Cell, Markup
+from crosscheck.html.summary import Figure, Summary
+from newton_euler.scalars import Array
+from newton_euler.trajectory import load_arrays
+
+NEEDED = ("time", "body_names", "position", "quaternion")
+"""Arrays that every run has."""
+
+PLAIN_NAME = re.compile(r"[A-Za-z0-9_\-]+")
+
+PARTS = {
+    "pairs": "Engines against each other",
+    "single": "Each engine by itself",
+    "within": "Two equations of motion of one engine",
+}
+
+
+def sections(
+    folder: Path, summary: Summary, shares: Sequence[float], progress: Callable[[str], None]
+) -> Iterator[Markup]:
+    """Verdict, tables, pictures and settings; pictures of the mechanism at `shares` of the duration."""
+    yield page.paragraph(summary.verdict, f"verdict {'holds' if summary.agrees else 'fails'}")
+    if summary.advice:
+        yield page.heading("Advice", 3)
+        yield page.table(("", ""), ((piece.topic, piece.text) for piece in summary.advice))
+    yield from _figures(summary)
+    yield from _known_figures(summary)
+    yield from _pictures(folder, summary, shares, progress)
+    yield page.heading("Settings", 3)
+    yield from _settings(summary)
+    yield from _mapping(summary)
+
+
+def _judged(value: float, allowed: float, agrees: bool, about: str) -> Cell:
+    text = f"{value:.1e} {'<' if value <= allowed else '>'} {allowed:.0e}"
+    return Cell(text, "holds" if agrees else "fails", about)
+
+
+def _figures(summary: Summary) -> Iterator[Markup]:
+    """A table for each part: a line for each quantity by level, a column for each pair or engine."""
+    engines = set(summary.engines)
+
+    def part(figure: Figure) -> str:
+        if len(figure.between) == 1:
+            return "single"
+        return "pairs" if set(figure.between) <= engines else "within"
+
+    for name, title in PARTS.items():
+        figures = [figure for figure in summary.figures if part(figure) == name]
+        if not figures:
+            continue
+        yield page.heading(title, 3)
+        columns = list(dict.fromkeys(tuple(figure.between) for figure in figures))
+        rows: list[Sequence[str | Cell] | str] = []
+        for level in dict.fromkeys(figure.level for figure in figures):
+            rows.append(level)
+            at_level = [figure for figure in figures if figure.level == level]
+            for quantity in dict.fromkeys(figure.quantity for figure in at_level):
+                cells = {tuple(f.between): _cell(f) for f in at_level if f.quantity == quantity}
+                rows.append([quantity, *(cells.get(between, "") for between in columns)])
+        yield page.table(["", *("\n".join(between) for between in columns)], rows)
+    failed = [figure for figure in summary.figures if not figure.agrees and not figure.informs]
+    if failed:
+        yield page.heading("Where they part", 3)
+        yield page.table(
+            ("level", "figure", "between", "value", "worst at"),
+            ((f.level, f.quantity, ", ".join(f.between), _cell(f), f.where) for f in failed),
+        )
+
+
+def _cell(figure: Figure) -> Cell:
+    about = f"worst at {figure.where}"
+    if figure.informs:
+        return Cell(f"{figure.value:.1e}", "", about)
+    return _judged(figure.value, figure.tolerance, figure.agrees, about)
+
+
+def _known_figures(summary: Summary) -> Iterator[Markup]:
+    if not summary.known_figures:
+        return
+    yield page.heading("Against the reference", 3)
+    yield page.table(
+        ("figure", "time, s", "engine", "value", "reference", "difference"),
+        (
+            (
+                f"{known.quantity}, {known.unit}",
+                f"{known.time:g}",
+                known.engine,
+                Cell(f"{known.value:.12g}"),
+                Cell(f"{known.reference:.12g}"),
+                _judged(known.difference, known.allowed, known.agrees, ""),
+            )
+            for known in summary.known_figures
+        ),
+    )
+
+
+def _pictures(
+    folder: Path, summary: Summary, shares: Sequence[float], progress: Callable[[str], None]
+) -> Iterator[Markup]:
+    yield page.heading("Runs", 3)
+    runs = _runs(folder, summary)
+    if not runs:
+        yield page.paragraph("The runs are not in the folder, so there is nothing to draw.")
+        return
+    recording = folder / f"{summary.scene}.rrd"
+    if PLAIN_NAME.fullmatch(summary.scene) and recording.is_file():
+        progress(f"{summary.scene}: pictures of the recording")
+        try:
+            for content, caption in drawing.views(recording, next(iter(runs)), shares):
+                yield page.picture(content, caption)
+        except CrosscheckError as error:
+            yield page.paragraph(f"No picture of the mechanism: {error}")
+    progress(f"{summary.scene}: plots")
+    for content, caption in plots.pictures(runs):
+        yield page.picture(content, caption)
+
+
+def _runs(folder: Path, summary: Summary) -> dict[str, dict[str, Array]]:
+    """The arrays of the runs that the folder has, in the order of the engines."""
+    found = {}
+    for engine in summary.engines:
+        path = folder / f"{engine}.npz"
+        if not PLAIN_NAME.fullmatch(engine) or not path.is_file():
+            continue
+        arrays = load_arrays(path)
+        missing = [name for name in NEEDED if name not in arrays]
+        if missing:
+            raise CrosscheckError(f"{path}: no array {missing[0]!r}")
+        n, b = len(arrays["time"]), len(arrays["body_names"])
+        for name, size in (("position", 3), ("quaternion", 4)):
+            if arrays[name].shape != (n, b, size):
+                raise CrosscheckError(
+                    f"{path}: {name} has shape {arrays[name].shape}; needed: {(n, b, size)}"
+                )
+        found[engine] = arrays
+    return found
+
+
+def _settings(summary: Summary) -> Iterator[Markup]:
+    options = ", ".join(f"{name}={value}" for name, value in summary.options.items())
+    yield page.table(
+        ("", ""),
+        [
+            ("scene", summary.scene),
+            ("source", summary.source),
+            ("options", options or "none set"),
+            ("time of everything", f"{summary.wall_time:.3g} s"),
+        ],
+    )
+    yield page.table(
+        ("engine", "time, s", "settings"),
+        ((name, f"{run.wall_time:.3g}", page.values(run.settings)) for name, run in summary.engines.items()),
+    )
+    if summary.left_out:
+        yield page.table(("engine left out", "why"), summary.left_out.items())
+    yield page.table(("package", "version"), summary.versions.items())
+
+
+def _mapping(summary: Summary) -> Iterator[Markup]:
+    """What became of the elements of a model file, and where the run starts."""
+    if summary.mapping is not None:
+        yield page.heading("What became of the model file", 3)
+        for fate in dict.fromkeys(entry.fate for entry in reversed(summary.mapping)):
+            entries = [(entry.element, entry.how) for entry in summary.mapping if entry.fate == fate]
+            yield page.details(f"{fate}: {len(entries)}", [page.table(("element", "how"), entries)])
+    if summary.start:
+        yield page.heading("Start", 3)
+        yield page.listing(summary.start)

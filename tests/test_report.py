@@ -1,0 +1,297 @@
+"""Results as one page: what is on it, that it needs nothing else, and what it refuses."""
+
+from __future__ import annotations
+
+import base64
+import json
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from command_line import run, scene_file, short_example
+
+from crosscheck.cli import main
+from crosscheck.errors import CrosscheckError
+from crosscheck.html import drawing, page
+from crosscheck.html.report import PAGE, write_report
+
+ENGINES = ["newton_euler", "pinocchio"]
+VOID = {"meta", "br", "img"}
+PNG = b"\x89PNG\r\n\x1a\n"
+EVIL = "</table><script>alert('1')</script>\"&"
+
+
+class Page(HTMLParser):
+    """A page taken apart; fails where tags are not nested, or where something would be fetched."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.seen: set[str] = set()
+        self.text: list[str] = []
+        self.images: dict[str, bytes] = {}
+        self.anchors: set[str] = set()
+        self.links: set[str] = set()
+        self.feed(path.read_text(encoding="utf-8"))
+        self.close()
+        assert self.tags == []
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        self.seen.add(tag)
+        if tag not in VOID:
+            self.tags.append(tag)
+        if "id" in attributes:
+            self.anchors.add(attributes["id"])
+        assert not {"srcset", "background", "action", "data"} & attributes.keys()
+        if "src" in attributes:
+            kind, _, content = attributes["src"].partition("base64,")
+            assert (tag, kind) == ("img", "data:image/png;")
+            self.images[attributes["alt"]] = base64.b64decode(content, validate=True)
+        if "href" in attributes:
+            assert tag == "a"
+            assert attributes["href"].startswith("#")
+            self.links.add(attributes["href"][1:])
+
+    def handle_endtag(self, tag):
+        assert self.tags.pop() == tag
+
+    def handle_data(self, data):
+        if self.tags and self.tags[-1] != "style":
+            self.text.append(data)
+
+    @property
+    def words(self) -> str:
+        return "\n".join(self.text)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    """The folder of a short run of two engines."""
+    folder = tmp_path_factory.mktemp("finished")
+    path = scene_file(folder, short_example())
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(path), "--engines", ",".join(ENGINES), "--output", str(folder / "four_bar")])
+    assert not ended.value.code
+    return folder / "four_bar"
+
+
+@pytest.fixture
+def folder(finished, tmp_path, monkeypatch) -> Path:
+    """A copy of it, where no viewer runs."""
+
+    def no_driver(*_):
+        raise CrosscheckError("no Vulkan driver")
+
+    monkeypatch.setattr("crosscheck.recording.screenshot.screenshots", no_driver)
+    return Path(shutil.copytree(finished, tmp_path / "four_bar"))
+
+
+@pytest.fixture
+def bare(folder) -> Path:
+    """Its summary alone: nothing is drawn."""
+    for path in (*folder.glob("*.npz"), *folder.glob("*.rrd")):
+        path.unlink()
+    return folder
+
+
+def change(folder: Path, **changes: object) -> dict:
+    """Rewrite entries of a folder's summary."""
+    path = folder / "summary.json"
+    summary = json.loads(path.read_text()) | changes
+    path.write_text(json.dumps(summary))
+    return summary
+
+
+def report(folder: Path) -> Page:
+    return Page(write_report(folder, lambda _: None))
+
+
+def test_a_page_holds_what_a_run_found(folder, capsys):
+    status, out, err = run(capsys, "report", folder)
+    assert (status, out, err) == (0, f"wrote {folder / PAGE}\n", "")
+    found, summary = Page(folder / PAGE), json.loads((folder / "summary.json").read_text())
+    assert summary["verdict"] in found.words
+    for figure in summary["figures"]:
+        assert figure["level"] in found.words
+        assert figure["quantity"] in found.words
+        assert f"{figure['value']:.1e}" in found.words
+    for package, version in summary["versions"].items():
+        assert package in found.words
+        assert version in found.words
+    assert "DOP853" in found.words
+    assert list(found.images) == [
+        "The mechanism at 0, 0.025, 0.05 s, by newton_euler",
+        "Difference from newton_euler, largest over the bodies",
+        "Drift: how far joints are open",
+        "Energy",
+        "Energy balance",
+        "Centre of mass of crank",
+        "Centre of mass of coupler",
+        "Centre of mass of rocker",
+        "Control",
+    ]
+    assert all(content.startswith(PNG) and len(content) > 5000 for content in found.images.values())
+    assert {path.name for path in folder.iterdir()} == {
+        *(f"{engine}.npz" for engine in ENGINES),
+        "summary.json",
+        "four_bar.rrd",
+        PAGE,
+    }
+
+
+def test_pictures_by_the_viewer_where_it_runs(folder, monkeypatch):
+    taken = lambda rrd, moments: [PNG + str(moment).encode() for moment in moments]  # noqa: E731
+    monkeypatch.setattr("crosscheck.recording.screenshot.screenshots", taken)
+    pictures = list(drawing.views(folder / "four_bar.rrd", "pinocchio", (0.0, 0.5, 1.0)))
+    assert [caption for _, caption in pictures] == [f"The recording at {t} s" for t in ("0", "0.025", "0.05")]
+
+
+def test_texts_are_texts(bare):
+    figures = json.loads((bare / "summary.json").read_text())["figures"]
+    texts = {"verdict": EVIL, "source": EVIL, "options": {EVIL: EVIL}, "left_out": {EVIL: EVIL}}
+    texts |= {"mapping": [{"element": EVIL, "fate": EVIL, "how": EVIL}], "start": [EVIL], "scene": EVIL}
+    texts |= {"advice": [{"topic": EVIL, "text": EVIL}], "versions": {EVIL: EVIL}}
+    wrong = dict.fromkeys(("level", "quantity", "where"), EVIL)
+    wrong |= {"between": [EVIL], "value": 1.0, "tolerance": 0.5, "informs": False, "agrees": False}
+    engines = {EVIL: {"settings": {EVIL: EVIL}, "wall_time": 1.0}}
+    change(bare, figures=[*figures, wrong], engines=engines, **texts)
+    found = report(bare)
+    assert "script" not in found.seen
+    assert found.words.count(EVIL) >= 18
+
+
+def test_a_disagreement_is_found_at_a_glance(bare):
+    summary = json.loads((bare / "summary.json").read_text())
+    summary["figures"][0] |= {"value": 0.125, "agrees": False, "where": "the crank"}
+    change(bare, figures=summary["figures"], agrees=False, verdict="DISAGREE: somewhere")
+    text = (bare / PAGE).read_text() if report(bare) else ""
+    assert '<p class="verdict fails">DISAGREE: somewhere</p>' in text
+    assert "Where they part" in text
+    assert '<td class="figure fails" title="worst at the crank">1.2e-01 &gt; 1e-12</td>' in text
+
+
+def test_reference_mapping_and_advice(bare):
+    known = {"engine": "pinocchio", "quantity": "height", "unit": "m", "time": 1.0, "value": 0.25}
+    known |= {"reference": 0.5, "difference": 0.25, "allowed": 0.1, "agrees": False}
+    mapping = [{"element": "geom 'g'", "fate": "left out", "how": "no contacts"}]
+    advice = [{"topic": "solref", "text": "a time constant of 2 ms"}]
+    change(bare, known_figures=[known], mapping=mapping, start=["starts from home"], advice=advice)
+    words = report(bare).words
+    for text in (
+        "height, m",
+        "2.5e-01 > 1e-01",
+        "geom 'g'",
+        "no contacts",
+        "left out: 1",
+        "starts from home",
+    ):
+        assert text in words
+    assert "a time constant of 2 ms" in words
+
+
+def test_without_runs(bare):
+    found = report(bare)
+    assert found.images == {}
+    assert "The runs are not in the folder" in found.words
+
+
+def test_a_recording_that_is_none(folder):
+    (folder / "four_bar.rrd").write_bytes(b"RRF2 and no more")
+    (folder / "pinocchio.npz").unlink()
+    found = report(folder)
+    assert "No picture of the mechanism: " in found.words
+    assert "Drift: how far joints are open" in found.images
+    assert "Difference from newton_euler, largest over the bodies" not in found.images
+
+
+def test_the_library_on_one_page(bare, tmp_path):
+    library = tmp_path / "library"
+    for name in ("one", "two"):
+        shutil.copytree(bare, library / name)
+    change(library / "two", agrees=False, verdict="DISAGREE: as it were")
+    (library / "notes").mkdir()
+    found = report(library)
+    assert found.links == {"folder-one", "folder-two"} <= found.anchors
+    assert {"AGREE", "FAILS"} <= set(found.text)
+    assert found.words.count("DISAGREE: as it were") == 2  # in the index and below
+    assert [path.name for path in library.rglob(PAGE)] == [PAGE]
+
+
+def test_a_benchmark(tmp_path):
+    content = {
+        "scene": "tracker",
+        "machine": {"processor": EVIL},
+        "answer": "newton_euler needs 0.68 ms",
+        "table": [{"error": 1e-6, "cheapest": {"mujoco": None}, "notes": ["a", "b"]}],
+        "settings": [],
+    }
+    (tmp_path / "bench.json").write_text(json.dumps(content))
+    (tmp_path / "rhs.json").write_text(json.dumps({"words": ["0.4 us a call"]}))
+    (tmp_path / "work_precision.png").write_bytes(PNG)
+    found = report(tmp_path)
+    assert found.images == {"work precision": PNG}
+    for text in ("newton_euler needs 0.68 ms", "0.4 us a call", "1e-06", "a, b", EVIL):
+        assert text in found.words
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("summary.json", b"{", "is not JSON"),
+        ("summary.json", b"\xff", "is not JSON"),
+        ("summary.json", b"[" * 100_000, "is not JSON"),
+        ("summary.json", b"{}", "summary.json: scene: Field required"),
+        ("summary.json", b"[]", "summary.json: content: "),
+        ("bench.json", b"3", "bench.json is not what crosscheck writes"),
+        ("pinocchio.npz", b"PK", "cannot read a trajectory from "),
+    ],
+)
+def test_what_cannot_be_read_is_one_line(bare, capsys, name, content, message):
+    (bare / name).write_bytes(content)
+    status, out, err = run(capsys, "report", bare)
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert message in err
+    assert not (bare / PAGE).exists()
+
+
+def test_folders_without_results(tmp_path, capsys):
+    (tmp_path / "deep" / "deeper").mkdir(parents=True)
+    for target, message in (("absent", "is no folder"), (".", "nothing of crosscheck's in ")):
+        status, out, err = run(capsys, "report", tmp_path / target)
+        assert (status, out) == (2, "")
+        assert message in err
+        assert len(err.splitlines()) == 1
+
+
+def test_a_run_of_other_arrays(folder, capsys):
+    import numpy as np
+
+    np.savez(folder / "pinocchio.npz", time=np.zeros(3), body_names=["a"], position=np.zeros((3, 1, 3)))
+    status, _, err = run(capsys, "report", folder)
+    assert status == 2
+    assert err.endswith("pinocchio.npz: no array 'quaternion'\n")
+    arrays = {"time": np.zeros(3), "body_names": ["a"], "position": np.zeros((3, 2, 3))}
+    np.savez(folder / "pinocchio.npz", quaternion=np.zeros((3, 1, 4)), **arrays)
+    status, _, err = run(capsys, "report", folder)
+    assert status == 2
+    assert err.endswith("position has shape (3, 2, 3); needed: (3, 1, 3)\n")
+
+
+def test_a_drawing_holds_all_bodies(folder):
+    poses, shapes = drawing._read(folder / "four_bar.rrd", "pinocchio")
+    assert set(poses) == {f"/mechanism/pinocchio/{body}" for body in ("crank", "coupler", "rocker")}
+    assert set(shapes) >= set(poses)
+    with pytest.raises(CrosscheckError, match="no bodies of bullet"):
+        list(drawing.views(folder / "four_bar.rrd", "bullet", [0.0]))
+
+
+def test_values_of_any_shape():
+    assert page.values({"a": [1, 2.5, None, "<"]}) == (
+        "<table><tr><th></th><th></th></tr><tr><td>a</td><td>1, 2.5, , &lt;</td></tr></table>"
+    )
+    assert page.values([{"a": 1}, {"b": {"c": True}}]).count("<table>") == 2
+    assert page.values([[1, 2], {"a": 1}]).startswith("1, 2<table>")
+    assert page.values({}) == ""
