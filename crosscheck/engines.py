@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,22 @@ STEPS = 500
 rad/s after 50 of them."""
 
 HALVINGS = 4
-"""Of MuJoCo's step where it diverges; stiff dampers between bodies are explicit in its RK4."""
+"""Of MuJoCo's step where it diverges; stiff dampers are explicit in its RK4. Then `IMPLICIT` is tried."""
+
+IMPLICIT = "implicitfast"
+
+NATIVE_STEPS, PYTHON_STEPS = 100_000, 5_000
+"""Of DOP853, as few as stability alone asks for: with more Radau runs instead, see `crosscheck.stiffness`.
+They take some seconds in native code, and some minutes where each evaluation is called from Python."""
+
+MOST_STEPS = 2
+"""Times as many are made before a run is given up, so that it does not grind on."""
+
+STIFF_RTOL, STIFF_ATOL = 1e-8, 1e-10
+"""Of Radau, a method of order 5: a hundred times tighter it would need ten times as many steps."""
+
+STIFF_REFINEMENT = 0.1
+"""Of these, in refined runs."""
 
 
 @dataclass(frozen=True)
@@ -59,16 +75,28 @@ class Engine:
     soft_start: Callable[[Scene], Evaluation] | None = None
 
 
+def _adaptive(scene: Scene, steps: int, refined: bool) -> dict[str, Any]:
+    """Method, tolerances and most steps for an engine that is to make so many steps at most by DOP853."""
+    from crosscheck.stiffness import explicit_steps
+
+    most = MOST_STEPS * steps
+    if explicit_steps(scene) > steps:
+        share = STIFF_REFINEMENT if refined else 1.0
+        tolerances = {"rtol": share * STIFF_RTOL, "atol": share * STIFF_ATOL}
+        return {"integrator": "Radau", "most_steps": most} | tolerances
+    return {"most_steps": most} | ({"rtol": REFINED_RTOL, "atol": REFINED_ATOL} if refined else {})
+
+
 def _newton_euler_run(scene: Scene) -> Trajectory:
     from newton_euler import simulate
 
-    return simulate(scene)
+    return simulate(scene, **_adaptive(scene, NATIVE_STEPS, refined=False))
 
 
 def _newton_euler_refined(scene: Scene) -> Trajectory:
     from newton_euler import simulate
 
-    return simulate(scene, rtol=REFINED_RTOL, atol=REFINED_ATOL)
+    return simulate(scene, **_adaptive(scene, NATIVE_STEPS, refined=True))
 
 
 def _newton_euler_exact(scene: Scene) -> Trajectory:
@@ -92,17 +120,17 @@ def _mujoco_run(scene: Scene) -> Trajectory:
 
     step = default_timestep(scene)
     step /= max(1.0, np.ceil(STEPS * step / scene.duration * (1.0 - 1e-9)))
-    for _ in range(HALVINGS):
+    for halvings in range(HALVINGS + 1):
         with suppress(DivergenceError):
-            return mjcf.simulate(scene, timestep=step)
-        step *= 0.5
-    return mjcf.simulate(scene, timestep=step)
+            return mjcf.simulate(scene, timestep=step * 0.5**halvings)
+    return mjcf.simulate(scene, timestep=step, integrator=IMPLICIT)
 
 
 def _mujoco_refined(scene: Scene) -> Trajectory:
     import mjcf
 
-    return mjcf.simulate(scene, timestep=0.5 * _mujoco_run(scene).settings["timestep"])
+    settings = _mujoco_run(scene).settings
+    return mjcf.simulate(scene, timestep=0.5 * settings["timestep"], integrator=settings["integrator"])
 
 
 def _mujoco_systems(scene: Scene) -> tuple[System, ...]:
@@ -121,13 +149,13 @@ def _mujoco_soft(scene: Scene) -> Evaluation:
 def _pinocchio_run(scene: Scene) -> Trajectory:
     import urdf
 
-    return urdf.simulate(scene)
+    return urdf.simulate(scene, **_adaptive(scene, PYTHON_STEPS, refined=False))
 
 
 def _pinocchio_refined(scene: Scene) -> Trajectory:
     import urdf
 
-    return urdf.simulate(scene, rtol=REFINED_RTOL, atol=REFINED_ATOL)
+    return urdf.simulate(scene, **_adaptive(scene, PYTHON_STEPS, refined=True))
 
 
 def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:
@@ -139,7 +167,7 @@ def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:
 ENGINES: dict[str, Engine] = {
     engine.name: engine
     for engine in (
-        # DOP853 at rtol 1e-10, projected onto the constraints after each step
+        # DOP853 at rtol 1e-10 or Radau, projected onto the constraints after each step
         Engine(
             "newton_euler",
             _newton_euler_run,
@@ -164,7 +192,7 @@ ENGINES: dict[str, Engine] = {
             package="mujoco",
             soft_start=_mujoco_soft,
         ),
-        # DOP853 at rtol 1e-10, projected onto the constraints after each step
+        # the same
         Engine(
             "pinocchio",
             _pinocchio_run,

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from crosscheck.advice.measured import distance
 from crosscheck.comparison.known_figures import Measured
-from crosscheck.comparison.levels import Row
+from crosscheck.comparison.levels import Row, not_compared
 from crosscheck.comparison.reactions import undetermined_joints
+from crosscheck.model_files.read import report_lines
 from crosscheck.run import Crosscheck
+from crosscheck.stiffness import explicit_steps, fastest_decay
+
+IMPLICIT = ("Radau", "implicitfast")
+"""Integrators that engines take for stiff scenes by themselves."""
 
 
 def terminal_tables(result: Crosscheck) -> Iterator[Table]:
@@ -89,16 +96,41 @@ def judged(value: float, allowed: float, agrees: bool) -> Text:
 
 
 def settings_lines(result: Crosscheck) -> Iterator[str]:
-    """One line an engine, what it ran with and how long, or why it did not run; reactions not unique."""
+    """What each engine ran with and how long, or why it did not run; reactions not unique; advice."""
     for name, run in result.runs.items():
         settings = ", ".join(f"{key} {_short(value)}" for key, value in run.settings.items())
         yield f"{name}: {settings}; {run.wall_time:.2g} s"
     for name, reason in result.left_out.items():
         yield f"{name}: left out: {reason}"
+    implicit = [name for name, run in result.runs.items() if run.settings.get("integrator") in IMPLICIT]
+    if implicit:
+        rate, steps = fastest_decay(result.scene), explicit_steps(result.scene)
+        yield (
+            f"stiff: motions die out at {rate:.2g} 1/s at the start, for which DOP853 would need {steps:.0f} "
+            f"steps to be stable; an implicit method in {', '.join(implicit)}"
+        )
+    if result.mapping:
+        yield _start_line(result)
     count, joints = undetermined_joints(result.scene, result.scene.initial_state)
     if count:
         rows = "a redundant row" if count == 1 else f"{count} redundant rows"
         yield f"reactions not unique: {rows} at joints {', '.join(joints)}"
+    yield from not_compared(result.rows)
+    yield from (f"advice, {advice}" for advice in result.advice)
+
+
+def _start_line(result: Crosscheck) -> str:
+    """What each engine starts from: the same pose, closed as far as its own run says at its first output."""
+    names = list(result.runs)
+    runs = list(result.runs.values())
+    apart = max((distance(runs[0], run, at=0) for run in runs[1:]), default=0.0)
+    gaps = ", ".join(
+        f"{name} {np.max(run.constraint_violation[0]):.1e}"
+        for name, run in zip(names, runs, strict=True)
+        if run.constraint_violation is not None
+    )
+    same = f"the same pose to {apart:.1e} (m, rad); " if len(runs) > 1 else ""
+    return f"start: {same}joints open there by at most (m, rad): {gaps}"
 
 
 def _short(value: object) -> object:
@@ -110,6 +142,13 @@ def markdown(result: Crosscheck) -> str:
     """The verdict, the settings of the engines and all figures, a line each."""
     lines = [f"# {result.title}", "", f"**{result.verdict}**", ""]
     lines += [f"- {line}" for line in settings_lines(result)]
+    if result.mapping:
+        lines += [
+            "",
+            "## carried over from the file",
+            "",
+            *(f"- {line}" for line in report_lines(result.mapping)),
+        ]
     level = ""
     for row in result.rows:
         if row.level != level:

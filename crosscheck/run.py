@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
@@ -12,17 +13,23 @@ from typing import Any
 
 import numpy as np
 
+from crosscheck.advice import Advice, Found, advise
 from crosscheck.comparison.known_figures import Measured, known_of, measure
 from crosscheck.comparison.levels import Row, compare
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
-from newton_euler.errors import NewtonEulerError
+from crosscheck.limit import TooLongError, limited
+from crosscheck.partial import StoppedRunError
+from newton_euler.errors import NewtonEulerError, StoppedError
 from newton_euler.mapping import Mapping as Report
 from newton_euler.scene import Scene
 from newton_euler.trajectory import Trajectory
 
 RANDOM_STATES = 20
 """Random consistent states at which the engines' equations are compared in a run."""
+
+SHORTER = "a run of a shorter duration, or of other engines (--engines), may end"
+"""What to do about one that takes too long."""
 
 Progress = Callable[[str], None]
 
@@ -42,6 +49,7 @@ class Crosscheck:
         measured: figures that are known from elsewhere, as the engines give them.
         wall_time: s, of everything.
         mapping: what became of the elements of a model file; None for a scene of this package's own.
+        advice: what to do about what was measured.
     """
 
     source: str
@@ -54,6 +62,7 @@ class Crosscheck:
     measured: tuple[Measured, ...]
     wall_time: float
     mapping: Report | None = None
+    advice: tuple[Advice, ...] = ()
 
     @property
     def title(self) -> str:
@@ -117,6 +126,7 @@ class Crosscheck:
             "start": self.mapping.start if self.mapping else None,
             "figures": [asdict(row) | {"agrees": row.agrees} for row in self.rows],
             "known_figures": [measured.summary() for measured in self.measured],
+            "advice": [asdict(advice) for advice in self.advice],
         }
 
 
@@ -132,8 +142,8 @@ def crosscheck(
 
     Raises:
         CrosscheckError: for a scene without the outputs that are compared, and for results that are
-            not finite.
-        NewtonEulerError: for a scene that no engine can express, and for a run that cannot go on.
+            not finite; `StoppedRunError` for a run that cannot go on, `TooLongError` for one without end.
+        NewtonEulerError: for a scene that no engine can express.
     """
     for output in ("velocities", "reactions", "violation"):
         if output not in scene.outputs:
@@ -142,11 +152,14 @@ def crosscheck(
     able, left_out = _able(scene, engines)
     runs = {}
     for engine in able:
-        progress(f"{engine.name}: {scene.duration:g} s of {scene.name}")
-        runs[engine.name] = engine.simulate(scene)
+        try:
+            with limited(f"{engine.name}: {scene.duration:g} s of {scene.name}", SHORTER, progress):
+                runs[engine.name] = engine.simulate(scene)
+        except StoppedError as error:
+            raise StoppedRunError(engine.name, error, runs) from error
         _check_finite(engine.name, runs[engine.name])
-    progress("comparing equations and runs")
-    rows = compare(scene, able, runs, RANDOM_STATES)
+    with limited("comparing equations and runs", SHORTER, progress):
+        rows = compare(scene, able, runs, RANDOM_STATES)
     for row in rows:
         if not np.isfinite(row.value):
             raise CrosscheckError(
@@ -158,9 +171,22 @@ def crosscheck(
     for engine in able if known else ():
         progress(f"{engine.name}: known figures")
         measured.extend(measure(source, scene, engine, runs[engine.name], known))
+    advice: tuple[Advice, ...] = ()
+    with suppress(TooLongError), limited("working out advice", "there is none", progress):
+        advice = advise(Found(scene, source, able, runs, rows))
     wall_time = time.perf_counter() - start
     return Crosscheck(
-        source, options, scene, tuple(able), left_out, runs, tuple(rows), tuple(measured), wall_time, mapping
+        source,
+        options,
+        scene,
+        tuple(able),
+        left_out,
+        runs,
+        tuple(rows),
+        tuple(measured),
+        wall_time,
+        mapping,
+        advice,
     )
 
 

@@ -19,6 +19,7 @@ from crosscheck.comparison.levels import Row
 from crosscheck.engines import choose
 from crosscheck.errors import CrosscheckError
 from crosscheck.output import check_writable, write
+from crosscheck.partial import partial_runs_saved
 from crosscheck.report import judged, markdown
 from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
@@ -98,7 +99,8 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # results are checked where they are used
-            result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
+            with partial_runs_saved(folder):
+                result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
             write(result, folder, folder / f"{name}.rrd", markdown(result))
     except Exception as error:  # what goes wrong with one scene is a line, like the others' results
         known = isinstance(error, CrosscheckError | NewtonEulerError)

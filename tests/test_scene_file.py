@@ -114,7 +114,8 @@ def test_a_body_that_nothing_holds(capsys, tmp_path, good):
         (f"duration: {'9' * 5000}", "name: Field required (got {'duration': '99"),
         ("name: a\nground: b\nname: c", "not YAML: line 3: key 'name' is given twice"),
         ("? [a]\n: b", "not YAML: line 1: a key is not a text"),
-        ('name: "a\\ud800b"', "duration: Field required"),
+        ("name: a\n---\nname: b", "not YAML: line 2: a second document"),
+        ('name: "a\\ud800b"', "not YAML: line 1: found invalid Unicode character"),
         ("a: " + "x" * 1_000_000, "larger than 1000000 bytes"),
         # each line doubles the one before: 2^40 numbers
         ("a: &a0 1\n" + "".join(f"b{k}: &a{k + 1} [*a{k}, *a{k}]\n" for k in range(40)), "aliases are not"),

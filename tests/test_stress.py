@@ -196,6 +196,19 @@ def test_closed_form_of_the_symmetric_top(moments):
     assert top_error(other, run) > 0.1
 
 
+def test_the_slider_comes_to_rest_at_its_dead_centres():
+    scene = singular.centred_slider_crank()
+    half_turn = np.pi / singular.CRANK_SPEED
+    scene = replace(
+        scene, duration=2.0 * half_turn, output_period=half_turn, outputs=frozenset({"velocities"})
+    )
+    run = TIGHT.simulate(scene)
+    r, rod = singular.CRANK, singular.ROD
+    assert run.position[:, 3, 0] == pytest.approx([rod + r, rod - r, rod + r], abs=1e-14)  # round-off
+    assert np.abs(run.linear_velocity[:, 3]).max() < 1e-13
+    assert singular.measure_dead_centre_passage(TIGHT).figure < 1e-14
+
+
 def test_a_wrong_motion_of_the_windows_is_seen():
     scene = lasting(load("four_bar", N=1), 0.5, 5)
     run = newton_euler.simulate(scene)
@@ -350,10 +363,10 @@ def test_the_recommendation_is_what_has_less_of_the_steps_error(rows):
 
 def test_softness_and_step_are_told_apart():
     """Of order 2 in the time constant and, by RK4, 4 in the step at one time constant."""
-    soft = [soft.measure_softness(constant).figure for constant in (0.02, 0.01)]
-    assert soft[0] / soft[1] == pytest.approx(4.0, rel=0.2)
+    softness = [soft.measure_softness(constant).figure for constant in (0.02, 0.01)]
+    assert softness[0] / softness[1] == pytest.approx(4.0, rel=0.2)
     by_step = soft.measure_steps("RK4", 0.02)
-    assert by_step.figure < soft[0]
+    assert by_step.figure < softness[0]
     assert by_step.curves[0].x == (0.01, 0.005, 0.002)
 
 

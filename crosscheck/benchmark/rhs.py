@@ -33,10 +33,10 @@ from crosscheck.scenes import load
 from newton_euler.cache import CACHE_VARIABLE
 from newton_euler.scene import Scene
 
-BATCH = 5e-3
-"""s that the calls which are timed together take at least."""
+BATCH = 1e-3
+"""s that the calls which are timed together take, about."""
 
-ROUNDS = 41
+ROUNDS = 201
 """Batches of each right-hand side, fewer where they would take longer than `TOTAL`, 3 at least."""
 
 TOTAL = 2.0
@@ -87,6 +87,15 @@ class Timing:
     @property
     def median(self) -> float:
         return float(np.median(self.times))
+
+    def ratio(self, other: Timing) -> float:
+        """How many times as long as the other it takes.
+
+        The median over turns: a machine whose speed changes does so for both of a turn.
+        """
+        if len(self.times) != len(other.times):
+            return self.median / other.median
+        return float(np.median(np.divide(self.times, other.times)))
 
 
 def _newton_euler(scene: Scene, formulation: str) -> RightHandSide:
@@ -283,7 +292,7 @@ def rhs_table(timings: Sequence[Timing]) -> Table:
             "-" if t.operations is None else str(t.operations),
             f"{t.median * 1e6:.4g}",
             f"{low:.4g} to {high:.4g}",
-            "-" if best is None else f"{t.median / best.median:.3g}",
+            "-" if best is None else f"{t.ratio(best):.3g}",
             f"{t.load:.2f}",
             f"{t.memory / 1e6:.0f}",
             f"{t.own_memory / 1e6:.0f}",
@@ -299,9 +308,8 @@ def rhs_words(timings: Sequence[Timing]) -> list[str]:
         if t.reason:
             lines.append(f"{t.engine} ({t.way}) cannot run the scene: {t.reason}")
         elif t.engine == JUDGED and best is not None:
-            ratio = t.median / best.median
             lines.append(
-                f"{t.engine} ({t.way}) takes {ratio:.3g} times as long as {best.engine} ({best.way})"
+                f"{t.engine} ({t.way}) takes {t.ratio(best):.3g} times as long as {best.engine} ({best.way})"
             )
     return lines
 

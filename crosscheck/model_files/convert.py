@@ -36,6 +36,9 @@ def write_as(scene: Scene, path: Path, report: Mapping) -> list[Path]:
 
         write_scene(scene, path)
         return [path]
+    for body in scene.mechanism.bodies:
+        if body.meshes:
+            report.left_out(f"meshes of body {body.name!r}", "for viewers; its shapes are written")
     if path.suffix in MJCF:
         import mjcf
 

@@ -13,8 +13,11 @@ from newton_euler.scene import Scene
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 
-NUMBERS, TEXTS = ("duration", "output_period"), ("key", "root")
-"""Options of model files, the latter of MJCF only."""
+NUMBERS = ("duration", "output_period")
+"""Options of all model files."""
+
+MJCF_TEXTS, URDF_TEXTS = ("key", "root"), ("loops",)
+"""Options of one kind of them."""
 
 LONGEST_NAMES = 150
 """Characters of a list of names in one line of a report."""
@@ -25,29 +28,30 @@ def is_model(name: str) -> bool:
     return Path(name).suffix.lower() in SUFFIXES
 
 
-def read_model(
-    path: str, options: Mapping[str, str | int], loops: str | None = None
-) -> tuple[Scene, MappingReport]:
+def is_urdf(name: str) -> bool:
+    """Whether it is that of a URDF, which may have a loop file."""
+    return Path(name).suffix.lower() == ".urdf"
+
+
+def read_model(path: str, options: Mapping[str, str | int]) -> tuple[Scene, MappingReport]:
     """Read a model file.
 
     Args:
         path: ends in one of `SUFFIXES`.
         options: `duration` and `output_period` in s; of MJCF also `key`, the keyframe to start
-            from, and `root`, the folder that holds all files that it refers to.
-        loops: path of the loop file that belongs to a URDF.
+            from, and `root`, the folder that holds all files that it refers to; of a URDF `loops`, the
+            path of its loop file.
 
     Raises:
         CrosscheckError: for an unknown option or one that is no number.
         newton_euler.NewtonEulerError: naming the file and the element at fault.
     """
     numbers, texts = _options(path, options)
-    if Path(path).suffix.lower() == ".urdf":
+    if is_urdf(path):
         from urdf.read import read as read_urdf
 
-        found = read_urdf(path, loops, **numbers)
+        found = read_urdf(path, texts.get("loops"), **numbers)
         return found.scene, found.report
-    if loops is not None:
-        raise CrosscheckError(f"--loops {loops}: an MJCF file has its loops in itself")
     from mjcf.read import read as read_mjcf
 
     reading = read_mjcf(path, texts.get("key"), root=texts.get("root"), **numbers)
@@ -56,7 +60,7 @@ def read_model(
 
 def _options(path: str, options: Mapping[str, str | int]) -> tuple[dict[str, float], dict[str, str]]:
     """Those that are numbers, and those that are texts."""
-    names = () if Path(path).suffix.lower() == ".urdf" else TEXTS
+    names = URDF_TEXTS if is_urdf(path) else MJCF_TEXTS
     numbers, texts = {}, {}
     for name, value in options.items():
         if name in names:

@@ -60,7 +60,7 @@ def entries(scene: Scene) -> dict[str, Any]:
     mechanism = scene.mechanism
     bodies = []
     for body in mechanism.bodies[1:]:
-        entry = _plain(body, "shapes")
+        entry = _plain(body, "shapes", "meshes")
         if body.shapes:
             entry["shapes"] = [_shape(shape) for shape in body.shapes]
         bodies.append(entry)

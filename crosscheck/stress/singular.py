@@ -10,6 +10,7 @@ import numpy as np
 from crosscheck.scenes import load
 from crosscheck.stress.runs import (
     COMBINATIONS,
+    GRAVITY,
     ONE_EACH,
     Setting,
     energy_errors,
@@ -22,10 +23,14 @@ from crosscheck.stress.runs import (
 )
 from crosscheck.stress.topics import Bound, Case, Measured
 from newton_euler.control import PD
+from newton_euler.joints import Prismatic, Revolute, Spherical, Universal
+from newton_euler.mechanism import Body, Mechanism
+from newton_euler.motions import Polynomial, PrescribedMotion
 from newton_euler.scene import Scene
 from newton_euler.state import State
 
 ANGLE = Bound(1e-6, 1e-2, "no plot would show less; half a degree can be seen")
+POSITION = Bound(1e-6, 1e-2, "no plot would show less; a centimetre of 0.4 m of travel can be seen")
 ENERGY = Bound(1e-6, 1e-2, "no plot would show less; more than a hundredth is another motion")
 
 WINDOWS = (1, 2, 10)
@@ -42,6 +47,9 @@ SETTINGS: tuple[Setting, ...] = (
     pinocchio(),
     pinocchio(stabilization="projection"),
 )
+
+CRANK, ROD, CRANK_SPEED = 0.2, 0.7, 12.0
+"""m, m and rad/s, of `centred_slider_crank`."""
 
 TARGETS = (-0.2, 0.2)
 """m from the initial pose; the sliders travel less than half as far."""
@@ -64,6 +72,12 @@ def cases(full: bool) -> list[Case]:
                         "h", what, setting.engine, str(setting), "angle error", "rad", ANGLE, run, limit=limit
                     )
                 )
+    for setting in SETTINGS if full else ONE_EACH:
+        what = "slider-crank, 2 s, its crank driven through seven dead centres"
+        run = partial(measure_dead_centre_passage, setting)
+        made.append(
+            Case("h", what, setting.engine, str(setting), "position error", "m", POSITION, run, limit=12.0)
+        )
     for target in TARGETS:
         for setting in SETTINGS if full else ONE_EACH:
             what = f"tracker, 2 s, drawn to {target:+g} m, past its dead centres"
@@ -72,6 +86,42 @@ def cases(full: bool) -> list[Case]:
                 Case("h", what, setting.engine, str(setting), "energy error", "rel", ENERGY, run, limit=20.0)
             )
     return made
+
+
+def centred_slider_crank() -> Scene:
+    """A crank of 0.2 m at 12 rad/s about y, a rod of 0.7 m and a slider on x, outstretched at first.
+
+    Crank and rod are in line twice a turn, where the slider comes to rest: dead centres for what drives
+    the slider, and regular for what drives the crank.
+    """
+    x, y, z = np.eye(3)
+    pin, wrist = CRANK * x, (CRANK + ROD) * x
+    bodies = [
+        Body.ground(),
+        Body("crank", 1.0, 0.5 * pin, 0.01 * np.eye(3)),
+        Body("rod", 2.0, 0.5 * (pin + wrist), 0.05 * np.eye(3)),
+        Body("slider", 1.5, wrist, 0.01 * np.eye(3)),
+    ]
+    joints = [
+        Revolute("pivot", "ground", "crank", np.zeros(3), axis=y),
+        Spherical("ball", "crank", "rod", pin),
+        Universal("wrist", "rod", "slider", wrist, axis_on_first=y, axis_on_second=z),
+        Prismatic("guide", "ground", "slider", wrist, axis=x),
+    ]
+    motion = PrescribedMotion("pivot", Polynomial((0.0, CRANK_SPEED)))
+    outputs = frozenset({"violation"})
+    mechanism = Mechanism(bodies, joints)
+    return Scene("slider_crank", mechanism, 2.0, 0.02, -GRAVITY * z, motions=(motion,), outputs=outputs)
+
+
+def measure_dead_centre_passage(setting: Setting) -> Measured:
+    """The slider against r cos a + sqrt(l^2 - r^2 sin^2 a), over seven dead centres."""
+    scene = centred_slider_crank()
+    run = setting.simulate(scene)
+    angle = CRANK_SPEED * run.time
+    wanted = CRANK * np.cos(angle) + np.sqrt(ROD**2 - (CRANK * np.sin(angle)) ** 2)
+    error = float(np.max(np.abs(run.position[:, 3, 0] - wanted)))
+    return Measured(error, f"drift {largest_drift(run):.1e} m or rad")
 
 
 def measure_passing(windows: int, setting: Setting) -> Measured:

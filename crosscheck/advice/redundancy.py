@@ -1,0 +1,117 @@
+"""Redundant constraints: which joint to leave out or to replace so that all reactions are determined.
+
+A planar loop of four hinges, built in space, has three rows too many: what they hold is held already. With
+a ball in place of one hinge and a cylindrical joint in place of another, nothing is held twice and the
+motion is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import chain
+from typing import Any
+
+from crosscheck.advice.measured import Advice, Found
+from crosscheck.comparison.reactions import undetermined
+from newton_euler.assemble import random_states
+from newton_euler.errors import NewtonEulerError
+from newton_euler.joints import Cylindrical, Joint, Spherical
+from newton_euler.mechanism import Mechanism
+from newton_euler.scene import Scene
+from newton_euler.state import State
+
+SOFTER: dict[str, tuple[type[Joint], ...]] = {
+    "revolute": (Cylindrical, Spherical),
+    "prismatic": (Cylindrical,),
+    "universal": (Spherical,),
+    "fixed": (Spherical,),
+}
+"""Kinds that hold less, and need no direction that the joint does not have."""
+
+MOST_JOINTS = 20
+"""Whose reactions are not unique; above it nothing is tried."""
+
+STATES = 1
+"""Random states beside the initial one that a change is tried at."""
+
+
+def redundancy_advice(found: Found) -> Iterator[Advice]:
+    """For mechanisms with rows that say nothing new, found by trying what is without them."""
+    scene = found.scene
+    states = [scene.initial_state, *random_states(scene, STATES)]
+    redundant = _redundant(scene.mechanism, states)
+    if redundant == 0:
+        return
+    closing = _closing(scene)
+    if len(closing) > MOST_JOINTS:
+        return
+    mechanism, steps, left = scene.mechanism, list[str](), redundant
+    while left:
+        best = min(
+            _changes(mechanism, closing, states), key=lambda change: change[0], default=(left, "", mechanism)
+        )
+        if best[0] >= left:
+            break
+        left = best[0]
+        steps.append(best[1])
+        mechanism = best[2]
+    if not steps:
+        return
+    rows = "row says" if redundant == 1 else "rows say"
+    rest = "then all reactions are determined" if left == 0 else f"then {left} of them are left"
+    yield Advice(
+        "redundancy",
+        f"{redundant} constraint {rows} nothing new; the motion is the same with {', '.join(steps)}: {rest}",
+    )
+
+
+def _redundant(mechanism: Mechanism, states: list[State]) -> int:
+    """How many rows are redundant in all of the states."""
+    scene = Scene("tried", mechanism, 1.0, 1.0)
+    return min(undetermined(scene, state).shape[1] for state in states)
+
+
+def _rank(mechanism: Mechanism, states: list[State]) -> int:
+    return sum(equations.count for equations in mechanism.equations) - _redundant(mechanism, states)
+
+
+def _closing(scene: Scene) -> list[str]:
+    """Joints that no force, law or coupling refers to, and that hold something."""
+    named = {law.joint for law in scene.control} | {motion.joint for motion in scene.motions}
+    named |= {armature.joint for armature in scene.armatures}
+    named |= {str(getattr(force, "joint", "")) for force in scene.forces}
+    named |= set(chain.from_iterable((c.driver, c.follower) for c in scene.mechanism.couplings))
+    joints = zip(scene.mechanism.joints, scene.mechanism.equations, strict=True)
+    return [j.name for j, equations in joints if equations.count and j.name not in named and not j.actuated]
+
+
+def _changes(
+    mechanism: Mechanism, names: list[str], states: list[State]
+) -> Iterator[tuple[int, str, Mechanism]]:
+    """What has the same motions with a joint less or of another kind: redundant rows, what was done, it."""
+    rank = _rank(mechanism, states)
+    joints = {joint.name: joint for joint in mechanism.joints}
+    for name in names:
+        joint = joints.get(name)
+        if joint is None:
+            continue
+        options: list[tuple[str, Joint | None]] = [(f"joint {name!r} left out", None)]
+        for kind in SOFTER.get(joint.kind, ()):
+            softer = _as(joint, kind)
+            options.append((f"a {kind.kind} joint for the {joint.kind} {name!r}", softer))
+        for what, other in options:
+            changed = [other if j is joint else j for j in mechanism.joints]
+            kept = [j for j in changed if j is not None]
+            try:
+                tried = Mechanism(mechanism.bodies, kept, mechanism.couplings)
+                if _rank(tried, states) == rank:
+                    yield _redundant(tried, states), what, tried
+            except NewtonEulerError:  # a body that nothing holds any more
+                continue
+
+
+def _as(joint: Any, kind: type[Joint]) -> Joint:
+    axis = {"axis": joint.axis} if "axis" in kind.axis_names else {}
+    return kind(
+        joint.name, joint.first, joint.second, joint.point, point_on_second=joint.point_on_second, **axis
+    )

@@ -1,0 +1,64 @@
+"""Work that is given up after so much processor time, and says meanwhile that it goes on."""
+
+from __future__ import annotations
+
+import _thread
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from crosscheck.errors import CrosscheckError
+
+LIMIT = 600.0
+"""s of processor time, of one engine's run or of one comparison: a wait is no reason to give up."""
+
+PATIENCE = 5.0
+"""s after which it is told how long it has been."""
+
+PERIOD = 0.5
+"""s, between looks at the clock."""
+
+
+class TooLongError(CrosscheckError):
+    """Something that does not come to its end in reasonable time."""
+
+
+@contextmanager
+def limited(what: str, advice: str, progress: Callable[[str], None]) -> Iterator[None]:
+    """Interrupt the block after `LIMIT`; `progress` is told `what` it does, and the error says `advice`.
+
+    In the main thread only, which alone can be interrupted.
+
+    Raises:
+        TooLongError: then.
+    """
+    progress(what)
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    done, given_up, begin = threading.Event(), threading.Event(), time.process_time()
+
+    def watch() -> None:
+        while not done.wait(PERIOD):
+            used = time.process_time() - begin
+            if used > LIMIT:
+                given_up.set()
+                _thread.interrupt_main()
+                return
+            if used > PATIENCE:
+                progress(f"{what}: {used:.0f} s so far, given up at {LIMIT:.0f}")
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        try:
+            yield
+        finally:
+            done.set()
+            watcher.join()
+    except KeyboardInterrupt:
+        if not given_up.is_set():
+            raise
+        message = f"{what}: given up after {LIMIT:.0f} s of processor time; {advice}"
+        raise TooLongError(message) from None

@@ -1,0 +1,265 @@
+"""MJCF that is refused: includes, assets, names, numbers, options."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+
+from hostile_files import (
+    LAUGHS,
+    MJCF,
+    SEED,
+    WEDGE,
+    Case,
+    Prepare,
+    chain_of_includes,
+    fifo,
+    file_of,
+    link_to,
+    sparse,
+)
+
+WORLD = "<worldbody>"
+
+MESH = '<mesh name="wedge" file="wedge.obj"/>'
+
+MJCF_EDITS: dict[str, tuple[str, str, str] | tuple[str, str, str, Prepare]] = {
+    "includes itself": (WORLD, '<include file="model.xml"/>' + WORLD, "include of 'model.xml' by itself"),
+    "includes in a circle": (
+        WORLD,
+        '<include file="b.xml"/>' + WORLD,
+        "include of 'model.xml' by itself, through ",
+        file_of("b.xml", '<mujoco><include file="model.xml"/></mujoco>'),
+    ),
+    "includes without end": (
+        WORLD,
+        '<include file="part0.xml"/>' + WORLD,
+        "includes more than 100 files",
+        chain_of_includes,
+    ),
+    "includes nothing": (WORLD, '<include file="none.xml"/>' + WORLD, "include file 'none.xml' does not"),
+    "includes upwards": (WORLD, '<include file="../x.xml"/>' + WORLD, "'../x.xml' leads outside of"),
+    "includes from the root": (WORLD, '<include file="/etc/passwd"/>' + WORLD, "'/etc/passwd' leads outside"),
+    "includes a link": (
+        WORLD,
+        '<include file="x.xml"/>' + WORLD,
+        "include file 'x.xml' leads outside of",
+        link_to("/etc/passwd", "x.xml"),
+    ),
+    "includes a link in a circle": (
+        WORLD,
+        '<include file="x.xml"/>' + WORLD,
+        "include file 'x.xml' does not exist",
+        link_to("x.xml", "x.xml"),
+    ),
+    "includes a pipe": (WORLD, '<include file="x.xml"/>' + WORLD, "x.xml: not a regular file", fifo("x.xml")),
+    "includes a folder": (WORLD, '<include file="parts"/>' + WORLD, "parts: not a regular file"),
+    "includes what is no XML": (WORLD, '<include file="parts/wedge.obj"/>' + WORLD, "wedge.obj: not XML"),
+    "includes a bomb": (
+        WORLD,
+        '<include file="b.xml"/>' + WORLD,
+        "b.xml: line 1: a document type declaration, refused",
+        file_of("b.xml", LAUGHS + "<mujoco/>"),
+    ),
+    "attaches itself": (
+        MESH,
+        MESH + '<model name="m" file="model.xml"/>',
+        "by itself",
+    ),
+    "attaches what leads outside": (
+        MESH,
+        MESH + '<model name="m" file="b.xml"/>',
+        "b.xml: line 1: mesh file '/etc/passwd' leads outside of",
+        file_of("b.xml", '<mujoco><asset><mesh name="x" file="/etc/passwd"/></asset></mujoco>'),
+    ),
+    "file name without end": (MESH, f'<mesh name="m" file="{"x" * 100_000}"/>', "does not exist"),
+    "backslashes": (MESH, '<mesh name="wedge" file="..\\..\\x.obj"/>', "leads outside of"),
+    "missing mesh": (MESH, '<mesh name="wedge" file="none.stl"/>', "line 4: mesh file 'none.stl' does not"),
+    "mesh upwards": (
+        MESH,
+        '<mesh name="wedge" file="../../../x.stl"/>',
+        "mesh file '../../../x.stl' leads outside of",
+    ),
+    "mesh from the root": (MESH, '<mesh name="wedge" file="/dev/zero"/>', "'/dev/zero' leads outside of"),
+    "mesh folder upwards": ('"parts"', '"../../.."', "compiler meshdir file '../../..' leads outside"),
+    "mesh folder told later": (
+        MESH,
+        '<mesh name="wedge" file="../../x.stl"/></asset><compiler meshdir="."/><asset>',
+        "mesh file '../../x.stl' leads outside of",
+    ),
+    "mesh without its path": (
+        MESH,
+        '</asset><compiler strippath="true"/><asset><mesh name="wedge" file="a/pipe.stl"/>',
+        "mesh file 'a/pipe.stl' is not a regular file",
+        fifo("parts/pipe.stl"),
+    ),
+    "mesh that is a pipe": (
+        MESH,
+        '<mesh name="wedge" file="pipe.stl"/>',
+        "mesh file 'pipe.stl' is not a regular file",
+        fifo("parts/pipe.stl"),
+    ),
+    "mesh that is a device": (
+        MESH,
+        '<mesh name="wedge" file="zero.stl"/>',
+        "leads outside of",
+        link_to("/dev/zero", "parts/zero.stl"),
+    ),
+    "mesh of 20 GB": (
+        MESH,
+        '<mesh name="wedge" file="big.stl"/>',
+        "mesh file 'big.stl' is larger than",
+        sparse("parts/big.stl", 20_000_000_000),
+    ),
+    "mesh of noise": (
+        MESH,
+        '<mesh name="wedge" file="x.stl"/>',
+        "wedge",
+        file_of("parts/x.stl", random.Random(SEED).randbytes(5000)),
+    ),
+    "mesh that promises more": (
+        MESH,
+        '<mesh name="wedge" file="x.stl"/>',
+        "wedge",
+        file_of("parts/x.stl", b"\0" * 80 + b"\xff\xff\xff\x7f" + b"\0" * 50),
+    ),
+    "mesh of text": (MESH, '<mesh name="wedge" file="x.stl"/>', "wedge", file_of("parts/x.stl", "solid x")),
+    "mesh without faces": (
+        MESH,
+        '<mesh name="wedge" file="x.obj"/>',
+        "wedge",
+        file_of("parts/x.obj", "v 0 0 0\n"),
+    ),
+    "mesh of faces to nowhere": (
+        MESH,
+        '<mesh name="wedge" file="x.obj"/>',
+        "wedge",
+        file_of("parts/x.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n"),
+    ),
+    "mesh that is flat": (
+        MESH,
+        '<mesh name="wedge" file="x.obj"/>',
+        "wedge",
+        file_of("parts/x.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n"),
+    ),
+    "mesh of NaN": (
+        MESH,
+        '<mesh name="wedge" file="x.obj"/>',
+        "wedge",
+        file_of("parts/x.obj", WEDGE.replace("0.2", "nan")),
+    ),
+    "mesh of an unknown kind": (
+        MESH,
+        '<mesh name="wedge" file="x.zzz"/>',
+        "wedge",
+        file_of("parts/x.zzz", WEDGE),
+    ),
+    "height field that is a device": (
+        MESH,
+        MESH + '<hfield name="h" file="/dev/zero" size="1 1 1 1"/>',
+        "hfield file '/dev/zero' leads outside of",
+    ),
+    "texture that is a device": (
+        MESH,
+        MESH + '<texture name="t" type="2d" file="/dev/zero"/>',
+        "texture file '/dev/zero' leads outside of",
+    ),
+    "face of a texture that is a device": (
+        MESH,
+        MESH + '<texture name="t" type="cube" fileright="/dev/zero"/>',
+        "texture file '/dev/zero' leads outside of",
+    ),
+    "missing skin": (MESH, MESH + '<skin name="s" file="none.skn"/>', "skin file 'none.skn' does not exist"),
+    "texture without end": (
+        MESH,
+        MESH + '<texture name="t" type="2d" builtin="flat" width="100000" height="100000"/>',
+        "MuJoCo needs too much time or memory to compile it",
+    ),
+    "an unknown mesh": ('mesh="wedge"', 'mesh="other"', "other"),
+    "an unknown joint": ('joint="motor"', 'joint="engine"', "engine"),
+    "an unknown site": ('site2="end"', 'site2="nowhere"', "nowhere"),
+    "an unknown class": (
+        '<body name="crank">',
+        '<body name="crank" childclass="c">',
+        "unknown default childclass Element 'body', line 7",
+    ),
+    "an unknown element": (WORLD, WORLD + "<robot/>", "robot"),
+    "an unknown attribute": ('damping="0.1"', 'dumping="0.1"', "dumping"),
+    "an unknown joint type": ('axis="0 1 0" damping', 'type="magic" axis="0 1 0" damping', "magic"),
+    "a body twice": ('body name="rocker"', 'body name="crank"', "repeated name 'crank' in body"),
+    "a joint twice": ('joint name="axle"', 'joint name="motor"', "repeated name 'motor' in joint"),
+    "a site twice": ('site name="end"', 'site name="tip"', "repeated name 'tip' in site"),
+    "a keyframe twice": ("</keyframe>", '<key name="start"/></keyframe>', "repeated name 'start' in key"),
+    "a long keyframe": ('qpos="0 0 0"', 'qpos="0 0 0 0"', "start"),
+    "a huge keyframe": ('qpos="0 0 0"', 'qpos="0 0 1e200"', "key 'start': key_qpos is 1e+200"),
+    "negative mass": ('mass="0.5"', 'mass="-0.5"', "mass"),
+    "no mass": ('mass="0.5" diaginertia="0.001 0.004 0.004"', 'mass="0" diaginertia="0 0 0"', "coupler"),
+    "infinite mass": ('mass="0.5"', 'mass="inf"', "line 12: <inertial> has mass='inf', not finite"),
+    "mass that is NaN": ('mass="0.5"', 'mass="NaN"', "line 12: <inertial> has mass='NaN', not finite"),
+    "mass beyond floats": (
+        'mass="0.5"',
+        'mass="1e400"',
+        "number is too large in attribute 'mass' Element 'inertial', line 12",
+    ),
+    "mass of 1e300": ('mass="0.5"', 'mass="1e300"', "body 'coupler': body_mass is 1e+300"),
+    "mass in words": ('mass="0.5"', 'mass="heavy"', "mass"),
+    "two masses": ('mass="0.5"', 'mass="0.5 0.5"', "mass"),
+    "no inertia": ('diaginertia="0.001 0.004 0.004"', 'diaginertia="0 0 0"', "coupler"),
+    "negative inertia": ('diaginertia="0.001', 'diaginertia="-0.001', "inertia"),
+    "unrealisable inertia": ('diaginertia="0.001', 'diaginertia="0.1', "inertia must satisfy A + B >= C"),
+    "position of 1e308": ('pos="0.3 0 0"', 'pos="1e308 0 0"', "body 'rocker': body_pos is 1e+308"),
+    "axis of nothing": ('axis="0 1 0" damping', 'axis="0 0 0" damping', "axis"),
+    "zero quaternion": ('<body name="rocker"', '<body name="rocker" quat="0 0 0 0"', "quat"),
+    "huge damping": ('damping="0.1"', 'damping="1e300"', "dof_damping is 1e+300"),
+    "huge gain": ('kp="2"', 'kp="1e200"', "actuator 'servo': actuator_biasprm is -1e+200"),
+    "huge gravity": (WORLD, '<option gravity="0 0 -1e300"/>' + WORLD, "option: gravity is [ 0."),
+    "joint without a body": (WORLD, WORLD + '<joint name="j"/>', "joint"),
+    "loop that cannot close": ('pos="0 0 0.2"', 'pos="9 0 0.2"', "equality 'close' cannot be closed from"),
+    "nothing that moves": (MJCF, "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>", "no body can"),
+    "many closures": (
+        "</equality>",
+        '<connect site1="tip" site2="end"/>' * 5000 + "</equality>",
+        "it has 5001 equalities, at most 300 here",
+    ),
+    "many joints": (
+        WORLD,
+        WORLD + '<replicate count="301" offset="1 0 0"><body><joint/><geom size="1"/></body></replicate>',
+        "velocities, at most 300 here",
+    ),
+}
+
+
+def mjcf_cases() -> Iterator[Case]:
+    for name, (old, new, message, *prepare) in MJCF_EDITS.items():
+        assert old in MJCF, name
+        content = MJCF.replace(old, new, 1).encode()
+        yield Case(f"MJCF: {name}", "model.xml", content, message, prepare=prepare[0] if prepare else None)
+    endless = '<replicate count="100000000" offset="1 0 0"><body><joint/><geom size="1"/></body></replicate>'
+    long = "x" * 100_000
+    for name, text, message in (
+        ("macros without end", MJCF.replace(WORLD, WORLD + endless), "needs too much time or memory"),
+        (
+            "100 000 bodies",
+            MJCF.replace(WORLD, WORLD + "".join(f'<body name="b{k}"/>' for k in range(100_000))),
+            "MuJoCo needs too much time or memory to compile it",
+        ),
+        ("long name twice", MJCF.replace('"crank"', f'"{long}"').replace('"rocker"', f'"{long}"'), "xxx"),
+    ):
+        yield Case(f"MJCF: {name}", "model.xml", text.encode(), message, slow=True)
+    for arguments, message in (
+        (("--set", "key=up"), "no keyframe 'up'; choose from: qpos0, start"),
+        (("--set", "colour=red"), "model.xml has no option 'colour'; choose from: duration"),
+        (("--set", "duration=long"), "duration is 'long'; needed: a number of seconds"),
+        (("--set", "duration=nan"), "duration is nan; needed: a positive number"),
+        (("--set", "duration=-1"), "duration is -1.0; needed: a positive number"),
+        (("--set", "output_period=0"), "output_period is 0.0; needed: a positive number"),
+        (("--set", "duration=1e300"), "duration is 1e+300; needed: a positive number of seconds, at most"),
+        (("--set", "duration=1", "--set", "duration=2"), "--set duration is given twice"),
+        (("--set", "duration"), "--set 'duration' is not of the form OPTION=VALUE"),
+        (("--set", "root=/nowhere"), "leads outside of '/nowhere'"),
+        (("--loops", "loops.yaml"), "--loops loops.yaml: only a URDF has a loop file"),
+        (("--engines", "abacus"), "abacus"),
+        (("--save", "recording.txt"), "--save recording.txt: a recording's name ends in .rrd"),
+    ):
+        name = f"MJCF: options {' '.join(arguments)}"
+        yield Case(name, "model.xml", MJCF.encode(), message, arguments)

@@ -1,0 +1,103 @@
+"""Scene files that are refused: fields, names, numbers, nesting."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+import yaml
+from command_line import short_example
+from hostile_files import ALIASES, Case
+
+Keys = tuple[str | int, ...]
+
+HUGE = list(range(100_000))
+
+
+def nested(depth: int) -> dict[str, object]:
+    """A sum of a sum of a sum of nothing that is known."""
+    return {"kind": "sum", "terms": [nested(depth - 1)]} if depth else {"kind": "none"}
+
+
+SCENE_EDITS: dict[str, tuple[Keys, object, str]] = {
+    "negative mass": (("bodies", 1, "mass"), -1.0, "body 'coupler': mass is -1 kg; needed: a positive mass"),
+    "NaN": (("bodies", 0, "mass"), float("nan"), "bodies.0.mass: Input should be a"),
+    "infinity": (("joints", 0, "point", 1), float("inf"), "joints.0.point.1: Input should be a"),
+    "1e308": (("joints", 0, "point", 1), 1e308, "joints.0.point.1: Input should be at most 1e+100"),
+    "a thousand digits": (("duration",), 10**1000, "duration: Input should be a"),
+    "hexadecimal": (("duration",), "0x10", "duration: Input should be a valid number"),
+    "zero inertia": (("bodies", 1, "inertia"), [[0.0] * 3] * 3, "a positive definite inertia"),
+    "unrealisable inertia": (("bodies", 1, "inertia", 0, 0), 0.9, "body 'coupler': principal moments"),
+    "inertia of two rows": (("bodies", 1, "inertia"), [[1.0] * 3] * 2, "bodies.1.inertia"),
+    "a body twice": (("bodies", 1, "name"), "crank", "body 'crank': 2 of that name; needed: unique names"),
+    "a joint twice": (("joints", 1, "name"), "motor", "joint 'motor': 2 of that name; needed: unique names"),
+    "an unknown body": (("joints", 1, "second"), "x", "joint 'elbow': connects an unknown body 'x'"),
+    "an unknown joint": (("control", 0, "joint"), "x", "unknown joint 'x'; choose from"),
+    "an unknown kind": (("joints", 1, "kind"), "x", "joint 'elbow': unknown kind 'x'; choose from"),
+    "a joint to itself": (("joints", 1, "second"), "crank", "joint 'elbow': connects 'crank' to itself"),
+    "an open loop": (("joints", 1, "point_on_second"), [0, 0, 9], "joint 'elbow': is open by"),
+    "bodies that are one": (("bodies",), {"name": "a"}, "bodies: Input should be a valid list"),
+    "bodies that are text": (("bodies",), "abc", "bodies: Input should be a valid list"),
+    "bodies that are numbers": (("bodies",), HUGE, "bodies.0: Input should be a valid dictionary"),
+    "a body that is a list": (("bodies", 0), [], "bodies.0: Input should be a valid dictionary"),
+    "a name that is a list": (("bodies", 0, "name"), ["a"], "bodies.0.name: Input should be a valid string"),
+    "an escape in a name": (("bodies", 0, "name"), "a\x1b[31m", "body 'a\\x1b[31m': has an unusable name"),
+    "a turned name": (("bodies", 0, "name"), "a\u202eb", "body 'a\\u202eb': has an unusable name"),
+    "a long name": (("bodies", 0, "name"), "x" * 100_000, "needed: one of frame, xxx"),
+    "a name that leads outside": (("name",), "../../x", "scene: name is '../../x'; needed: letters"),
+    "an unknown key": (("bodyes",), [], "bodyes: Extra inputs are not permitted"),
+    "a long unknown key": (("k" * 100_000,), 1, "Extra inputs are not permitted"),
+    "no joints": (("joints",), [], "body 'crank': no joint leads to it"),
+    "no bodies": (("bodies",), [], "mechanism"),
+    "a period of nothing": (("output_period",), 0, "output_period is 0.0; needed: a positive number"),
+    "too many outputs": (("output_period",), 1e-12, "asks for more than 1000000 outputs"),
+    "sums in sums": (("motions",), [{"joint": "motor", "function": nested(40)}], "motions"),
+}
+
+
+class _NoAliases(yaml.SafeDumper):
+    def ignore_aliases(self, data: object) -> bool:
+        return True
+
+
+def scene_cases() -> Iterator[Case]:
+    for name, (keys, value, message) in SCENE_EDITS.items():
+        content = short_example()
+        at = content
+        for key in keys[:-1]:
+            at = at[key]
+        at[keys[-1]] = value
+        for file in ("scene.yaml", "scene.json"):
+            text = json.dumps(content) if file == "scene.json" else yaml.dump(content, Dumper=_NoAliases)
+            slow = isinstance(value, list | str) and len(value) > 50_000
+            yield Case(f"{file}: {name}", file, text.encode(), message, slow=slow)
+    for name, text, message in (
+        ("aliases that unfold", ALIASES, "line 2: aliases are not allowed here"),
+        ("an object", "a: !!python/object/apply:os.system [touch owned]", "line 1: tags are not allowed"),
+        ("deep nesting", "[" * 100_000, "line 1: nested too deeply"),
+        ("deep mappings", "{a: " * 100_000, "line 1: nested too deeply"),
+        ("many empty lists", "[" + "[]," * 320_000 + "]", "file: Input should be"),
+        ("many keys", "".join(f"k{k}: 1\n" for k in range(90_000)), "name: Field required"),
+        ("too long", "a: " + "x" * 1_000_000, "larger than 1000000 bytes"),
+        ("a list", "- a\n- b\n", "file: Input should be a valid dictionary"),
+        ("a number", "7", "file: Input should be a valid dictionary"),
+    ):
+        yield Case(f"scene.yaml: {name}", "scene.yaml", text.encode(), message, slow=len(text) > 500_000)
+    for name, text, message in (
+        ("deep nesting", "[" * 100_000, "nested too deeply"),
+        ("deep mappings", '{"a":' * 100_000, "nested too deeply"),
+        ("many digits", '{"name": ' + "9" * 100_000 + "}", "not JSON: Exceeds the limit"),
+        ("a key twice", '{"name": "a", "name": "b"}', "key 'name' is given twice in one object"),
+        ("many lists", "[" + "[]," * 300_000 + "0]", "file: Input should be a valid dictionary"),
+        ("nothing but NaN", '{"duration": NaN}', "name: Field required"),
+        (
+            "sums without end",
+            json.dumps(short_example())[:-1]
+            + ', "motions": [{"joint": "motor", "function": '
+            + '{"kind": "sum", "terms": [' * 400
+            + "]}" * 400
+            + "}]}",
+            "motions.0.function.sum.terms",
+        ),
+    ):
+        yield Case(f"scene.json: {name}", "scene.json", text.encode(), message)

@@ -1,0 +1,107 @@
+"""Which method engines take by themselves, on a damped hinge whose motion has a closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mechanisms import pendulum
+
+from crosscheck import engines, limit
+from crosscheck.engines import ENGINES, choose
+from crosscheck.errors import CrosscheckError
+from crosscheck.limit import TooLongError
+from crosscheck.report import settings_lines
+from crosscheck.run import crosscheck
+from crosscheck.stiffness import STABLE, explicit_steps, fastest_decay
+from newton_euler import simulate
+from newton_euler.euler_parameters import rotation
+from newton_euler.forces import JointSpring
+from newton_euler.scene import Scene
+from newton_euler.trajectory import Trajectory
+
+REST = 0.5
+"""rad, where the spring pulls the hinge to."""
+
+
+def damped(rate: float) -> tuple[Scene, float, float]:
+    """A pendulum without gravity on a damped spring; the two rates of its decay, 1/s."""
+    scene = replace(pendulum(), gravity=np.zeros(3), duration=1.0, output_period=0.1)
+    (hinge,), body = scene.mechanism.joints, scene.mechanism.bodies[1]
+    turn, arm = rotation(body.quaternion), body.center_of_mass - hinge.point
+    about_center = hinge.axis @ turn @ body.inertia @ turn.T @ hinge.axis
+    inertia = float(about_center + body.mass * np.sum(np.cross(hinge.axis, arm) ** 2))
+    damping, stiffness = inertia * rate, 2.0 * inertia * rate
+    spring = JointSpring(scene.mechanism.joint_names[0], stiffness, damping, REST)
+    root = np.sqrt(rate * rate - 8.0 * rate)
+    return replace(scene, forces=(spring,)), 0.5 * (rate + root), 4.0 * rate / (rate + root)
+
+
+def test_the_fastest_decay_is_that_of_a_damped_hinge() -> None:
+    for rate in (50.0, 1e5):
+        scene, fast, _ = damped(rate)
+        # central differences by 1e-7 lose half of the digits
+        assert fastest_decay(scene) == pytest.approx(fast, rel=1e-6)
+
+
+def test_dop853_takes_as_many_steps_as_stability_asks_for() -> None:
+    scene, _, _ = damped(1e5)
+    steps = simulate(scene).settings["steps"]
+    # where STABLE comes from: the least steps, and some more while the fast motion dies out
+    assert steps == pytest.approx(explicit_steps(scene), rel=0.05), STABLE
+
+
+@pytest.mark.parametrize(("rate", "integrator"), [(1e5, "DOP853"), (1e7, "Radau")])
+def test_newton_euler_takes_radau_for_what_is_stiff(rate: float, integrator: str) -> None:
+    scene, fast, slow = damped(rate)
+    run = ENGINES["newton_euler"].simulate(scene)
+    assert run.settings["integrator"] == integrator
+    angle = np.arctan2(run.position[:, 1, 0], -run.position[:, 1, 2])
+    decays = (fast * np.exp(-slow * run.time) - slow * np.exp(-fast * run.time)) / (fast - slow)
+    wanted = REST * (1.0 - decays)
+    # Radau at rtol 1e-8 over some tens of steps
+    assert np.abs(angle - angle[0]) == pytest.approx(wanted, abs=1e-6)
+
+
+def test_mujoco_takes_an_implicit_integrator_where_rk4_diverges() -> None:
+    scene, *_ = damped(1e7)
+    result = crosscheck(scene, choose(["newton_euler", "mujoco"]), lambda _: None, "x", {})
+    assert result.runs["mujoco"].settings["integrator"] == "implicitfast"
+    assert result.agrees, result.verdict
+    (line,) = [line for line in settings_lines(result) if line.startswith("stiff: ")]
+    assert "implicit method in newton_euler, mujoco" in line
+
+
+def without_end(scene: Scene) -> Trajectory:
+    while True:
+        pass
+
+
+def test_a_run_without_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limit, "LIMIT", 0.6)
+    monkeypatch.setattr(limit, "PATIENCE", 0.1)
+    monkeypatch.setattr(limit, "PERIOD", 0.1)
+    engine = replace(ENGINES["newton_euler"], simulate=without_end)
+    told: list[str] = []
+    with pytest.raises(TooLongError, match="newton_euler: 2 s of pendulum: given up after 1 s of processor"):
+        crosscheck(pendulum(), [engine], told.append, "x", {})
+    assert any("s so far" in line for line in told)
+
+
+def test_an_interrupt_is_not_taken_for_the_limit() -> None:
+    def interrupted(scene: Scene) -> Trajectory:
+        raise KeyboardInterrupt
+
+    engine = replace(ENGINES["newton_euler"], simulate=interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        crosscheck(pendulum(), [engine], lambda _: None, "x", {})
+
+
+def test_a_run_that_grinds_is_stopped_with_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engines, "NATIVE_STEPS", 2)
+    scene = replace(pendulum(), duration=10.0)
+    with pytest.raises(
+        CrosscheckError, match=r"newton_euler: integration stopped at t = .*: more than 4 steps"
+    ):
+        crosscheck(scene, choose(["newton_euler"]), lambda _: None, "x", {})
