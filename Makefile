@@ -9,7 +9,7 @@ run: $(VENV)/installed
 	$(BIN)/crosscheck run tracker
 
 test: lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto
 
 test-slow: $(VENV)/installed
 	$(BIN)/python -m pytest -m slow

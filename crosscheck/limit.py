@@ -1,8 +1,9 @@
-"""Work that is given up after so much processor time, and says meanwhile that it goes on."""
+"""Work that is given up after so much time; what takes long says meanwhile that it goes on."""
 
 from __future__ import annotations
 
 import _thread
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -22,6 +23,46 @@ PERIOD = 0.5
 
 class TooLongError(CrosscheckError):
     """Something that does not come to its end in reasonable time."""
+
+
+@contextmanager
+def heeding_interrupts() -> Iterator[None]:
+    """Have interrupts come through in the main thread, where a shell has started it to ignore them."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Give up what takes longer, as an interrupt from the keyboard would; in the main thread only.
+
+    Raises:
+        CrosscheckError: if it does. Native code that looks at no interrupt runs on to its end first.
+    """
+    rung = []
+
+    def ring(number: int, frame: object) -> None:
+        rung.append(number)
+        signal.raise_signal(signal.SIGINT)
+
+    before = signal.signal(signal.SIGALRM, ring)
+    try:
+        with heeding_interrupts():
+            signal.setitimer(signal.ITIMER_REAL, seconds)
+            try:
+                yield
+            finally:
+                signal.setitimer(signal.ITIMER_REAL, 0.0)
+                signal.signal(signal.SIGALRM, before)
+    except KeyboardInterrupt:
+        if rung:
+            raise CrosscheckError(f"not finished after {seconds:g} s") from None
+        raise
 
 
 @contextmanager
@@ -50,13 +91,14 @@ def limited(what: str, advice: str, progress: Callable[[str], None]) -> Iterator
                 progress(f"{what}: {used:.0f} s so far, given up at {LIMIT:.0f}")
 
     watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
     try:
-        try:
-            yield
-        finally:
-            done.set()
-            watcher.join()
+        with heeding_interrupts():
+            watcher.start()
+            try:
+                yield
+            finally:
+                done.set()
+                watcher.join()
     except KeyboardInterrupt:
         if not given_up.is_set():
             raise

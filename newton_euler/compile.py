@@ -106,7 +106,8 @@ class NativeFunction:
             body = emit_straight(program, "f", self.lanes) if straight else emit_rolled(program, "f")
             return declarations(self.lanes) + body
 
-        self.module = NativeModule(identity or text(), text, optimise=False)
+        known = f"{identity}, {self.lanes} lanes, straight: {straight}" if identity else text()
+        self.module = NativeModule(known, text, optimise=False)
         self.address = self.module.address("f")
         self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
 

@@ -32,6 +32,7 @@ from crosscheck.benchmark.report import (
 )
 from crosscheck.benchmark.work_precision import Ladder, Loading, Measured, Measurement, Model, Run, Setting
 from crosscheck.errors import CrosscheckError
+from crosscheck.limit import time_limit
 from newton_euler.euler_parameters import from_rotation_vector, product
 
 
@@ -151,13 +152,13 @@ def test_a_run_that_does_not_end_is_given_up_and_ends_its_ladder(monkeypatch):
 
 def test_native_runs_are_given_up_too(tracker):
     endless = newton_euler.compile_scene(dataclasses.replace(poses_only(tracker), duration=1e4))
-    with pytest.raises(CrosscheckError, match=r"not finished after 0\.2 s"), work_precision.time_limit(0.2):
+    with pytest.raises(CrosscheckError, match=r"not finished after 0\.2 s"), time_limit(0.2):
         endless.simulate(integrator="RK4", step=1e-5)
 
 
 def test_interrupts_from_the_keyboard_stay_what_they_are():
     before = signal.getsignal(signal.SIGALRM)
-    with pytest.raises(KeyboardInterrupt), work_precision.time_limit(30.0):
+    with pytest.raises(KeyboardInterrupt), time_limit(30.0):
         signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGALRM) is before
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)

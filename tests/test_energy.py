@@ -67,7 +67,7 @@ def test_energy_is_judged():
 def test_energy_needs_its_outputs():
     scene = replace(pendulum(), outputs=frozenset({"velocities", "reactions", "violation"}), duration=0.1)
     rows = verdicts(scene, [ENGINES["newton_euler"], ENGINES["pinocchio"]])
-    assert "energy" not in {row.level for row in rows}
+    assert not [row for row in rows if "energy" in row.quantity and row.level == "energy"]
 
 
 def test_no_balance_without_the_work(tracker, tracker_run):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,14 +80,20 @@ def without_end(scene: Scene) -> Trajectory:
         pass
 
 
-def test_a_run_without_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("handler", [signal.default_int_handler, signal.SIG_IGN])
+def test_a_run_without_end_is_given_up(monkeypatch: pytest.MonkeyPatch, handler: Any) -> None:
+    before = signal.signal(signal.SIGINT, handler)  # ignored, as in what shells run in the background
     monkeypatch.setattr(limit, "LIMIT", 0.6)
     monkeypatch.setattr(limit, "PATIENCE", 0.1)
     monkeypatch.setattr(limit, "PERIOD", 0.1)
     engine = replace(ENGINES["newton_euler"], simulate=without_end)
     told: list[str] = []
-    with pytest.raises(TooLongError, match="newton_euler: 2 s of pendulum: given up after 1 s of processor"):
-        crosscheck(pendulum(), [engine], told.append, "x", {})
+    try:
+        with pytest.raises(TooLongError, match="2 s of pendulum: given up after 1 s of processor"):
+            crosscheck(pendulum(), [engine], told.append, "x", {})
+        assert signal.getsignal(signal.SIGINT) is handler
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert any("s so far" in line for line in told)
 
 

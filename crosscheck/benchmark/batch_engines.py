@@ -15,8 +15,9 @@ import numpy as np
 from crosscheck.benchmark import mujoco as benchmark_mujoco
 from crosscheck.benchmark import newton_euler as benchmark_newton_euler
 from crosscheck.benchmark import reference as benchmark_reference
-from crosscheck.benchmark.work_precision import Progress, pose_errors, steady, time_limit
+from crosscheck.benchmark.work_precision import Progress, pose_errors, steady
 from crosscheck.errors import CrosscheckError
+from crosscheck.limit import time_limit
 from newton_euler import compile_scene
 from newton_euler.batch import Batch, simulate_batch
 from newton_euler.conversion import coordinates

@@ -18,8 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 import newton_euler
-from crosscheck.benchmark.work_precision import Progress, pose_errors, time_limit
+from crosscheck.benchmark.work_precision import Progress, pose_errors
 from crosscheck.errors import CrosscheckError
+from crosscheck.limit import time_limit
 from newton_euler.errors import NewtonEulerError
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene

@@ -11,7 +11,6 @@ from __future__ import annotations
 import gc
 import os
 import platform
-import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -23,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
+from crosscheck.limit import time_limit
 from newton_euler.euler_parameters import angle_between
 from newton_euler.scalars import Array
 
@@ -302,33 +301,6 @@ def steady() -> Iterator[None]:
     finally:
         if enabled:
             gc.enable()
-
-
-@contextmanager
-def time_limit(seconds: float) -> Iterator[None]:
-    """Give up what takes longer, as an interrupt from the keyboard would; in the main thread only.
-
-    Raises:
-        CrosscheckError: if it does. Native code that looks at no interrupt runs on to its end first.
-    """
-    rung = []
-
-    def ring(number: int, frame: object) -> None:
-        rung.append(number)
-        signal.raise_signal(signal.SIGINT)
-
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        try:
-            yield
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-            signal.signal(signal.SIGALRM, before)
-    except KeyboardInterrupt:
-        if rung:
-            raise CrosscheckError(f"not finished after {seconds:g} s") from None
-        raise
 
 
 def _reason(error: Exception) -> str:

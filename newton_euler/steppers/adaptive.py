@@ -46,20 +46,7 @@ from newton_euler.steppers.march import (
 SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 """Factors of the step-size control, as in scipy."""
 
-EXPONENT, INTEGRAL, PROPORTIONAL = -1.0 / 8.0, -0.8 / 8.0, 0.32 / 8.0
-"""Of the error, after a step that failed and after one that held; the last is that of the error before it.
-
-The proportional part settles steps at the border of stability, where an integral controller has each
-fifth one fail (K. Gustafsson, Control theoretic techniques for stepsize selection in explicit Runge-Kutta
-methods, ACM TOMS 17, 1991).
-"""
-
-FORGOTTEN = 1e-4
-"""Error below which the one before has no say."""
-
-FAR = 0.1
-"""Health above which a configuration is far from a singular one; nearer, where errors come from round-off,
-the error before says nothing."""
+EXPONENT = -1.0 / 8.0
 
 GAP, LEAST, MOST = 0.4667, 0.38, 0.55
 """Where in a step a singular configuration is to be passed: half way between the two stages that are
@@ -227,7 +214,6 @@ def march_dop853(
     growing = LARGEST
     hops = 0
     short = 0
-    before = FORGOTTEN
     while due < outputs:
         counts[REACHED] = now[n]
         if counts[STEPS] + counts[REJECTED] >= most:
@@ -315,14 +301,8 @@ def march_dop853(
         else:
             for i in range(n + 1):
                 k[i] = k[(n + 1) * STAGES + i]
-        if error == 0.0:
-            factor = LARGEST
-        elif health < FAR:
-            factor = min(growing, SAFETY * error**EXPONENT)
-        else:
-            factor = min(growing, SAFETY * error**INTEGRAL * before**PROPORTIONAL)
+        factor = LARGEST if error == 0.0 else min(growing, SAFETY * error**EXPONENT)
         h = h * max(SMALLEST, factor)
-        before = FORGOTTEN if health < FAR else max(error, FORGOTTEN)
         growing = LARGEST
     counts[REACHED] = now[n]
     return DONE
