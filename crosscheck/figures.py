@@ -15,7 +15,7 @@ import numpy as np
 
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
-from crosscheck.output import check_writable
+from crosscheck.files import check_writable
 from crosscheck.scenes import load
 from crosscheck.scenes.tracker import TARGET_HEIGHT
 from newton_euler import simulate

@@ -3,50 +3,16 @@
 from __future__ import annotations
 
 import json
-import re
 import signal
-import tempfile
 import threading
-import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
 from crosscheck.run import Crosscheck
 from newton_euler.trajectory import atomic_file
-
-ABANDONED = 60.0
-"""s after which an unfinished file is that of a process that was killed: files are made in memory first,
-and writing them takes no longer."""
-
-
-def check_writable(*paths: Path) -> None:
-    """Raise `CrosscheckError` before a run whose files could not be written after it.
-
-    What earlier runs that were killed left unfinished of these files is removed.
-    """
-    for path in paths:
-        try:
-            if path.is_dir():
-                raise CrosscheckError(f"cannot write {path}: it is a directory")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=path.parent):
-                pass
-        except OSError as error:
-            raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
-        _remove_abandoned(path)
-
-
-def _remove_abandoned(path: Path) -> None:
-    """Remove the temporary files of `atomic_file`, and those of their own, that nobody writes any more."""
-    unfinished = re.compile(rf"\.+{re.escape(path.stem)}(-[0-9a-f]{{8}})+{re.escape(path.suffix)}")
-    for found in path.parent.iterdir():
-        if unfinished.fullmatch(found.name):
-            with suppress(OSError):  # another process may have been quicker
-                if time.time() - found.stat().st_mtime > ABANDONED:
-                    found.unlink()
 
 
 @contextmanager

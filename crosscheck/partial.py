@@ -8,6 +8,7 @@ from pathlib import Path
 
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
+from crosscheck.files import check_writable
 from newton_euler.errors import StoppedError
 from newton_euler.trajectory import Trajectory
 
@@ -31,12 +32,15 @@ def partial_runs_saved(folder: Path) -> Iterator[None]:
     Raises:
         CrosscheckError: with the error and the files that were written.
     """
-    for name in ENGINES:
-        _path(folder, name).unlink(missing_ok=True)
+    paths = [_path(folder, name) for name in ENGINES]
+    check_writable(*paths)
+    for path in paths:
+        path.unlink(missing_ok=True)
     try:
         yield
     except StoppedRunError as stopped:
         message = str(stopped)
+        (folder / "summary.json").unlink(missing_ok=True)  # of an earlier run, which did not stop
         for name, run in stopped.runs.items():
             path = _path(folder, name)
             try:

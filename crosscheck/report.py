@@ -13,9 +13,12 @@ from crosscheck.advice.measured import distance
 from crosscheck.comparison.known_figures import Measured
 from crosscheck.comparison.levels import Row, not_compared
 from crosscheck.comparison.reactions import undetermined_joints
+from crosscheck.comparison.runs import displacements
+from crosscheck.comparison.samples import admissible_basis, body_units
 from crosscheck.model_files.read import report_lines
 from crosscheck.run import Crosscheck
 from crosscheck.stiffness import explicit_steps, fastest_decay
+from newton_euler.relative import Relative
 
 IMPLICIT = ("Radau", "implicitfast")
 """Integrators that engines take for stiff scenes by themselves."""
@@ -111,6 +114,8 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
         )
     if result.mapping:
         yield _start_line(result)
+    if result.rests:
+        yield _rest_line(result)
     count, joints = undetermined_joints(result.scene, result.scene.initial_state)
     if count:
         rows = "a redundant row" if count == 1 else f"{count} redundant rows"
@@ -131,6 +136,19 @@ def _start_line(result: Crosscheck) -> str:
     )
     same = f"the same pose to {apart:.1e} (m, rad); " if len(runs) > 1 else ""
     return f"start: {same}joints open there by at most (m, rad): {gaps}"
+
+
+def _rest_line(result: Crosscheck) -> str:
+    """That nothing moves, why as far as the constraints tell, and what that leaves untested."""
+    moved = ", ".join(f"{name} {far:.1e}" for name, far in displacements(result.runs).items())
+    system = Relative(result.scene)
+    q, _ = system.coordinates(result.scene.initial_state)
+    basis, _ = admissible_basis(system, q, body_units(result.scene))
+    why = "it starts at rest in equilibrium" if basis.shape[1] else "the mechanism has no freedom"
+    return (
+        f"nothing moves: {why}, bodies get from where they start by at most (m, rad): {moved}; "
+        "trajectories and energies test nothing here, and no advice is drawn from them"
+    )
 
 
 def _short(value: object) -> object:

@@ -16,6 +16,7 @@ import numpy as np
 from crosscheck.advice import Advice, Found, advise
 from crosscheck.comparison.known_figures import Measured, known_of, measure
 from crosscheck.comparison.levels import Row, compare
+from crosscheck.comparison.runs import rests
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import TooLongError, limited
@@ -71,9 +72,23 @@ class Crosscheck:
         return f"{self.scene.name} ({options})" if options else self.scene.name
 
     @property
+    def rests(self) -> bool:
+        """Whether nothing moves in the runs, so that trajectories and energies test nothing."""
+        return rests(self.scene, self.engines, self.runs)
+
+    @property
+    def deserted(self) -> bool:
+        """Whether several engines were asked for and only one can express the scene."""
+        return len(self.engines) == 1 and bool(self.left_out)
+
+    @property
     def agrees(self) -> bool:
-        """Whether every figure is within its tolerance."""
-        return all(row.agrees for row in self.rows) and all(known.agrees for known in self.measured)
+        """Whether every figure is within its tolerance; never of a deserted engine."""
+        return (
+            not self.deserted
+            and all(row.agrees for row in self.rows)
+            and all(known.agrees for known in self.measured)
+        )
 
     @property
     def verdict(self) -> str:
@@ -84,6 +99,11 @@ class Crosscheck:
         wrong = [measured for measured in self.measured if not measured.agrees]
         alone = len(self.engines) == 1
         subject = f"ran {names} alone on {self.title}: nothing to compare it with; its own figures"
+        if self.deserted:
+            subject = (
+                f"NOT COMPARED: nothing could be compared on {self.title}, ran {names} alone: "
+                f"{' and '.join(self.left_out)} cannot express it; its own figures"
+            )
         if failed:
             row = failed[0]
             if not alone:
@@ -102,6 +122,7 @@ class Crosscheck:
                 f"({len(wrong)} of {len(self.measured)} known figures fail)"
             )
         known = f", and the reference in all {len(self.measured)}" if self.measured else ""
+        known += "; nothing moves" if self.rests else ""
         if alone:
             return f"{subject} hold, all {len(judged)}{known}"
         return f"AGREE: {names} agree on {self.title} in all {len(judged)} figures{known}"

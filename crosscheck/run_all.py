@@ -18,7 +18,8 @@ from rich.text import Text
 from crosscheck.comparison.levels import Row
 from crosscheck.engines import choose
 from crosscheck.errors import CrosscheckError
-from crosscheck.output import check_writable, write
+from crosscheck.files import check_writable
+from crosscheck.output import write
 from crosscheck.partial import partial_runs_saved
 from crosscheck.report import judged, markdown
 from crosscheck.run import Crosscheck, Progress, crosscheck

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjcf.loops import loops
+from mjcf.loops import all_loops
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.joint_geometry import JointGeometry, closing, in_tree
 from newton_euler.scalars import Array
@@ -27,7 +27,7 @@ def joint_geometry(system: RigidMuJoCo) -> dict[str, JointGeometry]:
         return kinds[int(model.jnt_type[index])], data.xaxis[index].copy(), data.xanchor[index].copy()
 
     found = in_tree(system.welded, read)
-    for loop in loops(model, data):
+    for loop in all_loops(model, data):
         if loop.kind != mujoco.mjtEq.mjEQ_WELD:
             kind = "rod" if loop.kind == mujoco.mjtEq.mjEQ_TENDON else "ball"
             found[loop.name] = closing(kind, (loop.points[0].copy(), loop.points[1].copy()))

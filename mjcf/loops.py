@@ -98,8 +98,12 @@ class Loop:
         return np.concatenate([linear[0] - linear[1], turned])
 
 
+def all_loops(model: Any, data: Any) -> list[Loop]:
+    """All active loops at the state that `data` holds, whether MuJoCo has rows for them or not."""
+    closing = np.flatnonzero((model.eq_type != mujoco.mjtEq.mjEQ_JOINT) & (data.eq_active != 0))
+    return [Loop(model, data, int(index)) for index in closing]
+
+
 def loops(model: Any, data: Any) -> list[Loop]:
-    """All loops at the state that `data` holds; MuJoCo drops those between bodies that are fixed."""
-    closing = np.flatnonzero(model.eq_type != mujoco.mjtEq.mjEQ_JOINT)
-    found = [Loop(model, data, int(index)) for index in closing]
-    return [loop for loop in found if len(loop.rows)]
+    """Those with rows: MuJoCo drops what cannot open, such as a ball on the axis of the only hinge."""
+    return [loop for loop in all_loops(model, data) if len(loop.rows)]

@@ -20,7 +20,7 @@ from mjcf.reading.forces import Forces, armatures
 from mjcf.reading.joints import Joints
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
-from mjcf.reading.original import acceleration_gap, without_left
+from mjcf.reading.original import gap_line
 from mjcf.reading.sag import sag_line
 from mjcf.reading.source import SourceError, compiled
 from mjcf.reading.start import Start
@@ -97,12 +97,7 @@ def _reading(where: str, key: str | None, duration: float, output_period: float,
         raise
     except NewtonEulerError as error:
         raise SourceError(where, str(error)) from error
-    gap = acceleration_gap(start, bodies, scene)
-    line = f"accelerations at rest there are off MuJoCo's of the file itself, rigid, by {gap:.1e} relative"
-    if start.left:
-        with without_left(start):
-            gap = acceleration_gap(start, bodies, scene)
-        line += f", and by {gap:.1e} of the file without what is left out"
+    line = gap_line(start, bodies, scene)
     sag = sag_line(start, duration)
     report.start.extend([sag, line] if sag else [line])
     return Reading(scene, report, start)

@@ -31,7 +31,7 @@ from mjcf.layout import Layout, coordinate_name
 from mjcf.text import number, numbers
 from newton_euler.control import Sampled
 from newton_euler.couplings import Coupling, couplings
-from newton_euler.euler_parameters import conjugate, product
+from newton_euler.euler_parameters import conjugate, product, rotation
 from newton_euler.joints import Pose, Rod, Spherical
 from newton_euler.mechanism import Body
 from newton_euler.scalars import Array
@@ -80,7 +80,7 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
 
 def to_xml(scene: Scene) -> str:
     """The scene as an MJCF document; numbers keep all their digits. Raises `MjcfError`."""
-    return welded_to_xml(scene, weld_loops(scene.mechanism))
+    return welded_to_xml(scene, weld_loops(scene.mechanism, keep_bodies=True))
 
 
 def welded_to_xml(scene: Scene, welded: WeldedMechanism) -> str:
@@ -312,15 +312,26 @@ def _add_cuts(equality: ET.Element, welded: WeldedMechanism) -> None:
         joint = mechanism.joints[index]
         first, second = ("world" if n == ground else n for n in (joint.first, joint.second))
         attributes = {"name": joint.name, "body1": first, "body2": second}
-        if isinstance(joint, Spherical):
-            body = mechanism.bodies[mechanism.body_index(joint.first)]
-            anchor = joint.point if first == "world" else body.pose.point_to_body(joint.point)
-            ET.SubElement(equality, "connect", attributes, anchor=numbers(anchor))
-        elif isinstance(joint, Rod):
+        if isinstance(joint, Rod):
             length = {"tendon1": f"rod {joint.name}", "polycoef": "0 0 0 0 0"}
             ET.SubElement(equality, "tendon", name=joint.name, attrib=length)
-        else:  # the halves of one body, which share their frame
-            ET.SubElement(equality, "weld", attributes, anchor="0 0 0", relpose="0 0 0 1 0 0 0")
+            continue
+        # MuJoCo's world body is not at the pose of the ground
+        (p1, q1), (p2, q2) = (
+            (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+            if body is mechanism.bodies[0]
+            else (body.center_of_mass, body.quaternion)
+            for body in (mechanism.bodies[mechanism.body_index(n)] for n in (joint.first, joint.second))
+        )
+        if isinstance(joint, Spherical):
+            anchor = rotation(q1).T @ (joint.point - p1)
+            ET.SubElement(equality, "connect", attributes, anchor=numbers(anchor))
+        else:
+            anchor = rotation(q2).T @ (joint.reaction_point - p2)
+            # MuJoCo takes the position of relpose for that of the anchor, not of the body
+            place = rotation(q1).T @ (joint.reaction_point - p1)
+            relative = np.concatenate([place, product(conjugate(q1), q2)])
+            ET.SubElement(equality, "weld", attributes, anchor=numbers(anchor), relpose=numbers(relative))
 
 
 def _actuators(root: ET.Element, scene: Scene) -> None:

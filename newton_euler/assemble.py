@@ -26,7 +26,9 @@ def assemble(scene: Scene, guess: State) -> State:
 
     Raises:
         AssemblyError: with the joint that stays open.
+        MechanismError: for a guess that is no state of the scene's bodies.
     """
+    scene.check_numbers(guess, f"guess for scene {scene.name!r}")
     system = Cartesian(scene)
     q, v = system.coordinates(guess)
     q = project_position(system, q)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +24,19 @@ def fingerprint(*values: object) -> str | None:
         parts = [part for value in values for part in _parts(value)]
     except TypeError:
         return None
-    return hashlib.sha256(b"\0".join([_source(), *parts])).hexdigest()
+    return hashlib.sha256(b"\0".join([SOURCE, *parts])).hexdigest()
 
 
-@lru_cache
 def _source() -> bytes:
     """The hash of the package's files."""
     found = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         found.update(path.read_bytes())
     return found.digest()
+
+
+SOURCE = _source()
+"""Of the files as they are imported; later they may be edited, and this process would not know."""
 
 
 def _parts(value: Any) -> Iterator[bytes]:

@@ -156,6 +156,12 @@ class Mechanism:
         self._check_joints()
         check_gears(self.couplings, self)
 
+    def __setattr__(self, name: str, value: object) -> None:
+        """Once only: what is worked out of a mechanism is kept."""
+        if name in self.__dict__:
+            raise AttributeError(f"{name} of a mechanism cannot be changed; make another mechanism")
+        super().__setattr__(name, value)
+
     def _check_joints(self) -> None:
         for joint in self.joints:
             where = f"joint {joint.name!r}"

@@ -60,19 +60,25 @@ def rows_in_use(system: Formulation) -> tuple[RowsInUse, list[int]]:
     rng = np.random.default_rng(0)
     best: list[int] = []
     alive: set[int] = set()  # rows that are not zero everywhere
-    seen = []
+    seen: list[tuple[Array, Rows, list[int]]] = []
     for number in range(CONFIGURATIONS):
         phi, jacobian = system.phi_and_jacobian(q)
         if number == 0 or np.max(np.abs(phi / system.phi_units), initial=0.0) < CLOSED:
-            seen.append(q)
             rows = _dimensionless(system, jacobian)
             alive.update(i for i, row in enumerate(rows) if _length(row) > EMPTY)
-            best = max(best, sorted(_independent(rows).order), key=len)
+            found = sorted(_independent(rows).order)
+            seen.append((q, rows, found))
+            best = max(best, found, key=len)
         if number > 0 and len(best) == len(alive):
             break  # all that can be
         q = _neighbour(system, q, rng)
     rest = np.zeros(system.nv)
-    solutions = [system.sparse_solution(q, rest, RowsInUse(best)) for q in seen]
+    solutions = [
+        system.sparse_solution(q, rest, RowsInUse(best))
+        for q, rows, found in seen
+        # where the rows in use depend on each other, as on the flat four-bar, pivots are zero or round-off
+        if found == best or len(_independent([rows[i] for i in best]).order) == len(best)
+    ]
     scales, mass_scales = (
         [float(max(column)) for column in zip(*pivots, strict=True)]
         for pivots in (

@@ -164,10 +164,10 @@ class Scene:
         object.__setattr__(self, "armatures", tuple(given))
         check_armatures(self.armatures, self.mechanism)
 
-    def _check_state(self, state: State) -> None:
-        where = f"initial state of scene {self.name!r}"
+    def check_numbers(self, state: object, where: str) -> None:
+        """Raise `MechanismError` for what is no state of the scene's bodies, closed or not."""
         if not isinstance(state, State):
-            raise MechanismError(f"scene {self.name!r}", f"initial_state is {state!r}", "a State")
+            raise MechanismError(where, f"is {state!r:.200}", "a State")
         count = len(self.mechanism.bodies)
         for name, width in (
             ("position", 3),
@@ -187,6 +187,13 @@ class Scene:
                     f"{name} has another shape or holds what is not finite",
                     f"an array of finite floats, shape ({count}, {width})",
                 )
+        norms = np.linalg.norm(state.quaternion, axis=1)
+        if not np.all(norms > UNIT_TOLERANCE):
+            body = self.mechanism.body_names[int(np.argmin(norms))]
+            raise MechanismError(where, f"quaternion of body {body!r} is zero", "one of norm 1")
+
+    def _check_state(self, state: State) -> None:
+        self.check_numbers(state, f"initial state of scene {self.name!r}")
         norms = np.linalg.norm(state.quaternion, axis=1)
         worst = int(np.argmax(np.abs(norms - 1.0)))
         if abs(norms[worst] - 1.0) > UNIT_TOLERANCE:

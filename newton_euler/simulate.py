@@ -97,6 +97,7 @@ class CompiledScene(Code):
         Constraints are eliminated: for independent coordinates restrict it to motions that keep the
         loops closed.
         """
+        self.scene.check_numbers(state, f"state of scene {self.scene.name!r}")
         x = self.packed(*self.system.coordinates(state))
         jacobian = self.function("jacobian")(x).reshape(self.size, self.size)
         work = self.system.work

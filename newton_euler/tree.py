@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from newton_euler.euler_parameters import (
     rotation,
 )
 from newton_euler.joints import Fixed, Free, Joint, JointEquations, Motion, Pose, Rod, Spherical
-from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
+from newton_euler.mechanism import CLOSURE_TOLERANCE, Body, Mechanism
 from newton_euler.scalars import Array, sqrt
 from newton_euler.state import State
 
@@ -234,7 +235,7 @@ class SpanningTree:
 class WeldedMechanism:
     """A mechanism whose loops close at balls, rods and welds only, for engines that know no other closure.
 
-    A loop that has to be cut at any other joint is cut through a body instead: the body is halved,
+    A loop that would have to be cut at any other joint is cut through a body instead: the body is halved,
     both halves of the same pose and shape of inertia, the joint stays in the tree with one half,
     and a weld holds the halves together. That is exact, adds no equation that the joint did not
     have, and leaves the joint's reaction what it was.
@@ -260,22 +261,27 @@ class WeldedMechanism:
         )
 
 
-def weld_loops(mechanism: Mechanism) -> WeldedMechanism:
-    """Rewrite the loops of a mechanism so that only balls, rods and welds close them."""
+def weld_loops(mechanism: Mechanism, keep_bodies: bool = False) -> WeldedMechanism:
+    """Rewrite the loops of a mechanism so that only balls, rods and welds close them.
+
+    Args:
+        mechanism: of any loops.
+        keep_bodies: whether to cut loops at their own welds. To an engine a weld in the tree is the better
+            one, it costs no equations; but readers of a file make one body of the two that it holds.
+    """
     bodies, joints = list(mechanism.bodies), list(mechanism.joints)
     origin = list(range(len(bodies)))
-    welds = []
-    for index in SpanningTree(mechanism).cuts:
+    never = _own_welds(mechanism) if keep_bodies else []
+    for index in SpanningTree(mechanism, never).cuts:
         joint = mechanism.joints[index]
-        if isinstance(joint, Spherical | Rod):
+        if isinstance(joint, Spherical | Rod) or joint.name in never:
             continue
         side = "second" if joint.second != mechanism.body_names[0] else "first"
         whole = mechanism.body_index(getattr(joint, side))
-        half = f"{mechanism.body_names[whole]}_at_{joint.name}"
+        name, half = _names_of_cut(joint.name, bodies[whole].name, bodies, joints)
         joints[index] = replace(joint, first=half) if side == "first" else replace(joint, second=half)
-        weld = Fixed(f"{joint.name}_weld", bodies[whole].name, half, bodies[whole].center_of_mass)
-        joints.append(weld)
-        welds.append(weld.name)
+        joints.append(Fixed(name, bodies[whole].name, half, bodies[whole].center_of_mass))
+        never.append(name)
         bodies.append(replace(mechanism.bodies[whole], name=half, shapes=()))
         origin.append(whole)
     parts = Counter(origin)
@@ -285,7 +291,30 @@ def weld_loops(mechanism: Mechanism) -> WeldedMechanism:
             body = bodies[number]
             bodies[number] = replace(body, mass=share * body.mass, inertia=share * body.inertia)
     welded = Mechanism(bodies, joints, mechanism.couplings)
-    return WeldedMechanism(welded, SpanningTree(welded, never=welds), tuple(origin))
+    return WeldedMechanism(welded, SpanningTree(welded, never), tuple(origin))
+
+
+def _own_welds(mechanism: Mechanism) -> list[str]:
+    """Names of welds that other joints can do without to reach all bodies."""
+    floating = len(SpanningTree(mechanism).floating)
+    found: list[str] = []
+    for joint in mechanism.joints:
+        if isinstance(joint, Fixed):
+            without = SpanningTree(mechanism, [*found, joint.name])
+            if len(without.floating) == floating:
+                found.append(joint.name)
+    return found
+
+
+def _names_of_cut(joint: str, whole: str, bodies: list[Body], joints: list[Joint]) -> tuple[str, str]:
+    """Names of a weld and a half that are not taken, for a joint that a loop is cut at."""
+    taken = {body.name for body in bodies} | {other.name for other in joints}
+    for number in count(1):
+        cut = joint if number == 1 else f"{joint}_{number}"
+        names = f"{cut}_weld", f"{whole}_at_{cut}"
+        if taken.isdisjoint(names):
+            break
+    return names
 
 
 def unweld_loops(mechanism: Mechanism) -> Mechanism:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from mechanisms import GRAVITY, ball_loop, pendulum, planar_four_bar
 
 import mjcf
+import mjcf.read
 import newton_euler
 from crosscheck.advice import WANTED, Advice, Found
 from crosscheck.advice.baumgarte import LIMIT, baumgarte_advice
@@ -21,10 +24,12 @@ from crosscheck.advice.redundancy import redundancy_advice
 from crosscheck.advice.soft import fitting, soft_advice
 from crosscheck.comparison.levels import Row
 from crosscheck.comparison.reactions import undetermined_joints
+from crosscheck.comparison.runs import rests
 from crosscheck.engines import ENGINES, choose
 from crosscheck.run import crosscheck
+from mjcf.write import SOLIMP
 from newton_euler.errors import NewtonEulerError
-from newton_euler.joints import Cylindrical, Spherical
+from newton_euler.joints import Cylindrical, Fixed, Spherical
 from newton_euler.mechanism import Mechanism
 from newton_euler.relative import Relative
 from newton_euler.scene import Scene
@@ -54,17 +59,74 @@ def only(pieces: Any) -> Advice:
     return advice
 
 
+def followed_by_hand(advice: Advice) -> tuple[str, ...]:
+    """Integrator, timestep, the two numbers of solref, and solimp, as texts."""
+    match = re.search(
+        r'(\w+) with timestep (\S+) s, solref "(\S+) (\S+)" and solimp "([^"]+)" of all equalities',
+        advice.text,
+    )
+    assert match
+    return match.groups()
+
+
 def test_the_advised_step_of_mujoco_reaches_the_error(loop: Scene, runs: dict[str, Trajectory]) -> None:
     advice = only(soft_advice(found(loop, runs)))
-    match = re.search(r'(\w+) with timestep (\S+) s and solref "(\S+) (\S+)"', advice.text)
-    assert match
-    integrator, step, *solref = match.groups()
+    integrator, step, *solref, solimp = followed_by_hand(advice)
+    assert [float(x) for x in solimp.split()] == list(SOLIMP)
     followed = mjcf.simulate(loop, float(step), integrator, [float(x) for x in solref])
     # a factor 2: the order of two steps does not hold exactly for a third, and 0.9 of the step is taken
     assert distance(followed, runs["newton_euler"]) < 2.0 * WANTED
     # and it is not short for nothing: four times as long a step misses the error
     longer = fitting(loop, 4.0 * float(step))
     assert distance(mjcf.simulate(loop, longer), runs["newton_euler"]) > WANTED
+
+
+OWN_FILE = """
+<mujoco>
+  <compiler angle="degree"/>
+  <option gravity="0 0 -9.81"/>
+  <default>
+    <joint axis="0 1 0"/><geom type="capsule" size="0.02" density="800" contype="0" conaffinity="0"/>
+  </default>
+  <worldbody>
+    <body name="crank">
+      <joint name="a" damping="0.05" stiffness="2" springref="30"/><geom fromto="0 0 0 0 0 0.5"/>
+      <body name="coupler" pos="0 0 0.5"><joint name="b"/><geom fromto="0 0 0 1 0 0.2"/></body>
+    </body>
+    <body name="rocker" pos="1 0 0"><joint name="d"/><geom fromto="0 0 0 0 0 0.7"/></body>
+  </worldbody>
+  <equality><connect name="c" body1="coupler" body2="rocker" anchor="1 0 0.2"/></equality>
+</mujoco>"""
+
+
+def plain_mujoco(text: str, scene: Scene) -> np.ndarray:
+    """(n, bodies, 3) centres of mass at the outputs by MuJoCo, of a file as it is."""
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    bodies = [model.body(name).id for name in scene.mechanism.body_names[1:]]
+    rows = []
+    for time in scene.times:
+        while data.time < time - 0.5 * model.opt.timestep:
+            mujoco.mj_step(model, data)
+        mujoco.mj_forward(model, data)
+        rows.append(data.xipos[bodies].copy())
+    return np.array(rows)
+
+
+def test_the_advice_holds_in_the_file_that_it_is_given_for(tmp_path: Path) -> None:
+    (tmp_path / "own.xml").write_text(OWN_FILE)
+    scene = mjcf.read.read(tmp_path / "own.xml", duration=1.0, output_period=0.05).scene
+    runs = {engine.name: engine.simulate(scene) for engine in choose(["newton_euler", "mujoco"])}
+    integrator, step, *solref, solimp = followed_by_hand(only(soft_advice(found(scene, runs))))
+    stepped = OWN_FILE.replace("<option", f'<option timestep="{step}" integrator="{integrator}"')
+    stiff = f'<connect solref="{" ".join(solref)}"'
+
+    def error(text: str) -> float:
+        gap = plain_mujoco(text, scene) - runs["newton_euler"].position[:, 1:]
+        return float(np.max(np.linalg.norm(gap, axis=-1)))
+
+    assert error(stepped.replace("<connect", f'{stiff} solimp="{solimp}"')) < WANTED
+    assert error(stepped.replace("<connect", stiff)) > 10.0 * WANTED  # MuJoCo's own solimp
 
 
 def test_mujoco_needs_rigid_company_and_the_same_model(loop: Scene, runs: dict[str, Trajectory]) -> None:
@@ -160,6 +222,71 @@ def test_the_cheapest_run_that_reaches_the_error(loop: Scene, runs: dict[str, Tr
     assert only(cost_advice(found(loop, far))).text.startswith("none of these runs has an error of at most")
     assert not list(cost_advice(found(loop, {"mujoco": runs["mujoco"]})))
     assert not list(cost_advice(found(loop, slow, MODEL_APART)))
+
+
+def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None:
+    from crosscheck.report import markdown, settings_lines
+
+    engines = choose(["newton_euler", "mujoco"])
+    loop = replace(planar_four_bar(), duration=0.1, output_period=0.05)
+    resting = replace(loop, gravity=np.zeros(3), initial_state=None)
+    result = crosscheck(resting, engines, lambda _: None, "a_scene", {})
+    assert result.rests
+    assert result.agrees
+    assert result.verdict.endswith("figures; nothing moves")
+    assert [advice.topic for advice in result.advice] == ["redundancy"]  # of the equations, not the run
+    (line,) = (line for line in settings_lines(result) if line.startswith("nothing moves"))
+    assert "it starts at rest in equilibrium" in line
+    assert "trajectories and energies test nothing" in line
+    assert line in markdown(result)
+
+    # one engine that stands still where another moves has not said that nothing does
+    falling = newton_euler.simulate(replace(loop, gravity=GRAVITY))
+    both = {"newton_euler": result.runs["newton_euler"], "pinocchio": falling}
+    assert not rests(resting, choose(list(both)), both)
+
+    moving = crosscheck(loop, engines, lambda _: None, "a_scene", {})
+    assert not moving.rests
+    assert "nothing moves" not in "\n".join([moving.verdict, *settings_lines(moving)])
+
+
+def test_a_mechanism_without_freedom_is_called_so() -> None:
+    from crosscheck.report import settings_lines
+
+    loop = replace(planar_four_bar(), duration=0.1, output_period=0.05, initial_state=None)
+    crank = loop.mechanism.joints[0]
+    stuck = Mechanism(
+        loop.mechanism.bodies,
+        [Fixed(crank.name, crank.first, crank.second, crank.point), *loop.mechanism.joints[1:]],
+    )
+    result = crosscheck(
+        replace(loop, mechanism=stuck, gravity=GRAVITY),
+        choose(["newton_euler", "mujoco"]),
+        lambda _: None,
+        "a_scene",
+        {},
+    )
+    (line,) = (line for line in settings_lines(result) if line.startswith("nothing moves"))
+    assert "the mechanism has no freedom" in line
+    assert {advice.topic for advice in result.advice} <= {"redundancy"}
+
+
+def test_an_engine_that_others_deserted_agrees_with_nobody() -> None:
+    scene = replace(pendulum(), duration=0.1, output_period=0.05)
+
+    def refuses(scene: Scene) -> Any:
+        raise NewtonEulerError("not in this world")
+
+    unable = [replace(ENGINES[name], systems=refuses) for name in ("mujoco", "pinocchio")]
+    result = crosscheck(scene, [ENGINES["newton_euler"], *unable], lambda _: None, "a_scene", {})
+    assert not result.agrees
+    assert result.verdict.startswith(
+        "NOT COMPARED: nothing could be compared on pendulum, ran newton_euler alone"
+    )
+    assert "mujoco and pinocchio cannot express it; its own figures hold" in result.verdict
+    asked = crosscheck(scene, [ENGINES["newton_euler"]], lambda _: None, "a_scene", {})
+    assert asked.agrees
+    assert asked.verdict.startswith("ran newton_euler alone")
 
 
 def test_advice_is_in_reports(loop: Scene) -> None:

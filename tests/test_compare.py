@@ -11,12 +11,16 @@ import pytest
 from mechanisms import GRAVITY, REGULAR, bar, pendulum, planar_four_bar, scaled, seven_hinges
 
 import mjcf
+import mjcf.read
 from crosscheck.comparison.levels import LEVELS, Row, compare, compare_equations, not_compared, sampled
 from crosscheck.comparison.momentum import momentum_row
 from crosscheck.comparison.samples import States
 from crosscheck.engines import ENGINES
 from crosscheck.scenes import load
+from mjcf import inspect, loops
+from mjcf.rigid import RigidMuJoCo
 from newton_euler.assemble import random_states
+from newton_euler.couplings import Gear
 from newton_euler.joints import Free, Revolute
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.scene import Scene
@@ -108,6 +112,46 @@ def test_tracker_is_held_to_what_it_can_meet(tracker, tracker_run):
     assert 1e-8 < figure(rows, "trajectories", "positions, m", "newton_euler", "mujoco").tolerance < 5e-8
     # a spline through points 10 ms apart misses 1e-6 where the dampers act within 9 ms
     assert figure(rows, "energy", "energy less work, rel", "newton_euler").tolerance < 5e-5
+
+
+def test_a_ball_on_the_axis_of_a_hinge_is_a_joint_of_both_models(tmp_path):
+    """Nothing that moves opens it, so MuJoCo has no rows for it."""
+    (tmp_path / "held.xml").write_text(
+        '<mujoco><worldbody><body name="arm"><joint name="hinge" axis="0 1 0"/>'
+        '<geom size="0.1" pos="1 0 0"/></body></worldbody>'
+        '<equality><connect name="ball" body1="arm" body2="world" anchor="0 0.3 0"/></equality></mujoco>'
+    )
+    scene = mjcf.read.read(tmp_path / "held.xml", duration=0.1, output_period=0.05).scene
+    system = RigidMuJoCo(scene)
+    ball = inspect.joint_geometry(system)["ball"]
+    assert ball.kinds == ("ball",)
+    assert ball.points == pytest.approx(np.array([[0.0, 0.3, 0.0]] * 2), abs=1e-15)  # round-off
+    assert loops.loops(system.model, system.data) == []
+    assert_agrees(verdicts(scene))
+
+
+def test_drift_of_mujoco_counts_its_soft_gears():
+    """Open at the follower by what the poses of two geared bars say; more if it is softer."""
+    ends = [0.0, 0.0, 0.0], [2.0, 0.0, 0.0]
+    hinges = [
+        Revolute(name, "ground", name, end, axis=[0.0, 1.0, 0.0])
+        for name, end in zip(("one", "two"), ends, strict=True)
+    ]
+    bars = [bar(joint.name, joint.point, joint.point + np.array([0.5, 0.0, 0.0])) for joint in hinges]
+    mechanism = Mechanism([Body.ground(), *bars], hinges, [Gear("pair", "one", "two", -2.0)])
+    scene = Scene("geared", mechanism, 0.5, 0.05, GRAVITY)
+    stiff, soft = mjcf.simulate(scene), mjcf.simulate(scene, solref=[0.02, 1.0])
+    for run in (stiff, soft):
+        half = np.unwrap(np.arctan2(run.quaternion[..., 2], run.quaternion[..., 0]), axis=0)
+        _, one, two = 2.0 * (half - half[0]).T
+        assert run.constraint_violation[:, 0] == pytest.approx(0.0, abs=1e-15)  # a hinge of the tree
+        opened = np.abs(two + 2.0 * one)
+        assert run.constraint_violation[:, 1] == pytest.approx(opened, abs=1e-13)  # round-off
+    assert np.max(soft.constraint_violation) > 10.0 * np.max(stiff.constraint_violation) > 1e-9
+    row = figure(verdicts(scene), "drift", "open joints, m or rad", "mujoco")
+    assert row.value == np.max(stiff.constraint_violation)
+    assert row.agrees
+    assert row.where.startswith("two")
 
 
 def with_joint(scene, index, **values):

@@ -77,6 +77,13 @@ def test_whatever_changes_the_equations_changes_it(tracker, change):
     assert fingerprint(CHANGES[change](tracker)) not in (None, fingerprint(tracker))
 
 
+def test_what_is_known_of_a_mechanism_cannot_change(tracker):
+    with pytest.raises(ValueError, match="read-only"):
+        tracker.mechanism.joints[0].point[0] = 1.0
+    with pytest.raises(AttributeError, match="joints of a mechanism cannot be changed"):
+        tracker.mechanism.joints = ()
+
+
 def test_what_no_equation_sees_does_not(tracker):
     same = replace(tracker, duration=1.0, output_period=0.1, description="another")
     assert fingerprint(same) == fingerprint(tracker)

@@ -18,7 +18,7 @@ import pytest
 from command_line import command, run, scene_file, short_example
 from rerun.chunk import RrdReader
 
-from crosscheck.output import ABANDONED
+from crosscheck.files import ABANDONED
 from newton_euler.trajectory import load_arrays
 
 ENGINES = ("newton_euler", "pinocchio")

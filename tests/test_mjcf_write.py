@@ -16,17 +16,23 @@ import numpy as np
 import pytest
 
 import mjcf
+import urdf
 from crosscheck.scenes.tracker import tracker as make_tracker
 from mjcf.errors import ModelError
 from mjcf.model import CompiledScene
+from mjcf.read import read as read_mjcf
 from newton_euler.assemble import random_states
 from newton_euler.control import PD
 from newton_euler.errors import NewtonEulerError
-from newton_euler.euler_parameters import angle_between
+from newton_euler.euler_parameters import angle_between, rotation
 from newton_euler.joints import Free, Revolute, Spherical, Universal
 from newton_euler.mechanism import Body, Mechanism
+from newton_euler.relative import Relative
 from newton_euler.scene import Scene
-from newton_euler.state import MassProperties
+from newton_euler.state import Evaluation, MassProperties, State
+from newton_euler.tree import unweld_loops, weld_loops
+from urdf.read import read as read_urdf
+from urdf.write import loops_path
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
 
@@ -206,3 +212,76 @@ def test_a_ball_turns_in_the_frame_of_the_body() -> None:
     system.place(np.array([np.cos(0.25), 0.0, np.sin(0.25), 0.0]), np.array([0.0, 3.0, 0.0]))
     assert np.allclose(system.data.qpos, [np.cos(0.25), 0.0, 0.0, -np.sin(0.25)], atol=1e-15)
     assert np.allclose(system.data.qvel, [0.0, 0.0, -3.0], atol=1e-15)
+
+
+def at_rest(scene: Scene) -> Evaluation:
+    system = Relative(scene)
+    return system.evaluate(*system.coordinates(State.initial(scene.mechanism)))
+
+
+WELD_CLOSED = """<mujoco><worldbody>
+<body name="crank"><joint name="A" axis="0 1 0"/>
+  <geom type="capsule" size="0.02" fromto="0 0 0 0.1 0 0.5"/>
+  <body name="coupler" pos="0.1 0 0.5"><joint name="B" axis="0 1 0"/>
+    <geom type="capsule" size="0.02" fromto="0 0 0 0.9 0 0.2"/>
+    <body name="tip" pos="0.9 0 0.2" quat="0.9 0.1 0.3 -0.2">{joint}
+      <geom type="box" size="0.03 0.02 0.01"/></body></body></body>
+<body name="rocker" pos="1 0 0"><joint name="D" axis="0 1 0"/>
+  <geom type="capsule" size="0.02" fromto="0 0 0 0 0 0.7"/></body>
+</worldbody><equality><weld name="C_weld" body1="{first}" body2="{second}" {anchor}/></equality></mujoco>"""
+"""A four-bar linkage closed by a weld, which is named as the cut of its joint C would be."""
+
+WELDS = {
+    "hinge": ('<joint name="C" axis="-6 17 -6"/>', "tip", "rocker", 'anchor="0 0 0.7"'),
+    "turned round": ('<joint name="C" axis="-6 17 -6"/>', "rocker", "tip", 'anchor="0.01 0 0"'),
+    "to the world": ('<joint name="C" type="ball"/>', "world", "tip", 'anchor="0.01 0 0"'),
+    "ball": ('<joint name="C" type="ball"/>', "tip", "rocker", 'anchor="0 0 0.7"'),
+}
+
+
+@pytest.mark.parametrize("suffix", ["xml", "urdf"])
+@pytest.mark.parametrize("name", WELDS)
+def test_a_loop_that_a_weld_closes_goes_there_and_back(name: str, suffix: str, tmp_path: Path) -> None:
+    joint, first, second, anchor = WELDS[name]
+    text = WELD_CLOSED.format(joint=joint, first=first, second=second, anchor=anchor)
+    (tmp_path / "model.xml").write_text(text)
+    scenes = [read_mjcf(tmp_path / "model.xml").scene]
+    for number in range(2):
+        path = tmp_path / f"{number}.{suffix}"
+        if suffix == "xml":
+            mjcf.write(scenes[-1], path)
+            scenes.append(read_mjcf(path).scene)
+        else:
+            urdf.write(scenes[-1], path)
+            scenes.append(read_urdf(path, loops_path(path)).scene)
+    own, *found = [replace(scene, initial_state=None) for scene in scenes]
+    wanted = at_rest(own)
+    for scene in found:
+        assert set(scene.mechanism.joint_names) == set(own.mechanism.joint_names)
+        assert set(scene.mechanism.body_names[1:]) == set(own.mechanism.body_names[1:])
+        back = at_rest(scene)
+        for k, body in enumerate(own.mechanism.bodies[1:], start=1):
+            i = scene.mechanism.body_index(body.name)
+            other = scene.mechanism.bodies[i]
+            # seventeen digits in the files, and condition numbers below 1e3
+            assert other.mass == pytest.approx(body.mass, rel=1e-12)
+            assert other.center_of_mass == pytest.approx(body.center_of_mass, abs=1e-12)
+            turn = rotation(body.quaternion).T @ rotation(other.quaternion)
+            inertia = turn @ other.inertia @ turn.T
+            assert np.allclose(inertia, body.inertia, rtol=0.0, atol=1e-12 * np.max(body.inertia))
+            for array in ("linear_acceleration", "angular_acceleration"):
+                x, y = getattr(wanted, array)[k], getattr(back, array)[i]
+                assert np.max(np.abs(x - y)) < 1e-12 * max(1.0, np.max(np.abs(getattr(wanted, array))))
+
+
+def test_a_cut_is_named_as_nothing_else_is(tmp_path: Path) -> None:
+    """An engine halves a body at joint C, whose weld would be named as the user's own."""
+    joint, first, second, anchor = WELDS["hinge"]
+    text = WELD_CLOSED.format(joint=joint, first=first, second=second, anchor=anchor)
+    (tmp_path / "model.xml").write_text(text.replace('name="B"', 'name="keep"'))
+    mechanism = read_mjcf(tmp_path / "model.xml").scene.mechanism
+    welded = weld_loops(mechanism)
+    assert len(welded.mechanism.bodies) == len(mechanism.bodies) + 1
+    back = unweld_loops(welded.mechanism)
+    assert back.joint_names == mechanism.joint_names
+    assert [body.mass for body in back.bodies] == pytest.approx([body.mass for body in mechanism.bodies])

@@ -149,6 +149,12 @@ HOSTILE = {
         "</replicate></worldbody></mujoco>",
         "its joints have 400 velocities, at most 300 here",
     ),
+    "misread.xml": (
+        FOUR_BAR.replace("<worldbody>", '<option><flag actuation="disable"/></option><worldbody>')
+        .replace('name="crank"', 'name="crank" gravcomp="1"')
+        .replace('name="a"', 'name="a" actuatorgravcomp="true"'),
+        "relative, the most at body 'crank': more than 1e-09, the scene is not what the file says",
+    ),
     "truncated.urdf": (CHAIN[:300], "not XML: line 1: unclosed token"),
     "bomb.urdf": (f"{BOMB}<robot name='&b;'/>", "a document type declaration, refused"),
     "nan.urdf": (CHAIN.replace('value="2.0"', 'value="nan"'), "link 'b': <mass> has value='nan'"),

@@ -12,9 +12,12 @@ import newton_euler
 from newton_euler.assemble import random_states
 from newton_euler.cartesian import Cartesian
 from newton_euler.control import PD
+from newton_euler.errors import NewtonEulerError
 from newton_euler.joints import Fixed, Revolute, Spherical
-from newton_euler.mechanism import Mechanism
+from newton_euler.mechanism import Body, Mechanism
+from newton_euler.redundancy import rows_in_use
 from newton_euler.relative import Relative
+from newton_euler.scene import Scene
 from newton_euler.solve import independent_rows, minimum_norm, rank
 from newton_euler.sparse import dense
 from newton_euler.state import State
@@ -132,3 +135,27 @@ def test_assembly_closes_a_disturbed_state(build):
     assert np.array_equal(state.position[0], start.position[0])
     assert np.abs(state.position - loose.position).max() < 1e-2  # no farther than it must
     assert replace(scene, initial_state=state).initial_state is state
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_a_flat_start_leaves_no_pivot_that_is_usually_zero(formulation):
+    """A parallelogram that lies flat: one row is exactly zero there, and nowhere near."""
+    thin = np.diag([1e-4, 0.02, 0.02])
+    bodies = [
+        Body.ground(),
+        Body("crank", 1.0, [0.25, 0.0, 0.0], thin),
+        Body("coupler", 1.0, [1.0, 0.0, 0.0], thin),
+        Body("rocker", 1.0, [1.25, 0.0, 0.0], thin),
+    ]
+    joints = [
+        Revolute("a", "ground", "crank", [0.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0]),
+        Revolute("b", "crank", "coupler", [0.5, 0.0, 0.0], axis=[0.0, 1.0, 0.0]),
+        Revolute("c", "ground", "rocker", [1.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0]),
+        Spherical("d", "coupler", "rocker", [1.5, 0.0, 0.0]),
+    ]
+    scene = Scene("flat", Mechanism(bodies, joints), 1.0, 0.1, (0.0, 0.0, -9.81))
+    rows, _ = rows_in_use(formulation(scene))
+    # of pivots that are 1 in a unit of their own; round-off is below 1e-15 of that
+    assert min(rows.scales) > 1e-9 * max(rows.scales)
+    with pytest.raises(NewtonEulerError, match=r"at t = 0 s: the run starts at rest at a singular.*joint '"):
+        newton_euler.simulate(scene, "relative" if formulation is Relative else "cartesian")

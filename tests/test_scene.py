@@ -30,7 +30,7 @@ from newton_euler.trajectory import atomic_file
         ("gravity", (0.0, 1.0), "gravity is"),
         ("control", None, "control is None"),
         ("control", (3,), "control is"),
-        ("initial_state", 3, "initial_state is 3"),
+        ("initial_state", 3, "is 3; needed: a State"),
         ("outputs", "energy", "outputs is 'energy'"),
         ("outputs", None, "outputs is None"),
         ("duration", True, "duration is True"),

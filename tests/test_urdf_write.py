@@ -260,6 +260,13 @@ def test_good_loop_file_replaces_the_named_joint(tracker):
     assert (model.nq, model.nv) == (8 - 1 + 4, 8 - 1 + 3)
 
 
+def test_joints_of_another_type_may_be_none(tracker):
+    """As in the files of robot_delta and 5bar_linkage_iso6d of example-parallel-robots."""
+    few = {key: GOOD[key] for key in ("closed_loop", "type", "name_mot")}
+    model = load(tracker, few).model
+    assert model.joints[model.getJointId("hinge_26")].nv == 1
+
+
 @pytest.mark.parametrize("key", sorted(GOOD))
 def test_missing_key_is_named(tracker, key):
     with pytest.raises(LoopFileError, match=rf"some\.loops\.yaml: {key}: missing"):
@@ -273,7 +280,9 @@ def test_missing_key_is_named(tracker, key):
         ("type", [], "0 entries for 1 of closed_loop"),
         ("type", "3d", "'3d' is not a list"),
         ("type", [["3d"]], "['3d'] is not a name"),
-        ("joint_type", ["CARDAN"], "unknown 'CARDAN'; choose from: SPHERICAL"),
+        ("joint_type", ["HELICAL"], "unknown 'HELICAL'; choose from: SPHERICAL"),
+        ("joint_type", ["CARDAN"], "'CARDAN' has two axes, of which the URDF gives one; needed: two"),
+        ("foo", 3, "unknown key; choose from: closed_loop, type, name_mot, joint_name, joint_type, coupled"),
         ("joint_type", [], "0 entries for 1 of joint_name"),
         ("joint_name", ["hinge_99"], "the URDF has no moving joint 'hinge_99'"),
         ("name_mot", ["universe"], "the URDF has no moving joint 'universe'"),

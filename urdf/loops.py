@@ -1,6 +1,7 @@
 """The loop file: what closes the loops of a URDF, and which of its joints are something else.
 
-Its keys are those of Gepetto's example-parallel-robots (`robot.yaml`), and `coupled`.
+Its keys are those of Gepetto's example-parallel-robots (`robot.yaml`), and `coupled`. The joint type CARDAN
+of some of those files is refused: a universal joint has two axes, and the URDF gives only one of them.
 """
 
 from __future__ import annotations
@@ -17,10 +18,12 @@ from urdf.errors import LoopFileError
 CLOSURE_TYPES = ("3d", "6d", "rod")
 JOINT_TYPES = ("SPHERICAL",)
 
+KEYS = ("closed_loop", "type", "name_mot", "joint_name", "joint_type", "coupled")
+
 
 @dataclass(frozen=True)
 class Loops:
-    """A loop file.
+    """A loop file; `coupled` may be missing, and so may `joint_name` and `joint_type` together.
 
     Attributes:
         source: the file's name, for messages.
@@ -31,7 +34,7 @@ class Loops:
         joint_name: joints whose type is not the one in the URDF.
         joint_type: for each of them one of `JOINT_TYPES`.
         coupled: for each coupling, names of joints and factors; the products with their coordinates add
-            up to zero. The only key that may be missing.
+            up to zero.
     """
 
     source: str
@@ -48,7 +51,7 @@ def parse_loops(text: str, source: str) -> Loops:
 
     Raises:
         LoopFileError: for text that is not plain YAML, see `newton_euler.yaml_source`, and for keys that are
-            missing, of the wrong form, of different lengths or with a type that is not known.
+            missing, unknown, of the wrong form, of different lengths or with a type that is not known.
     """
     try:
         document = parse_yaml(source, text)
@@ -56,6 +59,11 @@ def parse_loops(text: str, source: str) -> Loops:
         raise LoopFileError(source, "document", error.problem) from error
     if not isinstance(document, dict):
         raise LoopFileError(source, "document", "not a mapping from keys to lists")
+    for key in document:
+        if key not in KEYS:
+            raise LoopFileError(source, f"{key!s:.100}", f"unknown key; choose from: {', '.join(KEYS)}")
+    if "joint_name" not in document and "joint_type" not in document:
+        document |= {"joint_name": [], "joint_type": []}
     pairs = _entry(document, source, "closed_loop")
     for pair in pairs:
         if not isinstance(pair, list) or len(pair) != 2 or not all(isinstance(n, str) for n in pair):
@@ -63,6 +71,10 @@ def parse_loops(text: str, source: str) -> Loops:
         if pair[0] == pair[1]:
             raise LoopFileError(source, "closed_loop", f"{pair!r:.200} is one frame; needed: two")
     names = {key: _names(document, source, key) for key in ("type", "name_mot", "joint_name", "joint_type")}
+    if "CARDAN" in names["joint_type"]:
+        problem = "'CARDAN' has two axes, of which the URDF gives one"
+        needed = "two revolute joints in the URDF with a link without mass between them"
+        raise LoopFileError(source, "joint_type", f"{problem}; needed: {needed}")
     _check_types(source, "type", names["type"], CLOSURE_TYPES, "closed_loop", len(pairs))
     _check_types(
         source,

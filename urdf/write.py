@@ -37,18 +37,18 @@ LIMIT = "1000"
 """Of everything: URDF demands limits of hinges and slides, and the mechanism's joints have none."""
 
 
-def to_urdf(scene: Scene) -> str:
+def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
     """The mechanism of a scene as URDF text.
 
     Links are named as the bodies, joints as the joints (`<joint>_1`, `<joint>_2`, ... for the parts
     of a joint with several motions, from its first body to its second). Ball joints are placeholders,
     revolute, for the loop file to replace. Gravity, control, forces, prescribed motions and the initial
-    state are the scene's and not in the text.
+    state are the scene's and not in the text. `keep_bodies` is as of `newton_euler.tree.weld_loops`.
 
     Raises:
         NameClashError: if the parts of a joint are named as another joint or body is.
     """
-    welded = weld_loops(scene.mechanism)
+    welded = weld_loops(scene.mechanism, keep_bodies)
     mechanism, tree = welded.mechanism, welded.tree
     robot = Element("robot", name=scene.name)
     add_materials(robot)
@@ -77,9 +77,9 @@ def to_urdf(scene: Scene) -> str:
     return tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def to_loops(scene: Scene) -> str:
-    """The loop file (YAML text) that belongs to `to_urdf(scene)`."""
-    welded = weld_loops(scene.mechanism)
+def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
+    """The loop file (YAML text) that belongs to `to_urdf(scene, keep_bodies)`."""
+    welded = weld_loops(scene.mechanism, keep_bodies)
     joints = welded.mechanism.joints
     balls, motors = [], []
     for kept in welded.tree.joints:
@@ -117,7 +117,7 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
     """
     if Path(path).suffix != ".urdf":
         raise UrdfError(f"cannot write {os.fspath(path)!r}; needed: a name that ends in .urdf")
-    texts = to_urdf(scene), to_loops(scene)
+    texts = to_urdf(scene, keep_bodies=True), to_loops(scene, keep_bodies=True)
     try:
         with atomic_file(path) as urdf, atomic_file(loops_path(path)) as loops:
             urdf.write_text(texts[0], encoding="utf-8")

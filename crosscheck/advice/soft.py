@@ -1,4 +1,4 @@
-"""MuJoCo: the step and solref for an error, and softness told apart from another model."""
+"""MuJoCo: the step, solref and solimp for an error, and softness told apart from another model."""
 
 from __future__ import annotations
 
@@ -53,11 +53,12 @@ def _step_advice(found: Found, error: float, finer: float) -> Advice:
         return Advice(NAME, f"its error does not follow its step, so that none can be advised: {measured}")
     wanted = MARGIN * step * (WANTED / error) ** (1.0 / order)
     wanted = fitting(found.scene, min(wanted, FARTHEST * step))
+    solimp = " ".join(f"{value:g}" for value in settings["solimp"])  # MuJoCo's default lets far more give way
     relation = "is enough for" if wanted >= step else "is needed for"
     return Advice(
         NAME,
-        f'{settings["integrator"]} with timestep {wanted:.12g} s and solref "{2.0 * wanted:.12g} 1" '
-        f"{relation} an error of {WANTED:g} (m, rad): {measured}",
+        f'{settings["integrator"]} with timestep {wanted:.12g} s, solref "{2.0 * wanted:.12g} 1" and solimp '
+        f'"{solimp}" of all equalities {relation} an error of {WANTED:g} (m, rad): {measured}',
     )
 
 

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from crosscheck.benchmark.work_precision import Progress
 from crosscheck.errors import CrosscheckError
-from crosscheck.output import check_writable
+from crosscheck.files import check_writable
 from crosscheck.scenes import load
 from newton_euler.trajectory import atomic_file
 

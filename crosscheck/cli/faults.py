@@ -10,6 +10,7 @@ from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
     cli,
+    load_and_tell,
     progress_shown,
     rendered,
     scene_options,
@@ -29,11 +30,10 @@ def faults_command(scene: str, settings: tuple[str, ...], loops: str | None, out
 
     from crosscheck.faults.find import find_faults
     from crosscheck.faults.report import as_json, holds, lines, tables, verdict, write
-    from crosscheck.output import check_writable
-    from crosscheck.scenes import load
+    from crosscheck.files import check_writable
 
     options = scene_options(scene, settings, loops)
-    loaded = load(scene, **options)
+    loaded = load_and_tell(scene, options)
     path = (output or Path("output/faults") / loaded.name) / "faults.json"
     check_writable(path)
     start = time.perf_counter()

@@ -6,7 +6,15 @@ from pathlib import Path
 
 import click
 
-from crosscheck.cli.shared import AGREE, cli, progress_shown, rendered, scene_options, setting_options
+from crosscheck.cli.shared import (
+    AGREE,
+    cli,
+    load_and_tell,
+    progress_shown,
+    rendered,
+    scene_options,
+    setting_options,
+)
 from crosscheck.errors import CrosscheckError
 
 
@@ -16,9 +24,8 @@ from crosscheck.errors import CrosscheckError
 def explain_command(scene: str, settings: tuple[str, ...], loops: str | None) -> int:
     """Say what the compiler keeps of SCENE, what it leaves out, and what each feature costs."""
     from crosscheck.explain import explain
-    from crosscheck.scenes import load
 
-    loaded = load(scene, **scene_options(scene, settings, loops))
+    loaded = load_and_tell(scene, scene_options(scene, settings, loops))
     with progress_shown() as progress:
         parts = list(explain(loaded, progress))
     click.echo(rendered(parts), nl=False)
@@ -69,10 +76,13 @@ def bench_command(
 ) -> int:
     """Measure run time against error on SCENE, for every engine and setting."""
     from crosscheck.benchmark import run
+    from crosscheck.model_files.read import is_model
 
     options = scene_options(scene, settings, loops)
     if rhs + scaling + (batch is not None) > 1:
         raise CrosscheckError("--rhs, --scaling and --batch are different benchmarks; choose one")
+    if is_model(scene):  # the benchmarks load scenes themselves, of any size
+        load_and_tell(scene, options)
     with progress_shown() as progress:
         if rhs:
             lines, written = run.bench_rhs(scene, options, output, progress)

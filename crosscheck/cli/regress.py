@@ -11,7 +11,7 @@ from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
     cli,
-    load_scene,
+    load_and_tell,
     progress_shown,
     rendered,
     scene_options,
@@ -55,7 +55,7 @@ def regress_command(
 
     The library of scenes if none is given. Exit status 1 if a figure moved out of its band.
     """
-    from crosscheck.output import check_writable
+    from crosscheck.files import check_writable
     from crosscheck.regress.report import tables, verdict
     from crosscheck.regress.run import check, update, write_reports
 
@@ -103,7 +103,7 @@ def _guarded(sources: tuple[str, ...], options: dict[str, str], baseline: Path |
             raise CrosscheckError(
                 f"the baseline of {source!r} is of its defaults; --set needs --baseline FILE"
             )
-        scene, _ = load_scene(source, options)
+        scene = load_and_tell(source, options)
         for other in guarded:
             if other.scene.name == scene.name:
                 raise CrosscheckError(f"{other.source} and {source} are both named {scene.name!r}")

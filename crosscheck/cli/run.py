@@ -84,8 +84,9 @@ def _run(
     loops: str | None,
 ) -> int:
     from crosscheck.engines import choose
+    from crosscheck.files import check_writable
     from crosscheck.model_files.read import report_lines
-    from crosscheck.output import check_writable, write
+    from crosscheck.output import write
     from crosscheck.partial import partial_runs_saved
     from crosscheck.report import markdown, settings_lines, terminal_tables
     from crosscheck.run import crosscheck
@@ -139,13 +140,15 @@ def list_command() -> int:
 @setting_options
 def convert_command(source: str, target: Path, settings: tuple[str, ...], loops: str | None) -> int:
     """Write IN (a scene, MJCF or URDF) as OUT, in the format that its name ends in."""
-    from crosscheck.model_files.convert import check_target, scene_report, write_as
+    from crosscheck.files import check_writable
+    from crosscheck.model_files.convert import check_no_source, check_target, scene_report, write_as
     from crosscheck.model_files.read import report_lines
-    from crosscheck.output import check_writable
 
     check_target(target)
+    options = scene_options(source, settings, loops)
+    check_no_source(target, [source, *([options["loops"]] if "loops" in options else [])])
     check_writable(target)
-    scene, report = load_scene(source, scene_options(source, settings, loops))
+    scene, report = load_scene(source, options)
     report = report or scene_report(scene)
     written = write_as(scene, target, report)
     for line in report_lines(report):

@@ -87,6 +87,15 @@ def load_scene(scene: str, options: dict[str, str]) -> tuple[Scene, Mapping | No
     return load(scene, **options), None
 
 
+def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
+    """A scene, with a line on standard error for each element of its file that is not in it as it was."""
+    loaded, mapping = load_scene(scene, options)
+    for entry in mapping.entries if mapping else ():
+        if entry.fate != "exactly":
+            click.echo(f"{scene}: {entry}", err=True)
+    return loaded
+
+
 @contextmanager
 def progress_shown() -> Iterator[Callable[[str], None]]:
     """A function that shows what is going on, on a terminal's standard error."""

@@ -5,13 +5,13 @@ What an engine's run may be off is measured by refining its step or tolerance.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
 
 from crosscheck.comparison.energy import energy_balance
-from crosscheck.comparison.rows import OWN_ERROR, UNRESOLVED, Row, reach
+from crosscheck.comparison.rows import OWN_ERROR, ROUND_OFF, UNRESOLVED, Row, reach
 from crosscheck.engines import Engine
 from newton_euler.euler_parameters import angle_between
 from newton_euler.scalars import Array
@@ -40,6 +40,27 @@ def _kinetic_energies_apart(x: Trajectory, y: Trajectory) -> Array:
     assert x.kinetic_energy is not None
     assert y.kinetic_energy is not None
     return np.abs(x.kinetic_energy - y.kinetic_energy)
+
+
+def displacements(runs: Mapping[str, Trajectory]) -> dict[str, float]:
+    """By engine how far any body gets from where its run starts, m and rad."""
+    found = {}
+    for name, run in runs.items():
+        start = np.broadcast_to(run.quaternion[0], run.quaternion.shape)
+        gaps = np.linalg.norm(run.position - run.position[0], axis=-1), angle_between(run.quaternion, start)
+        found[name] = float(np.max(gaps))
+    return found
+
+
+def rests(scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory]) -> bool:
+    """Whether in no run of a rigid engine anything moves but by round-off of the reach, or of 1 m and 1 rad.
+
+    Soft constraints give way a little even so: engines that have them are asked if there are no others.
+    """
+    asked = [engine for engine in engines if engine.soft_start is None] or engines
+    moved = displacements(runs)
+    reaches = {engine.name: max(1.0, reach(scene, runs[engine.name].position)) for engine in asked}
+    return all(moved[name] <= ROUND_OFF * length for name, length in reaches.items())
 
 
 def compare_runs(

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.files import check_writable
 from crosscheck.html import measurements, page, run
 from crosscheck.html.page import Cell, Markup
 from crosscheck.html.summary import NAME, read_summary
-from crosscheck.output import check_writable
 from newton_euler.trajectory import atomic_file
 
 PAGE = "report.html"

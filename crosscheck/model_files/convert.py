@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import os
+import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
 from newton_euler.control import Sampled
 from newton_euler.mapping import Mapping
 from newton_euler.scene import Scene
+from urdf.write import loops_path
 
 SCENE_FILES = (".yaml", ".yml", ".json")
 
 MJCF = (".xml", ".mjcf")
+
+CONTROL = re.compile(r"^control law of |^its actuators' force ")
+FORCES = re.compile(r"^wrench | as wrench | as a spring| as point spring | as a damper$")
+ROTORS = re.compile(r"^its armature \S+( at joint .*)?$")
+"""How reading a model file tells of what is no part of a URDF."""
 
 
 def check_target(path: Path) -> None:
@@ -19,6 +28,21 @@ def check_target(path: Path) -> None:
     known = (*MJCF, ".urdf", *SCENE_FILES)
     if path.suffix not in known:
         raise CrosscheckError(f"cannot convert to {path}; choose a name that ends in {', '.join(known)}")
+
+
+def check_no_source(path: Path, sources: Iterable[str]) -> None:
+    """Raise `CrosscheckError` if a file to be written is one of those that are to be read."""
+    for target in _files(path):
+        for source in sources:
+            if os.path.exists(target) and os.path.exists(source) and os.path.samefile(target, source):
+                raise CrosscheckError(
+                    f"converting would overwrite {source}, which it reads; name another file"
+                )
+
+
+def _files(path: Path) -> list[Path]:
+    """What `write_as` writes."""
+    return [path, loops_path(path)] if path.suffix == ".urdf" else [path]
 
 
 def write_as(scene: Scene, path: Path, report: Mapping) -> list[Path]:
@@ -51,19 +75,28 @@ def write_as(scene: Scene, path: Path, report: Mapping) -> list[Path]:
         report.left_out("duration and outputs", "an MJCF has none")
         return [path]
     import urdf
-    from urdf.write import loops_path
 
     urdf.write(scene, path)
-    for law in scene.control:
-        report.left_out(law.element, "a URDF has no control laws")
-    for force in scene.forces:
-        report.left_out(force.element, "a URDF as written here has no forces")
+    _leave_out(report, CONTROL, "a URDF has no control laws", [law.element for law in scene.control])
+    _leave_out(report, FORCES, "a URDF as written here has no forces", [f.element for f in scene.forces])
+    # rotors of several elements of a file add up at one joint coordinate, and are told of there
+    report.entries = [entry for entry in report.entries if not ROTORS.search(entry.how)]
     for armature in scene.armatures:
         report.left_out(armature.element, "a URDF has no rotors")
     for motion in scene.motions:
         report.left_out(f"motion of joint {motion.joint!r}", "a URDF has none")
     report.left_out("gravity, initial state, duration and outputs", "a URDF has none")
-    return [path, loops_path(path)]
+    return _files(path)
+
+
+def _leave_out(report: Mapping, told: re.Pattern[str], why: str, elements: list[str]) -> None:
+    """File as left out what reading has carried over; the scene's own elements where it told of none."""
+    again = [entry for entry in report.entries if entry.fate != "left out" and told.search(entry.how)]
+    report.entries = [entry for entry in report.entries if entry not in again]
+    for entry in again:
+        report.left_out(entry.element, f"{entry.how}: {why}")
+    for element in () if again else elements:
+        report.left_out(element, why)
 
 
 def _report_sampled(scene: Scene, instead: str, report: Mapping) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.output import check_writable
+from crosscheck.files import check_writable
 from crosscheck.regress import bands, recording
 from crosscheck.regress.baseline import Baseline, read
 from crosscheck.regress.compare import Comparison, compare

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.output import check_writable
+from crosscheck.files import check_writable
 from crosscheck.stress.plot import plots, png, recording
 from crosscheck.stress.topics import PROCESSES, TOPICS, Row
 from newton_euler.trajectory import atomic_file

@@ -34,6 +34,12 @@ TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGai
 
 TO_JOINTS = (TRANSMISSION.mjTRN_JOINT, TRANSMISSION.mjTRN_JOINTINPARENT)
 
+GROUPS = 31
+"""Of actuators, that a file can disable."""
+
+AT_LIMIT = 1e-12
+"""Relative, of a sum of forces that MuJoCo has scaled to be at its limit."""
+
 
 class Affine(NamedTuple):
     """constant + by_length l + by_rate dl/dt, N or N m."""
@@ -46,7 +52,7 @@ class Affine(NamedTuple):
 def driven_joints(model: Any) -> set[int]:
     """Numbers of MuJoCo's joints that actuators may drive."""
     found: set[int] = set()
-    for actuator in range(model.nu):
+    for actuator in range(model.nactuator):
         kind, target = TRANSMISSION(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
         if kind in TO_JOINTS:
             found.add(target)
@@ -73,8 +79,18 @@ class Actuators:
         self._forces, self._report = forces, report
         self._laws: dict[Key, PD] = {}
         self.armatures: dict[Key, float] = {}
-        for actuator in range(self._model.nu):
+        self._told: list[tuple[str, str, str, tuple[int, ...]]] = []
+        mujoco.mj_fwdActuation(self._model, self._data)
+        for actuator in range(self._model.nactuator):
             self._add(actuator)
+        limited = [int(joint) for joint in np.flatnonzero(self._model.jnt_actfrclimited)]
+        held = [joint for joint in limited if self._limit(joint)]
+        for element, how, limit, driven in self._told:
+            limits = [limit, *(f"the limit of {joints.element(k)} holds it" for k in driven if k in held)]
+            if any(limits):
+                report.approximated(element, "; ".join([how, *filter(None, limits)]))
+            else:
+                report.exactly(element, how)
 
     @property
     def laws(self) -> tuple[PD, ...]:
@@ -87,90 +103,163 @@ class Actuators:
     def _add(self, actuator: int) -> None:
         model = self._model
         element = f"actuator {model.actuator(actuator).name or actuator!r}"
+        kind = TRANSMISSION(model.actuator_trntype[actuator])
+        moments = self._moments(actuator, kind)
+        if why := self._disabled(actuator):
+            self._report.left_out(element, why)
+            self._add_rotor(actuator, element, moments)
+            return
         law = self._affine(actuator, element)
         if law is None:
             return
-        self._report_limits(actuator, element)
-        target, gear = int(model.actuator_trnid[actuator, 0]), model.actuator_gear[actuator]
-        kind = TRANSMISSION(model.actuator_trntype[actuator])
+        self._report_damping(actuator, element)
+        law, limited = self._limited(actuator, element, law)
+        if moments is not None:
+            self._add_to_joints(actuator, element, law, limited, moments)
+        elif law == Affine(0.0, 0.0, 0.0) and not model.actuator_armature[actuator]:
+            self._tell(element, "no force at the controls of the start", limited)
+        elif kind == TRANSMISSION.mjTRN_SITE:
+            self._add_wrench(actuator, element, law, limited, model.actuator_gear[actuator])
+        else:
+            what = kind.name.removeprefix("mjTRN_").lower()
+            self._leave(actuator, element, f"no control law acts through its transmission, {what}")
+
+    def _moments(self, actuator: int, kind: mujoco.mjtTrn) -> dict[int, float] | None:
+        """What it makes of its force on each joint; None if it acts on others than hinges and slides."""
+        target, gear = int(self._model.actuator_trnid[actuator, 0]), self._model.actuator_gear[actuator, 0]
         weights: dict[int, float] | None = None
         if kind in TO_JOINTS:
             weights = {target: 1.0}
         elif kind == TRANSMISSION.mjTRN_TENDON:
             weights = fixed(self._start, target)
-        if weights is not None and all(joint in self._joints.keys for joint in weights):
-            self._add_to_joints(actuator, element, law, {k: w * float(gear[0]) for k, w in weights.items()})
-        elif law == Affine(0.0, 0.0, 0.0):
-            self._report.exactly(element, "no force at the controls of the start")
-        elif kind == TRANSMISSION.mjTRN_SITE:
-            self._add_wrench(actuator, element, law, gear)
-        else:
-            what = kind.name.removeprefix("mjTRN_").lower()
-            self._leave(actuator, element, f"no control law acts through its transmission, {what}")
+        if weights is None or any(joint not in self._joints.keys for joint in weights):
+            return None
+        return {joint: weight * float(gear) for joint, weight in weights.items()}
+
+    def _disabled(self, actuator: int) -> str:
+        """Why the file itself switches its force off, if it does."""
+        if self._start.disabled("ACTUATION"):
+            return "the file disables actuators"
+        group = int(self._model.actuator_group[actuator])
+        # groups beyond the bits of the option cannot be disabled
+        if 0 <= group < GROUPS and int(self._model.opt.disableactuator) >> group & 1:
+            return f"the file disables actuators of group {group}"
+        return ""
+
+    def _control(self, actuator: int) -> float:
+        """The control of the start within its range."""
+        model = self._model
+        ctrl = float(self._data.ctrl[int(model.actuator_ctrladr[actuator])])
+        if model.actuator_ctrllimited[actuator] and not self._start.disabled("CLAMPCTRL"):
+            ctrl = float(np.clip(ctrl, *model.actuator_ctrlrange[actuator]))
+        return ctrl
 
     def _affine(self, actuator: int, element: str) -> Affine | None:
         """Its force with the control held; None if it is no affine function of length and rate."""
         model = self._model
-        if self._start.disabled("ACTUATION"):
-            self._report.left_out(element, "the file disables actuators")
-            return None
         known = (
-            DYNAMICS(model.actuator_dyntype[actuator]) == DYNAMICS.mjDYN_NONE
+            model.actuator_plugin[actuator] < 0
+            and not model.actuator_delay[actuator]
+            and DYNAMICS(model.actuator_dyntype[actuator]) == DYNAMICS.mjDYN_NONE
             and GAIN(model.actuator_gaintype[actuator]) in (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE)
             and BIAS(model.actuator_biastype[actuator]) in (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE)
         )
         if not known:
-            self._leave(actuator, element, "has dynamics, gain or bias that is no affine function")
+            self._leave(
+                actuator,
+                element,
+                "has dynamics, a delay, a plugin, or gain or bias that is no affine function",
+            )
             return None
-        place = int(model.actuator_ctrladr[actuator])
-        ctrl = float(self._data.ctrl[place])
-        if model.actuator_ctrllimited[actuator] and not self._start.disabled("CLAMPCTRL"):
-            ctrl = float(np.clip(ctrl, *model.actuator_ctrlrange[actuator]))
+        ctrl = self._control(actuator)
         gain, bias = model.actuator_gainprm[actuator][:3] * ctrl, model.actuator_biasprm[actuator][:3]
         if GAIN(model.actuator_gaintype[actuator]) == GAIN.mjGAIN_FIXED:
             gain = gain * [1.0, 0.0, 0.0]
         if BIAS(model.actuator_biastype[actuator]) == BIAS.mjBIAS_AFFINE:
             gain = gain + bias
-        return self._limited(actuator, element, Affine(*(float(x) for x in gain)))
+        return Affine(*(float(x) for x in gain))
+
+    def _tell(self, element: str, how: str, limit: str, driven: tuple[int, ...] = ()) -> None:
+        """To report once it is known which of the joints that it drives are held at their limits."""
+        self._told.append((element, how, limit, driven))
 
     def _leave(self, actuator: int, element: str, why: str) -> None:
         self._report.left_out(element, why)
-        self._start.left.append(("actuator", actuator))
+        self._start.differ(self._model.actuator_gear, actuator)
 
-    def _limited(self, actuator: int, element: str, law: Affine) -> Affine:
-        """The law, or its limit where it is above that at the start."""
+    def _limited(self, actuator: int, element: str, law: Affine) -> tuple[Affine, str]:
+        """The law and "", or the limit where the law is above that at the start, and the words for it."""
         model, data = self._model, self._data
-        if not model.actuator_forcelimited[actuator]:
-            return law
-        low, high = (float(x) for x in model.actuator_forcerange[actuator])
         length, rate = data.actuator_length[actuator], data.actuator_velocity[actuator]
-        force = float(law.constant + law.by_length * length + law.by_rate * rate)
-        if low <= force <= high:
-            self._report.left_out(element, f"its limit of the force, {low:g} to {high:g}")
-            return law
-        held = min(max(force, low), high)
+        force = held = float(law.constant + law.by_length * length + law.by_rate * rate)
+        if model.actuator_forcelimited[actuator]:
+            low, high = (float(x) for x in model.actuator_forcerange[actuator])
+            held = min(max(force, low), high)
+            if held == force:
+                self._report.left_out(element, f"its limit of the force, {low:g} to {high:g}")
+                self._start.differ(model.actuator_forcelimited, actuator)
+        held = self._limited_by_tendon(actuator, element, held)
+        if held == force:
+            return law, ""
+        self._start.differ(model.actuator_forcelimited, actuator, 1)
+        self._start.differ(model.actuator_forcerange, actuator, held)
         why = f"its force would be {force:.4g} at the start and is held at its limit there, {held:g}"
-        self._report.approximated(element, why)
-        return Affine(held, 0.0, 0.0)
+        return Affine(held, 0.0, 0.0), why
 
-    def _report_limits(self, actuator: int, element: str) -> None:
+    def _limited_by_tendon(self, actuator: int, element: str, force: float) -> float:
+        """Its share of what a tendon lets all actuators on it pull with together."""
+        model, data = self._model, self._data
+        tendon = int(model.actuator_trnid[actuator, 0])
+        on_tendons = model.actuator_trntype == TRANSMISSION.mjTRN_TENDON
+        if not on_tendons[actuator] or not model.tendon_actfrclimited[tendon]:
+            return force
+        self._start.differ(model.tendon_actfrclimited, tendon)
+        low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
+        # MuJoCo has scaled them already
+        outputs = model.actuator_outadr[on_tendons & (model.actuator_trnid[:, 0] == tendon)]
+        total = float(np.sum(data.actuator_force[outputs]))
+        if not np.any(np.isclose(total, [low, high], rtol=AT_LIMIT, atol=0.0)):
+            self._report.left_out(element, f"its tendon's limit of actuator forces, {low:g} to {high:g}")
+            return force
+        return float(data.actuator_force[model.actuator_outadr[actuator]])
+
+    def _limit(self, joint: int) -> bool:
+        """Whether what drives a joint is above the joint's limit at the start, and so held there."""
+        model, data, dof = self._model, self._data, int(self._model.jnt_dofadr[joint])
+        key, element = self._joints.keys.get(joint), self._joints.element(joint)
+        low, high = (float(x) for x in model.jnt_actfrcrange[joint])
+        law = None if key is None else self._laws.get(key)
+        force = 0.0 if law is None else law.feedforward - law.damping * float(data.qvel[dof])
+        held = min(max(force, low), high)
+        if key is None or law is None or held == force:
+            if law is not None or data.qfrc_actuator[dof]:
+                self._report.left_out(element, f"its limit of actuator forces, {low:g} to {high:g}")
+                self._start.differ(model.jnt_actfrclimited, joint)
+            return False
+        self._laws[key] = PD(key[0], 0.0, 0.0, 0.0, key[1], held)
+        self._start.differ(model.jnt_actfrcrange, joint, held)
+        why = (
+            f"its actuators' force would be {force:.4g} at the start and is held at its limit there, {held:g}"
+        )
+        self._report.approximated(element, why)
+        return True
+
+    def _report_damping(self, actuator: int, element: str) -> None:
         model = self._model
         if np.any(model.actuator_damping[actuator]) or np.any(model.actuator_dampingpoly[actuator]):
             self._report.left_out(element, "damping of its own")
 
-    def _add_to_joints(self, actuator: int, element: str, law: Affine, moments: dict[int, float]) -> None:
-        model = self._model
-        inertia = float(model.actuator_armature[actuator])
-        keys = self._joints.keys
+    def _add_to_joints(
+        self, actuator: int, element: str, law: Affine, limited: str, moments: dict[int, float]
+    ) -> None:
+        keys, inertia = self._joints.keys, float(self._model.actuator_armature[actuator])
         slopes = self._ties.slopes({keys[joint]: moment for joint, moment in moments.items()})
         if slopes is None and (law.by_length or law.by_rate or inertia):
             what = f"a sum of {len(moments)} joint coordinates that no gears tie"
             self._leave(actuator, element, f"its force depends on {what}")
             return
         constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
-        rotor = reduced_inertia(self._start, self._joints, self._ties, moments, inertia) if inertia else None
-        if rotor is not None:
-            self.armatures[rotor[0]] = self.armatures.get(rotor[0], 0.0) + rotor[1]
+        self._add_rotor(actuator, element, moments)
         for joint, moment in moments.items():
             key = keys[joint]
             slope = 0.0 if slopes is None else slopes[key]
@@ -183,13 +272,24 @@ class Actuators:
                 key[1],
                 before.feedforward + moment * constant,
             )
-            if model.jnt_actfrclimited[joint]:
-                self._report.left_out(self._joints.element(joint), "its limit of actuator forces")
-        ctrl = float(self._data.ctrl[int(model.actuator_ctrladr[actuator])])
         names = ", ".join(repr(self._joints.of[joint]) for joint in moments)
-        self._report.exactly(element, f"control law of joint {names}, its control held at {ctrl:g}")
+        how = f"control law of joint {names}, its control held at {self._control(actuator):g}"
+        self._tell(element, how, limited, tuple(moments))
 
-    def _add_wrench(self, actuator: int, element: str, law: Affine, gear: Array) -> None:
+    def _add_rotor(self, actuator: int, element: str, moments: dict[int, float] | None) -> None:
+        """Its armature, which MuJoCo has of disabled actuators too."""
+        inertia = float(self._model.actuator_armature[actuator])
+        if not inertia:
+            return
+        rotor = reduced_inertia(self._start, self._joints, self._ties, moments or {}, inertia)
+        if rotor is None:
+            why = f"its armature {inertia:g}: no single joint coordinate tells its length"
+            self._leave(actuator, element, why)
+            return
+        self.armatures[rotor[0]] = self.armatures.get(rotor[0], 0.0) + rotor[1]
+        self._report.exactly(element, f"its armature {inertia:g} at joint {rotor[0][0]!r}")
+
+    def _add_wrench(self, actuator: int, element: str, law: Affine, limited: str, gear: Array) -> None:
         """A constant force and torque at a site, in the site's frame or in that of a fixed one."""
         model, data = self._model, self._data
         site, reference = (int(k) for k in model.actuator_trnid[actuator])
@@ -207,4 +307,4 @@ class Actuators:
         name = self._forces.name(own, f"actuator_{actuator}")
         frame: Any = "body" if turning else "world"
         self._forces.forces.append(Wrench(name, body, data.site_xpos[site].copy(), force, torque, frame))
-        self._report.exactly(element, f"wrench {name!r}, constant in the {frame}")
+        self._tell(element, f"wrench {name!r}, constant in the {frame}", limited)

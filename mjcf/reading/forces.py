@@ -17,6 +17,8 @@ from newton_euler.mapping import Mapping, unique_name
 from newton_euler.measured import Key
 from newton_euler.scalars import Array
 
+NOT_LINEAR = "the part of its stiffness or damping that is not linear"
+
 
 class Forces:
     """What acts on joints and bodies beside gravity and actuators.
@@ -48,17 +50,17 @@ class Forces:
         dof, place = int(model.jnt_dofadr[number]), int(model.jnt_qposadr[number])
         stiffness = float(model.jnt_stiffness[number]) if self._springs else 0.0
         damping = float(model.dof_damping[dof]) if self._dampers else 0.0
-        curved = np.any(model.jnt_stiffnesspoly[number]) or np.any(model.dof_dampingpoly[dof])
-        if curved:
-            self._report.left_out(element, "the part of its stiffness or damping that is not linear")
-            self._start.left.append(("joint", number))
+        bent = self._springs and np.any(model.jnt_stiffnesspoly[number])
+        if bent or (self._dampers and np.any(model.dof_dampingpoly[dof])):
+            self._report.left_out(element, NOT_LINEAR)
+            self._start.differ(model.jnt_stiffnesspoly, number)
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
         if number not in self._joints.keys:
             kind = "ball" if model.jnt_type[number] == BALL else "free"
             self._report.left_out(element, f"{what}: a {kind} joint has no coordinate to act on")
-            self._start.left.append(("joint", number))
+            self._start.differ(model.jnt_stiffness, number)
             return
         joint, coordinate = self._joints.keys[number]
         rest = float(model.qpos_spring[place] - self._data.qpos[place])
@@ -71,8 +73,10 @@ class Forces:
         element = f"tendon {name or tendon!r}"
         stiffness = float(model.tendon_stiffness[tendon]) if self._springs else 0.0
         damping = float(model.tendon_damping[tendon]) if self._dampers else 0.0
-        if np.any(model.tendon_stiffnesspoly[tendon]) or np.any(model.tendon_dampingpoly[tendon]):
-            self._leave_tendon(tendon, element, "the part of its stiffness or damping that is not linear")
+        bent = self._springs and np.any(model.tendon_stiffnesspoly[tendon])
+        if bent or (self._dampers and np.any(model.tendon_dampingpoly[tendon])):
+            self._report.left_out(element, NOT_LINEAR)
+            self._start.differ(model.tendon_stiffnesspoly, tendon)
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
@@ -90,7 +94,7 @@ class Forces:
 
     def _leave_tendon(self, tendon: int, element: str, why: str) -> None:
         self._report.left_out(element, why)
-        self._start.left.append(("tendon", tendon))
+        self._start.differ(self._model.tendon_stiffness, tendon)
 
     def _add_sum(
         self, tendon: int, element: str, what: str, weights: dict[int, float], along: JointSpring
@@ -138,6 +142,10 @@ class Forces:
         element = f"body {self._model.body(body).name or body!r}"
         if name == GROUND or not np.any(force):
             return
+        if not (self._springs or self._dampers):
+            why = "MuJoCo has none of it in a file that disables springs and dampers"
+            self._report.left_out(element, f"gravity compensation {share:g}: {why}")
+            return
         wrench = self.name(f"{self._model.body(body).name}_gravcomp", f"gravcomp_{body}")
         self.forces.append(Wrench(wrench, name, self._data.xipos[body].copy(), force))
         self._report.exactly(element, f"gravity compensation {share:g} as wrench {wrench!r}")
@@ -159,7 +167,7 @@ def armatures(start: Start, joints: Joints, ties: Ties, report: Mapping) -> dict
         else:
             kind = "ball" if model.jnt_type[number] == BALL else "free"
             report.left_out(element, f"its armature {inertia:g}: a {kind} joint has no coordinate for it")
-            start.left.append(("joint", number))
+            start.differ(model.dof_armature, model.dof_jntid == number)
     for tendon in np.flatnonzero(model.tendon_armature):
         element = f"tendon {model.tendon(tendon).name or int(tendon)!r}"
         inertia = float(model.tendon_armature[tendon])
@@ -167,7 +175,7 @@ def armatures(start: Start, joints: Joints, ties: Ties, report: Mapping) -> dict
         rotor = reduced_inertia(start, joints, ties, weights, inertia)
         if rotor is None:
             report.left_out(element, f"its armature {inertia:g}: no single joint coordinate tells its length")
-            start.left.append(("tendon", int(tendon)))
+            start.differ(model.tendon_armature, tendon)
             continue
         key, reduced = rotor
         found[key] = found.get(key, 0.0) + reduced

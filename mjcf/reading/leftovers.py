@@ -45,10 +45,13 @@ def report_leftovers(start: Start, joints: Joints, report: Mapping) -> None:
             report.left_out(f"option {name}", f"{value:g}: nothing here moves in a fluid")
     if np.any(option.wind):
         report.left_out("option wind", "nothing here moves in a fluid")
+        start.differ(option.wind, slice(None))
     if model.nflex:
         report.left_out(
             f"{model.nflex} flexes", "bodies are rigid: what holds their points together is missing"
         )
+        for array in (model.flex_stiffness, model.flex_bending, model.flex_edgestiffness):
+            start.differ(array, slice(None))
     if model.nplugin:
         report.left_out(f"{model.nplugin} plugins", "what they do is not known")
     if model.nkey > 1:

@@ -49,7 +49,7 @@ class Loops:
 
     def _leave(self, index: int, why: str) -> None:
         self._report.left_out(self._start.equality(index), why)
-        self._start.left.append(("equality", index))
+        self._start.differ(self._data.eq_active, index)
 
     def _add(self, index: int) -> None:
         match mujoco.mjtEq(self._model.eq_type[index]):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from mjcf.motion import body_acceleration
 from mjcf.reading.bodies import Bodies
+from mjcf.reading.source import SourceError
 from mjcf.reading.start import Start
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array
@@ -20,28 +22,28 @@ from newton_euler.state import State
 AT_REST = 1e-3
 """m/s^2, of a mechanism in which nothing moves."""
 
+SAME = 1e-9
+"""Relative, of accelerations: two sets of equations on numbers that went through a compiler."""
+
+
+class Gap(NamedTuple):
+    """A difference of accelerations, relative to the largest, and the body that has it."""
+
+    relative: float
+    body: str
+
 
 @contextmanager
 def without_left(start: Start) -> Iterator[None]:
-    """Within it MuJoCo's model lacks what was left out of the scene."""
-    model, data = start.model, start.data
-    dofs = {int(joint): model.dof_jntid == joint for kind, joint in start.left if kind == "joint"}
-    changed = [(array, array.copy()) for array in (
-        data.eq_active, model.tendon_stiffness, model.tendon_stiffnesspoly, model.tendon_armature,
-        model.actuator_gainprm, model.actuator_biasprm, model.actuator_armature,
-        model.jnt_stiffness, model.jnt_stiffnesspoly, model.dof_armature,
-    )]  # fmt: skip
-    of_kind = {"equality": slice(0, 1), "tendon": slice(1, 4), "actuator": slice(4, 7), "joint": slice(7, 9)}
-    for kind, index in start.left:
-        for array, _ in changed[of_kind[kind]]:
-            array[index] = 0
-    for mask in dofs.values():
-        model.dof_armature[mask] = 0.0
+    """Within it MuJoCo's model is without what the scene leaves out or approximates."""
+    changed = [(array, rows, np.copy(array[rows])) for array, rows, _ in start.differences]
+    for array, rows, values in start.differences:
+        array[rows] = values
     try:
         yield
     finally:
-        for array, before in changed:
-            array[:] = before
+        for array, rows, before in reversed(changed):
+            array[rows] = before
 
 
 def rigid_accelerations(start: Start) -> Array:
@@ -70,7 +72,26 @@ def rigid_accelerations(start: Start) -> Array:
     return np.array(found)
 
 
-def acceleration_gap(start: Start, bodies: Bodies, scene: Scene) -> float:
+def gap_line(start: Start, bodies: Bodies, scene: Scene) -> str:
+    """A line for the report: how far the scene is from MuJoCo's model of the file.
+
+    Raises:
+        SourceError: if that is more than round-off, and what is left out or approximated does not explain it.
+    """
+    gap = acceleration_gap(start, bodies, scene)
+    what = "accelerations at rest there are off MuJoCo's of the file itself, rigid, by"
+    line = f"{what} {gap.relative:.1e} relative"
+    if start.differences and not gap.relative <= SAME:
+        with without_left(start):
+            gap = acceleration_gap(start, bodies, scene)
+        line += f", and by {gap.relative:.1e} of the file without what is left out or approximated"
+    if not gap.relative <= SAME:
+        why = f"the most at body {gap.body!r}: more than {SAME:g}, the scene is not what the file says"
+        raise SourceError(start.path, f"{line}, {why}")
+    return line
+
+
+def acceleration_gap(start: Start, bodies: Bodies, scene: Scene) -> Gap:
     """Largest difference of a body's acceleration at rest at the start, relative to the largest there is.
 
     Angular ones count at the mechanism's size. Of a body that several are fixed together in, the first
@@ -79,7 +100,8 @@ def acceleration_gap(start: Start, bodies: Bodies, scene: Scene) -> float:
     wanted = rigid_accelerations(start)
     system = Relative(scene)
     evaluation = system.evaluate(*system.coordinates(State.initial(scene.mechanism)))
-    size, gap, scale = scene.mechanism.size, 0.0, max(float(np.linalg.norm(scene.gravity)), AT_REST)
+    size, gap, worst = scene.mechanism.size, 0.0, scene.mechanism.bodies[1].name
+    scale = max(float(np.linalg.norm(scene.gravity)), AT_REST)
     for k, body in enumerate(scene.mechanism.bodies[1:], start=1):
         root = bodies.root(body.name)
         angular = evaluation.angular_acceleration[k]
@@ -87,6 +109,8 @@ def acceleration_gap(start: Start, bodies: Bodies, scene: Scene) -> float:
         linear = evaluation.linear_acceleration[k] + np.cross(angular, arm)
         found = np.concatenate([linear, size * angular]).reshape(2, 3)
         mujocos = np.concatenate([wanted[root, :3], size * wanted[root, 3:]]).reshape(2, 3)
-        gap = max(gap, *(float(x) for x in np.linalg.norm(found - mujocos, axis=1)))
+        apart = float(np.nan_to_num(np.max(np.linalg.norm(found - mujocos, axis=1)), nan=np.inf))
+        if apart > gap:
+            gap, worst = apart, body.name
         scale = max(scale, *(float(x) for x in np.linalg.norm(mujocos, axis=1)))
-    return gap / scale
+    return Gap(gap / scale, worst)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -31,9 +31,6 @@ DISABLED = ("CONTACT", "LIMIT", "FRICTIONLOSS", "WARMSTART")
 """What is outside of rigid dynamics with bilateral constraints."""
 
 
-Element = Literal["equality", "tendon", "actuator", "joint"]
-
-
 class Start:
     """A model and where it starts.
 
@@ -42,7 +39,8 @@ class Start:
         model: without contacts, limits and dry friction.
         data: at the start, positions and velocities worked out.
         key: name of the keyframe, or "qpos0".
-        left: kinds and numbers of MuJoCo's elements that were left out although they act on accelerations.
+        differences: arrays of MuJoCo's model or data, their rows, and what those have to hold for the model
+            to be without what was left out of the scene or approximated. Of what acts at rest.
     """
 
     def __init__(self, path: str, model: Any, key: str | None, report: Mapping) -> None:
@@ -52,7 +50,7 @@ class Start:
             SourceError: for an unknown keyframe, and for loops that do not close from there.
         """
         self.path, self.model = path, model
-        self.left: list[tuple[Element, int]] = []
+        self.differences: list[tuple[Array, Any, Any]] = []
         self.data: Any = mujoco.MjData(model)
         self._disabled = int(model.opt.disableflags)
         model.opt.disableflags |= sum(int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{n}")) for n in DISABLED)
@@ -82,6 +80,10 @@ class Start:
     def disabled(self, feature: str) -> bool:
         """Whether the file itself switches a feature off."""
         return bool(self._disabled & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")))
+
+    def differ(self, array: Array, rows: Any, values: Any = 0) -> None:
+        """Remember what the scene has instead of these rows of one of MuJoCo's arrays."""
+        self.differences.append((array, rows, values))
 
     def _place(self, key: str | None) -> str:
         model, data = self.model, self.data

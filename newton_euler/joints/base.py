@@ -108,6 +108,7 @@ def _vector(joint: str, name: str, value: object) -> Array:
         vector = np.zeros(0)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise MechanismError(f"joint {joint!r}", f"{name} is {value!r}", "three finite numbers")
+    vector.flags.writeable = False
     return vector
 
 

@@ -1,0 +1,42 @@
+"""Files that are to be written after something long."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from crosscheck.errors import CrosscheckError
+
+ABANDONED = 60.0
+"""s after which an unfinished file is that of a process that was killed: files are made in memory first,
+and writing them takes no longer."""
+
+
+def check_writable(*paths: Path) -> None:
+    """Raise `CrosscheckError` before a run whose files could not be written after it.
+
+    What earlier runs that were killed left unfinished of these files is removed.
+    """
+    for path in paths:
+        try:
+            if path.is_dir():
+                raise CrosscheckError(f"cannot write {path}: it is a directory")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=path.parent):
+                pass
+        except OSError as error:
+            raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
+        _remove_abandoned(path)
+
+
+def _remove_abandoned(path: Path) -> None:
+    """Remove the temporary files of `atomic_file`, and those of their own, that nobody writes any more."""
+    unfinished = re.compile(rf"\.+{re.escape(path.stem)}(-[0-9a-f]{{8}})+{re.escape(path.suffix)}")
+    for found in path.parent.iterdir():
+        if unfinished.fullmatch(found.name):
+            with suppress(OSError):  # another process may have been quicker
+                if time.time() - found.stat().st_mtime > ABANDONED:
+                    found.unlink()
