@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
@@ -15,6 +16,10 @@ from newton_euler.assemble import random_states
 from newton_euler.scene import Scene
 from newton_euler.state import State
 from newton_euler.trajectory import Trajectory
+
+# shells have what they start in the background ignore interrupts, which some tests send
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

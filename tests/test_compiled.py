@@ -104,8 +104,10 @@ def test_a_singular_configuration_takes_the_dense_path():
     system = compiled.system
     x = compiled.packed(*system.coordinates(scene.initial_state))
     assert compiled.function("derivative")(x)[-1] <= 0.0
-    native = compile_scene(scene, stabilization="none").simulate()
-    assert native.settings["dense"] > 0
+    # under gravity its way out is not determined; with nothing that pulls it stays
+    resting = compile_scene(replace(scene, gravity=(0.0, 0.0, 0.0)), stabilization="none").simulate()
+    assert resting.settings["dense"] > 0
+    assert np.array_equal(resting.position[-1], resting.position[0])
 
 
 def flat_four_bar():

@@ -106,13 +106,15 @@ def stage(
 ) -> int:
     """Stage s of a step of size h from `now`, its derivative into row s of k; returns a status."""
     for i in range(n):
-        at[i] = now[i]
+        at[i] = 0.0
     for j in range(s):
-        weight = h * COUPLING[16 * s + j]
+        weight = COUPLING[16 * s + j]
         if weight != 0.0:
             rates = k[(n + 1) * j :]
             for i in range(n):
                 at[i] += weight * rates[i]
+    for i in range(n):  # once, for each sum with the state loses digits
+        at[i] = now[i] + h * at[i]
     at[n] = now[n] + NODES[s] * h
     return evaluate(n, derivative, dense, at, k[(n + 1) * s :], counts)
 
@@ -150,11 +152,13 @@ def prepare_dense(n: int, h: float, now: Vector, end: Vector, k: Vector, terms: 
         for i in range(n):
             term[i] = 0.0
         for j in range(16):
-            weight = h * DENSE[16 * row + j]
+            weight = DENSE[16 * row + j]
             if weight != 0.0:
                 rates = k[(n + 1) * j :]
                 for i in range(n):
                     term[i] += weight * rates[i]
+        for i in range(n):
+            term[i] = h * term[i]
 
 
 @native
