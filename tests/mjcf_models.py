@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from mjcf.read import Reading, read
+
 BAR = '<geom type="capsule" fromto="0 0 0 {0}" size="0.02"/>'
 
 
@@ -170,3 +174,18 @@ FOUR_BARS = {
     ),
 }  # fmt: skip
 """One four-bar linkage."""
+
+
+SAME = 1e-9
+"""Relative, of accelerations: two sets of equations on numbers that went through XML and a compiler."""
+
+
+def reading(folder: Path, text: str, **options: object) -> Reading:
+    path = folder / "model.xml"
+    path.write_text(text)
+    return read(path, **options)  # type: ignore[arg-type]
+
+
+def gap(found: Reading) -> float:
+    """The figure of the last line about the start."""
+    return float(found.report.start[-1].split(" by ")[1].split()[0])

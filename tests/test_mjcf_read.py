@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mjcf_models import ELEMENTS, FOUR_BARS, PAIR, arm, model
+from mjcf_models import ELEMENTS, FOUR_BARS, PAIR, SAME, arm, gap, model, reading
 
 import newton_euler
 from mjcf.errors import MjcfError
@@ -30,20 +30,6 @@ from newton_euler.joints import (
     Universal,
 )
 from newton_euler.mapping import Mapping
-
-SAME = 1e-9
-"""Relative, of accelerations: two sets of equations on numbers that went through XML and a compiler."""
-
-
-def reading(folder: Path, text: str, **options: object) -> Reading:
-    path = folder / "model.xml"
-    path.write_text(text)
-    return read(path, **options)  # type: ignore[arg-type]
-
-
-def gap(found: Reading) -> float:
-    """The figure of the last line about the start."""
-    return float(found.report.start[-1].split(" by ")[1].split()[0])
 
 
 @pytest.mark.parametrize("name", ELEMENTS)
@@ -291,160 +277,6 @@ def test_ties_through_several_gears() -> None:
     assert ties.rates([p, other]) is None
     assert ties.rates([other]) == {other: 1.0}
     assert ties.rates([]) is None
-
-
-def test_a_force_at_its_limit_is_held_there(tmp_path: Path) -> None:
-    text = ELEMENTS["actuators"].replace('kp="20"', 'kp="20" forcerange="-3 3"')
-    found = reading(tmp_path, text)
-    assert gap(found) < SAME
-    (entry,) = found.report.of("approximated")
-    assert entry.how == (
-        "control law of joint 'two_joints', its control held at 0.4; "
-        "its force would be 11 at the start and is held at its limit there, 3"
-    )
-    assert entry.element not in [e.element for e in found.report.of("exactly")]
-    within = reading(tmp_path, text.replace("-3 3", "-30 30"))
-    assert not within.report.of("approximated")
-    assert any("its limit of the force, -30 to 30" in e.how for e in within.report.of("left out"))
-
-
-def test_a_control_is_reported_within_its_range(tmp_path: Path) -> None:
-    report = reading(tmp_path, ELEMENTS["actuators"]).report
-    assert "control law of joint 'p', its control held at 1" in [e.how for e in report.of("exactly")]
-
-
-LIMITED = model(
-    PAIR.replace('name="p"', 'name="p" actuatorfrcrange="-2 1" damping="0.1"'),
-    '<tendon><fixed name="t" actuatorfrcrange="-9 3"><joint joint="q" coef="2"/></fixed></tendon>'
-    '<actuator><motor name="one" joint="p"/><position name="two" joint="p" kp="20" kv="5"/>'
-    '<motor name="three" tendon="t" gear="0.5"/><motor name="four" tendon="t"/></actuator>'
-    '<keyframe><key qpos="0.1 0 0" qvel="{qvel} 0 0" ctrl="1 0.4 4 8"/></keyframe>',
-)
-
-
-def test_joints_and_tendons_at_their_limits_of_actuator_forces(tmp_path: Path) -> None:
-    found = reading(tmp_path, LIMITED.format(qvel="0"))
-    assert gap(found) < SAME
-    # 1 + 20 (0.4 - 0.1) is above 1; of 4 and 8 the tendon lets 3 through, in their proportion, 0.5 and 1 of
-    # which make forces of 2 each on the joint
-    laws = {(law.joint, law.coordinate): law for law in found.scene.control}
-    assert laws["p", 0].force(0.1, 0.2) == 1.0
-    assert laws["two_joints", 1].force(0.1, 0.2) == pytest.approx(2.0 * (0.5 * 1.0 + 2.0), rel=1e-14)
-    approximated = {entry.element: entry.how for entry in found.report.of("approximated")}
-    assert approximated["joint 'p'"] == (
-        "its actuators' force would be 7 at the start and is held at its limit there, 1"
-    )
-    assert approximated["actuator 'two'"].endswith("held at 0.4; the limit of joint 'p' holds it")
-    assert approximated["actuator 'four'"].endswith(
-        "would be 8 at the start and is held at its limit there, 2"
-    )
-    exactly = {entry.element for entry in found.report.of("exactly")}
-    assert not [element for element in exactly if element.startswith("actuator")]
-
-
-def test_limits_are_those_of_a_start_that_moves(tmp_path: Path) -> None:
-    """Within them for the damping of an actuator, or above them for it, where at rest it is the other way."""
-    within = reading(tmp_path, LIMITED.format(qvel="1.3"))
-    entries = [str(entry) for entry in within.report.of("left out")]
-    assert "joint 'p': left out: its limit of actuator forces, -2 to 1" in entries
-    assert {law.joint: law.damping for law in within.scene.control}["p"] == 5.0
-    first, second = (float(part.split()[0]) for part in within.report.start[-1].split(" by ")[1:])
-    assert first > 0.1
-    assert second < SAME
-    below = reading(tmp_path, LIMITED.format(qvel="3").replace("1 0.4 4 8", "0.5 0.1 4 8"))
-    assert {law.joint: law.force(0.0, 0.0) for law in below.scene.control}["p"] == -2.0
-
-
-GROUP = '<option actuatorgroupdisable="1 30"/>'
-FLAG = '<option><flag actuation="disable"/></option>'
-
-
-@pytest.mark.parametrize(
-    ("option", "why"),
-    [(GROUP, "the file disables actuators of group 1"), (FLAG, "the file disables actuators")],
-)
-def test_disabled_actuators(option: str, why: str, tmp_path: Path) -> None:
-    motors = (
-        '<actuator><motor name="off" group="1" joint="p" armature="0.2" gear="2"/>'
-        '<motor name="on" joint="q"/></actuator><keyframe><key ctrl="3 4"/></keyframe>'
-    )
-    found = reading(tmp_path, model(PAIR, motors, option))
-    assert gap(found) < SAME
-    assert f"actuator 'off': left out: {why}" in [str(entry) for entry in found.report.of("left out")]
-    assert {law.joint: law.force(0.0, 0.0) for law in found.scene.control} == (
-        {"two_joints": 4.0} if option == GROUP else {}
-    )
-    # MuJoCo has the rotor all the same
-    (rotor,) = found.scene.armatures
-    assert (rotor.joint, rotor.inertia) == ("p", pytest.approx(0.8))
-
-
-@pytest.mark.parametrize(("spring", "damper"), [("disable", "disable"), ("enable", "disable")])
-def test_gravity_compensation_with_flags(spring: str, damper: str, tmp_path: Path) -> None:
-    flags = f'<option><flag spring="{spring}" damper="{damper}"/></option>'
-    found = reading(tmp_path, model(PAIR.replace('name="two"', 'name="two" gravcomp="0.4"'), "", flags))
-    assert gap(found) < SAME
-    assert len(found.scene.forces) == (spring == "enable")
-
-
-def test_only_what_is_left_out_is_taken_away(tmp_path: Path) -> None:
-    """A spring's part that is not linear, but neither its linear one nor the armature of the joint."""
-    text = ELEMENTS["springs and dampers"].replace('stiffness="20"', 'stiffness="20 99" armature="0.3"')
-    found = reading(tmp_path, text)
-    first, second = (float(part.split()[0]) for part in found.report.start[-1].split(" by ")[1:])
-    assert first > 100.0 * SAME
-    assert second < SAME
-    damped = reading(tmp_path, ELEMENTS["springs and dampers"].replace('damping="2"', 'damping="2 3"'))
-    assert damped.report.start[-1].count(" by ") == 1
-    assert [e for e in damped.report.of("left out") if e.how.endswith("damping that is not linear")]
-    before = found.start.model.jnt_stiffnesspoly.copy()
-    gap_line(found.start, Bodies(found.start, Mapping()), found.scene)
-    assert np.array_equal(found.start.model.jnt_stiffnesspoly, before)
-    assert np.any(before)
-
-
-SHEET = (
-    '<flexcomp name="f" type="grid" count="4 1 1" spacing=".1 .1 .1" pos="0 0 3" mass="1" radius="0.01" '
-    'dim="1"><edge stiffness="10"/><contact selfcollide="none"/></flexcomp>'
-)
-STRETCHED = "0 0 0 0 0 0 0.02 0 0 0.01 0.02 0 0.03 0 0.01"
-SITED = '<actuator><motor site="s1" gear="0 0 50 0 0 0"/></actuator><keyframe><key ctrl="3"/></keyframe>'
-MUSCLE = (
-    '<actuator><muscle joint="p" lengthrange="0 1"/></actuator><keyframe><key act="0.5" ctrl="1"/></keyframe>'
-)
-
-
-@pytest.mark.parametrize(
-    ("text", "entry"),
-    [
-        (model(PAIR, "", '<option wind="3 1 2" density="50" viscosity="0.1"/>'), "option wind"),
-        (model(PAIR + SHEET, f'<keyframe><key qpos="{STRETCHED}"/></keyframe>'), "1 flexes"),
-        (model(PAIR.replace('name="p"', 'name="p" actuatorfrcrange="-1 1"'), SITED), "joint 'p'"),
-        (model(PAIR, MUSCLE), "actuator 0"),
-    ],
-    ids=["wind", "flex", "limit of what a wrench does", "muscle"],
-)
-def test_what_is_left_out_explains_the_difference(text: str, entry: str, tmp_path: Path) -> None:
-    found = reading(tmp_path, text)
-    first, second = (float(part.split()[0]) for part in found.report.start[-1].split(" by ")[1:])
-    assert entry in [e.element for e in found.report.of("left out")]
-    # a hundred times what counts as the same
-    assert first > 100.0 * SAME
-    assert second < SAME
-
-
-def test_a_delayed_actuator_is_left_out(tmp_path: Path) -> None:
-    motor = '<actuator><motor joint="p" delay="0.01" nsample="9"/></actuator>'
-    found = reading(tmp_path, model(PAIR, motor + '<keyframe><key ctrl="3"/></keyframe>'))
-    assert not found.scene.control
-    assert [e for e in found.report.of("left out") if e.how.startswith("has dynamics, a delay")]
-
-
-def test_what_no_reading_covers_is_refused(tmp_path: Path) -> None:
-    """Gravity compensation that counts as an actuator's, in a file that disables actuators."""
-    text = PAIR.replace('name="p"', 'name="p" actuatorgravcomp="true"').replace('"one"', '"one" gravcomp="1"')
-    with pytest.raises(MjcfError, match=r"rigid, by \S+ relative, the most at body 'one': more than 1e-09"):
-        reading(tmp_path, model(text, "", FLAG))
 
 
 def test_an_unknown_keyframe(tmp_path: Path) -> None:
