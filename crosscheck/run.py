@@ -21,6 +21,7 @@ from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import TooLongError, limited
 from crosscheck.partial import StoppedRunError
+from crosscheck.scenes.options import titled
 from newton_euler.errors import NewtonEulerError, StoppedError
 from newton_euler.mapping import Mapping as Report
 from newton_euler.scene import Scene
@@ -68,8 +69,7 @@ class Crosscheck:
     @property
     def title(self) -> str:
         """The scene's name, with the options that were set."""
-        options = ", ".join(f"{option}={value}" for option, value in self.options.items())
-        return f"{self.scene.name} ({options})" if options else self.scene.name
+        return titled(self.scene.name, self.options)
 
     @property
     def rests(self) -> bool:

@@ -16,6 +16,14 @@ from newton_euler.scalars import Array, cross
 from newton_euler.state import Evaluation
 
 
+def mass_and_force(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
+    """M (nv, nv) and f (nv,) of M qacc = f + J^T lambda, with positions and velocities worked out."""
+    mujoco.mj_fwdActuation(model, data)
+    mass = np.empty((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    return mass, data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias
+
+
 def evaluation(compiled: CompiledScene, acceleration: Array, multipliers: Array) -> Evaluation:
     """Everything about the state that `compiled.data` holds.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import mujoco
-import numpy as np
 
 from mjcf.loops import all_loops
 from mjcf.rigid import RigidMuJoCo
@@ -37,12 +36,7 @@ def joint_geometry(system: RigidMuJoCo) -> dict[str, JointGeometry]:
 def mass_and_force(system: RigidMuJoCo, q: Array, v: Array) -> tuple[Array, Array]:
     """M (nv, nv) and f (nv,) of M vdot = f + J^T lambda in tree velocities, by MuJoCo."""
     system.state(q, v)
-    model, data, to_qvel = system.model, system.data, system.layout.to_qvel
-    mujoco.mj_fwdActuation(model, data)
-    mass = np.empty((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, mass)
-    force = data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias
-    return to_qvel.T @ mass @ to_qvel, to_qvel.T @ force
+    return system.mass_and_force()
 
 
 def move_anchor(system: RigidMuJoCo, joint: str, shift: Array) -> None:

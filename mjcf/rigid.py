@@ -15,7 +15,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjcf.evaluate import constraint_jacobian, evaluation
+from mjcf.evaluate import constraint_jacobian, evaluation, mass_and_force
 from mjcf.loops import loops
 from mjcf.model import CompiledScene
 from newton_euler.scalars import Array
@@ -114,18 +114,13 @@ class RigidMuJoCo(CompiledScene):
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """vdot (nv,) and the multipliers (k,) of MuJoCo's constraint rows."""
-        model, data, to_qvel = self.model, self.data, self.layout.to_qvel
         gamma = -self.velocity_product(q, v)
         gamma[self._coupled] += self.couplings.acceleration(self.time)
-        mujoco.mj_fwdActuation(model, data)
-        mass = np.empty((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, mass)
-        force = data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias
-        return solve_constrained(
-            to_qvel.T @ mass @ to_qvel,
-            to_qvel.T @ force,
-            self._jacobian(),
-            gamma,
-            self.phi_units,
-            self.velocity_units,
-        )
+        mass, force = self.mass_and_force()
+        return solve_constrained(mass, force, self._jacobian(), gamma, self.phi_units, self.velocity_units)
+
+    def mass_and_force(self) -> tuple[Array, Array]:
+        """M (nv, nv) and f (nv,) of M vdot = f + J^T lambda at the state that MuJoCo has, by MuJoCo."""
+        mass, force = mass_and_force(self.model, self.data)
+        to_qvel = self.layout.to_qvel
+        return to_qvel.T @ mass @ to_qvel, to_qvel.T @ force

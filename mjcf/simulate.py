@@ -14,7 +14,7 @@ import numpy as np
 
 from mjcf.errors import DivergenceError
 from mjcf.write import SOLIMP, TIMESTEP
-from newton_euler.blame import fastest_joint, strongest_force
+from newton_euler.blame import blamed, fastest_joint, strongest_force
 from newton_euler.errors import IntegrationError, OptionError, StoppedError, UnknownNameError
 from newton_euler.sampling import Interval, holding, intervals, sample
 from newton_euler.scalars import Array
@@ -262,9 +262,8 @@ def _divergence(time: float, warning: str, rows: Sequence[Output]) -> Divergence
     """MuJoCo's warning, with the joint that was fastest and the force that was largest at the last output."""
     system, q, v = rows[-1][:3]
     state = system.state(q, v)
-    force = strongest_force(system.scene, state)
-    reason = f"{warning}; fastest at joint {fastest_joint(system.mechanism, state)!r}"
-    return DivergenceError(time, reason if force is None else f"{reason}, largest force: {force}")
+    joint, force = fastest_joint(system.mechanism, state), strongest_force(system.scene, state)
+    return DivergenceError(time, blamed(warning, joint, force))
 
 
 def _stepped(system: SoftMuJoCo, number: int) -> float:

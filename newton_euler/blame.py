@@ -10,6 +10,12 @@ from newton_euler.scene import Scene
 from newton_euler.state import State
 
 
+def blamed(reason: str, joint: str, force: str | None) -> str:
+    """A reason with the joint that moves fastest and the largest force, if there is one."""
+    reason = f"{reason}; fastest at joint {joint!r}"
+    return reason if force is None else f"{reason}, largest force: {force}"
+
+
 def fastest_joint(mechanism: Mechanism, state: State) -> str:
     """Name of the joint between whose bodies speeds differ most, in sizes of the mechanism and rad, per s."""
     with np.errstate(all="ignore"):

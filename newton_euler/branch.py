@@ -6,6 +6,7 @@ coordinates that depend on the others is singular. Its determinant has another s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,28 @@ class Branch:
 
     columns: tuple[int, ...]
     same: bool | None
+
+
+def assembled(
+    start: str, side: Branch, joints: Sequence[str], closed: float, moved: Array, apart: float
+) -> list[str]:
+    """Lines for a report on a start that was open and is closed.
+
+    Args:
+        start: what it is called.
+        side: how it lies to the closed configuration.
+        joints: names of the joints that the velocities belong to, by number.
+        closed: m or rad, by which it is open still.
+        moved: (nv,) how far coordinates moved, m or rad.
+        apart: m, how far bodies moved at most.
+    """
+    dof = int(np.argmax(np.abs(moved)))
+    bending = ", ".join(dict.fromkeys(repr(joints[k]) for k in side.columns[:MOST_NAMES]))
+    return [
+        f"assembled next to {start}: closed to {closed:.1e}, joint {joints[dof]!r} moved most, "
+        f"by {moved[dof]:.3g}, bodies by up to {apart:.3g} m",
+        f"branch: {SIDES[side.same].format(start, bending)}",
+    ]
 
 
 def branch(first: Array, second: Array) -> Branch:

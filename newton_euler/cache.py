@@ -7,6 +7,7 @@ wherever a run is killed. A cache that cannot be read or written costs a compila
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sys
 import time
@@ -26,15 +27,11 @@ _DIGEST = 32
 
 
 def _digest(code: bytes) -> bytes:
-    import hashlib
-
     return hashlib.sha256(code).digest()
 
 
 def cache_key(*parts: object) -> str:
     """The name of what depends on these parts, and on their text alone."""
-    import hashlib
-
     return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
 
 

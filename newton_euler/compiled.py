@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from newton_euler.cache import cache_key, read_cache, write_cache
+from newton_euler.cache import cache_directory, cache_key, read_cache, write_cache
 from newton_euler.cartesian import Cartesian
 from newton_euler.compile import NativeFunction
 from newton_euler.errors import UnknownNameError
@@ -146,7 +146,7 @@ class Code:
 
     def _remembered(self, what: str, make: Callable[[], T]) -> T:
         """What an earlier process made of the same scene, or made now."""
-        if self._identity is None:
+        if self._identity is None or cache_directory() is None:
             return make()
         key = cache_key(self._identity, what)
         kept = read_cache(key)

@@ -19,7 +19,7 @@ from newton_euler.errors import MechanismError
 from newton_euler.euler_parameters import conjugate, product
 from newton_euler.forces import PointSpring
 from newton_euler.mechanism import CLOSURE_TOLERANCE
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, objects
 from newton_euler.scene import VELOCITY_TOLERANCE, Scene
 from newton_euler.shapes import UNIT_TOLERANCE
 from newton_euler.state import State
@@ -92,13 +92,7 @@ def stack(found: Sequence[Array]) -> State:
 def _stacked(values: Array) -> Array:
     """(b, w) of `Stack` from (n, b, w) floats."""
     columns = np.ascontiguousarray(np.moveaxis(values, 0, -1)).reshape(-1, len(values))
-    return _objects([Stack(column) for column in columns]).reshape(values.shape[1:])
-
-
-def _objects(scalars: Sequence[Any]) -> Array:
-    array = np.empty(len(scalars), dtype=object)
-    array[:] = scalars
-    return array
+    return objects([Stack(column) for column in columns]).reshape(values.shape[1:])
 
 
 def _floats(scalars: Array, count: int) -> Array:
@@ -171,7 +165,7 @@ class _TreeOverStacks(SpanningTree):
                     coordinate, rate = next(single)
                     q.extend(coordinate)
                     v.extend(rate)
-        return _objects(q), _objects(v)
+        return objects(q), objects(v)
 
 
 def _normalised(p: Array) -> list[Stack]:

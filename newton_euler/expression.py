@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, objects
 
 COMMUTATIVE = frozenset({"add", "mul", "minimum"})
 
@@ -65,7 +65,7 @@ class Graph:
         """(count,) new inputs."""
         first = self.inputs
         self.inputs += count
-        return _objects([self.record("input", first + k) for k in range(count)])
+        return objects([self.record("input", first + k) for k in range(count)])
 
     def constant(self, value: float) -> int:
         """The node of a constant."""
@@ -289,13 +289,6 @@ def _scaled(graph: Graph, x: float, b: int) -> Expression | float:
     if x == 0.0:
         return 0.0
     return Expression(graph, b) if x == 1.0 else graph.scale(x, b)
-
-
-def _objects(scalars: Sequence[Any]) -> Array:
-    """An object array of scalars, which NumPy must not look into."""
-    array = np.empty(len(scalars), dtype=object)
-    array[:] = scalars
-    return array
 
 
 def differentiate(graph: Graph, outputs: Sequence[Any], variables: Sequence[Expression]) -> Array:

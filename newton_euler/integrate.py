@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.blame import fastest_joint, strongest_force
+from newton_euler.blame import blamed, fastest_joint, strongest_force
 from newton_euler.control import is_finite_number
 from newton_euler.errors import IntegrationError, NewtonEulerError, OptionError, check_choice
 from newton_euler.scalars import Array
@@ -145,9 +145,7 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
 def _with_blame(system: System, y: Array, reason: str) -> str:
     """A reason with the joint that moves fastest and the largest force."""
     state = system.state(y[: system.nq], y[system.nq :])
-    force = strongest_force(system.scene, state)
-    reason = f"{reason}; fastest at joint {fastest_joint(system.mechanism, state)!r}"
-    return reason if force is None else f"{reason}, largest force: {force}"
+    return blamed(reason, fastest_joint(system.mechanism, state), strongest_force(system.scene, state))
 
 
 Derivative = Callable[[float, Array], Array]

@@ -8,6 +8,7 @@ dtype object); what differs is here. A scalar other than a number supplies metho
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,13 @@ Array = NDArray[Any]
 
 Scalar = Any
 """A float or a generic scalar."""
+
+
+def objects(scalars: Sequence[Any]) -> Array:
+    """An object array of scalars, which NumPy must not look into."""
+    array = np.empty(len(scalars), dtype=object)
+    array[:] = scalars
+    return array
 
 
 def zeros(shape: int | tuple[int, ...], *like: Array) -> Array:

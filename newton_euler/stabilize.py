@@ -25,6 +25,10 @@ PAPER_ALPHA = 10.0
 
 NEWTON_STEPS = 20
 
+RK4_LIMIT = 2.785
+"""Largest product of a gain alpha and a step of RK4 that is stable (E. Hairer, G. Wanner, Solving Ordinary
+Differential Equations II, second edition, Springer 1996, section IV.2)."""
+
 ROUND_OFF = 16.0 * np.finfo(float).eps
 """Residuals below this share of the mechanism's size are what evaluating them loses."""
 

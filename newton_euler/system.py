@@ -14,7 +14,6 @@ import numpy as np
 from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array, Scalar
 from newton_euler.scene import Scene
-from newton_euler.solve import orthonormal_null, orthonormal_range
 from newton_euler.state import Evaluation, MassProperties, State
 
 
@@ -91,17 +90,3 @@ def opening(system: System, q: Array, v: Array) -> Array:
     """dPhi/dt (k,) = Phi_q qdot + Phi_t."""
     rate = system.phi_jacobian(q) @ v
     return np.asarray(rate + system.phi_t() if isinstance(system, Rheonomic) else rate)
-
-
-def admissible(system: System, q: Array) -> Array:
-    """Orthogonal projector (6 b, 6 b) onto the body velocities that the constraints leave free.
-
-    It is the constraint Jacobian in a form that depends on no choice of coordinates or rows. Velocities
-    are divided by the mechanism's size, so that all rows are in 1/s.
-    """
-    size = system.mechanism.size
-    units = np.tile([size, size, size, 1.0, 1.0, 1.0], len(system.mechanism.bodies))[:, None]
-    jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
-    transformation = system.velocity_transformation(q) * system.velocity_units / units
-    basis = orthonormal_range(transformation @ orthonormal_null(jacobian))
-    return np.asarray(basis @ basis.T)

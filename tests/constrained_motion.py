@@ -5,15 +5,23 @@ from __future__ import annotations
 import numpy as np
 from finite_difference import derivative, jacobian
 
+from crosscheck.comparison.samples import admissible_basis, body_units
 from newton_euler.cartesian import Cartesian
 from newton_euler.compiled import Code, Formulation
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.stabilize import project_position, project_velocity
-from newton_euler.system import at_time, opening
+from newton_euler.state import State
+from newton_euler.system import System, at_time, opening
 
 SYSTEMS = {"relative": Relative, "cartesian": Cartesian}
+
+
+def admissible_projector(system: System, state: State) -> Array:
+    """Orthogonal projector (6 b, 6 b) onto the body velocities that the constraints leave free."""
+    basis, _ = admissible_basis(system, system.coordinates(state)[0], body_units(system.scene))
+    return basis @ basis.T
 
 
 def moving(system: Formulation, t: float, seed: int = 0) -> tuple[Formulation, Array, Array]:

@@ -17,7 +17,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.references import known_figures
 from crosscheck.scenes import load
 from crosscheck.stress import long_runs, singular, soft, starts, traps
-from crosscheck.stress.baumgarte import MOTION_LIMIT, RK4_LIMIT, border
+from crosscheck.stress.baumgarte import MOTION_LIMIT, border
 from crosscheck.stress.report import as_json, counts, markdown, write
 from crosscheck.stress.rotation import DAMPING, STIFFNESS
 from crosscheck.stress.runs import (
@@ -43,6 +43,7 @@ from crosscheck.stress.topics import (
     stress,
 )
 from newton_euler.errors import IntegrationError
+from newton_euler.stabilize import RK4_LIMIT
 
 BOUND = Bound(1e-6, 1e-2, "for the sake of the test")
 

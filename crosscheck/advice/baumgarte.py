@@ -14,10 +14,9 @@ import numpy as np
 
 from crosscheck.advice.measured import Advice, Found, distance
 from newton_euler.errors import NewtonEulerError
+from newton_euler.stabilize import RK4_LIMIT
 from newton_euler.trajectory import Trajectory
 from newton_euler.tree import SpanningTree
-
-LIMIT = 2.785
 
 SHARES = (0.1, 0.03, 0.01)
 """Of 1 / step, the gains that are tried."""
@@ -38,7 +37,7 @@ def baumgarte_advice(found: Found) -> Iterator[Advice]:
         return
     fixed = [run.settings["timestep"] for run in found.runs.values() if "timestep" in run.settings]
     step = fixed[0] if fixed else scene.output_period / np.ceil(scene.output_period / LONGEST)
-    if fastest_decay(scene) * step > LIMIT or scene.duration / step > MOST_STEPS:
+    if fastest_decay(scene) * step > RK4_LIMIT or scene.duration / step > MOST_STEPS:
         return  # the motion itself is too stiff for such steps
     runs: dict[float, Trajectory] = {}
     for share in SHARES:
@@ -59,5 +58,5 @@ def baumgarte_advice(found: Found) -> Iterator[Advice]:
         "baumgarte",
         f"where gains have to hold the loops instead of projection, with RK4 at {step:.4g} s take alpha = "
         f"{best:g} 1/s (K_D = {2.0 * best:g}, K_P = {best * best:g}){open_by}: tried here, the motion is off "
-        f"by {tried}; from {LIMIT / step:.4g} 1/s on RK4 is unstable",
+        f"by {tried}; from {RK4_LIMIT / step:.4g} 1/s on RK4 is unstable",
     )

@@ -10,6 +10,7 @@ from typing import Any
 from crosscheck.benchmark.reference import Reference, reference
 from crosscheck.benchmark.work_precision import Measured, Models, Progress, machine, measure
 from crosscheck.errors import CrosscheckError
+from crosscheck.scenes.options import titled
 from newton_euler.scene import Scene
 
 
@@ -63,8 +64,7 @@ class Benchmark:
 
     @property
     def title(self) -> str:
-        options = ", ".join(f"{option}={value}" for option, value in self.options.items())
-        return f"{self.scene.name} ({options})" if options else self.scene.name
+        return titled(self.scene.name, self.options)
 
 
 def poses_only(scene: Scene) -> Scene:

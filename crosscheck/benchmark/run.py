@@ -12,7 +12,7 @@ from rich.table import Table
 from crosscheck.benchmark.work_precision import Progress
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable
-from crosscheck.scenes import load
+from newton_euler.scene import Scene
 from newton_euler.trajectory import atomic_file
 
 WIDTH = 200
@@ -20,6 +20,7 @@ WIDTH = 200
 
 
 def bench(
+    scene: Scene,
     source: str,
     options: Mapping[str, str],
     error: float,
@@ -27,7 +28,7 @@ def bench(
     output: Path | None,
     progress: Progress,
 ) -> tuple[list[str], list[Path]]:
-    """Lines for the terminal and files of a benchmark of whole runs.
+    """Lines for the terminal and files of a benchmark of whole runs of a scene, as loaded from its source.
 
     Raises:
         CrosscheckError: for an impossible error, a scene that cannot be run and files that cannot be
@@ -38,8 +39,7 @@ def bench(
     from crosscheck.benchmark.report import answer, preamble, terminal_tables
 
     _check_error(error)
-    scene = load(source, **options)
-    folder = output or Path("output") / "bench" / scene.name
+    folder = _folder(scene, output)
     check_writable(*(folder / name for name in FILES))
     result = benchmark(scene, source, options, repeats, progress)
     progress("writing")
@@ -48,12 +48,12 @@ def bench(
 
 
 def bench_rhs(
-    source: str, options: Mapping[str, str], output: Path | None, progress: Progress
+    scene: Scene, source: str, options: Mapping[str, str], output: Path | None, progress: Progress
 ) -> tuple[list[str], list[Path]]:
     """Lines for the terminal and the file of a benchmark of right-hand sides; errors as of `bench`."""
     from crosscheck.benchmark.rhs import rhs_json, rhs_table, rhs_words, time_right_hand_sides
 
-    path = _folder(source, options, output) / "rhs.json"
+    path = _folder(scene, output) / "rhs.json"
     check_writable(path)
     timings = time_right_hand_sides(source, options, progress)
     _write(path, rhs_json(source, options, timings).encode())
@@ -61,6 +61,7 @@ def bench_rhs(
 
 
 def bench_batch(
+    scene: Scene,
     source: str,
     options: Mapping[str, str],
     runs: int,
@@ -72,7 +73,7 @@ def bench_batch(
     from crosscheck.benchmark.batch import batch_json, batch_table, batch_words, benchmark_batch
 
     _check_error(error)
-    path = _folder(source, options, output) / "batch.json"
+    path = _folder(scene, output) / "batch.json"
     check_writable(path)
     result = benchmark_batch(source, options, runs, error, progress)
     _write(path, batch_json(result).encode())
@@ -80,7 +81,7 @@ def bench_batch(
 
 
 def bench_scaling(
-    source: str, options: Mapping[str, str], output: Path | None, progress: Progress
+    scene: Scene, source: str, options: Mapping[str, str], output: Path | None, progress: Progress
 ) -> tuple[list[str], list[Path]]:
     """Lines for the terminal and the files of right-hand sides over size; errors as of `bench`."""
     from crosscheck.benchmark.scaling import (
@@ -93,7 +94,7 @@ def bench_scaling(
     )
 
     check_sizable(source, options)
-    folder = _folder(source, options, output)
+    folder = _folder(scene, output)
     files = {"scaling.json": scaling_json, "scaling.png": scaling_picture}
     check_writable(*(folder / name for name in files))
     result = measure_sizes(source, options, progress)
@@ -107,10 +108,9 @@ def _check_error(error: float) -> None:
         raise CrosscheckError(f"--error is {error:g}; needed: a positive number (m and rad)")
 
 
-def _folder(source: str, options: Mapping[str, str], output: Path | None) -> Path:
-    """Where files go; a scene that cannot be is refused before anything is written."""
-    name = load(source, **options).name
-    return output or Path("output") / "bench" / name
+def _folder(scene: Scene, output: Path | None) -> Path:
+    """Where files go."""
+    return output or Path("output") / "bench" / scene.name
 
 
 def _write(path: Path, content: bytes) -> None:

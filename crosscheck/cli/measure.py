@@ -76,22 +76,20 @@ def bench_command(
 ) -> int:
     """Measure run time against error on SCENE, for every engine and setting."""
     from crosscheck.benchmark import run
-    from crosscheck.model_files.read import is_model
 
     options = scene_options(scene, settings, loops)
     if rhs + scaling + (batch is not None) > 1:
         raise CrosscheckError("--rhs, --scaling and --batch are different benchmarks; choose one")
-    if is_model(scene):  # the benchmarks load scenes themselves, of any size
-        load_and_tell(scene, options)
+    loaded = load_and_tell(scene, options)
     with progress_shown() as progress:
         if rhs:
-            lines, written = run.bench_rhs(scene, options, output, progress)
+            lines, written = run.bench_rhs(loaded, scene, options, output, progress)
         elif scaling:
-            lines, written = run.bench_scaling(scene, options, output, progress)
+            lines, written = run.bench_scaling(loaded, scene, options, output, progress)
         elif batch is not None:
-            lines, written = run.bench_batch(scene, options, batch, error, output, progress)
+            lines, written = run.bench_batch(loaded, scene, options, batch, error, output, progress)
         else:
-            lines, written = run.bench(scene, options, error, repeats, output, progress)
+            lines, written = run.bench(loaded, scene, options, error, repeats, output, progress)
     for line in lines:
         click.echo(line)
     click.echo("wrote " + ", ".join(str(path) for path in written))

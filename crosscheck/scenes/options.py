@@ -7,9 +7,15 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+
+def titled(name: str, options: Mapping[str, str]) -> str:
+    """A scene's name, with the options that were set."""
+    settings = ", ".join(f"{option}={value}" for option, value in options.items())
+    return f"{name} ({settings})" if settings else name
 
 
 @dataclass(frozen=True)

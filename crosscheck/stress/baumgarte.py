@@ -16,8 +16,7 @@ from crosscheck.stress.runs import FORMULATIONS, TIGHT, distance, largest_drift,
 from crosscheck.stress.topics import Bound, Case, Curve, Measured
 from newton_euler.errors import NewtonEulerError
 from newton_euler.simulate import CompiledScene
-
-RK4_LIMIT = 2.785
+from newton_euler.stabilize import RK4_LIMIT
 
 MOTION_LIMIT = 2e-2
 """s, the largest step of `STEPS` that the motion itself allows, whatever keeps it on its constraints."""

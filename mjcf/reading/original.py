@@ -9,6 +9,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from mjcf.evaluate import mass_and_force
 from mjcf.motion import body_acceleration
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.source import SourceError
@@ -58,10 +59,7 @@ def rigid_accelerations(start: Start) -> Array:
     start.gaps()
     rows = start.jacobian()
     mujoco.mj_fwdVelocity(model, data)
-    mujoco.mj_fwdActuation(model, data)
-    mass = np.empty((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, mass)
-    force = data.qfrc_passive + data.qfrc_actuator - data.qfrc_bias
+    mass, force = mass_and_force(model, data)
     ones = np.ones(model.nv)
     gamma = np.zeros(len(rows))
     data.qacc[:] = solve_constrained(mass, force, rows, gamma, np.ones(len(rows)), ones)[0]

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from mjcf.reading.source import SourceError
-from newton_euler.branch import MOST_NAMES, SIDES, branch
+from newton_euler.branch import assembled, branch
 from newton_euler.mapping import Mapping
 from newton_euler.scalars import Array
 from newton_euler.solve import minimum_norm
@@ -153,16 +153,11 @@ class Start:
             )
         moved = np.zeros(model.nv)
         mujoco.mj_differentiatePos(model, moved, 1.0, first, data.qpos)
-        dof = int(np.argmax(np.abs(moved)))
         side = branch(rows_there, self.jacobian())
-        apart = np.max(np.linalg.norm(data.xipos - places, axis=1))
+        apart = float(np.max(np.linalg.norm(data.xipos - places, axis=1)))
         report.start.append(f"{self.key} is open, in m or rad: {'; '.join(lines)}")
-        report.start.append(
-            f"assembled next to {self.key}: closed to {least:.1e}, joint {self._joint(dof)!r} moved most, "
-            f"by {moved[dof]:.3g}, bodies by up to {apart:.3g} m"
-        )
-        bending = ", ".join(dict.fromkeys(repr(self._joint(k)) for k in side.columns[:MOST_NAMES]))
-        report.start.append(f"branch: {SIDES[side.same].format(self.key, bending)}")
+        joints = [self._joint(dof) for dof in range(model.nv)]
+        report.start.extend(assembled(self.key, side, joints, least, moved, apart))
         self._finish()
 
     def _joint(self, dof: int) -> str:

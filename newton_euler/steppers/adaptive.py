@@ -21,6 +21,7 @@ from newton_euler.steppers.dop853 import (
 from newton_euler.steppers.march import (
     DENSE_HEALTH,
     DONE,
+    HOP,
     HUGE,
     INTERRUPTED,
     NEAR,
@@ -54,9 +55,6 @@ farthest apart, at 1/3 and 3/5, and how much earlier or later will do."""
 
 HOPS = 12
 """Tries to place a step so; after them its error alone decides."""
-
-HOP = 0.8
-"""Factor for a step with a stage where accelerations are unsafe; the next one has its stages elsewhere."""
 
 NOWHERE = 1e9
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from newton_euler.blame import strongest
+from newton_euler.blame import blamed, strongest
 from newton_euler.compiled import Code
 from newton_euler.errors import IntegrationError, NewtonEulerError
 from newton_euler.scalars import Array
@@ -28,9 +28,8 @@ def failure(
         reason = f"projection cannot close joint {joint!r}, which is open by {gap:.3g} (m or rad)"
     else:
         reason = _reason(code, integrator, most, status, x)
-    reason += f"; fastest at joint {system.fastest_joint(q, v)!r}"
     force = strongest(system.scene, system.seen(q, v))
-    return IntegrationError(reached, reason if force is None else f"{reason}, largest force: {force}")
+    return IntegrationError(reached, blamed(reason, system.fastest_joint(q, v), force))
 
 
 def _reason(code: Code, integrator: str, most: int, status: int, x: Array) -> str:

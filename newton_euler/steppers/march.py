@@ -44,6 +44,9 @@ UNSAFE = 1e-8
 """Health of the equations of motion below which accelerations may be so wrong that a run would leave a
 singular configuration on another branch. Only a run that starts there takes steps through it."""
 
+HOP = 0.8
+"""Factor for a step with a stage where accelerations are unsafe; the next one has its stages elsewhere."""
+
 LEAVING = 1e-4
 """rad or m, within which accelerations are unsafe; what leaves slower than they would make it is at rest."""
 

@@ -23,6 +23,7 @@ from newton_euler.steppers.linear import solve_real
 from newton_euler.steppers.march import (
     DENSE_HEALTH,
     DONE,
+    HOP,
     HUGE,
     INTERRUPTED,
     PATIENT,
@@ -43,9 +44,8 @@ from newton_euler.steppers.march import (
     unwind,
 )
 
-HOP = 0.8
-FASTEST = 10.0
-SMALLEST = 0.2
+SMALLEST, FASTEST = 0.2, 10.0
+"""Factors from one step size to the next."""
 
 
 @native

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.branch import MOST_NAMES, SIDES, branch
+from newton_euler.branch import assembled, branch
 from newton_euler.mapping import Mapping
 from newton_euler.scalars import Array
 from newton_euler.solve import minimum_norm
@@ -129,16 +129,11 @@ class Start:
             gaps[owner] = max(gaps.get(owner, 0.0), float(gap))
         lines = "; ".join(f"{owner} {gap:.3g}" for owner, gap in gaps.items() if gap > CLOSED)
         moved = pin.difference(self.model, self._zero, self.q)
-        dof = int(np.argmax(np.abs(moved)))
         side = branch(rows_there, jacobian)
-        apart = np.max(np.linalg.norm(self._places() - places, axis=1))
+        apart = float(np.max(np.linalg.norm(self._places() - places, axis=1)))
         report.start.append(f"coordinates 0 are open, in m or rad: {lines}")
-        report.start.append(
-            f"assembled next to coordinates 0: closed to {least:.1e}, joint {self._joint(dof)!r} moved most, "
-            f"by {moved[dof]:.3g}, bodies by up to {apart:.3g} m"
-        )
-        bending = ", ".join(dict.fromkeys(repr(self._joint(k)) for k in side.columns[:MOST_NAMES]))
-        report.start.append(f"branch: {SIDES[side.same].format('coordinates 0', bending)}")
+        joints = [self._joint(dof) for dof in range(self.model.nv)]
+        report.start.extend(assembled("coordinates 0", side, joints, least, moved, apart))
 
     def _joint(self, dof: int) -> str:
         """Name of the joint that a velocity belongs to."""
