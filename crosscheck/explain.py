@@ -19,6 +19,7 @@ from newton_euler.scalars import Array, Scalar, minimum
 from newton_euler.scene import OUTPUTS, Scene
 from newton_euler.sparse import Rows
 from newton_euler.steppers.outputs import time_function
+from newton_euler.steppers.run import load
 
 ARRAYS = {
     "poses": ("position", "quaternion"),
@@ -51,7 +52,7 @@ def explain(scene: Scene, progress: Progress) -> Iterator[Table | Text]:
     for name in FORMULATIONS:
         progress(f"compiling {name}")
         compiled[name] = Code(scene, name)
-        compiled[name].load()
+        load(compiled[name], "DOP853")
     yield _heading(f"{scene.name}: {scene.description}")
     yield _table({name: structure(c) for name, c in compiled.items()})
     yield _heading("operations of a right-hand side, by term")
@@ -293,7 +294,7 @@ def features(scene: Scene) -> dict[str, Cells]:
 
 def _costs(scene: Scene, stabilization: str) -> Cells:
     compiled = Code(scene, stabilization=stabilization)
-    compiled.load()
+    load(compiled, "DOP853")
     cells = {}
     for part, names in (
         ("derivative", ("derivative",)),

@@ -44,9 +44,18 @@ def move_anchor(system: RigidMuJoCo, joint: str, shift: Array) -> None:
     model, data = system.model, system.data
     data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, data)
-    names = [model.equality(k).name.removesuffix("_weld") for k in range(model.neq)]
-    loop = names.index(joint)
+    loop = model.equality(_closure(system, joint)).id
     welds = model.eq_type[loop] == mujoco.mjtEq.mjEQ_WELD
     turn = data.xmat[model.eq_obj2id[loop]].reshape(3, 3)
     anchor = slice(0, 3) if welds else slice(3, 6)
     model.eq_data[loop, anchor] += turn.T @ shift
+
+
+def _closure(system: RigidMuJoCo, joint: str) -> str:
+    """Name of the equality of a joint that a loop is cut at: its own, or that of the weld of its halves."""
+    mechanism, welded = system.mechanism, system.welded.mechanism
+    cut = welded.joints[mechanism.joint_index(joint)]
+    for weld in welded.joints[len(mechanism.joints) :]:
+        if weld.second in (cut.first, cut.second):
+            return weld.name
+    return joint

@@ -14,6 +14,7 @@ from mjcf.write import controls, welded_to_xml
 from newton_euler.euler_parameters import rotation
 from newton_euler.scalars import Array, Scalar
 from newton_euler.scene import Scene
+from newton_euler.stabilize import joint_residuals
 from newton_euler.state import MassProperties, State
 from newton_euler.tree import weld_loops
 from newton_euler.tree_couplings import TreeCouplings
@@ -58,10 +59,10 @@ class CompiledScene:
         for body, index in zip(self.welded.mechanism.bodies[1:], self.body_id[1:], strict=True):
             axes = rotation(self.model.body_iquat[index])
             self.model.body_inertia[index] = np.diag(axes.T @ body.inertia @ axes)
-        # frames that are nearly the body's own would be taken for it, and products of inertia with them
-        self.model.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         # MuJoCo keeps constant parts of the mass matrix
         mujoco.mj_setConst(self.model, self.data)
+        # frames that are nearly the body's own would be taken for it, and products of inertia with them
+        self.model.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
 
     def mass_properties(self) -> MassProperties:
         """What the bodies weigh in the compiled model; halves of a body are put together."""
@@ -112,6 +113,11 @@ class CompiledScene:
         mujoco.mj_fwdPosition(self.model, self.data)
         mujoco.mj_fwdVelocity(self.model, self.data)
         return self.read_state()
+
+    def joint_phi(self, q: Array) -> Array:
+        """Residuals of all joints' equations, then of the couplings, m or rad."""
+        joints = joint_residuals(self.mechanism, self.state(q, np.zeros(self.nv)))
+        return np.concatenate([joints, self.couplings.phi(q, self.time)])
 
     def read_state(self) -> State:
         """Body poses and velocities that MuJoCo has worked out last."""

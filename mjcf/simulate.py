@@ -87,30 +87,13 @@ def simulate(
     }
     if steps[-1].size != largest:
         settings["last_timestep"] = steps[-1].size
-    evaluations, opened = [], []
+    evaluations, phi = [], []
     for (system, q, v, size, work), now in zip(states, scene.times, strict=stopped is None):
         _use(system.model, size, stiffness)
         system.time = float(now)
         evaluations.append(replace(system.evaluate(q, v), work=work))
-        opened.append(np.abs(system.couplings.phi(q, system.time)))
-    try:
-        run = trajectory_from(scene, "mujoco", settings, wall_time, evaluations, stopped)
-    except StoppedError as error:
-        if error.partial is not None:
-            error.partial = _with_couplings(error.partial, system, opened)
-        raise
-    return _with_couplings(run, system, opened)
-
-
-def _with_couplings(run: Trajectory, system: SoftMuJoCo, opened: Sequence[Array]) -> Trajectory:
-    """The run, its joints as open as the couplings that they follow: each of those (c,) at each output."""
-    if run.constraint_violation is None:
-        return run
-    violation = run.constraint_violation.copy()
-    for k, coupling in enumerate(system.couplings.couplings):
-        follower = violation[:, system.mechanism.joint_index(coupling.joint)]
-        np.maximum(follower, [row[k] for row in opened[: len(violation)]], out=follower)
-    return replace(run, constraint_violation=violation)
+        phi.append(system.joint_phi(q))
+    return trajectory_from(scene, "mujoco", settings, wall_time, evaluations, phi, stopped)
 
 
 class Steps(NamedTuple):

@@ -31,7 +31,7 @@ from mjcf.layout import Layout, coordinate_name
 from mjcf.text import number, numbers
 from newton_euler.control import Sampled
 from newton_euler.couplings import Coupling, couplings
-from newton_euler.euler_parameters import conjugate, product, rotation
+from newton_euler.euler_parameters import conjugate, from_rotation, product, rotation
 from newton_euler.joints import Pose, Rod, Spherical
 from newton_euler.mechanism import Body
 from newton_euler.scalars import Array
@@ -52,6 +52,9 @@ KEY = "start"
 
 REALISABLE_SLACK = 1e-12
 """Relative slack of A + B >= C that a written inertia keeps, for the round-off of MuJoCo."""
+
+SMALL_TURN = 1e-5
+"""rad, between axes of a body and principal ones, below which inertias are written in the latter."""
 
 COLOURS = (
     "0.12 0.47 0.71 1",
@@ -224,22 +227,39 @@ def _body(
 
 def _inertial(element: ET.Element, body: Body) -> None:
     """Mass and inertia. MuJoCo takes no inertia that breaks A + B >= C, not even by round-off."""
-    a, b, c = np.linalg.eigvalsh(body.inertia)
-    lacking = c - a - b + REALISABLE_SLACK * c
     inertia = body.inertia
+    a, b, c = np.linalg.eigvalsh(inertia)
+    lacking = c - a - b + REALISABLE_SLACK * c
     if lacking > 0.0:
         # all three moments grow alike: that keeps the principal axes, and it is enough
         inertia = inertia + lacking * np.eye(3)
         note = f"moments of inertia raised by {lacking:.3g} kg m^2 so that A + B >= C holds"
         element.append(ET.Comment(f" {note} "))
+    inertial = ET.SubElement(element, "inertial", pos="0 0 0", mass=number(body.mass))
+    if _nearly_principal(inertia):
+        moments, axes = principal(inertia)
+        inertial.set("quat", numbers(from_rotation(axes)))
+        inertial.set("diaginertia", numbers(moments))
+        element.set("simple", "false")  # else MuJoCo would take the axes for the body's
+        return
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia
-    ET.SubElement(
-        element,
-        "inertial",
-        pos="0 0 0",
-        mass=number(body.mass),
-        fullinertia=numbers([xx, yy, zz, xy, xz, yz]),
-    )
+    inertial.set("fullinertia", numbers([xx, yy, zz, xy, xz, yz]))
+
+
+def _nearly_principal(inertia: Array) -> bool:
+    """Whether MuJoCo would drop products of inertia: its principal axes take no turn of 1e-6 rad."""
+    rows, columns = np.triu_indices(3, 1)
+    products = np.abs(inertia[rows, columns])
+    moments = np.diag(inertia)
+    turns = products < SMALL_TURN * np.abs(moments[rows] - moments[columns])
+    return bool(np.any(turns & (products > np.finfo(float).eps * moments.max())))
+
+
+def principal(inertia: Array) -> tuple[Array, Array]:
+    """Principal moments (3,) of an inertia (3, 3), and its axes, the columns of a rotation matrix."""
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 0] *= np.linalg.det(axes)
+    return moments, axes
 
 
 def _geom(element: ET.Element, shape: Shape, colour: str, pose: Pose, quaternion: Array) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from newton_euler.control import is_count
 from newton_euler.conversion import check, coordinates
 from newton_euler.errors import IntegrationError, OptionError, UnknownNameError
 from newton_euler.integrate import Options
@@ -111,6 +112,8 @@ def simulate_batch(
     from newton_euler.steppers.run import March, load
 
     options = Options(integrator, rtol, atol, step, most_steps)
+    if not isinstance(parameters, Mapping | None):
+        raise OptionError("parameters", _short(parameters), "values, one a run, by name")
     parameters = dict(parameters or {})
     if scene.sampled:
         raise OptionError("control", scene.sampled[0], "no sampled controller: Python would run in every run")
@@ -154,12 +157,17 @@ def simulate_batch(
     return Batch(scene, settings, wall_time, dict(sorted(errors.items())), compiled, results, counts)
 
 
+def _short(value: object) -> str:
+    """What an error says of a value that may be long."""
+    return f"{value!r:.100}"
+
+
 def _threads(threads: int | None) -> int:
     if threads is None:
         return os.cpu_count() or 1
-    if not isinstance(threads, int) or isinstance(threads, bool) or threads < 1:
+    if not is_count(threads):
         raise OptionError("threads", threads, "a whole number, 1 or more")
-    return threads
+    return int(threads)
 
 
 def _starts(
@@ -167,9 +175,11 @@ def _starts(
 ) -> Array:
     """x (runs, inputs) of all runs."""
     scene = compiled.scene
-    lengths = {name: len(values) for name, values in parameters.items()}
-    if states is not None:
-        lengths["states"] = len(states)
+    series = dict(parameters) if states is None else {**parameters, "states": states}
+    for name, each in series.items():
+        if not hasattr(each, "__len__"):
+            raise OptionError(name, _short(each), "a sequence, one a run")
+    lengths = {name: len(values) for name, values in series.items()}
     if not lengths or min(lengths.values()) < 1 or len(set(lengths.values())) > 1:
         raise OptionError("states and parameters", lengths, "one state or value a run, of one length")
     count = next(iter(lengths.values()))

@@ -3,12 +3,16 @@
 A file holds its own SHA-256 and then the content, so that a damaged one counts as missing; it is written
 beside and renamed, so that no reader ever sees half of it, whoever else writes at the same time and
 wherever a run is killed. A cache that cannot be read or written costs a compilation, never a run.
+
+It is kept below `LIMIT` by removing what has not been used for longest. A file's time of modification is when
+it was last used, to `_RECENT`. Files are counted with one write in `_COUNT_EVERY`, and never by a read.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
 import sys
 import time
 from contextlib import suppress
@@ -17,10 +21,22 @@ from pathlib import Path
 CACHE_VARIABLE = "NEWTON_EULER_CACHE"
 """Environment variable that names the cache directory; empty for no cache."""
 
+LIMIT = 256 * 2**20
+"""Bytes that the cache is kept below, but for what is written between two counts."""
+
+_FULL = 0.75
+"""Share of the limit that is left of a cache that exceeded it."""
+
+_COUNT_EVERY = 16
+_RECENT = 3600.0
+"""s within which uses are not told apart."""
+
+_KEY = re.compile(r"[0-9a-f]{64}")
+"""Names of the cache's own files, of all that may be in a directory that somebody chose."""
+
 _UNFINISHED = ".new-"
 _ABANDONED = 3600.0
 """s after which an unfinished file is that of a run that was killed."""
-
 
 _DIGEST = 32
 """Bytes of a SHA-256."""
@@ -58,10 +74,15 @@ def read_cache(key: str) -> bytes | None:
     directory = cache_directory()
     if directory is None:
         return None
+    path = directory / key
     try:
-        content = (directory / key).read_bytes()
+        with path.open("rb") as stream:
+            content, used = stream.read(), os.fstat(stream.fileno()).st_mtime
     except OSError:
         return None
+    if time.time() - used > _RECENT:
+        with suppress(OSError):  # a read-only disk, or another process has removed it
+            os.utime(path)
     digest, code = content[:_DIGEST], content[_DIGEST:]
     return code if _digest(code) == digest else None
 
@@ -75,7 +96,8 @@ def write_cache(key: str, code: bytes) -> None:
 
     with suppress(OSError):  # a full or read-only disk: the next run compiles again
         directory.mkdir(parents=True, exist_ok=True)
-        _remove_abandoned(directory)
+        if int(key, 16) % _COUNT_EVERY == 0:
+            _tidy(directory)
         handle, name = tempfile.mkstemp(dir=directory, prefix=_UNFINISHED)
         try:
             with os.fdopen(handle, "wb") as stream:
@@ -86,9 +108,22 @@ def write_cache(key: str, code: bytes) -> None:
             raise
 
 
-def _remove_abandoned(directory: Path) -> None:
-    """Remove what runs that were killed left unfinished."""
-    for path in directory.glob(_UNFINISHED + "*"):
-        with suppress(OSError):  # another process may have been quicker
-            if time.time() - path.stat().st_mtime > _ABANDONED:
-                path.unlink()
+def _tidy(directory: Path) -> None:
+    """Remove what runs that were killed left unfinished, and what is too much for the cache."""
+    now, total = time.time(), 0
+    found: list[tuple[float, int, str]] = []
+    for entry in os.scandir(directory):
+        with suppress(OSError):  # here and below: another process may have been quicker
+            if _KEY.fullmatch(entry.name):
+                status = entry.stat()
+                found.append((status.st_mtime, status.st_size, entry.path))
+                total += status.st_size
+            elif entry.name.startswith(_UNFINISHED) and now - entry.stat().st_mtime > _ABANDONED:
+                os.unlink(entry.path)
+    if total > LIMIT:
+        for _, size, path in sorted(found):
+            if total <= _FULL * LIMIT:
+                break
+            with suppress(OSError):
+                os.unlink(path)
+                total -= size

@@ -27,6 +27,7 @@ from newton_euler.scalars import Array, Scalar, minimum
 from newton_euler.scene import Scene
 from newton_euler.sparse import RowsInUse, least_squares
 from newton_euler.stabilize import PAPER_ALPHA, baumgarte_alpha
+from newton_euler.steppers.march import ANGLE, QUATERNION, QUATERNION_WITH_RATES
 from newton_euler.system import at_time
 
 T = TypeVar("T")
@@ -107,19 +108,26 @@ class Code:
         return self.stabilization == "projection" and closes
 
     @cached_property
+    def kept(self) -> int:
+        """How much of a state outputs need: its first nq elements, or all."""
+        read = {node.a for node in self.program("output").nodes if node.op == "input"}
+        still = read.isdisjoint(range(self.system.nq, self.size)) and "reactions" not in self.scene.outputs
+        return self.system.nq if still else self.size
+
+    @cached_property
     def turning(self) -> Array:
-        """(size,) 1 for coordinates that mean the same after a full turn, else 0."""
+        """(size,) marks of angles and Euler parameters, see `newton_euler.steppers.march`, else 0."""
         marked = np.zeros(self.size)
-        marked[self.system.turning] = 1.0
+        marked[self.system.turning] = ANGLE
+        starts = [place.start for place in self.system.quaternions]
+        marked[starts] = QUATERNION_WITH_RATES if isinstance(self.system, Cartesian) else QUATERNION
         return marked
 
-    def load(self, integrator: str = "DOP853") -> None:
-        """Trace and compile now what a run needs."""
+    def needed(self, integrator: str) -> list[str]:
+        """Names of the functions that a run needs."""
         names = ["derivative", "output"] + ["position", "velocity"] * self.projects
         names += {"Euler": ["rate"], "Radau": ["jacobian"]}.get(integrator, [])
-        names += ["measured"] * bool(self.scene.sampled)
-        for name in names:
-            self.function(name)
+        return names + ["measured"] * bool(self.scene.sampled)
 
     def function(self, name: str) -> NativeFunction:
         """One of the functions, traced and compiled if it has not been."""
@@ -300,7 +308,7 @@ class Code:
             arrays["potential_energy"] = np.array(e.potential_energy)
         if self.scene.tracks_work:
             arrays["work"] = np.array(e.work)
-        if "violation" in wanted:
+        if "violation" in wanted or self.stabilization != "projection":
             arrays["phi"] = system.joint_phi(q)
         if "reactions" in wanted:
             arrays["health"] = np.array(minimum(health, 1.0))

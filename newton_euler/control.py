@@ -21,6 +21,11 @@ def is_finite_number(value: object) -> bool:
         return False
 
 
+def is_count(value: object) -> bool:
+    """Whether a value is a whole number of Python or NumPy, 1 or more; truth values are none."""
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1
+
+
 @dataclass(frozen=True)
 class PD:
     """u = u_0 - (K_p e + K_d de/dt) with e = x - target, eq. (23) with the sign that makes it stable.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from newton_euler.blame import blamed, fastest_joint, strongest_force
-from newton_euler.control import is_finite_number
+from newton_euler.control import is_count, is_finite_number
 from newton_euler.errors import IntegrationError, NewtonEulerError, OptionError, check_choice
 from newton_euler.scalars import Array
 from newton_euler.stabilize import project_position, project_velocity
@@ -22,7 +22,8 @@ Radau IIA of order 5 (Hairer, Wanner, Solving ODEs II, 1996, section IV.8), both
 
 FIXED = ("RK4", "Euler")
 """Classical Runge-Kutta of order 4, and semi-implicit Euler: velocities first, then positions with
-the new velocities."""
+the new velocities. Euler takes gyroscopic torques t = -omega x I omega explicitly: they do no work, but each
+step h adds h^2/2 t^T I^-1 t to the energy of a freely turning body, a share of order (h omega)^2."""
 
 INTEGRATORS = ADAPTIVE + FIXED
 
@@ -73,15 +74,17 @@ class Options:
         check_choice("integrator", self.integrator, INTEGRATORS)
         for name in ("rtol", "atol"):
             value = getattr(self, name)
-            if not isinstance(value, int | float) or not 0.0 < value < 1.0:
+            if not is_finite_number(value) or not 0.0 < value < 1.0:
                 raise OptionError(name, value, "a number between 0 and 1")
-        if self.most_steps is not None and (
-            not isinstance(self.most_steps, int) or isinstance(self.most_steps, bool) or self.most_steps < 1
-        ):
-            raise OptionError("most_steps", self.most_steps, "a whole number of steps")
+            object.__setattr__(self, name, float(value))
+        if self.most_steps is not None:
+            if not is_count(self.most_steps):
+                raise OptionError("most_steps", self.most_steps, "a whole number of steps")
+            object.__setattr__(self, "most_steps", int(self.most_steps))
         if self.integrator in FIXED:
             if self.step is None or not is_finite_number(self.step) or self.step <= 0.0:
                 raise OptionError("step", self.step, f"a positive number of seconds for {self.integrator}")
+            object.__setattr__(self, "step", float(self.step))
         elif self.step is not None:
             raise OptionError("step", self.step, f"none: {self.integrator} chooses its own steps")
 
@@ -115,9 +118,9 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
         return rates
 
     def project(t: float, y: Array) -> Array:
-        if not options.projection:
-            return y
         now = at_time(system, t)
+        if not options.projection:  # a norm of Euler parameters is none of the mechanism's constraints
+            return np.concatenate([now.retract(y[: system.nq], np.zeros(system.nv)), y[system.nq :]])
         try:
             q = project_position(now, y[: system.nq])
             return np.concatenate([q, project_velocity(now, q, y[system.nq :])])
@@ -188,8 +191,8 @@ def _march_adaptive(
             while due < len(times) and times[due] <= solver.t:
                 yield steps, project(times[due], dense(times[due]))
                 due += 1
+        solver.y = project(solver.t, solver.y)
         if options.projection:
-            solver.y = project(solver.t, solver.y)
             solver.f = derivative(solver.t, solver.y)
 
 

@@ -83,6 +83,9 @@ class Body:
                 raise MechanismError(f"body {self.name!r}", f"{name} is {raw!r}", needed)
             value.flags.writeable = False
             object.__setattr__(self, name, value if shape else float(value))
+        if not isinstance(self.allow_unrealisable_inertia, bool):
+            problem = f"allow_unrealisable_inertia is {self.allow_unrealisable_inertia!r:.100}"
+            raise MechanismError(f"body {self.name!r}", problem, "True or False")
 
     @classmethod
     def ground(
@@ -128,6 +131,7 @@ class Mechanism:
 
     DEFINED_BY = ("bodies", "joints", "couplings")
 
+    @np.errstate(all="ignore")  # what overflows is refused
     def __init__(
         self, bodies: Iterable[Body], joints: Iterable[Joint], couplings: Iterable[Gear] = ()
     ) -> None:
@@ -197,7 +201,7 @@ class Mechanism:
         for equations in self.equations:
             phi = equations.phi(frames[equations.first], frames[equations.second])
             gap = float(np.max(np.abs(phi), initial=0.0))
-            if gap > CLOSURE_TOLERANCE:
+            if not gap <= CLOSURE_TOLERANCE:  # of coordinates that overflow it is not a number
                 unit = "m" if equations.is_length[int(np.argmax(np.abs(phi)))] else "rad"
                 raise MechanismError(
                     f"joint {equations.joint.name!r}",

@@ -2,6 +2,11 @@
 
 What couplings and prescribed motions put on a joint's coordinates is part of its reaction; what
 control laws and springs put there is not.
+
+Where constraints are redundant only the sum of what joints do to each body, J^T lambda, is unique. Of the
+reactions that add up to it a formulation gives those of its smallest dimensionless multipliers: Cartesian
+coordinates have multipliers of all joints, joint coordinates of couplings and of joints that close loops
+alone, and what the tree's joints bear follows from those. Both are right, and differ.
 """
 
 from __future__ import annotations

@@ -74,6 +74,7 @@ class Scene:
     armatures: tuple[Armature, ...] = ()
     description: str = ""
 
+    @np.errstate(all="ignore")  # what overflows is refused, here or by a run
     def __post_init__(self) -> None:
         self._check_texts()
         where = f"scene {self.name!r}"
@@ -164,6 +165,7 @@ class Scene:
         object.__setattr__(self, "armatures", tuple(given))
         check_armatures(self.armatures, self.mechanism)
 
+    @np.errstate(all="ignore")  # a norm may overflow
     def check_numbers(self, state: object, where: str) -> None:
         """Raise `MechanismError` for what is no state of the scene's bodies, closed or not."""
         if not isinstance(state, State):

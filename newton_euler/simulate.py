@@ -16,7 +16,7 @@ from newton_euler.integrate import Options, integrate
 from newton_euler.sampling import holding, intervals, sample
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
-from newton_euler.stabilize import PAPER_ALPHA, joint_violations
+from newton_euler.stabilize import PAPER_ALPHA
 from newton_euler.state import Evaluation, State
 from newton_euler.system import System, at_time
 from newton_euler.trajectory import Trajectory, check_finite
@@ -68,11 +68,13 @@ def compile_scene(
     Raises:
         NewtonEulerError: for an unknown name or an impossible option.
     """
+    from newton_euler.steppers.run import load
+
     check_choice("formulation", formulation, FORMULATIONS)
     if not isinstance(parameters, list | tuple) or not all(isinstance(name, str) for name in parameters):
         raise OptionError("parameters", parameters, "names of parameters")
     compiled = CompiledScene(scene, formulation, stabilization, alpha, parameters)
-    compiled.load()
+    load(compiled, "DOP853")
     return compiled
 
 
@@ -135,8 +137,10 @@ def native_trajectory(
 ) -> Trajectory:
     """The trajectory of a run in native code from what `newton_euler.steppers.run.outputs` gave."""
     arrays.pop("health", None)
+    phi = arrays.pop("phi", None)
     if "violation" in scene.outputs:
-        arrays["constraint_violation"] = _by_joint(scene, arrays.pop("phi"))
+        assert phi is not None
+        arrays["constraint_violation"] = _by_joint(scene, phi)
     return _trajectory(scene, "newton_euler", settings, wall_time, arrays)
 
 
@@ -182,15 +186,18 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
         q, v = solution.q[-1], solution.v[-1]
     wall_time = time.perf_counter() - start
     evaluations: list[Evaluation] = []
+    phi: list[Array] = []
     for now, t, q, v in rows:
+        now = at_time(now, t)
         try:
             with np.errstate(all="ignore"):  # numbers are checked
-                evaluations.append(at_time(now, t).evaluate(q, v))
+                evaluations.append(now.evaluate(q, v))
+                phi.append(np.array(now.joint_phi(q), dtype=float))
         except NewtonEulerError as error:
             stopped = stopped or IntegrationError(t, str(error))
             break
     settings = settings | options.chosen() | counts
-    return trajectory_from(scene, engine, settings, wall_time, evaluations, stopped)
+    return trajectory_from(scene, engine, settings, wall_time, evaluations, phi, stopped)
 
 
 def trajectory_from(
@@ -199,15 +206,18 @@ def trajectory_from(
     settings: dict[str, Any],
     wall_time: float,
     evaluations: list[Evaluation],
+    phi: list[Array],
     stopped: StoppedError | None = None,
 ) -> Trajectory:
     """The trajectory of a scene from an engine's evaluations at the output times.
+
+    Args:
+        phi: residuals (k,) of all joints and then all couplings at each of them, m or rad.
 
     Raises:
         IntegrationError: for numbers that are not finite, with the trajectory before them.
         `stopped`: what ended the run after these evaluations, if something did, with their trajectory.
     """
-    mechanism = scene.mechanism
     states = [evaluation.state for evaluation in evaluations]
     optional: dict[str, dict[str, Any]] = {
         "velocities": {
@@ -233,7 +243,7 @@ def trajectory_from(
     if scene.tracks_work and all(e.work is not None for e in evaluations):
         arrays["work"] = np.array([e.work for e in evaluations])
     if "violation" in scene.outputs:
-        arrays["constraint_violation"] = np.array([joint_violations(mechanism, s) for s in states])
+        arrays["constraint_violation"] = _by_joint(scene, np.array(phi))
     arrays["position"] = np.array([s.position for s in states])
     arrays["quaternion"] = np.array([s.quaternion for s in states])
     try:

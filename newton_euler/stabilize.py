@@ -10,10 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from newton_euler.control import is_finite_number
-from newton_euler.couplings import couplings, residuals
-from newton_euler.errors import AssemblyError, OptionError, check_choice
+from newton_euler.couplings import couplings, residuals, row_owners, row_units
+from newton_euler.errors import AssemblyError, IntegrationError, OptionError, check_choice
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.scalars import Array
+from newton_euler.scene import Scene
 from newton_euler.solve import minimum_norm
 from newton_euler.state import State
 from newton_euler.system import Rheonomic, System, opening
@@ -28,6 +29,10 @@ NEWTON_STEPS = 20
 RK4_LIMIT = 2.785
 """Largest product of a gain alpha and a step of RK4 that is stable (E. Hairer, G. Wanner, Solving Ordinary
 Differential Equations II, second edition, Springer 1996, section IV.2)."""
+
+OPEN = 1e-2
+"""Sizes of the mechanism, or rad, by which a joint may come open without projection before what runs on is
+another mechanism: a hundredth can be seen."""
 
 ROUND_OFF = 16.0 * np.finfo(float).eps
 """Residuals below this share of the mechanism's size are what evaluating them loses."""
@@ -77,10 +82,39 @@ def project_velocity(system: System, q: Array, v: Array) -> Array:
     return np.asarray(v - step)
 
 
+def joint_residuals(mechanism: Mechanism, state: State) -> Array:
+    """(k,) residuals of all joints' equations in a state, m or rad."""
+    frames = state.frames()
+    return np.concatenate(
+        [np.zeros(0), *(e.phi(frames[e.first], frames[e.second]) for e in mechanism.equations)]
+    )
+
+
 def joint_violations(mechanism: Mechanism, state: State) -> Array:
     """(j,) largest residual of each joint's equations in a state, m or rad."""
     frames = state.frames()
     return np.array([largest(e.phi(frames[e.first], frames[e.second])) for e in mechanism.equations])
+
+
+def check_closed(scene: Scene, times: Array, phi: Array) -> None:
+    """Raise `IntegrationError` at the first of times (n,) with a residual (n, k) of more than `OPEN`.
+
+    Residuals are those of all joints, then of couplings. Where the first are larger than that, as of a start
+    that nobody has checked, twice as much is allowed: gains may still close it.
+    """
+    coupled, mechanism = couplings(scene), scene.mechanism
+    gaps = np.abs(phi) / row_units(mechanism.equations, coupled, mechanism.size)
+    largest_gap = np.max(gaps, axis=1, initial=0.0)
+    start = float(largest_gap[0])
+    wide = np.flatnonzero(largest_gap > (OPEN if start <= OPEN else 2.0 * start))
+    if not wide.size:
+        return
+    row = int(wide[0])
+    worst = int(np.argmax(gaps[row]))
+    owner = row_owners(mechanism.equations, coupled)[worst]
+    gap = abs(float(phi[row, worst]))
+    reason = f"joint {owner!r} has come open by {gap:.3g} (m or rad); projection would keep it closed"
+    raise IntegrationError(float(times[row]), reason)
 
 
 def worst_joint(system: System, state: State) -> tuple[str, float]:

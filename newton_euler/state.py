@@ -63,7 +63,8 @@ class Evaluation:
     Attributes:
         state: poses and velocities as this engine's own kinematics give them.
         linear_acceleration, angular_acceleration: (b, 3) of the bodies.
-        reaction_force, reaction_torque: (j, 3) on the second body, at its joint point.
+        reaction_force, reaction_torque: (j, 3) on the second body, at its joint point. Not unique where
+            constraints are redundant, see `newton_euler.reactions`.
         actuator_force: (a,) N or N m along the actuated coordinates.
         kinetic_energy, potential_energy: J; potential energy is that of gravity, zero at the origin, and
             of springs, zero at rest.

@@ -51,6 +51,9 @@ class System(Protocol):
     def phi(self, q: Array) -> Array:
         """Constraint residuals (k,) that projection has to remove."""
 
+    def joint_phi(self, q: Array) -> Array:
+        """Residuals of all joints' equations, then of all couplings, m or rad."""
+
     def phi_jacobian(self, q: Array) -> Array:
         """(k, nv): derivative of `phi` along `retract`, and of its rate by v."""
 

@@ -45,9 +45,10 @@ class Trajectory:
     angular_velocity: Array | None = None
     """(n, b, 3) rad/s."""
     reaction_force: Array | None = None
-    """(n, j, 3) constraint force on the second body, N."""
+    """(n, j, 3) constraint force on the second body, N; not unique where constraints are redundant, see
+    `newton_euler.reactions`."""
     reaction_torque: Array | None = None
-    """(n, j, 3) constraint torque on the second body about the joint point, N m."""
+    """(n, j, 3) constraint torque on the second body about the joint point, N m; as unique as the force."""
     actuator_force: Array | None = None
     """(n, a) along the actuated coordinates, N or N m."""
     constraint_violation: Array | None = None

@@ -30,7 +30,7 @@ def run(capsys, *arguments):
     return caught.value.code or 0, captured.out, captured.err
 
 
-class _NoAliases(yaml.SafeDumper):
+class NoAliases(yaml.SafeDumper):
     """Scene files may not hold aliases, which PyYAML writes for a list that is there twice."""
 
     def ignore_aliases(self, data):
@@ -39,7 +39,7 @@ class _NoAliases(yaml.SafeDumper):
 
 def scene_file(folder, content, name="scene.yaml"):
     path = folder / name
-    path.write_text(content if isinstance(content, str) else yaml.dump(content, Dumper=_NoAliases))
+    path.write_text(content if isinstance(content, str) else yaml.dump(content, Dumper=NoAliases))
     return path
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -137,6 +137,24 @@ class Case:
         if self.message is None:
             return ["convert", source, "out.yaml", *loops]
         return ["run", source, *loops, "--output", "out", *self.arguments]
+
+
+def edited(
+    label: str, file: str, edits: Mapping[str, tuple[str, str, str] | tuple[str, str, str, Prepare]]
+) -> Iterator[Case]:
+    """A file with one text in it exchanged: what was, what is, what has to be said, and what else is made."""
+    for name, (old, new, message, *prepare) in edits.items():
+        text = TEXTS[file]
+        assert old in text, name
+        content = text.replace(old, new, 1).encode()
+        yield Case(f"{label}: {name}", file, content, message, prepare=prepare[0] if prepare else None)
+
+
+def with_options(label: str, file: str, options: Iterable[tuple[tuple[str, ...], str]]) -> Iterator[Case]:
+    """A file with nothing wrong, and a command line that does not fit it."""
+    for arguments, message in options:
+        name = f"{label}: options {' '.join(arguments)}"
+        yield Case(name, file, TEXTS[file].encode(), message, arguments)
 
 
 def fifo(name: str) -> Prepare:

@@ -13,10 +13,12 @@ from hostile_files import (
     Case,
     Prepare,
     chain_of_includes,
+    edited,
     fifo,
     file_of,
     link_to,
     sparse,
+    with_options,
 )
 
 WORLD = "<worldbody>"
@@ -230,10 +232,7 @@ MJCF_EDITS: dict[str, tuple[str, str, str] | tuple[str, str, str, Prepare]] = {
 
 
 def mjcf_cases() -> Iterator[Case]:
-    for name, (old, new, message, *prepare) in MJCF_EDITS.items():
-        assert old in MJCF, name
-        content = MJCF.replace(old, new, 1).encode()
-        yield Case(f"MJCF: {name}", "model.xml", content, message, prepare=prepare[0] if prepare else None)
+    yield from edited("MJCF", "model.xml", MJCF_EDITS)
     endless = '<replicate count="100000000" offset="1 0 0"><body><joint/><geom size="1"/></body></replicate>'
     long = "x" * 100_000
     for name, text, message in (
@@ -246,7 +245,7 @@ def mjcf_cases() -> Iterator[Case]:
         ("long name twice", MJCF.replace('"crank"', f'"{long}"').replace('"rocker"', f'"{long}"'), "xxx"),
     ):
         yield Case(f"MJCF: {name}", "model.xml", text.encode(), message, slow=True)
-    for arguments, message in (
+    options = (
         (("--set", "key=up"), "no keyframe 'up'; choose from: qpos0, start"),
         (("--set", "colour=red"), "model.xml has no option 'colour'; choose from: duration"),
         (("--set", "duration=long"), "duration is 'long'; needed: a number of seconds"),
@@ -260,6 +259,5 @@ def mjcf_cases() -> Iterator[Case]:
         (("--loops", "loops.yaml"), "--loops loops.yaml: only a URDF has a loop file"),
         (("--engines", "abacus"), "abacus"),
         (("--save", "recording.txt"), "--save recording.txt: a recording's name ends in .rrd"),
-    ):
-        name = f"MJCF: options {' '.join(arguments)}"
-        yield Case(name, "model.xml", MJCF.encode(), message, arguments)
+    )
+    yield from with_options("MJCF", "model.xml", options)

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 
 import yaml
-from command_line import short_example
+from command_line import NoAliases, short_example
 from hostile_files import ALIASES, Case
 
 Keys = tuple[str | int, ...]
@@ -55,11 +55,6 @@ SCENE_EDITS: dict[str, tuple[Keys, object, str]] = {
 }
 
 
-class _NoAliases(yaml.SafeDumper):
-    def ignore_aliases(self, data: object) -> bool:
-        return True
-
-
 def scene_cases() -> Iterator[Case]:
     for name, (keys, value, message) in SCENE_EDITS.items():
         content = short_example()
@@ -68,7 +63,7 @@ def scene_cases() -> Iterator[Case]:
             at = at[key]
         at[keys[-1]] = value
         for file in ("scene.yaml", "scene.json"):
-            text = json.dumps(content) if file == "scene.json" else yaml.dump(content, Dumper=_NoAliases)
+            text = json.dumps(content) if file == "scene.json" else yaml.dump(content, Dumper=NoAliases)
             slow = isinstance(value, list | str) and len(value) > 50_000
             yield Case(f"{file}: {name}", file, text.encode(), message, slow=slow)
     for name, text, message in (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hostile_files import ALIASES, LOOPS, URDF, Case
+from hostile_files import ALIASES, LOOPS, URDF, Case, edited, with_options
 
 MASS, INERTIA = '<mass value="0.5"/>', 'ixx="0.002" ixy="0" ixz="0" iyy="0.003" iyz="0" izz="0.002"'
 
@@ -123,9 +123,7 @@ def chain(count: int) -> bytes:
 
 
 def urdf_cases() -> Iterator[Case]:
-    for name, (old, new, message) in URDF_EDITS.items():
-        assert old in URDF, name
-        yield Case(f"URDF: {name}", "robot.urdf", URDF.replace(old, new, 1).encode(), message)
+    yield from edited("URDF", "robot.urdf", URDF_EDITS)
     for name, content, message in (
         ("40 000 links", star(40_000, "fixed"), "it has 40001 links, at most 2000 here"),
         ("40 000 links in a row", chain(40_000), "it has 40001 links, at most 2000 here"),
@@ -137,15 +135,15 @@ def urdf_cases() -> Iterator[Case]:
         ),
     ):
         yield Case(f"URDF: {name}", "robot.urdf", content, message, slow=True)
-    for arguments, message in (
+    options = (
         (("--set", "key=start"), "robot.urdf has no option 'key'; choose from: duration, output_period"),
         (("--set", "duration=inf"), "duration is inf; needed: a positive number of seconds"),
         (("--loops", "none.yaml"), "none.yaml: cannot be read: No such file or directory"),
         (("--loops", "parts"), "parts: not a regular file"),
         (("--loops", "parts/wedge.obj"), "parts/wedge.obj: document: not a mapping"),
         (("--loops", "robot.urdf"), "robot.urdf: document: not"),
-    ):
-        yield Case(f"URDF: options {' '.join(arguments)}", "robot.urdf", URDF.encode(), message, arguments)
+    )
+    yield from with_options("URDF", "robot.urdf", options)
 
 
 LOOP_EDITS: dict[str, tuple[str, str, str]] = {
@@ -155,7 +153,7 @@ LOOP_EDITS: dict[str, tuple[str, str, str]] = {
     "a type that is a list": ("[3d]", "[[3d]]", "type: ['3d'] is not a name"),
     "types that are none": ("[3d]", "3d", "type: '3d' is not a list"),
     "types that are null": ("[3d]", "", "type: '' is not a list"),
-    "an unknown frame": ("[tip, end]", "[tip, nowhere]", "closed_loop: the URDF has no link 'nowhere'"),
+    "an unknown frame": ("[tip, end]", "[tip, nowhere]", "the URDF has no link or joint 'nowhere'"),
     "a frame to itself": ("[tip, end]", "[tip, tip]", "closed_loop: ['tip', 'tip'] is one frame"),
     "three frames": ("[tip, end]", "[tip, end, end]", "is not a pair of frame names"),
     "a pair that is none": ("[[tip, end]]", "[tip, end]", "closed_loop: 'tip' is not a pair of frame names"),
@@ -169,8 +167,8 @@ LOOP_EDITS: dict[str, tuple[str, str, str]] = {
     ),
     "an unknown joint type": (
         "joint_name: []\njoint_type: []",
-        "joint_name: [axle]\njoint_type: [CARDAN]",
-        "joint_type: unknown 'CARDAN'; choose from: SPHERICAL",
+        "joint_name: [axle]\njoint_type: [HELICAL]",
+        "joint_type: unknown 'HELICAL'; choose from: SPHERICAL, FIXED, UJOINT_XY",
     ),
     "a joint type too few": ("joint_name: []", "joint_name: [axle]", "joint_type: 0 entries for 1 of joint"),
     "a coupling of words": ("name_mot", "coupled: [{motor: fast}]\nname_mot", "coupled: {'motor': 'fast'}"),
@@ -185,8 +183,8 @@ LOOP_EDITS: dict[str, tuple[str, str, str]] = {
     "a document more": ("name_mot", "---\nname_mot", "document: not YAML: line 3: a second document"),
     "a tab": ("[3d]", "\n\t- 3d", "document: not YAML: line 3: found character that cannot start"),
     "a key that is a list": ("name_mot", "? [a]\n: b\nname_mot", "line 3: a key is not a text"),
-    "an escape": ("[tip, end]", '[tip, "a\\x1b[31m"]', "the URDF has no link 'a\\x1b[31m'"),
-    "a long name": ("[tip, end]", f"[tip, {'x' * 100_000}]", "the URDF has no link 'xxx"),
+    "an escape": ("[tip, end]", '[tip, "a\\x1b[31m"]', "the URDF has no link or joint 'a\\x1b[31m'"),
+    "a long name": ("[tip, end]", f"[tip, {'x' * 100_000}]", "the URDF has no link or joint 'xxx"),
     "deep nesting": ("[3d]", "[" * 100_000, "line 2: nested too deeply"),
     "deep nesting in blocks": ("[3d]", "\n" + "- " * 100_000, "line 3: nested too deeply"),
     "many pairs": (
@@ -199,8 +197,6 @@ LOOP_EDITS: dict[str, tuple[str, str, str]] = {
 
 
 def loop_cases() -> Iterator[Case]:
-    for name, (old, new, message) in LOOP_EDITS.items():
-        assert old in LOOPS, name
-        yield Case(f"loops: {name}", "loops.yaml", LOOPS.replace(old, new, 1).encode(), message)
+    yield from edited("loops", "loops.yaml", LOOP_EDITS)
     text = ALIASES + LOOPS.replace("[3d]", "*a40")
     yield Case("loops: aliases that unfold", "loops.yaml", text.encode(), "aliases are not allowed here")

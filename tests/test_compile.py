@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import stat
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from test_expression import everything, traced
 
-from newton_euler.cache import CACHE_VARIABLE
+import newton_euler.cache
+from newton_euler.cache import CACHE_VARIABLE, cache_key, read_cache, write_cache
 from newton_euler.compile import NativeFunction, NativeModule
 from newton_euler.emit import LANES
 from newton_euler.expression import Graph
@@ -135,7 +138,47 @@ def test_runs_that_are_killed_leave_the_cache_usable(cache):
     assert all(compiled(source).from_cache for source in sources)
 
 
-def test_what_a_killed_run_left_is_removed_in_time(cache):
+def written(cache: Path, number: int) -> str:
+    """The key of a kilobyte in the cache that was used so many hours after 1970."""
+    key = cache_key("entry", number)
+    write_cache(key, bytes(1000))
+    os.utime(cache / key, (3600.0 * number,) * 2)
+    return key
+
+
+def test_the_cache_keeps_what_was_used_last_below_its_limit(cache, monkeypatch):
+    monkeypatch.setattr(newton_euler.cache, "LIMIT", 100_000)
+    cache.mkdir()
+    (cache / "notes.txt").write_bytes(bytes(200_000))  # somebody's own
+    keys = []
+    for number in range(1000):
+        keys.append(written(cache, number))
+        assert read_cache(keys[0]) is not None  # in use all the time
+    found = {path.name for path in cache.iterdir()}
+    assert "notes.txt" in found
+    # as many as fit, three quarters of that after a count, and what comes before the next one
+    assert 75_000 - 1032 < 1032 * (len(found) - 1) < 100_000 + 1032 * 100
+    assert found - {"notes.txt", keys[0]} == set(keys[2 - len(found) :])
+
+
+def test_reading_counts_no_files(cache, monkeypatch):
+    key = written(cache, 0)
+    monkeypatch.setattr(os, "scandir", None)
+    assert read_cache(key) == bytes(1000)
+
+
+def test_what_cannot_be_marked_as_used_is_read(cache, monkeypatch):
+    key = written(cache, 0)
+
+    def read_only(*arguments: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(os, "utime", read_only)
+    assert read_cache(key) == bytes(1000)
+
+
+def test_what_a_killed_run_left_is_removed_in_time(cache, monkeypatch):
+    monkeypatch.setattr(newton_euler.cache, "_COUNT_EVERY", 1)
     compiled(SOURCE)
     old, new = cache / ".new-old", cache / ".new-new"
     for path in (old, new):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -119,6 +120,71 @@ GOOD: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         {"formulation": "relative", "stabilization": "projection", "alpha": 1.0, "parameters": ()},
     ),
 }
+
+OVERFLOWING: dict[str, Callable[[], object]] = {
+    "a joint far from its body": lambda: Mechanism(
+        [Body.ground(), Body("a", 1.0, [1e308] * 3, np.eye(3))],
+        [JOINT_KINDS["revolute"]("j", "ground", "a", [-1e308] * 3, axis=Z)],
+    ),
+    "a quaternion": lambda: Mechanism(
+        [Body.ground(), Body("a", 1.0, ORIGIN, np.eye(3), [1e200] * 4)],
+        [JOINT_KINDS["free"]("j", "ground", "a", ORIGIN)],
+    ),
+    "an inertia": lambda: Mechanism(
+        [Body.ground(), Body("a", 1.0, ORIGIN, 1e308 * np.array([[1.0, -1.0, 0], [1.0, 1.0, 0], Z]))],
+        [JOINT_KINDS["free"]("j", "ground", "a", ORIGIN)],
+    ),
+    "an initial quaternion": lambda: Scene(
+        "s", MECHANISM, 1.0, 0.1, initial_state=starting(quaternion=np.full((2, 4), 1e200))
+    ),
+}
+
+
+def starting(**changes: Any) -> State:
+    return replace(State.initial(MECHANISM), **changes)
+
+
+@pytest.mark.parametrize("what", OVERFLOWING)
+def test_what_overflows_is_refused_without_a_warning(what):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(NewtonEulerError):
+            OVERFLOWING[what]()
+
+
+@pytest.mark.parametrize("value", [1, 0, "no", None, 1.0, np.eye(2)])
+def test_an_unrealisable_inertia_is_allowed_by_a_truth_value_alone(value):
+    with pytest.raises(NewtonEulerError, match=r"body 'a': allow_unrealisable_inertia is .*; needed: True"):
+        Body("a", 1.0, ORIGIN, np.eye(3), allow_unrealisable_inertia=value)
+
+
+def test_numpys_numbers_are_options():
+    options = {"rtol": np.float32(1e-6), "atol": np.float64(1e-8), "most_steps": np.int64(1000)}
+    run = newton_euler.simulate(pendulum(), **options)
+    assert run.settings["rtol"] == float(np.float32(1e-6))
+    assert type(run.settings["rtol"]) is float
+    fixed = newton_euler.simulate(pendulum(), integrator="RK4", step=np.float32(0.125))
+    assert type(fixed.settings["step"]) is float
+    batch = newton_euler.simulate_batch(pendulum(), [State.initial(MECHANISM)], threads=np.int32(1))
+    assert batch.settings["threads"] == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"states": State.initial(MECHANISM)},
+        {"states": 3},
+        {"parameters": 3},
+        {"parameters": [1.0]},
+        {"parameters": {"gravity": 9.81}},
+        {"states": [State.initial(MECHANISM)], "threads": True},
+    ],
+    ids=str,
+)
+def test_a_batch_of_no_sequence_is_refused(arguments):
+    with pytest.raises(NewtonEulerError, match=r"^(states|parameters|gravity|threads) is .*; needed: "):
+        newton_euler.simulate_batch(pendulum(), **arguments)
+
 
 AXES: dict[str, dict[str, Any]] = {
     **{

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from finite_difference import derivative, jacobian
 from mechanisms import bolted, planar_four_bar, scaled
+from random_chains import CHAINS
 
 from crosscheck.scenes.tracker import tracker as make_tracker
+from mjcf.inspect import move_anchor
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
 from newton_euler.assemble import random_states
 from newton_euler.cartesian import Cartesian
-from newton_euler.control import PD
-from newton_euler.joints import JOINT_KINDS, Fixed, Free, Joint, Revolute, Spherical
+from newton_euler.joints import Fixed, Free, Joint, Revolute, Spherical
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.relative import Relative
-from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import Evaluation, State
 from newton_euler.system import System
@@ -36,152 +35,19 @@ REACTIONS = 1e-8
 """Relative to the largest: the multipliers lose the constraints' condition once more."""
 
 
-def unit(vector: Array) -> Array:
-    return np.asarray(vector / np.linalg.norm(vector))
-
-
-def random_inertia(rng: np.random.Generator, moments: Array) -> Array:
-    """Principal moments along random axes, symmetric to the last digit."""
-    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    inertia = axes @ np.diag(moments) @ axes.T
-    return np.asarray(0.5 * (inertia + inertia.T))
-
-
-def random_joint(
-    kind: str, name: str, first: str, second: str, rng: np.random.Generator, actuated: bool
-) -> Joint:
-    """A joint anywhere within a metre, its two points apart where the kind allows it."""
-    axis, point = unit(rng.normal(size=3)), 0.3 * rng.normal(size=3)
-    more: dict[str, Any] = {"actuated": actuated}
-    if kind == "universal":
-        more |= {
-            "axis_on_first": axis,
-            "axis_on_second": unit(np.cross(axis, rng.normal(size=3))),
-        }
-    elif kind not in ("spherical", "fixed", "free"):
-        more["axis"] = axis
-    if kind in ("cylindrical", "translational"):
-        more["point_on_second"] = point + 0.1 * axis
-    return JOINT_KINDS[kind](name, first, second, point, **more)
-
-
-def chain(
-    kinds: Sequence[str],
-    closed: bool = False,
-    reverse: Collection[int] = (),
-    actuated: Collection[int] = (),
-    seed: int = 0,
-) -> Scene:
-    """Random bodies joined in a row from the ground, and back to it if closed, under gravity.
-
-    Body frames are turned at random, so that no two of them are parallel. Joints numbered in
-    `reverse` have their bodies swapped.
-    """
-    rng = np.random.default_rng(seed)
-    count = len(kinds) - closed
-    bodies = [Body("ground", 0.0, 0.1 * rng.normal(size=3), np.zeros((3, 3)))]
-    for k in range(count):
-        inertia = random_inertia(rng, 1e-2 * rng.uniform(1.0, 1.8, 3))
-        center = 0.3 * rng.normal(size=3)
-        bodies.append(Body(f"body_{k}", rng.uniform(0.5, 2.0), center, inertia, unit(rng.normal(size=4))))
-    names = [body.name for body in bodies]
-    joints, control = [], []
-    for k, kind in enumerate(kinds):
-        first, second = names[k], names[(k + 1) % len(names)]
-        if k in reverse:
-            first, second = second, first
-        joint = random_joint(kind, f"joint_{k}", first, second, rng, k in actuated)
-        joints.append(joint)
-        if k in actuated:
-            coordinates = sum(motion.kind != "ball" for motion in joint.motions)
-            control += [PD(joint.name, 5.0, 0.7, 0.1, c) for c in range(coordinates)]
-    return Scene(
-        "chain",
-        Mechanism(bodies, joints),
-        duration=0.5,
-        output_period=0.1,
-        gravity=np.array([0.3, -1.0, -9.81]),
-        control=tuple(control),
-    )
-
-
-def four_bar() -> Scene:
-    """Crank, coupler and rocker in the plane y = 0, all hinges: 3 redundant equations."""
-    points = {
-        "a": [0.0, 0.0, 0.0],
-        "b": [0.1, 0.0, 0.2],
-        "c": [0.6, 0.0, 0.4],
-        "d": [0.5, 0.0, 0.0],
-    }
-    p = {name: np.array(point) for name, point in points.items()}
-    bodies = [Body.ground()]
-    for name, ends, mass in (("crank", "ab", 0.5), ("coupler", "bc", 1.0), ("rocker", "cd", 0.8)):
-        start, end = p[ends[0]], p[ends[1]]
-        length = float(np.linalg.norm(end - start))
-        inertia = mass * length**2 / 12.0 * np.diag([1.0, 1.0, 0.1])
-        bodies.append(Body(name, mass, 0.5 * (start + end), inertia))
-    names = [body.name for body in bodies]
-    joints = [
-        Revolute(f"hinge_{k}", names[i], names[(i + 1) % 4], p[k], axis=np.eye(3)[1])
-        for i, k in enumerate("abcd")
-    ]
-    return Scene("four_bar", Mechanism(bodies, joints), 0.5, 0.05, gravity=np.array([0.0, 0.0, -9.81]))
-
-
-CHAINS = {
-    "heavy top": chain(["spherical"]),
-    "heavy top, joint reversed": chain(["spherical"], reverse=[0]),
-    "universal, ball, cylindrical": chain(["universal", "spherical", "cylindrical"], actuated=[0, 2]),
-    "universal, ball, cylindrical, reversed": chain(
-        ["universal", "spherical", "cylindrical"], reverse=[0, 1, 2], actuated=[0, 2]
-    ),
-    "floating, with a rigid part": chain(["free", "fixed", "revolute"], actuated=[0, 2]),
-    "floating, joints reversed": chain(["free", "fixed", "revolute"], reverse=[0, 1, 2], actuated=[2]),
-    "loop cut at a ball": chain(
-        ["translational", "universal", "spherical", "revolute"], closed=True, actuated=[0], seed=5
-    ),
-    "loop cut at a ball to the ground": chain(
-        ["translational", "universal", "revolute", "spherical"], closed=True, actuated=[1], seed=6
-    ),
-    "loop cut at a hinge": chain(["revolute"] * 7, closed=True, actuated=[0, 6], seed=2),
-    "loop cut at a hinge, half of the joints reversed": chain(
-        ["revolute"] * 7, closed=True, reverse=[1, 3, 5, 6], actuated=range(7), seed=2
-    ),
-    "loop cut at a universal joint": chain(
-        ["revolute", "universal", "universal", "cylindrical"],
-        closed=True,
-        actuated=[1, 2, 3],
-        seed=3,
-    ),
-    "loop cut at a universal joint, joints reversed": chain(
-        ["revolute", "universal", "universal", "cylindrical"],
-        closed=True,
-        reverse=[0, 1, 2],
-        actuated=[1, 2, 3],
-        seed=3,
-    ),
-    # the free joint is cut through the body, and one half floats against the ground: slides, then a ball
-    "loop through a free joint": chain(["spherical", "free"], closed=True, reverse=[1], seed=9),
-    # its second body is on the ground's side: the ball comes before the slides
-    "loop through a free joint reversed": chain(["spherical", "free"], closed=True, seed=9),
-    "loop through free joints both ways round": chain(
-        ["universal", "free", "free", "revolute"], closed=True, reverse=[1], actuated=[0, 3], seed=9
-    ),
-    # from 60 velocities on MuJoCo keeps its Jacobians sparse
-    "long loop of balls": chain(["spherical"] * 21, closed=True, seed=8),
-    "loop cut at a cylindrical joint": chain(
-        ["revolute", "universal", "cylindrical", "universal"],
-        closed=True,
-        actuated=[0, 1, 3],
-        seed=4,
-    ),
-}
-
-
 def gap(found: Evaluation, wanted: Evaluation, name: str, scale: float = 0.0) -> float:
     """Largest difference over all bodies or joints relative to the largest value, or to `scale`."""
     x, y = getattr(found, name), getattr(wanted, name)
     return float(np.max(np.abs(x - y)) / max(np.max(np.abs(y)), scale))
+
+
+def both(scene: Scene, states: Sequence[State], *systems: System) -> Iterator[tuple[Evaluation, Evaluation]]:
+    """What MuJoCo's rigid model gives at each state, with what each of the systems does."""
+    rigid = RigidMuJoCo(scene)
+    for state in states:
+        found = rigid.evaluate(*rigid.coordinates(state))
+        for system in systems:
+            yield found, system.evaluate(*system.coordinates(state))
 
 
 def assert_same_kinematics(found: Evaluation, wanted: Evaluation) -> None:
@@ -211,19 +77,14 @@ def assert_same_reactions(found: Evaluation, wanted: Evaluation) -> None:
 
 
 def test_tracker_agrees_at_200_states(tracker: Scene, tracker_states: list[State]) -> None:
-    rigid, relative, cartesian = RigidMuJoCo(tracker), Relative(tracker), Cartesian(tracker)
-    references: list[System] = [relative, cartesian]
-    for state in tracker_states:
-        found = rigid.evaluate(*rigid.coordinates(state))
-        for system in references:
-            wanted = system.evaluate(*system.coordinates(state))
-            assert_same_kinematics(found, wanted)
-            assert_same_energies(found, wanted)
-            assert_same_accelerations(found, wanted)
-            assert gap(found, wanted, "reaction_force") < REACTIONS
-            assert gap(found, wanted, "reaction_torque") < REACTIONS
-            # forces of some 10 N out of products of order 1
-            assert np.max(np.abs(found.actuator_force - wanted.actuator_force)) < 1e-11
+    for found, wanted in both(tracker, tracker_states, Relative(tracker), Cartesian(tracker)):
+        assert_same_kinematics(found, wanted)
+        assert_same_energies(found, wanted)
+        assert_same_accelerations(found, wanted)
+        assert gap(found, wanted, "reaction_force") < REACTIONS
+        assert gap(found, wanted, "reaction_torque") < REACTIONS
+        # forces of some 10 N out of products of order 1
+        assert np.max(np.abs(found.actuator_force - wanted.actuator_force)) < 1e-11
 
 
 def test_tracker_coordinates_are_those_of_the_relative_form(
@@ -265,10 +126,7 @@ def test_refused_inertia_along_the_axes_of_a_body() -> None:
     body = Body("odd", 1.0, np.zeros(3), inertia, allow_unrealisable_inertia=True)
     free = Free("float", "ground", "odd", np.zeros(3))
     scene = Scene("odd", Mechanism([Body.ground(), body], [free]), 1.0, 0.1)
-    rigid, relative = RigidMuJoCo(scene), Relative(scene)
-    for state in random_states(scene, 3):
-        found = rigid.evaluate(*rigid.coordinates(state))
-        wanted = relative.evaluate(*relative.coordinates(state))
+    for found, wanted in both(scene, random_states(scene, 3), Relative(scene)):
         assert_same_accelerations(found, wanted)
         assert_same_energies(found, wanted)
 
@@ -276,17 +134,12 @@ def test_refused_inertia_along_the_axes_of_a_body() -> None:
 @pytest.mark.parametrize("name", CHAINS)
 def test_chains_agree(name: str) -> None:
     scene = CHAINS[name]
-    rigid, relative, cartesian = RigidMuJoCo(scene), Relative(scene), Cartesian(scene)
-    systems: list[System] = [relative, cartesian]
-    for state in random_states(scene, 5):
-        found = rigid.evaluate(*rigid.coordinates(state))
-        for system in systems:
-            wanted = system.evaluate(*system.coordinates(state))
-            assert_same_kinematics(found, wanted)
-            assert_same_energies(found, wanted)
-            assert_same_accelerations(found, wanted)
-            assert_same_reactions(found, wanted)
-            assert np.allclose(found.actuator_force, wanted.actuator_force, rtol=1e-12, atol=1e-12)
+    for found, wanted in both(scene, random_states(scene, 5), Relative(scene), Cartesian(scene)):
+        assert_same_kinematics(found, wanted)
+        assert_same_energies(found, wanted)
+        assert_same_accelerations(found, wanted)
+        assert_same_reactions(found, wanted)
+        assert np.allclose(found.actuator_force, wanted.actuator_force, rtol=1e-12, atol=1e-12)
 
 
 def test_loops_are_cut_where_the_names_of_the_cases_say() -> None:
@@ -317,15 +170,10 @@ def test_free_joints_in_loops_are_the_way_round_that_the_cases_say(name: str, ty
 
 def test_planar_four_bar_agrees_in_accelerations() -> None:
     """Its equations are redundant in space, so reactions out of the plane are not determined."""
-    scene = four_bar()
-    rigid, relative, cartesian = RigidMuJoCo(scene), Relative(scene), Cartesian(scene)
-    systems: list[System] = [relative, cartesian]
-    for state in random_states(scene, 10):
-        found = rigid.evaluate(*rigid.coordinates(state))
-        for system in systems:
-            wanted = system.evaluate(*system.coordinates(state))
-            assert_same_kinematics(found, wanted)
-            assert_same_accelerations(found, wanted)
+    scene = planar_four_bar()
+    for found, wanted in both(scene, random_states(scene, 10), Relative(scene), Cartesian(scene)):
+        assert_same_kinematics(found, wanted)
+        assert_same_accelerations(found, wanted)
 
 
 def test_a_planar_four_bar_of_any_size_moves_alike() -> None:
@@ -364,9 +212,7 @@ def test_a_loop_between_fixed_bodies_does_nothing() -> None:
         Revolute("hinge", "post", "arm", np.ones(3), axis=y),
     ]
     scene = Scene("post", Mechanism(bodies, joints), 0.1, 0.1, gravity=-9.81 * np.eye(3)[0])
-    rigid, relative = RigidMuJoCo(scene), Relative(scene)
-    found = rigid.evaluate(*rigid.coordinates(scene.initial_state))
-    wanted = relative.evaluate(*relative.coordinates(scene.initial_state))
+    ((found, wanted),) = both(scene, [scene.initial_state], Relative(scene))
     assert_same_accelerations(found, wanted)
     assert_same_reactions(found, wanted)
     assert np.max(np.abs(found.angular_acceleration)) > 1.0
@@ -410,3 +256,22 @@ def test_soft_answers_do_not_depend_on_what_was_asked_before(
     after = soft.evaluate(q, v)
     assert np.array_equal(before.linear_acceleration, after.linear_acceleration)
     assert np.array_equal(before.reaction_force, after.reaction_force)
+
+
+def test_an_anchor_is_moved_whatever_its_weld_is_called() -> None:
+    scene = planar_four_bar()
+    names = {"at_a": "at_c_weld", "at_b": "at_b", "at_c": "at_c", "at_d": "at_d"}
+    joints = [replace(joint, name=names[joint.name]) for joint in scene.mechanism.joints]
+    for chosen in (scene, replace(scene, mechanism=Mechanism(scene.mechanism.bodies, joints))):
+        system = RigidMuJoCo(chosen)
+        (cut,) = system.welded.tree.cuts
+        owner = next(
+            joint.name
+            for joint, own in zip(system.welded.mechanism.joints, chosen.mechanism.joints, strict=False)
+            if {joint.first, joint.second} != {own.first, own.second}
+        )
+        q, _ = system.coordinates(chosen.initial_state)
+        assert np.max(np.abs(system.phi(q))) < 1e-14
+        move_anchor(system, owner, np.array([0.0, 0.0, 1e-3]))
+        # the point of the second body has gone up, and residuals are of the first less it
+        assert system.phi(q)[:3] == pytest.approx([0.0, 0.0, -1e-3], abs=1e-14), (owner, cut)

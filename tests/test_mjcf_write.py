@@ -129,6 +129,20 @@ def test_flat_bodies_in_any_orientation_are_accepted() -> None:
         assert np.max(np.abs(np.sort(standalone) - np.sort([a, b, a + b]))) < 3e-12 * (a + b)
 
 
+@pytest.mark.parametrize("turn", [1e-9, 3e-7, 1.2e-6, 5e-6, 1e-3])
+def test_axes_of_inertia_that_are_nearly_the_bodys_own_are_kept(turn: float, tmp_path: Path) -> None:
+    """MuJoCo's own principal axes leave out turns of less than 1.4e-6 rad."""
+    axes = rotation(np.array([np.cos(0.5 * turn), 0.0, 0.0, np.sin(0.5 * turn)]))
+    inertia = axes @ np.diag([1e-3, 2e-3, 2.5e-3]) @ axes.T
+    scene = one_body(Body("plate", 1.0, np.zeros(3), 0.5 * (inertia + inertia.T)))
+    wanted = scene.mechanism.bodies[1].inertia
+    assert np.max(np.abs(CompiledScene(scene).mass_properties().inertia[1] - wanted)) < MODEL * 2.5e-3
+    mjcf.write(scene, tmp_path / "plate.xml")
+    back = read_mjcf(tmp_path / "plate.xml").scene.mechanism.bodies[1]
+    found = rotation(back.quaternion) @ back.inertia @ rotation(back.quaternion).T
+    assert np.max(np.abs(found - wanted)) < MODEL * 2.5e-3
+
+
 def test_text_keeps_every_digit(tracker: Scene) -> None:
     root = ET.fromstring(mjcf.to_xml(tracker))
     for body in tracker.mechanism.bodies[1:-1]:

@@ -163,7 +163,7 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         system = (jacobian, derivative, derivative, 0, 1e-12, None, None, None, pause, np.zeros(n))
         states = (np.zeros(2), np.zeros(2))
         status = march_radau(
-            n, len(times), times, rtol, 1e-2 * rtol, 10**6, 0, *system, *states, *scratch, table, counts
+            n, len(times), times, rtol, 1e-2 * rtol, 10**6, 0, n, *system, *states, *scratch, table, counts
         )
         assert status == DONE
         assert np.abs(table - np.sin(times)).max() < rtol  # one tolerance: stiff errors do not add up

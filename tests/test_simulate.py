@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import newton_euler
+from crosscheck.scenes import load
 from newton_euler.errors import NewtonEulerError
 from newton_euler.euler_parameters import angle_between, rotation
 from newton_euler.trajectory import load_arrays
@@ -59,8 +60,6 @@ def test_drift_is_bounded_with_baumgarte_and_grows_without(tracker):
 
 
 def test_literal_inertia_runs_and_differs_a_little(tracker_run):
-    from crosscheck.scenes import load
-
     literal = newton_euler.simulate(load("tracker", panel_inertia="literal"))
     gap = np.abs(literal.position - tracker_run(**TIGHT).position).max()
     assert 1e-6 < gap < 1e-3  # inertia changed by less than 1 %, motions of 0.02 m
@@ -106,6 +105,19 @@ def test_outputs_that_are_not_asked_for_are_absent(tracker):
         "potential_energy",
         "work",
     }
+
+
+@pytest.mark.parametrize("integrator", ["DOP853", "Radau"])
+@pytest.mark.parametrize("name", ["tracker", "four_bar"])  # the second passes where its rank drops
+def test_poses_do_not_depend_on_what_else_is_asked_for(name, integrator):
+    """Whoever asks for poses alone gets outputs whose velocities are left open."""
+    scene = replace(load(name), duration=1.0, outputs=frozenset({"velocities"}))
+    whole = newton_euler.simulate(scene, integrator=integrator, rtol=1e-8)
+    poses = newton_euler.simulate(replace(scene, outputs=frozenset()), integrator=integrator, rtol=1e-8)
+    # the same steps and the same positions; one more Newton step or none leaves round-off
+    assert poses.settings["steps"] == whole.settings["steps"]
+    assert np.abs(poses.position - whole.position).max() < 1e-13
+    assert angle_between(poses.quaternion, whole.quaternion).max() < 1e-13
 
 
 def test_velocities_are_the_rates_of_poses(tracker_run):

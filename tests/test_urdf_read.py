@@ -180,7 +180,7 @@ def test_there_and_back(name: str, tmp_path: Path) -> None:
             LOOPS.format(pairs="[[tip_a, tip_b]]", types="[]", motors="[]"),
             "type: 0 entries for 1 of closed_loop",
         ),
-        (LOOPS.format(pairs="[[tip_a, tip_x]]", types="[3d]", motors="[]"), "has no link 'tip_x'"),
+        (LOOPS.format(pairs="[[tip_a, tip_x]]", types="[3d]", motors="[]"), "has no link or joint 'tip_x'"),
         (LOOPS.format(pairs="[]", types="[]", motors="[jx]"), "no moving joint 'jx'"),
         ("[" * 5000, "document: not YAML: line 1: nested too deeply"),
     ],

@@ -18,6 +18,7 @@ from newton_euler.forces import JointSpring
 from newton_euler.joints import Rod
 from newton_euler.scalars import Array, Scalar
 from newton_euler.scene import Scene
+from newton_euler.stabilize import joint_residuals
 from newton_euler.state import Evaluation, MassProperties, State
 from newton_euler.tree import weld_loops
 from newton_euler.tree_couplings import TreeCouplings
@@ -26,7 +27,7 @@ from urdf.errors import UrdfError
 from urdf.forces import PointForces
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia
-from urdf.proximal import plain, redundant_rows, regularised
+from urdf.proximal import SHARE, converged, plain, redundant_rows, regularised
 from urdf.reactions import Actuator, driven, external_forces, joint_wrenches, reactions
 from urdf.rows import Rows, solve
 from urdf.write import closures, to_loops, to_urdf
@@ -46,6 +47,7 @@ class PinocchioSystem:
         closed: the Pinocchio model and its closures, SI units.
         map: between q, v and Pinocchio's.
         time: s, at which prescribed motions are looked at.
+        armature: (nv,) the scene's rotors, in Pinocchio's order, SI units.
     """
 
     name = "pinocchio"
@@ -120,6 +122,7 @@ class PinocchioSystem:
         for rotor, inertia in self.rotors:
             inertias[rotor.on_v] = inertia
         units = self._mass * self._length**2 / self.velocity_units**2
+        self.armature = self.map.v_to_pinocchio(inertias)
         self._scaled.model.armature = self.map.v_to_pinocchio(inertias / units)
 
     def _actuator(self, joint: str, coordinate: int) -> Actuator:
@@ -138,15 +141,23 @@ class PinocchioSystem:
         """
         q, _ = self.coordinates(self.scene.initial_state)
         self._place(q)
-        jacobian = self._closures.jacobian(self._data) * self.velocity_units / self._closures.units[:, None]
-        if redundant_rows(jacobian) == 0:
-            return plain()
+        self._redundant = redundant_rows(self._dimensionless())
+        return self._regularised(q) if self._redundant else plain()
+
+    def _dimensionless(self) -> Array:
+        """(k, nv) Jacobian of the closures where Pinocchio's frames are."""
+        return self._closures.jacobian(self._data) * self.velocity_units / self._closures.units[:, None]
+
+    def _regularised(self, q: Array) -> Any:
+        """Iterations for redundant closures, as the configuration asks for them."""
+        self._place(q)
         # Pinocchio fills only the upper half
         upper = np.triu(
             pin.crba(self._scaled.model, self._scaled_data, self.map.q_to_pinocchio(q / self._q_units))
         )
         mass = self.map.v_from_pinocchio(self.map.v_from_pinocchio(upper + np.triu(upper, 1).T).T)
-        return regularised(jacobian, mass)
+        # the redundant ones of the start: next to a singular pose, or drifted open, others would be counted
+        return regularised(self._dimensionless(), mass, self._redundant)
 
     # What integrators, projection and assembly ask for
 
@@ -219,7 +230,9 @@ class PinocchioSystem:
         scaled_q = self.map.q_to_pinocchio(q / self._q_units)
         scaled_v = self.map.v_to_pinocchio(v / self.velocity_units)
 
-        def respond(force: Array) -> Array:
+        settings = self._proximal
+
+        def solved(force: Array) -> Array:
             acceleration = pin.constraintDynamics(
                 self._scaled.model,
                 self._scaled_data,
@@ -228,10 +241,21 @@ class PinocchioSystem:
                 self.map.v_to_pinocchio(force),
                 self._scaled.constraints,
                 self._constraint_data,
-                self._proximal,
+                settings,
             )
             self._check(acceleration)
             return self.map.v_from_pinocchio(acceleration)
+
+        def respond(force: Array) -> Array:
+            nonlocal settings
+            acceleration = solved(force)
+            if settings is self._proximal and not converged(settings):
+                here = self._regularised(q)
+                # not for closures that contradict each other: less of it would magnify that
+                if here.mu < SHARE * settings.mu:
+                    settings = here
+                    return solved(force)
+            return acceleration
 
         unit = self._mass * self._length**2  # of generalized forces
         force = self.generalized_force(q, v) * self.velocity_units / unit
@@ -263,6 +287,11 @@ class PinocchioSystem:
         """Residuals (k,) of the closures, then of `Rows`."""
         pin.framesForwardKinematics(self._model, self._data, self.map.q_to_pinocchio(q))
         return np.concatenate([self._closures.phi(self._data), self._rows.phi(self._data, q, self.time)])
+
+    def joint_phi(self, q: Array) -> Array:
+        """Residuals of all joints' equations, then of the couplings, m or rad."""
+        joints = joint_residuals(self.mechanism, self.state(q, np.zeros(self.nv)))
+        return np.concatenate([joints, self._couplings.phi(q, self.time)])
 
     def phi_t(self) -> Array:
         """Partial derivative (k,) of `phi` by time."""
@@ -381,7 +410,7 @@ class PinocchioSystem:
     def _springs_energy(self, q: Array, v: Array) -> float:
         """Energy of all springs, J."""
         laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
-        turned = sum(law.energy(seen[0]) for law, seen in laws if isinstance(law, JointSpring))
+        turned = sum(law.energy(x) for law, (x, _) in laws if isinstance(law, JointSpring))
         return float(turned) + self._forces.energy(self._data)
 
     def _fixed_energy(self) -> float:

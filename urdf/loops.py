@@ -1,7 +1,7 @@
 """The loop file: what closes the loops of a URDF, and which of its joints are something else.
 
-Its keys are those of Gepetto's example-parallel-robots (`robot.yaml`), and `coupled`. The joint type CARDAN
-of some of those files is refused: a universal joint has two axes, and the URDF gives only one of them.
+Its keys are those of Gepetto's example-parallel-robots (`robot.yaml`), read as its loader_tools.py does, and
+`coupled`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,12 @@ from newton_euler.yaml_source import parse_yaml
 from urdf.errors import LoopFileError
 
 CLOSURE_TYPES = ("3d", "6d", "rod")
-JOINT_TYPES = ("SPHERICAL",)
+"""In small or capital letters."""
+
+UNIVERSAL = {f"UJOINT_{a}{b}": a + b for a in "XYZ" for b in "XYZ" if a != b} | {"CARDAN": "XY"}
+"""Joint types of two hinges in a row, and about which axes of the joint's own frame they turn."""
+
+JOINT_TYPES = ("SPHERICAL", "FIXED", *UNIVERSAL)
 
 KEYS = ("closed_loop", "type", "name_mot", "joint_name", "joint_type", "coupled")
 
@@ -27,12 +32,13 @@ class Loops:
 
     Attributes:
         source: the file's name, for messages.
-        closed_loop: pairs of frames that coincide.
+        closed_loop: pairs of frames that coincide, by the names of links or joints.
         type: for each pair one of `CLOSURE_TYPES`: the origins coincide, or the frames do, or the origins
             keep their distance.
         name_mot: joints with a motor.
         joint_name: joints whose type is not the one in the URDF.
-        joint_type: for each of them one of `JOINT_TYPES`.
+        joint_type: for each of them one of `JOINT_TYPES`. FIXED ones are held at 0; what the URDF says of
+            the axis of the others does not matter.
         coupled: for each coupling, names of joints and factors; the products with their coordinates add
             up to zero.
     """
@@ -71,10 +77,7 @@ def parse_loops(text: str, source: str) -> Loops:
         if pair[0] == pair[1]:
             raise LoopFileError(source, "closed_loop", f"{pair!r:.200} is one frame; needed: two")
     names = {key: _names(document, source, key) for key in ("type", "name_mot", "joint_name", "joint_type")}
-    if "CARDAN" in names["joint_type"]:
-        problem = "'CARDAN' has two axes, of which the URDF gives one"
-        needed = "two revolute joints in the URDF with a link without mass between them"
-        raise LoopFileError(source, "joint_type", f"{problem}; needed: {needed}")
+    names["type"] = tuple(entry.lower() for entry in names["type"])
     _check_types(source, "type", names["type"], CLOSURE_TYPES, "closed_loop", len(pairs))
     _check_types(
         source,
@@ -84,6 +87,8 @@ def parse_loops(text: str, source: str) -> Loops:
         "joint_name",
         len(names["joint_name"]),
     )
+    if len(set(names["joint_name"])) < len(names["joint_name"]):
+        raise LoopFileError(source, "joint_name", "names a joint twice")
     coupled = [_coupling(entry, source) for entry in _entry({"coupled": [], **document}, source, "coupled")]
     return Loops(source, tuple((first, second) for first, second in pairs), **names, coupled=tuple(coupled))
 

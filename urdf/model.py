@@ -6,6 +6,7 @@ is the one place where that meets the coordinates of `newton_euler`.
 
 from __future__ import annotations
 
+from collections.abc import Container, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,12 @@ import pinocchio as pin
 from newton_euler.scalars import Array
 from newton_euler.tree import WeldedMechanism, motion_names
 from urdf.errors import LoopFileError, UrdfError
-from urdf.loops import Loops
+from urdf.loops import UNIVERSAL, Loops
+
+HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
+
+BASES = ("fixed", "free")
+"""What the root link of a URDF may be."""
 
 GROUND = "universe"
 """Pinocchio's name of the joint that everything hangs on."""
@@ -32,6 +38,7 @@ class ClosedLoopModel:
         frames: indices of those pairs of frames.
         rods: indices of the pairs of frames that are rods.
         couplings: (c, nv) the equations couplings @ v = 0.
+        urdf_joints: the joint of the URDF that each of Pinocchio's is, or is a part of.
     """
 
     model: Any
@@ -39,10 +46,16 @@ class ClosedLoopModel:
     frames: tuple[tuple[int, int], ...]
     rods: tuple[tuple[int, int], ...]
     couplings: Array
+    urdf_joints: tuple[str, ...]
 
 
 def build(
-    urdf: str, loops: Loops, alpha: float = 0.0, length: float = 1.0, mass: float = 1.0
+    urdf: str,
+    loops: Loops,
+    alpha: float = 0.0,
+    length: float = 1.0,
+    mass: float = 1.0,
+    base: str = "fixed",
 ) -> ClosedLoopModel:
     """Build the model of a URDF text and its loops.
 
@@ -51,32 +64,31 @@ def build(
         loops: what the loop file says.
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2 in every closure.
         length, mass: the model's units, m and kg.
+        base: one of `BASES`.
 
     Raises:
         UrdfError: for text that is not a URDF.
         LoopFileError: for a frame or joint that the URDF does not have.
     """
     try:
-        placeholder = pin.buildModelFromXML(urdf)
+        root = () if base == "fixed" else (pin.JointModelFreeFlyer(),)
+        placeholder = pin.buildModelFromXML(urdf, *root)
     except ValueError as error:
         raise UrdfError(f"not a URDF: {error}") from error
     if list(placeholder.names).count(GROUND) > 1:
         raise UrdfError(f"a joint is named {GROUND!r}, which is Pinocchio's own name of the ground")
-    coupled = [name for coupling in loops.coupled for name in coupling]
-    named = (("joint_name", loops.joint_name), ("name_mot", loops.name_mot), ("coupled", coupled))
-    for key, names in named:
-        for name in names:
-            if name not in list(placeholder.names)[1:]:
-                raise LoopFileError(loops.source, key, f"the URDF has no moving joint {name!r}")
-    model = _rebuilt(placeholder, loops.joint_name, length, mass)
+    _check_joints(loops, "joint_name", loops.joint_name, list(placeholder.names)[1:])
+    types = dict(zip(loops.joint_name, loops.joint_type, strict=True))
+    held = [placeholder.getJointId(name) for name, kind in types.items() if kind == "FIXED"]
+    if held:
+        placeholder = pin.buildReducedModel(placeholder, held, pin.neutral(placeholder))
+    _check_joints(loops, "name_mot", loops.name_mot, list(placeholder.names)[1:])
+    model, urdf_joints = _rebuilt(placeholder, types, length, mass)
 
     constraints = pin.StdVec_RigidConstraintModel()
     frames, rods = [], []
     for pair, kind in zip(loops.closed_loop, loops.type, strict=True):
-        for name in pair:
-            if not model.existFrame(name, pin.FrameType.BODY):
-                raise LoopFileError(loops.source, "closed_loop", f"the URDF has no link {name!r}")
-        first, second = (model.getFrameId(name, pin.FrameType.BODY) for name in pair)
+        first, second = (_frame(model, name, loops) for name in pair)
         if kind == "rod":
             rods.append((first, second))
             continue
@@ -95,15 +107,42 @@ def build(
         )
         constraints.append(constraint)
         frames.append((first, second))
+    single = {str(n): j.idx_v for n, j in zip(model.names, model.joints, strict=True) if j.nv == 1}
     couplings = np.zeros((len(loops.coupled), model.nv))
     for row, coupling in zip(couplings, loops.coupled, strict=True):
+        _check_joints(loops, "coupled", coupling, single)
         for name, factor in coupling.items():
-            row[model.joints[model.getJointId(name)].idx_v] = factor
-    return ClosedLoopModel(model, constraints, tuple(frames), tuple(rods), couplings)
+            row[single[name]] = factor
+    return ClosedLoopModel(model, constraints, tuple(frames), tuple(rods), couplings, urdf_joints)
 
 
-def _rebuilt(placeholder: Any, balls: tuple[str, ...], length: float, mass: float) -> Any:
-    """The same model with ball joints where the named joints are, in units of a length and a mass."""
+def _check_joints(loops: Loops, key: str, names: Iterable[str], known: Container[str]) -> None:
+    for name in names:
+        if name not in known:
+            raise LoopFileError(loops.source, key, f"the URDF has no moving joint {name!r}")
+
+
+def _frame(model: Any, name: str, loops: Loops) -> int:
+    """Number of the frame of a link or joint of that name, as Pinocchio's `getFrameId` has it."""
+    found = [number for number, frame in enumerate(model.frames) if frame.name == name]
+    if not found:
+        raise LoopFileError(loops.source, "closed_loop", f"the URDF has no link or joint {name!r}")
+    first, *others = (model.frames[number] for number in found)
+    for other in others:
+        if other.parentJoint != first.parentJoint or not other.placement.isApprox(first.placement):
+            problem = f"{name!r} is a link and a joint in different places; needed: one place"
+            raise LoopFileError(loops.source, "closed_loop", problem)
+    return found[0]
+
+
+def _rebuilt(
+    placeholder: Any, types: dict[str, str], length: float, mass: float
+) -> tuple[Any, tuple[str, ...]]:
+    """The same model with the named joints of other types, in units of a length and a mass.
+
+    Returns:
+        It, and the joint of the placeholder that each of its joints is, or is a part of.
+    """
 
     def placed(placement: Any) -> Any:
         return pin.SE3(placement.rotation, placement.translation / length)
@@ -113,17 +152,28 @@ def _rebuilt(placeholder: Any, balls: tuple[str, ...], length: float, mass: floa
 
     model = pin.Model()
     model.name = placeholder.name
+    numbers, owners = [0], [GROUND]
     for index in range(1, placeholder.njoints):
-        name = placeholder.names[index]
-        joint = pin.JointModelSpherical() if name in balls else placeholder.joints[index]
-        placement = placed(placeholder.jointPlacements[index])
-        added = model.addJoint(placeholder.parents[index], joint, placement, name)
+        owner = name = str(placeholder.names[index])
+        parent, placement = numbers[placeholder.parents[index]], placed(placeholder.jointPlacements[index])
+        joint, kind = placeholder.joints[index], types.get(name)
+        if kind == "SPHERICAL":
+            joint = pin.JointModelSpherical()
+        elif kind in UNIVERSAL:
+            first, second = UNIVERSAL[kind][0], UNIVERSAL[kind][1]
+            parent = model.addJoint(parent, HINGES[first](), placement, f"{owner}_{first}")
+            owners.append(owner)
+            joint, placement, name = HINGES[second](), pin.SE3.Identity(), f"{owner}_{second}"
+        added = model.addJoint(parent, joint, placement, name)
         model.appendBodyToJoint(added, weighed(placeholder.inertias[index]), pin.SE3.Identity())
+        numbers.append(added)
+        owners.append(owner)
     model.inertias[0] = weighed(placeholder.inertias[0])  # of links that are fixed to the root
     for frame in list(placeholder.frames)[1:]:
+        frame.parentJoint = numbers[frame.parentJoint]
         frame.placement, frame.inertia = placed(frame.placement), weighed(frame.inertia)
         model.addFrame(frame, False)  # its inertia is in that of its joint already
-    return model
+    return model, tuple(owners)
 
 
 def link_inertia(model: Any, index: int) -> Any:
@@ -163,11 +213,15 @@ class CoordinateMap:
             order_q[joint.idx_q : joint.idx_q + joint.nq] = columns
             order_v[joint.idx_v : joint.idx_v + joint.nv] = np.arange(on_v.start, on_v.stop)
         self._order_q, self._order_v = order_q, order_v
-        self._place_v = np.argsort(order_v)
+        self._place_q, self._place_v = np.argsort(order_q), np.argsort(order_v)
 
     def q_to_pinocchio(self, q: Array) -> Array:
         """Pinocchio's coordinates (nq,) of the tree's."""
         return q[self._order_q]
+
+    def q_from_pinocchio(self, q: Array) -> Array:
+        """The tree's coordinates (nq,) of Pinocchio's."""
+        return q[self._place_q]
 
     def v_to_pinocchio(self, v: Array) -> Array:
         """Pinocchio's velocities, accelerations or generalized forces (nv,) of the tree's."""

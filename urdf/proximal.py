@@ -31,6 +31,10 @@ ACCURACY = 1e-13
 
 ITERATIONS = 30
 
+CONVERGED = 1e-6
+"""Relative change in the last iteration above which something keeps them from an end: a configuration that is
+near a singular one, or redundant closures that contradict each other because they have drifted open."""
+
 
 def redundant_rows(jacobian: Array) -> int:
     """How many rows of a dimensionless Jacobian follow from the others."""
@@ -42,11 +46,20 @@ def plain() -> Any:
     return pin.ProximalSettings(0.0, ACCURACY, 0.0, 1)
 
 
-def regularised(jacobian: Array, mass: Array) -> Any:
-    """Iterations, for a dimensionless Jacobian (k, nv) with redundant rows and a mass matrix (nv, nv)."""
+def regularised(jacobian: Array, mass: Array, redundant: int | None = None) -> Any:
+    """Iterations, for a dimensionless Jacobian (k, nv) with redundant rows and a mass matrix (nv, nv).
+
+    `redundant` is the number of these rows; they are counted if it is not given.
+    """
     response = jacobian @ np.linalg.solve(mass, jacobian.T)
     mean = float(np.mean(np.diag(response)))
-    nonzero = np.linalg.eigvalsh(response)[redundant_rows(jacobian) :]
+    redundant = redundant_rows(jacobian) if redundant is None else redundant
+    nonzero = np.linalg.eigvalsh(response)[redundant:]
     weakest = float(nonzero[0]) if len(nonzero) else np.inf
     mu = min(MU * max(mean, 1.0), max(SHARE * weakest, LEAST * mean))
     return pin.ProximalSettings(0.0, ACCURACY, mu, ITERATIONS)
+
+
+def converged(settings: Any) -> bool:
+    """Whether the iterations of the last call with these settings came to an end."""
+    return settings.mu == 0.0 or settings.relative_residual <= CONVERGED

@@ -11,13 +11,14 @@ import os
 import sys
 import tempfile
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from newton_euler.couplings import Gear
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NewtonEulerError, check_choice
 from newton_euler.forces import JointSpring
 from newton_euler.joints import Fixed, Joint, Rod, Spherical
 from newton_euler.mapping import Mapping, unique_name
@@ -27,7 +28,7 @@ from newton_euler.scene import Scene
 from newton_euler.tree import unweld_loops
 from urdf.errors import UrdfError
 from urdf.loops import Loops
-from urdf.model import ClosedLoopModel, build
+from urdf.model import BASES, ClosedLoopModel, build
 from urdf.reading.bodies import Tree
 from urdf.reading.source import SourceError, check_inertias, parsed, read_loops, read_text
 from urdf.reading.start import Mimic, Start
@@ -41,6 +42,14 @@ OUTPUT_PERIOD = 0.01
 
 GRAVITY = (0.0, 0.0, -9.81)
 """m/s^2; a URDF has none."""
+
+PARTS = {
+    "link": ("inertial", "visual", "collision"),
+    "joint": (
+        "origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"
+    ),
+}  # fmt: skip
+"""What is known inside of links and joints."""
 
 CLOSURES: dict[str, type[Joint]] = {"3d": Spherical, "6d": Fixed, "rod": Rod}
 
@@ -58,6 +67,7 @@ def read(
     loops: str | os.PathLike[str] | None = None,
     duration: float = DURATION,
     output_period: float = OUTPUT_PERIOD,
+    base: str = "fixed",
 ) -> Reading:
     """Read a URDF.
 
@@ -65,10 +75,13 @@ def read(
         path: of the URDF.
         loops: of its loop file; none if None.
         duration, output_period: of the scene, s.
+        base: "fixed" or "free", whether its root link is the ground or floats.
 
     Raises:
         UrdfError: naming the file and the element at fault.
+        UnknownNameError: for another base.
     """
+    check_choice("base", base, tuple(BASES))
     where, report = os.fspath(path), Mapping()
     text = read_text(where)
     root = parsed(where, text)
@@ -79,15 +92,18 @@ def read(
     words: list[str] = []
     try:
         with _overheard(words):
-            closed = build(text, closing)
+            closed = build(text, closing, base=base)
         if closed.model.nv == 0:
             raise SourceError(where, "no joint can move")
         moving = [j for j in root.findall("joint") if j.get("type") != "fixed"]
         mimics = [Mimic(j, m) for j in moving for m in j.findall("mimic")]
         start = Start(where, closed, closing, mimics, report)
         tree = Tree(where, start, set(closing.name_mot), report)
+        _report_held(closing, report)
         tree.bodies = dressed(where, root, start, tree, report)
         scene = _scene(where, root, closed, closing, start, tree, mimics, report, duration, output_period)
+        root_link = "is the ground" if base == "fixed" else "floats"
+        report.start.append(f"gravity is 9.81 m/s^2 along -z, a URDF has none; its root link {root_link}")
     except RuntimeError as error:  # what Pinocchio asserts, of inertias for one
         check_inertias(where, root)
         raise SourceError(where, f"Pinocchio refuses it: {' '.join(str(error).split())}") from error
@@ -98,6 +114,12 @@ def read(
     except NewtonEulerError as error:
         raise SourceError(where, str(error)) from error
     return Reading(scene, report)
+
+
+def _report_held(loops: Loops, report: Mapping) -> None:
+    for name, kind in zip(loops.joint_name, loops.joint_type, strict=True):
+        if kind == "FIXED":
+            report.exactly(f"joint {name!r}", "held at 0, as the loop file says")
 
 
 @contextmanager
@@ -139,7 +161,6 @@ def _scene(
     name = unique_name(root.get("name", "") or Path(path).stem, "robot", ())[:100].strip(".") or "robot"
     springs = tuple(_springs(root, tree, report))
     _report_leftovers(root, report)
-    report.start.append("gravity is 9.81 m/s^2 along -z, a URDF has none; its root link is the ground")
     return Scene(
         name,
         unweld_loops(Mechanism(tree.bodies, joints, gears)),
@@ -209,6 +230,8 @@ def _springs(root: ET.Element, tree: Tree, report: Mapping) -> Iterator[JointSpr
             key = tree.keys[name]
             yield JointSpring(key[0], damping=damping, coordinate=key[1])
             report.exactly(f"joint {name!r}", f"its damping {damping:g} as a damper")
+        elif damping:
+            report.left_out(f"joint {name!r}", f"its damping {damping:g}: it is no hinge or slide that moves")
 
 
 def _report_leftovers(root: ET.Element, report: Mapping) -> None:
@@ -222,6 +245,11 @@ def _report_leftovers(root: ET.Element, report: Mapping) -> None:
             report.left_out(element, "its limits: limits are no bilateral constraints")
         if joint.find("safety_controller") is not None:
             report.left_out(element, "its safety controller")
+    for tag, known in PARTS.items():
+        parts = Counter(part.tag for element in root.findall(tag) for part in element)
+        for part, count in parts.items():
+            if part not in known:
+                report.left_out(f"{count} <{part}> of {tag}s", "no part of a URDF's mechanics")
     count = len(root.findall("link/collision"))
     if count:
         report.left_out(f"{count} collision elements", "contacts are no bilateral constraints")

@@ -23,6 +23,7 @@ from newton_euler.joints import Rod
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.solve import rank
+from newton_euler.system import at_time
 from newton_euler.tree import weld_loops
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError
@@ -64,13 +65,19 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
     """The equations of motion by `constraintDynamics`, or by `lcaba` with (mu, iterations).
 
     Raises:
-        UrdfError: for a scene with something that these equations have no place for.
+        UrdfError: for a scene with something that `lcaba` has no place for.
     """
-    _check(scene)
     system = PinocchioSystem(scene, alpha)
+    outside = _outside(scene)
+    if outside and lcaba:
+        known = "gravity, forces on joint coordinates, and loops that balls or welds close"
+        raise UrdfError(f"{outside[0]}: Pinocchio's lcaba knows {known}")
+    if outside:
+        return _checked_equations(system)
     closed = build(to_urdf(scene), parse_loops(to_loops(scene), f"{scene.name}.loops.yaml"), alpha)
     model, constraints = closed.model, closed.constraints
     model.gravity = pin.Motion(scene.gravity, np.zeros(3))
+    model.armature = system.armature
     data = model.createData()
     nq, nv = model.nq, model.nv
     gains, constant = _laws(scene, system)
@@ -116,15 +123,27 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
     return Equations(system, partial(solve, *arguments), rates_at, start, nq)
 
 
-def _check(scene: Scene) -> None:
-    """Refuse what is not gravity, a closure of Pinocchio's or an affine law of joint coordinates."""
-    refused = [force.element for force in scene.forces if not isinstance(force, JointSpring)]
-    refused += [armature.element for armature in scene.armatures]
-    refused += [f"joint {joint.name!r}" for joint in scene.mechanism.joints if isinstance(joint, Rod)]
-    refused += [f"{coupling.what} {coupling.name!r}" for coupling in couplings(scene)]
-    if refused:
-        known = "gravity, forces on joint coordinates, and loops that balls or welds close"
-        raise UrdfError(f"{refused[0]}: the tight equations of Pinocchio know {known}")
+def _checked_equations(system: PinocchioSystem) -> Equations:
+    """Those of `PinocchioSystem` itself, for what is no part of `constraintDynamics`."""
+    to, nq = system.map, system.closed.model.nq
+    rates = np.empty(nq + system.nv)
+    q, v = system.coordinates(system.scene.initial_state)
+
+    def rates_at(t: float, y: Array) -> Array:
+        q, v = to.q_from_pinocchio(y[:nq]), to.v_from_pinocchio(y[nq:])
+        now = at_time(system, t)
+        rates[:nq], rates[nq:] = to.q_to_pinocchio(now.rate(q, v)), to.v_to_pinocchio(now.acceleration(q, v))
+        return rates
+
+    start = np.concatenate([to.q_to_pinocchio(q), to.v_to_pinocchio(v)])
+    return Equations(system, partial(system.acceleration, q, v), rates_at, start, nq)
+
+
+def _outside(scene: Scene) -> list[str]:
+    """What is not gravity, a closure of Pinocchio's or an affine law of joint coordinates."""
+    found = [force.element for force in scene.forces if not isinstance(force, JointSpring)]
+    found += [f"joint {joint.name!r}" for joint in scene.mechanism.joints if isinstance(joint, Rod)]
+    return found + [f"{coupling.what} {coupling.name!r}" for coupling in couplings(scene)]
 
 
 def _laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
@@ -239,7 +258,7 @@ def fixed(
     `intervals` are numbers of equal intervals, s, between outputs, one after the other.
     """
     advance, evaluations = {"RK4": (_rk4, 4), "Euler": (_semi_implicit_euler, 1)}[name]
-    rates, nq = equations.rates, equations.nq
+    rates, nq, times = equations.rates, equations.nq, equations.system.scene.times
     outputs = 1 + sum(count for count, _ in intervals)
     rows = np.empty((outputs, len(equations.start)))
     rows[0] = y = equations.start.copy()
@@ -247,29 +266,30 @@ def fixed(
     for count, interval in intervals:
         h = interval / number
         for _ in repeat(None, count):
-            for _ in repeat(None, number):
-                advance(rates, y, h, nq)
+            t = float(times[k - 1])
+            for step in range(number):
+                advance(rates, t + step * h, y, h, nq)
             rows[k] = y
             k += 1
     return rows, evaluations * number * (outputs - 1)
 
 
-def _rk4(rates: Rates, y: Array, h: float, nq: int) -> None:
+def _rk4(rates: Rates, t: float, y: Array, h: float, nq: int) -> None:
     """Classical Runge-Kutta of order 4, in place; `rates` overwrites what it gave before."""
-    k = rates(0.0, y)
+    k = rates(t, y)
     total = k.copy()
-    k = rates(0.0, y + (0.5 * h) * k)
+    k = rates(t + 0.5 * h, y + (0.5 * h) * k)
     total += 2.0 * k
-    k = rates(0.0, y + (0.5 * h) * k)
+    k = rates(t + 0.5 * h, y + (0.5 * h) * k)
     total += 2.0 * k
-    total += rates(0.0, y + h * k)
+    total += rates(t + h, y + h * k)
     total *= h / 6.0
     y += total
 
 
-def _semi_implicit_euler(rates: Rates, y: Array, h: float, nq: int) -> None:
+def _semi_implicit_euler(rates: Rates, t: float, y: Array, h: float, nq: int) -> None:
     """Velocities first, then positions with the new velocities, in place."""
-    y[nq:] += h * rates(0.0, y)[nq:]
+    y[nq:] += h * rates(t, y)[nq:]
     y[:nq] += h * y[nq:]
 
 

@@ -14,6 +14,7 @@ from newton_euler.compiled import FORMULATIONS
 from newton_euler.scene import Scene
 from newton_euler.simulate import CompiledScene
 from newton_euler.stabilize import STABILIZATIONS
+from newton_euler.steppers.run import load
 
 TIGHTEST = 3e-14
 """Tightest rtol: DOP853's own limit is 2.2e-14."""
@@ -39,10 +40,10 @@ def models(scene: Scene) -> Models:
 
 def _load(scene: Scene, formulation: str, stabilization: str) -> Model:
     compiled = compile_scene(scene, formulation=formulation, stabilization=stabilization)
-    compiled.load("Euler")
+    load(compiled, "Euler")
     stiff = (formulation, stabilization) == STIFF
     if stiff:
-        compiled.load("Radau")
+        load(compiled, "Radau")
     prefix = f"{formulation}, {stabilization}"
     ladders = [_adaptive(compiled, prefix, "DOP853", range(2, 14), share) for share in SHARES]
     if stiff:

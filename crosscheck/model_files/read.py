@@ -16,7 +16,7 @@ SUFFIXES = (".xml", ".mjcf", ".urdf")
 NUMBERS = ("duration", "output_period")
 """Options of all model files."""
 
-MJCF_TEXTS, URDF_TEXTS = ("key", "root"), ("loops",)
+MJCF_TEXTS, URDF_TEXTS = ("key", "root"), ("loops", "base")
 """Options of one kind of them."""
 
 LONGEST_NAMES = 150
@@ -40,7 +40,7 @@ def read_model(path: str, options: Mapping[str, str | int]) -> tuple[Scene, Mapp
         path: ends in one of `SUFFIXES`.
         options: `duration` and `output_period` in s; of MJCF also `key`, the keyframe to start
             from, and `root`, the folder that holds all files that it refers to; of a URDF `loops`, the
-            path of its loop file.
+            path of its loop file, and `base`, "fixed" or "free", what its root link is.
 
     Raises:
         CrosscheckError: for an unknown option or one that is no number.
@@ -50,7 +50,7 @@ def read_model(path: str, options: Mapping[str, str | int]) -> tuple[Scene, Mapp
     if is_urdf(path):
         from urdf.read import read as read_urdf
 
-        found = read_urdf(path, texts.get("loops"), **numbers)
+        found = read_urdf(path, texts.get("loops"), base=texts.get("base", "fixed"), **numbers)
         return found.scene, found.report
     from mjcf.read import read as read_mjcf
 

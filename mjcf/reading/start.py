@@ -54,6 +54,8 @@ class Start:
         self.data: Any = mujoco.MjData(model)
         self._disabled = int(model.opt.disableflags)
         model.opt.disableflags |= sum(int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{n}")) for n in DISABLED)
+        # frames that are nearly a body's own would be taken for it, as they are in the mass of simple bodies
+        model.body_sameframe[model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         if self.disabled("GRAVITY"):
             model.opt.gravity[:] = 0.0
         others = self._keyframes() if model.nkey > 1 else []

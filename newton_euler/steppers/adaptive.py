@@ -37,6 +37,7 @@ from newton_euler.steppers.march import (
     begin,
     evaluate,
     interrupted,
+    keep_norms,
     leave,
     project,
     project_densely,
@@ -178,6 +179,7 @@ def march_dop853(
     atol: float,
     most: int,
     nq: int,
+    kept: int,
     derivative: Callback,
     dense: Callback,
     projecting: int,
@@ -197,6 +199,7 @@ def march_dop853(
 ) -> int:
     """Integrate `now` from times[0] and write the states at all times into the table (outputs, n).
 
+    Of these states only the first `kept` elements, nq or n, are what outputs need; the others are anything.
     `now`, `at` and `end` are states with time and parameters; k (16, n + 1) and terms (7, n) are scratch.
     """
     status = begin(n, projecting, tolerance, position, velocity, closing, now, k, table, counts)
@@ -208,6 +211,7 @@ def march_dop853(
     if status != DONE:
         return status
     h = first_step(n, stop - now[n], rtol, atol, derivative, dense, now, at, k, counts)
+    whole = 1 if kept == n else 0
     due = 1
     growing = LARGEST
     hops = 0
@@ -273,12 +277,14 @@ def march_dop853(
                     return status
             prepare_dense(n, h, now, end, k, terms)
             while due < outputs and times[due] <= now[n] + h:
-                interpolate(n, (times[due] - now[n]) / h, now, terms, at)
+                interpolate(n if near == 1 else kept, n, (times[due] - now[n]) / h, now, terms, at)
                 at[n] = times[due]
+                keep_norms(nq, turning, at, at)
                 if near == 1:
                     status = project_densely(n, closing, at, k[(n + 1) * 13 :])
                 elif projecting == 1:
-                    status = project(n, tolerance, position, velocity, closing, at, k[(n + 1) * 13 :])
+                    scratch = k[(n + 1) * 13 :]
+                    status = project(n, tolerance, whole, position, velocity, closing, at, scratch)
                 if status != DONE:
                     return status
                 record(n, due, at, table, counts)
@@ -287,11 +293,12 @@ def march_dop853(
             now[i] = end[i]
         now[n] = now[n] + h
         unwind(n, turning, now, end)
+        keep_norms(nq, turning, now, now)
         if projecting == 1:
             if near == 1:
                 status = project_densely(n, closing, now, k[(n + 1) * 13 :])
             else:
-                status = project(n, tolerance, position, velocity, closing, now, k[(n + 1) * 13 :])
+                status = project(n, tolerance, 1, position, velocity, closing, now, k[(n + 1) * 13 :])
             if status == DONE:
                 status = evaluate(n, derivative, dense, now, k, counts)
             if status != DONE:

@@ -183,9 +183,12 @@ def iterate(
 
 
 @native
-def position_in(n: int, theta: float, now: Vector, terms: Vector, y: Vector) -> None:
-    """The state at a share of the step (beyond it for a prediction), by the collocation polynomial."""
-    for i in range(n):
+def position_in(count: int, n: int, theta: float, now: Vector, terms: Vector, y: Vector) -> None:
+    """The first `count` of the n elements of the state at a share of the step, by the collocation polynomial.
+
+    Beyond the step it predicts.
+    """
+    for i in range(count):
         y[i] = now[i] + theta * (terms[i] + theta * (terms[n + i] + theta * terms[2 * n + i]))
 
 

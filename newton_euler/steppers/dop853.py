@@ -162,8 +162,8 @@ def prepare_dense(n: int, h: float, now: Vector, end: Vector, k: Vector, terms: 
 
 
 @native
-def interpolate(n: int, share: float, now: Vector, terms: Vector, y: Vector) -> None:
-    """The state at a share (0 to 1) of the step."""
+def interpolate(count: int, n: int, share: float, now: Vector, terms: Vector, y: Vector) -> None:
+    """The first `count` of the n elements of the state at a share (0 to 1) of the step."""
     left = 1.0 - share
     w1 = share * left
     w2 = share * w1
@@ -171,7 +171,7 @@ def interpolate(n: int, share: float, now: Vector, terms: Vector, y: Vector) -> 
     w4 = share * w3
     w5 = left * w4
     w6 = share * w5
-    for i in range(n):
+    for i in range(count):
         low = share * terms[i] + w1 * terms[n + i] + w2 * terms[2 * n + i] + w3 * terms[3 * n + i]
         high = w4 * terms[4 * n + i] + w5 * terms[5 * n + i] + w6 * terms[6 * n + i]
         y[i] = now[i] + (low + high)

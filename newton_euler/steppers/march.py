@@ -9,7 +9,7 @@ health: a number that is not positive where the equations are too close to singu
 
 from __future__ import annotations
 
-from math import pi
+from math import pi, sqrt
 
 from newton_euler.native import Callback, Vector, native
 
@@ -34,6 +34,11 @@ TINY, PATIENT = 1e-10, 1000
 
 HUGE = 1e300
 HALF_TURN = pi
+
+ANGLE, QUATERNION, QUATERNION_WITH_RATES = 1.0, 2.0, 3.0
+"""Marks of coordinates, in the vector `turning`: those that mean the same after a full turn, and the first
+of four Euler parameters, whose velocities are an angular velocity or their own rates at the same places."""
+
 NEWTON_STEPS = 10
 
 NEAR = 1e-3
@@ -102,56 +107,89 @@ def project_densely(n: int, closing: Callback, x: Vector, scratch: Vector) -> in
 def project(
     n: int,
     tolerance: float,
+    with_velocities: int,
     position: Callback,
     velocity: Callback,
     closing: Callback,
     x: Vector,
     scratch: Vector,
 ) -> int:
-    """Put a state on the constraints, positions first; returns a status.
+    """Put a state on the constraints, positions first, velocities if wanted (1 or 0); returns a status.
 
     `position` writes the state after one Newton step, `velocity` the state with its velocities
     projected; both write the residual they found, squared, in place n and their health after it.
     `closing` does all of it where they are not healthy enough; it writes a number above 0 in place n if it
     could.
     """
-    before = HUGE
+    left = HUGE
     for _ in range(NEWTON_STEPS):
         position(x, scratch)
         if not scratch[n + 1] > SURE:
             return project_densely(n, closing, x, scratch)
-        if scratch[n] < tolerance * tolerance or scratch[n] >= 0.25 * before:  # at round-off
+        before = left
+        left = scratch[n]
+        if left < tolerance * tolerance or left >= 0.25 * before:  # at round-off
             break
-        before = scratch[n]
-        health = scratch[n + 1]
         for i in range(n):
             x[i] = scratch[i]
-        if before * before < SQUARING * health * tolerance * tolerance:  # so the next one would find
+        if left * left < SQUARING * scratch[n + 1] * tolerance * tolerance:  # so the next one would find
+            left = 0.0
             break
-    velocity(x, scratch)
-    if not scratch[n] < HUGE:
+    if with_velocities == 1:
+        velocity(x, scratch)
+        left = scratch[n]
+        if left < HUGE and not scratch[n + 1] > SURE:
+            return project_densely(n, closing, x, scratch)
+    if not left < HUGE:
         return NOT_FINITE
-    if not scratch[n + 1] > SURE:
-        return project_densely(n, closing, x, scratch)
-    if scratch[n] > OPEN_TOLERANCE * OPEN_TOLERANCE:
+    if left > OPEN_TOLERANCE * OPEN_TOLERANCE:
         return OPEN
-    for i in range(n):
-        x[i] = scratch[i]
+    if with_velocities == 1:
+        for i in range(n):
+            x[i] = scratch[i]
     return DONE
 
 
 @native
 def unwind(n: int, turning: Vector, x: Vector, before: Vector) -> None:
-    """Take full turns off the angles that `turning` (n,) marks with 1; `before` moves along.
+    """Take full turns off the angles that `turning` (n,) marks; `before` moves along.
 
     An angle of many turns has fewer digits than its sine needs, and a tolerance relative to it would let
     steps grow with it.
     """
     for i in range(n):
-        if turning[i] > 0.0 and abs(x[i]) > HALF_TURN:
+        if turning[i] == ANGLE and abs(x[i]) > HALF_TURN:
             turn = 2.0 * HALF_TURN if x[i] > 0.0 else -2.0 * HALF_TURN
             x[i] -= turn
             before[i] -= turn
+
+
+@native
+def keep_norms(nq: int, turning: Vector, x: Vector, before: Vector) -> None:
+    """Give the Euler parameters p that `turning` marks norm 1, whatever a run does about its constraints.
+
+    A norm n would scale rotations by n^2. It is one of coordinates, not of the mechanism: no drift that
+    one would want to see. Rates become those of the body's angular velocity 2 L pdot (paper, equation 11)
+    that they stood for at `before`, of norm 1; with x itself for `before` they lose what is along p.
+    """
+    for i in range(nq):
+        if turning[i] >= QUATERNION:
+            norm = sqrt(x[i] * x[i] + x[i + 1] * x[i + 1] + x[i + 2] * x[i + 2] + x[i + 3] * x[i + 3])
+            for j in range(4):
+                x[i + j] = x[i + j] / norm
+            if turning[i] == QUATERNION_WITH_RATES:
+                k = nq + i
+                a = before[i]
+                b = before[i + 1]
+                c = before[i + 2]
+                d = before[i + 3]
+                u = a * x[k + 1] - b * x[k] - c * x[k + 3] + d * x[k + 2]
+                v = a * x[k + 2] + b * x[k + 3] - c * x[k] - d * x[k + 1]
+                w = a * x[k + 3] - b * x[k + 2] + c * x[k + 1] - d * x[k]
+                x[k] = -x[i + 1] * u - x[i + 2] * v - x[i + 3] * w
+                x[k + 1] = x[i] * u - x[i + 3] * v + x[i + 2] * w
+                x[k + 2] = x[i + 3] * u + x[i] * v - x[i + 1] * w
+                x[k + 3] = -x[i + 2] * u + x[i + 1] * v + x[i] * w
 
 
 @native
@@ -185,7 +223,7 @@ def begin(
 ) -> int:
     """Put the first state on the constraints if wanted, and into the table; returns a status."""
     if projecting == 1:
-        status = project(n, tolerance, position, velocity, closing, now, scratch)
+        status = project(n, tolerance, 1, position, velocity, closing, now, scratch)
         if status != DONE:
             return status
     record(n, 0, now, table, counts)

@@ -38,6 +38,7 @@ from newton_euler.steppers.march import (
     begin,
     evaluate,
     interrupted,
+    keep_norms,
     leave,
     project,
     record,
@@ -57,6 +58,7 @@ def march_radau(
     atol: float,
     most: int,
     nq: int,
+    kept: int,
     jacobian: Callback,
     derivative: Callback,
     dense: Callback,
@@ -82,6 +84,7 @@ def march_radau(
 ) -> int:
     """Integrate `now` from times[0] and write the states at all times into the table (outputs, n).
 
+    Of these states only the first `kept` elements, nq or n, are what outputs need; the others are anything.
     `now` and `at` are states with time and parameters. Scratch: slope (n + 2), z and terms (3, n),
     w (4, n), f (3, n + 1), change (3 n + 2), matrices (4, n, n), pivots (2, n).
     """
@@ -97,6 +100,7 @@ def march_radau(
     d1 = scaled_norm(n, slope, now, rtol, atol)
     h = min(1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1, stop - now[n])
     jacobian(now, matrices)
+    whole = 1 if kept == n else 0
     due = 1
     fresh = 1
     factored = 0
@@ -129,7 +133,7 @@ def march_radau(
             factored = 1
         if before_h > 0.0:
             for s in range(3):
-                position_in(n, 1.0 + NODES[s] * h / before_h, w[3 * n :], terms, at)
+                position_in(n, n, 1.0 + NODES[s] * h / before_h, w[3 * n :], terms, at)
                 for i in range(n):
                     z[n * s + i] = at[i] - now[i]
         else:
@@ -191,10 +195,11 @@ def march_radau(
         factor = min(FASTEST, max(SMALLEST, safety * factor))
         prepare_dense(n, z, terms)
         while due < outputs and times[due] <= now[n] + h:
-            position_in(n, (times[due] - now[n]) / h, now, terms, at)
+            position_in(kept, n, (times[due] - now[n]) / h, now, terms, at)
             at[n] = times[due]
+            keep_norms(nq, turning, at, at)
             if projecting == 1:
-                status = project(n, tolerance, position, velocity, closing, at, f)
+                status = project(n, tolerance, whole, position, velocity, closing, at, f)
                 if status != DONE:
                     return status
             record(n, due, at, table, counts)
@@ -204,8 +209,9 @@ def march_radau(
             now[i] += z[2 * n + i]
         now[n] = now[n] + h
         unwind(n, turning, now, w[3 * n :])
+        keep_norms(nq, turning, now, now)
         if projecting == 1:
-            status = project(n, tolerance, position, velocity, closing, now, f)
+            status = project(n, tolerance, 1, position, velocity, closing, now, f)
             if status != DONE:
                 return status
         status = evaluate(n, derivative, dense, now, slope, counts)

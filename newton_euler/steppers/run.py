@@ -6,8 +6,9 @@ import ctypes
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -53,10 +54,35 @@ def projector() -> NativeFunctions:
 
 
 def load(code: Code, integrator: str) -> None:
-    """Have everything ready for a run."""
-    code.load(integrator)
-    for module in (stepper(integrator), loops()):
-        assert module
+    """Have everything ready for a run.
+
+    LLVM works on one function while the next is traced: it lets go of the interpreter meanwhile.
+    """
+    needed = code.needed(integrator)
+    if all(name in code.functions for name in needed):
+        return
+    import llvmlite.binding  # noqa: F401  before there are two threads to wait for each other
+
+    names: SimpleQueue[str] = SimpleQueue()
+
+    def compile_all() -> None:
+        with suppress(Exception):  # what fails here fails again below
+            stepper(integrator), loops()
+            while name := names.get():
+                code.function(name)
+
+    compiler = threading.Thread(target=compile_all)
+    compiler.start()
+    try:
+        for name in needed:
+            code.program(name)
+            names.put(name)
+    finally:
+        names.put("")
+        compiler.join()
+    stepper(integrator), loops()
+    for name in needed:
+        code.function(name)
 
 
 class Fallback:
@@ -136,7 +162,7 @@ class March:
 
     Attributes:
         x: (inputs,) the state with time and parameters: the start, and after the run where it ended.
-        table: (n, size) the states at all times after a run.
+        table: (n, size) the states at all times after a run, as far as `outputs` needs them.
         outputs: what the scene asks for of them.
         counts: what the run took.
     """
@@ -151,7 +177,7 @@ class March:
         self._copies = (at, end)  # of the parameters
         self._most = options.most_steps or MOST_STEPS
         nq = code.system.nq
-        adaptive = (n, outputs, times, options.rtol, options.atol, self._most, nq)
+        adaptive = (n, outputs, times, options.rtol, options.atol, self._most, nq, code.kept)
         fixed = (n, outputs, times, options.step, nq)
         if options.step is not None and (times[-1] - times[0]) / options.step > MOST_FIXED_STEPS:
             needed = (
@@ -243,7 +269,7 @@ class Projection:
         self.x = np.zeros(code.inputs)
         functions = (code.function("position"), code.function("velocity"), self._python.closing)
         scratch = np.zeros(code.size + 2)
-        self._run = projector().bind(m.project, code.size, ROUND_OFF, *functions, self.x, scratch)
+        self._run = projector().bind(m.project, code.size, ROUND_OFF, 1, *functions, self.x, scratch)
 
     def __call__(self, x: Array) -> bool:
         """Change x (inputs,) by the least that meets the constraints; whether that could be done."""
