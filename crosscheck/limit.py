@@ -20,6 +20,9 @@ PATIENCE = 5.0
 PERIOD = 0.5
 """s, between looks at the clock."""
 
+SHORTER = "a run of a shorter duration, or of other engines (--engines), may end"
+"""What to do about one that takes too long."""
+
 
 class TooLongError(CrosscheckError):
     """Something that does not come to its end in reasonable time."""

@@ -9,47 +9,60 @@ from pathlib import Path
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable
-from newton_euler.errors import StoppedError
 from newton_euler.trajectory import Trajectory
 
 
-class StoppedRunError(CrosscheckError):
-    """An engine's run ended before its time.
+class UnfinishedError(CrosscheckError):
+    """A crosscheck that could not be ended, after at least one engine was tried.
 
     Attributes:
-        runs: by engine: its own as far as it came, if it came anywhere, and those that ended before it began.
+        runs: by engine, those that came to their end.
+        partial: by engine, those that stopped, as far as they came if they came anywhere.
     """
 
-    def __init__(self, engine: str, error: StoppedError, runs: Mapping[str, Trajectory]) -> None:
-        self.runs = dict(runs) | ({engine: error.partial} if error.partial else {})
-        super().__init__(f"{engine}: {error}")
+    def __init__(
+        self, reason: str, runs: Mapping[str, Trajectory], partial: Mapping[str, Trajectory] | None = None
+    ) -> None:
+        self.runs, self.partial = dict(runs), dict(partial or {})
+        super().__init__(reason)
 
 
 @contextmanager
 def partial_runs_saved(folder: Path) -> Iterator[None]:
-    """Save the runs of a `StoppedRunError` to a folder, as ENGINE.partial.npz, and remove earlier ones.
+    """Save the runs of an `UnfinishedError` to a folder and remove what an earlier crosscheck left there.
+
+    Runs that came to their end are ENGINE.npz, as of a crosscheck that did; others are ENGINE.partial.npz.
+    Without a summary the folder is none of a complete crosscheck.
 
     Raises:
         CrosscheckError: with the error and the files that were written.
     """
-    paths = [_path(folder, name) for name in ENGINES]
-    check_writable(*paths)
-    for path in paths:
+    partial = [_partial(folder, name) for name in ENGINES]
+    check_writable(*partial)
+    for path in partial:
         path.unlink(missing_ok=True)
     try:
         yield
-    except StoppedRunError as stopped:
-        message = str(stopped)
-        (folder / "summary.json").unlink(missing_ok=True)  # of an earlier run, which did not stop
-        for name, run in stopped.runs.items():
-            path = _path(folder, name)
-            try:
-                run.save(path)
-            except OSError as error:
-                raise CrosscheckError(f"{message}; cannot write {path}: {error.strerror}") from error
-            message += f"; wrote {path}, up to t = {run.time[-1]:.6g} s"
-        raise CrosscheckError(message) from stopped
+    except UnfinishedError as error:
+        raise CrosscheckError("; ".join([str(error), *_saved(error, folder)])) from error
 
 
-def _path(folder: Path, engine: str) -> Path:
+def _saved(error: UnfinishedError, folder: Path) -> Iterator[str]:
+    """Write the runs and say so; of a path that cannot be written too, and then no more."""
+    complete = {folder / f"{name}.npz": run for name, run in error.runs.items()}
+    stopped = {_partial(folder, name): run for name, run in error.partial.items()}
+    path = folder / "summary.json"
+    try:
+        path.unlink(missing_ok=True)
+        for name in ENGINES.keys() - error.runs.keys():
+            path = folder / f"{name}.npz"
+            path.unlink(missing_ok=True)
+        for path, run in (complete | stopped).items():
+            run.save(path)
+            yield f"wrote {path}" + (f", up to t = {run.time[-1]:.6g} s" if path in stopped else "")
+    except OSError as failure:
+        yield f"cannot write {path}: {failure.strerror}"
+
+
+def _partial(folder: Path, engine: str) -> Path:
     return folder / f"{engine}.partial.npz"

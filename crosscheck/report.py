@@ -119,7 +119,7 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
     count, joints = undetermined_joints(result.scene, result.scene.initial_state)
     if count:
         rows = "a redundant row" if count == 1 else f"{count} redundant rows"
-        yield f"reactions not unique: {rows} at joints {', '.join(joints)}"
+        yield f"reactions not unique: {rows} at joints {', '.join(joints)}; each engine has its own"
     yield from not_compared(result.rows)
     yield from (f"advice, {advice}" for advice in result.advice)
 

@@ -11,27 +11,23 @@ from functools import lru_cache
 from importlib.metadata import version
 from typing import Any
 
-import numpy as np
-
 from crosscheck.advice import Advice, Found, advise
 from crosscheck.comparison.known_figures import Measured, known_of, measure
-from crosscheck.comparison.levels import Row, compare
+from crosscheck.comparison.levels import Row, compare, without_runs
 from crosscheck.comparison.runs import rests
+from crosscheck.each_run import check_figures, each_run
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
-from crosscheck.limit import TooLongError, limited
-from crosscheck.partial import StoppedRunError
+from crosscheck.limit import SHORTER, TooLongError, limited
+from crosscheck.partial import UnfinishedError
 from crosscheck.scenes.options import titled
-from newton_euler.errors import NewtonEulerError, StoppedError
+from newton_euler.errors import NewtonEulerError
 from newton_euler.mapping import Mapping as Report
 from newton_euler.scene import Scene
 from newton_euler.trajectory import Trajectory
 
 RANDOM_STATES = 20
 """Random consistent states at which the engines' equations are compared in a run."""
-
-SHORTER = "a run of a shorter duration, or of other engines (--engines), may end"
-"""What to do about one that takes too long."""
 
 Progress = Callable[[str], None]
 
@@ -163,7 +159,8 @@ def crosscheck(
 
     Raises:
         CrosscheckError: for a scene without the outputs that are compared, and for results that are
-            not finite; `StoppedRunError` for a run that cannot go on, `TooLongError` for one without end.
+            not finite. `UnfinishedError`, with all runs, where an engine's cannot go on or does not end,
+            after all others ran; and where they cannot be compared.
         NewtonEulerError: for a scene that no engine can express.
     """
     for output in ("velocities", "reactions", "violation"):
@@ -171,30 +168,21 @@ def crosscheck(
             raise CrosscheckError(f"scene {scene.name!r} does not ask for the output {output!r}, needed here")
     start = time.perf_counter()
     able, left_out = _able(scene, engines)
-    runs = {}
-    for engine in able:
-        try:
-            with limited(f"{engine.name}: {scene.duration:g} s of {scene.name}", SHORTER, progress):
-                runs[engine.name] = engine.simulate(scene)
-        except StoppedError as error:
-            raise StoppedRunError(engine.name, error, runs) from error
-        _check_finite(engine.name, runs[engine.name])
-    with limited("comparing equations and runs", SHORTER, progress):
-        rows = compare(scene, able, runs, RANDOM_STATES)
-    for row in rows:
-        if not np.isfinite(row.value):
-            raise CrosscheckError(
-                f"no figure for {row.quantity} at level {row.level!r} between {' and '.join(row.between)}: "
-                f"{row.value:g} at {row.where}"
-            )
-    measured: list[Measured] = []
-    known = known_of(source, options)
-    for engine in able if known else ():
-        progress(f"{engine.name}: known figures")
-        measured.extend(measure(source, scene, engine, runs[engine.name], known))
-    advice: tuple[Advice, ...] = ()
-    with suppress(TooLongError), limited("working out advice", "there is none", progress):
-        advice = advise(Found(scene, source, able, runs, rows))
+    runs = each_run(scene, able, progress, lambda: without_runs(scene, able, RANDOM_STATES))
+    try:
+        with limited("comparing equations and runs", SHORTER, progress):
+            rows = compare(scene, able, runs, RANDOM_STATES)
+        check_figures(rows)
+        measured: list[Measured] = []
+        known = known_of(source, options)
+        for engine in able if known else ():
+            progress(f"{engine.name}: known figures")
+            measured.extend(measure(source, scene, engine, runs[engine.name], known))
+        advice: tuple[Advice, ...] = ()
+        with suppress(TooLongError), limited("working out advice", "there is none", progress):
+            advice = advise(Found(scene, source, able, runs, rows, options, mapping))
+    except (CrosscheckError, NewtonEulerError) as error:
+        raise UnfinishedError(str(error), runs) from error
     wall_time = time.perf_counter() - start
     return Crosscheck(
         source,
@@ -214,7 +202,8 @@ def crosscheck(
 def _able(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engine], dict[str, str]]:
     """The engines that can express a scene, and why the others cannot.
 
-    Those that can make their finer run at most once, for all that it is compared with.
+    Those that can make their finer run at most once, for all that it is compared with; where it stops, they
+    say whose it was.
 
     Raises:
         NewtonEulerError: the first engine's own where none can.
@@ -226,14 +215,19 @@ def _able(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engine], dict[s
         except NewtonEulerError as error:
             errors[engine.name] = error
         else:
-            able.append(replace(engine, refined=lru_cache(engine.refined)))
+            able.append(replace(engine, refined=lru_cache(_named(engine))))
     if not able:
         raise errors[engines[0].name]
     return able, {name: str(error) for name, error in errors.items()}
 
 
-def _check_finite(engine: str, run: Trajectory) -> None:
-    for name, values in run.arrays().items():
-        if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
-            n = int(np.argmin(np.isfinite(values).reshape(len(run.time), -1).all(axis=1)))
-            raise CrosscheckError(f"{engine}: {name} is not finite at t = {run.time[n]:.6g} s")
+def _named(engine: Engine) -> Callable[[Scene], Trajectory]:
+    """The engine's finer run, with errors that name it."""
+
+    def refined(scene: Scene) -> Trajectory:
+        try:
+            return engine.refined(scene)
+        except NewtonEulerError as error:
+            raise NewtonEulerError(f"{engine.name}, in a finer run for comparison: {error}") from error
+
+    return refined

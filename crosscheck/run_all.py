@@ -19,11 +19,12 @@ from crosscheck.comparison.levels import Row
 from crosscheck.engines import choose
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable
-from crosscheck.output import write
+from crosscheck.output import tidied_up, write
 from crosscheck.partial import partial_runs_saved
 from crosscheck.report import judged, markdown
 from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
+from crosscheck.workers import end_with_parent
 from newton_euler.errors import NewtonEulerError
 
 
@@ -81,7 +82,8 @@ def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[Ou
     outcomes: dict[str, Outcome] = {}
     # fresh processes: a fork would share the threads that libraries have started
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=context) as pool:
+    pool = ProcessPoolExecutor(os.cpu_count(), mp_context=context, initializer=end_with_parent)
+    with tidied_up(), pool:
         running = [pool.submit(outcome, name, tuple(engines), folder / name) for name in SCENES]
         try:
             for done in as_completed(running):
@@ -90,6 +92,8 @@ def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[Ou
                 progress(f"{len(outcomes)} of {len(running)} scenes, last {found.scene}")
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
+            for worker in multiprocessing.active_children():
+                worker.terminate()
             raise
     return [outcomes[name] for name in SCENES]
 

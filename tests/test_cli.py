@@ -237,9 +237,11 @@ def test_a_figure_that_is_not_a_number_is_refused(tmp_path, capsys, good, monkey
 
     row = Row("drift", "open joints", ("mujoco",), float("nan"), 1.0, "elbow")
     monkeypatch.setattr("crosscheck.run.compare", lambda *_: [row])
-    check_refused(
-        capsys, tmp_path, scene_file(tmp_path, good), message="no figure for open joints at level 'd"
-    )
+    path, out = scene_file(tmp_path, good), tmp_path / "out"
+    status, _, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
+    assert (status, err.count("\n")) == (2, 1)
+    assert "no figure for open joints at level 'drift' between mujoco: nan at elbow; wrote " in err
+    assert {path.name for path in out.iterdir()} == {"newton_euler.npz", "mujoco.npz"}
 
 
 def test_markup_in_texts_is_text(tmp_path, capsys, good):

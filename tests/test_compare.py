@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from mechanisms import GRAVITY, REGULAR, bar, pendulum, planar_four_bar, scaled, seven_hinges
 
+import crosscheck.comparison.samples
 import mjcf
 import mjcf.read
 from crosscheck.comparison.levels import LEVELS, Row, compare, compare_equations, not_compared, sampled
 from crosscheck.comparison.momentum import momentum_row
-from crosscheck.comparison.samples import States
+from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import ENGINES
+from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from mjcf import inspect, loops
 from mjcf.rigid import RigidMuJoCo
@@ -23,6 +25,7 @@ from newton_euler.assemble import random_states
 from newton_euler.couplings import Gear
 from newton_euler.joints import Free, Revolute
 from newton_euler.mechanism import Body, Mechanism
+from newton_euler.relative import Relative
 from newton_euler.scene import Scene
 
 EXAMPLE = str(Path(__file__).parents[1] / "examples" / "four_bar.yaml")
@@ -304,6 +307,45 @@ def test_systems_are_made_once_and_runs_refined_once_if_at_all():
     verdicts(replace(planar_four_bar(), duration=0.3), engines)
     assert calls["mujoco", "refined"] == 1
     assert max(calls.values()) == 1
+
+
+class Broken(Relative):
+    """Constraints or velocities that are not finite."""
+
+    broken = ""
+
+    def phi_jacobian(self, q):
+        return super().phi_jacobian(q) * (np.nan if self.broken == "constraints" else 1.0)
+
+    def velocity_transformation(self, q):
+        return super().velocity_transformation(q) * (np.inf if self.broken == "velocities" else 1.0)
+
+
+@pytest.mark.parametrize(
+    ("broken", "figure", "words"),
+    [
+        ("constraints", "bases", "independent velocities"),
+        ("velocities", "free_motions", "effective inertia and force"),
+    ],
+)
+def test_equations_that_are_not_finite_are_named(broken, figure, words):
+    scene = planar_four_bar()
+    system = Broken(scene)
+    system.broken = broken
+    samples = Samples(system, States(scene, (scene.initial_state,)))
+    with np.errstate(all="ignore"), pytest.raises(CrosscheckError, match=rf"relative: {words} cannot be"):
+        getattr(samples, figure)
+
+
+def test_a_mass_matrix_without_a_condition_is_named(monkeypatch):
+    def negative(system, q, v):
+        return -np.eye(system.nv), np.zeros(system.nv)
+
+    monkeypatch.setattr(crosscheck.comparison.samples, "mass_and_force", negative)
+    scene = planar_four_bar()
+    states = States(scene, (scene.initial_state,))
+    with pytest.raises(CrosscheckError, match="relative: the condition of the mass matrix cannot be"):
+        _ = states.mass_condition
 
 
 def test_a_figure_that_informs_is_not_judged():

@@ -202,6 +202,24 @@ def test_a_reference_without_an_answer_is_named(monkeypatch):
     assert [row.verdict for row in rows_of([c], 1.0)] == ["refuses", "refuses"]
 
 
+def test_a_condition_number_that_cannot_be_had_explains_nothing(monkeypatch):
+    monkeypatch.setattr(random_mechanisms, "equations_of_motion", lambda scene: (np.full((3, 3), np.inf), 0))
+    found = compare_random(0, 3)
+    assert np.isnan(found.condition)
+    wrong = replace(found, gaps={("cartesian", "accelerations"): 1.0})
+    assert wrong.verdict("cartesian") == "fails"
+
+
+def test_algebra_that_fails_is_no_answer(monkeypatch):
+    def evaluate(self, q, v):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(Cartesian, "evaluate", evaluate)
+    found = compare_random(0, 3)
+    assert found.verdict("cartesian") == "refuses"
+    assert found.refusals["cartesian"] == "SVD did not converge"
+
+
 def test_condition_numbers_explain_as_much_as_round_off():
     c = replace(compare_random(0, 3), condition=1e9)
     assert c.bound == pytest.approx(16.0 * 2.0**-52 * 1e9)

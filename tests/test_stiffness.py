@@ -13,7 +13,7 @@ from mechanisms import pendulum
 from crosscheck import engines, limit
 from crosscheck.engines import ENGINES, choose
 from crosscheck.errors import CrosscheckError
-from crosscheck.limit import TooLongError
+from crosscheck.partial import UnfinishedError
 from crosscheck.report import settings_lines
 from crosscheck.run import crosscheck
 from crosscheck.stiffness import STABLE, explicit_steps, fastest_decay
@@ -89,7 +89,7 @@ def test_a_run_without_end_is_given_up(monkeypatch: pytest.MonkeyPatch, handler:
     engine = replace(ENGINES["newton_euler"], simulate=without_end)
     told: list[str] = []
     try:
-        with pytest.raises(TooLongError, match="2 s of pendulum: given up after 1 s of processor"):
+        with pytest.raises(UnfinishedError, match="2 s of pendulum: given up after 1 s of processor"):
             crosscheck(pendulum(), [engine], told.append, "x", {})
         assert signal.getsignal(signal.SIGINT) is handler
     finally:

@@ -13,6 +13,11 @@ from test_singular import STARTS, crank, parallelogram
 import mjcf
 import newton_euler
 import urdf
+from crosscheck import limit
+from crosscheck.engines import ENGINES as ENGINES_BY_NAME
+from crosscheck.faults import plant
+from crosscheck.run_all import outcome
+from crosscheck.scenes import load
 from crosscheck.scenes.write_file import write_scene
 from newton_euler import PD, Body, Mechanism, Sampled, Scene
 from newton_euler.errors import IntegrationError, StoppedError
@@ -20,7 +25,7 @@ from newton_euler.integrate import Options
 from newton_euler.joints import Prismatic
 from newton_euler.relative import Relative
 from newton_euler.simulate import run
-from newton_euler.trajectory import load_arrays
+from newton_euler.trajectory import Trajectory, load_arrays
 
 GROWTH = 1000.0
 """1/s: a speed of 1 m/s, cosh(1000 t), is 1e300 after 0.7 s."""
@@ -141,14 +146,92 @@ def test_the_joint_that_loses_rank_is_named(formulation):
 def test_crosscheck_run_saves_what_each_engine_computed(capsys, tmp_path):
     path, folder = tmp_path / "runaway.yaml", tmp_path / "out"
     write_scene(runaway(("velocities", "reactions", "violation")), path)
-    (folder / "mujoco.partial.npz").parent.mkdir()
-    (folder / "mujoco.partial.npz").write_text("of an earlier run")
+    folder.mkdir()
+    for name in ("mujoco.partial.npz", "mujoco.npz", "pinocchio.npz", "summary.json"):
+        (folder / name).write_text("of an earlier run")
     status, _, err = command(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", folder)
     assert status == 2
     assert err.count("\n") == 1
     assert "newton_euler: integration stopped at t = " in err
     assert "'rail'" in err
-    assert f"wrote {folder / 'newton_euler.partial.npz'}, up to t = " in err
-    assert [found.name for found in folder.iterdir()] == ["newton_euler.partial.npz"]
-    arrays = load_arrays(folder / "newton_euler.partial.npz")
+    assert "mujoco: MuJoCo diverged at t = " in err
+    partial = [folder / "newton_euler.partial.npz", folder / "mujoco.partial.npz"]
+    assert all(f"wrote {path}, up to t = " in err for path in partial)
+    assert set(folder.iterdir()) == set(partial)
+    arrays, others = map(load_arrays, partial)
     assert arrays["linear_velocity"][:, 1, 0] == pytest.approx(np.cosh(GROWTH * arrays["time"]), rel=1e-4)
+    assert len(others["time"]) > 1
+    assert np.isfinite(others["linear_velocity"]).all()
+
+
+def stopping(scene: Scene) -> Trajectory:
+    """An engine that stops half way."""
+    error = IntegrationError(0.5 * scene.duration, "by joint 'crank'")
+    error.partial = newton_euler.simulate(replace(scene, duration=0.5 * scene.duration))
+    raise error
+
+
+def endless(scene: Scene) -> Trajectory:
+    while True:
+        pass
+
+
+def pendulum_run(capsys, monkeypatch, folder, **changes) -> tuple[int, str, set[str]]:
+    """`crosscheck run` with a changed newton_euler, before MuJoCo: status, error and files."""
+    monkeypatch.setitem(ENGINES_BY_NAME, "newton_euler", replace(ENGINES_BY_NAME["newton_euler"], **changes))
+    names = "newton_euler,mujoco"
+    status, _, err = command(capsys, "run", "pendulum", "--engines", names, "--output", folder)
+    assert err.count("\n") == 1
+    return status, err, {path.name for path in folder.iterdir()}
+
+
+def test_the_other_engines_run_when_one_stops(capsys, monkeypatch, tmp_path):
+    status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, simulate=stopping)
+    assert status == 2
+    assert "newton_euler: integration stopped at t = 5 s: by joint 'crank'; all " in err
+    assert "figures that need no run agree, up to level 'accelerations and reactions'; wrote " in err
+    assert f"wrote {tmp_path / 'newton_euler.partial.npz'}, up to t = 5 s" in err
+    assert files == {"newton_euler.partial.npz", "mujoco.npz"}
+    time = load_arrays(tmp_path / "mujoco.npz")["time"]
+    assert time[-1] == load("pendulum").duration
+
+
+def test_what_stops_on_other_equations_says_where_they_part(capsys, monkeypatch, tmp_path):
+    def systems(scene):
+        return real(plant.mass(scene.mechanism.bodies[1].name, 1e-3)(scene))
+
+    real = ENGINES_BY_NAME["newton_euler"].systems
+    status, err, _ = pendulum_run(capsys, monkeypatch, tmp_path, simulate=stopping, systems=systems)
+    assert status == 2
+    assert "by joint 'crank'; without runs newton_euler and mujoco part at level 'model': mass, rel: " in err
+
+
+def test_the_other_engines_run_when_one_does_not_end(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(limit, "LIMIT", 1.0)
+    monkeypatch.setattr(limit, "PERIOD", 0.1)
+    quick = replace(ENGINES_BY_NAME["mujoco"], simulate=ENGINES_BY_NAME["newton_euler"].simulate)
+    monkeypatch.setitem(ENGINES_BY_NAME, "mujoco", quick)
+    status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, simulate=endless)
+    assert status == 2
+    assert "newton_euler: 10 s of pendulum: given up after 1 s of processor time" in err
+    assert files == {"mujoco.npz"}
+
+
+def test_runs_that_cannot_be_compared_are_kept(capsys, monkeypatch, tmp_path):
+    """Where the finer run that errors are measured by stops."""
+    quick = replace(ENGINES_BY_NAME["newton_euler"], trajectory_error=0.0, drift=0.0, energy_error=0.0)
+    monkeypatch.setitem(ENGINES_BY_NAME, "newton_euler", quick)
+    status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, refined=stopping)
+    assert status == 2
+    assert "newton_euler, in a finer run for comparison: integration stopped at t = 5 s" in err
+    assert files == {"newton_euler.npz", "mujoco.npz"}
+
+
+def test_run_all_keeps_what_each_scene_computed(monkeypatch, tmp_path):
+    monkeypatch.setitem(
+        ENGINES_BY_NAME, "newton_euler", replace(ENGINES_BY_NAME["newton_euler"], simulate=stopping)
+    )
+    found = outcome("pendulum", ("newton_euler", "mujoco"), tmp_path)
+    assert not found.agrees
+    assert "newton_euler: integration stopped at t = 5 s" in found.verdict
+    assert {path.name for path in tmp_path.iterdir()} == {"newton_euler.partial.npz", "mujoco.npz"}

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -24,14 +24,25 @@ from crosscheck.cli.shared import (
 from crosscheck.errors import CrosscheckError
 from crosscheck.recording.destination import Destination
 
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from crosscheck.against.compare import Model
+    from crosscheck.run import Crosscheck, Progress
+
+ALL_ENGINES = "newton_euler,mujoco,pinocchio"
+
 
 @cli.command("run")
 @click.argument("scene", required=False)
 @click.option("--all", "library", is_flag=True, help="Run all scenes of the library, a line each.")
-@click.option(
-    "--engines", default="newton_euler,mujoco,pinocchio", show_default=True, help="Comma-separated."
-)
+@click.option("--engines", default=ALL_ENGINES, show_default=True, help="Comma-separated.")
 @setting_options
+@click.option("--against", metavar="MODEL", help="Compare with another model instead, by newton_euler alone.")
+@click.option("--against-loops", metavar="FILE", help="Loop file of that model if it is a URDF.")
+@click.option(
+    "--against-set", "against_settings", multiple=True, metavar="OPTION=VALUE", help="Option of that model."
+)
 @click.option(
     "--output",
     type=click.Path(path_type=Path),
@@ -44,11 +55,14 @@ def run_command(
     library: bool,
     engines: str,
     settings: tuple[str, ...],
+    against: str | None,
+    against_loops: str | None,
+    against_settings: tuple[str, ...],
     output: Path | None,
     loops: str | None,
     **recording: Any,
 ) -> int:
-    """Run SCENE through the engines and compare them.
+    """Run SCENE through the engines and compare them, or with --against compare it with another model.
 
     SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given. The recording is saved
     unless it is told to go elsewhere.
@@ -56,12 +70,19 @@ def run_command(
     destination = Destination(**recording)
     wanted = [name.strip() for name in engines.split(",") if name.strip()]
     if library:
-        if scene or settings or loops or destination != Destination():
+        if scene or settings or loops or against or destination != Destination():
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
         return _run_all(wanted, output or Path("output"))
+    if against is None and (against_loops or against_settings):
+        raise CrosscheckError("--against-loops and --against-set are options of the model of --against")
+    if against is not None and engines != ALL_ENGINES:
+        raise CrosscheckError("--against compares two models by newton_euler alone, without --engines")
     destination.check()
     with redirect_stdout(sys.stderr) if destination.stdout else nullcontext():
-        return _run(scene or "tracker", wanted, settings, output, destination, loops)
+        if against is None:
+            return _run(scene or "tracker", wanted, settings, output, destination, loops)
+        models = _models((scene or "tracker", settings, loops), (against, against_settings, against_loops))
+        return _run_against(models, output, destination)
 
 
 def _run_all(engines: list[str], folder: Path) -> int:
@@ -84,11 +105,7 @@ def _run(
     loops: str | None,
 ) -> int:
     from crosscheck.engines import choose
-    from crosscheck.files import check_writable
     from crosscheck.model_files.read import report_lines
-    from crosscheck.output import write
-    from crosscheck.partial import partial_runs_saved
-    from crosscheck.report import markdown, settings_lines, terminal_tables
     from crosscheck.run import crosscheck
 
     chosen = choose(engines)
@@ -96,18 +113,72 @@ def _run(
     loaded, mapping = load_scene(scene, options)
     for line in report_lines(mapping) if mapping else ():
         click.echo(line)
-    folder = output or Path("output") / loaded.name
-    recording = (destination.save or folder / f"{loaded.name}.rrd") if destination.to_file else None
-    runs = [folder / f"{engine.name}.npz" for engine in chosen]
-    check_writable(*runs, folder / "summary.json", *([recording] if recording else []))
+
+    def work(progress: Progress) -> Crosscheck:
+        return crosscheck(loaded, chosen, progress, scene, options, mapping)
+
+    return _carry_out(work, loaded.name, [engine.name for engine in chosen], output, destination)
+
+
+def _models(*named: tuple[str, tuple[str, ...], str | None]) -> tuple[Model, Model]:
+    """Two models by name or file, settings and loop file, with names of their own."""
+    from crosscheck.against.compare import Model
+    from newton_euler.mapping import unique_name
+
+    paths = [Path(source) for source, *_ in named]
+    alike = paths[0].stem == paths[1].stem
+    found: list[Model] = []
+    for path, (source, settings, loops) in zip(paths, named, strict=True):
+        options = scene_options(source, settings, loops)
+        name = unique_name(path.name if alike else path.stem, "model", [model.name for model in found])
+        found.append(Model(name, source, options, *load_scene(source, options)))
+    first, second = found
+    return first, second
+
+
+def _run_against(models: tuple[Model, Model], output: Path | None, destination: Destination) -> int:
+    from crosscheck.against.compare import against, together
+    from crosscheck.model_files.read import report_lines
+
+    for model in models:
+        if model.mapping:
+            click.echo(f"{model.title}:")
+            for line in report_lines(model.mapping):
+                click.echo(f"  {line}")
+
+    def work(progress: Progress) -> Crosscheck:
+        return against(*models, progress)
+
+    return _carry_out(work, together(models), [model.name for model in models], output, destination)
+
+
+def _carry_out(
+    work: Callable[[Progress], Crosscheck],
+    name: str,
+    runs: Sequence[str],
+    output: Path | None,
+    destination: Destination,
+) -> int:
+    """Do what was asked for, with `runs` of these names, write and send it and tell of it."""
+    from crosscheck.against.compare import Against
+    from crosscheck.files import check_writable
+    from crosscheck.output import write
+    from crosscheck.partial import partial_runs_saved
+    from crosscheck.report import markdown, settings_lines, terminal_tables
+
+    folder = output or Path("output") / name
+    recording = (destination.save or folder / f"{name}.rrd") if destination.to_file else None
+    arrays = [folder / f"{run}.npz" for run in runs]
+    check_writable(*arrays, folder / "summary.json", *([recording] if recording else []))
     with progress_shown() as progress:
         with partial_runs_saved(folder):
-            result = crosscheck(loaded, chosen, progress, scene, options, mapping)
+            result = work(progress)
         progress("writing")
-        verdict = markdown(result)
+        notes = result.notes if isinstance(result, Against) else ()
+        verdict = "\n- ".join([markdown(result), *notes])
         written = write(result, folder, recording, verdict)
     click.echo(rendered(terminal_tables(result)), nl=False)
-    for line in settings_lines(result):
+    for line in (*notes, *settings_lines(result)):
         click.echo(line)
     click.echo("wrote " + ", ".join(str(path) for path in written))
     status = AGREE if result.agrees else DISAGREE

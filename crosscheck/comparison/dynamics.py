@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 
 import numpy as np
 
 from crosscheck.comparison.blame import dynamic_cause
 from crosscheck.comparison.rows import Row, round_off
-from crosscheck.comparison.samples import Samples, Scales
+from crosscheck.comparison.samples import Samples, Scales, States
 from newton_euler.scalars import Array
+
+Cause = Callable[[bool], str | None]
+"""What is to blame, forces in question or not."""
 
 
 def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Row]:
@@ -22,41 +25,55 @@ def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Ite
     motion are violated.
     """
     states = first.states
-    condition = max(first.condition, second.condition)
-    tolerance = round_off(condition)
 
     @cache
     def cause(forces: bool) -> str | None:
         return dynamic_cause(first, second, forces)
 
-    def row(
-        quantity: str, gap: Array, unit: float, joint: str | None = None, tolerance: float = tolerance
-    ) -> Row:
-        """`gap` has a first axis of states."""
-        worst = gap.reshape(len(states.all), -1).max(axis=1)
-        value = float(worst.max()) / unit
-        where = states.name(int(np.argmax(worst)))
-        if not value <= tolerance:
-            by_force = quantity not in ("kinetic energy, rel", "effective inertia, rel")
-            where = joint or cause(by_force) or where
-        return Row("dynamics", quantity, pair, value, tolerance, where)
-
     if states.scene.control:
         units = _actuator_units(first)
         gap = np.abs(first.stack("actuator_force") - second.stack("actuator_force")) / units
         joint = states.scene.control[int(np.argmax(gap.max(axis=0)))].joint
-        yield row("actuator force, rel", gap, 1.0, joint)
+        share = round_off(max(first.condition, second.condition))
+        yield _row(pair, states, "actuator force, rel", gap, 1.0, share, lambda _: joint)
+    yield from motion_rows(pair, first, second, cause)
+
+
+def motion_rows(pair: tuple[str, str], first: Samples, second: Samples, cause: Cause) -> Iterator[Row]:
+    """Energies, and the free motion's inertia and force, of two systems with the same bodies."""
+    states = first.states
+    condition = max(first.condition, second.condition)
+    share = round_off(condition)
     for name in ("kinetic_energy", "potential_energy"):
         one, two = first.stack(name), second.stack(name)
         unit = max(states.energy, float(np.abs(one).max()))
-        yield row(f"{name.replace('_', ' ')}, rel", np.abs(one - two), unit)
+        yield _row(pair, states, f"{name.replace('_', ' ')}, rel", np.abs(one - two), unit, share, cause)
     if not all(basis.shape[1] for basis in states.bases):
         return  # nothing can move
     inertia, other = ([mass for mass, _ in samples.free_motions] for samples in (first, second))
     force, push = ([force for _, force in samples.free_motions] for samples in (first, second))
-    yield row("effective inertia, rel", *_apart(inertia, other, 0.0))
+    yield _row(pair, states, "effective inertia, rel", *_apart(inertia, other, 0.0), share, cause)
     looser = round_off(condition * states.mass_condition)
-    yield row("effective force, rel", *_apart(force, push, states.energy), tolerance=looser)
+    yield _row(pair, states, "effective force, rel", *_apart(force, push, states.energy), looser, cause)
+
+
+def _row(
+    pair: tuple[str, str],
+    states: States,
+    quantity: str,
+    gap: Array,
+    unit: float,
+    tolerance: float,
+    cause: Cause,
+) -> Row:
+    """`gap` has a first axis of states; the cause is asked for where it fails."""
+    worst = gap.reshape(len(states.all), -1).max(axis=1)
+    value = float(worst.max()) / unit
+    where = states.name(int(np.argmax(worst)))
+    if not value <= tolerance:
+        by_force = quantity not in ("kinetic energy, rel", "effective inertia, rel")
+        where = cause(by_force) or where
+    return Row("dynamics", quantity, pair, value, tolerance, where)
 
 
 def _apart(one: list[Array], two: list[Array], floor: float) -> tuple[Array, float]:

@@ -27,7 +27,7 @@ from newton_euler.assemble import random_states
 from newton_euler.scene import Scene
 from newton_euler.trajectory import Trajectory
 
-__all__ = ["LEVELS", "Row", "compare", "compare_equations", "not_compared"]
+__all__ = ["LEVELS", "Row", "compare", "compare_equations", "not_compared", "without_runs"]
 
 Level = Callable[[tuple[str, str], Samples, Samples], Iterator[Row]]
 
@@ -84,10 +84,21 @@ def sampled(engines: Sequence[Engine], states: States) -> EngineSamples:
 
 def compare(scene: Scene, engines: Sequence[Engine], runs: dict[str, Trajectory], states: int) -> list[Row]:
     """All levels; `states` is the number of random consistent states for those that need no run."""
-    at = States(scene, (scene.initial_state, *random_states(scene, states)))
+    at = _states(scene, states)
     samples = sampled(engines, at)
     rows = list(compare_equations(engines, samples))
     parted = {row.between for row in rows if not row.agrees}
     rows += compare_runs(scene, engines, runs, at.energy, parted)
     rows += [momentum_row(engine.name, samples[engine.name][0]) for engine in engines]
     return sorted(rows, key=lambda row: LEVELS.index(row.level))
+
+
+def without_runs(scene: Scene, engines: Sequence[Engine], states: int) -> list[Row]:
+    """Levels 1 to 4, which need no run; arguments as of `compare`."""
+    rows = compare_equations(engines, sampled(engines, _states(scene, states)))
+    return sorted(rows, key=lambda row: LEVELS.index(row.level))
+
+
+def _states(scene: Scene, states: int) -> States:
+    """The initial state and random consistent ones."""
+    return States(scene, (scene.initial_state, *random_states(scene, states)))

@@ -7,7 +7,8 @@ dynamics with redundant constraints and singular mass matrix, Multibody System D
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,47 +21,104 @@ from newton_euler.solve import RANK_TOLERANCE, orthonormal_null, orthonormal_ran
 from newton_euler.state import State
 
 
+class Place(NamedTuple):
+    """Where a joint's reaction is told: the number of the joint, the body it acts on, and the point on it."""
+
+    joint: int
+    body: int
+    arm: Array
+    """(3,) from the body's centre of mass, world frame, m."""
+
+
 def undetermined(scene: Scene, state: State) -> Array:
     """(6 j, r) orthonormal reactions that together act on no body: r redundant constraints.
 
     For each joint force and torque over the mechanism's size, N both, on the second body at the joint
     point; world frame. What couplings and prescribed motions put on a joint's coordinates is among them.
     """
-    mechanism, frames = scene.mechanism, state.frames()
-    size, rows, wrenches = mechanism.size, [], []
+    places, size = _places(scene, state), scene.mechanism.size
+    return _acting_on_nothing([_columns(scene, state, places, len(places), size)], len(places))
 
-    def add(parts: list[tuple[int, int, int, Jacobian]], unit: Array) -> None:
-        """Equations of these joints, first and second bodies, of those units; the ground takes anything."""
+
+def undetermined_in_both(first: Scene, second: Scene, joints: Mapping[str, str], state: State) -> Array:
+    """The same of joints that two scenes have, as the first has them, where both scenes' constraints hold.
+
+    Reactions of the one and of the other, with the same bodies and the same motion, differ by them alone.
+
+    Args:
+        joints: the second's name of each joint of the first that both have.
+    """
+    own, count, size = _places(first, state), len(first.mechanism.joints), first.mechanism.size
+    others = {name: place._replace(joint=count) for name, place in _places(second, state).items()}
+    others |= {other: own[name] for name, other in joints.items()}
+    own |= {name: own[name]._replace(joint=count) for name in own.keys() - joints.keys()}
+    columns = [_columns(first, state, own, count + 1, size), _columns(second, state, others, count + 1, size)]
+    return _acting_on_nothing(columns, count)
+
+
+def _places(scene: Scene, state: State) -> dict[str, Place]:
+    """By joint; on the second body at its joint point."""
+    found, frames = dict[str, Place](), state.frames()
+    for k, joint in enumerate(scene.mechanism.joints):
+        body = scene.mechanism.body_index(joint.second)
+        pose = scene.mechanism.bodies[body].pose
+        found[joint.name] = Place(k, body, frames[body].rotation @ pose.point_to_body(joint.reaction_point))
+    return found
+
+
+class _Columns(NamedTuple):
+    """What constraints put on bodies and joints."""
+
+    rows: Array
+    """(k, 6 b) of the bodies; 0 of the ground, which takes anything."""
+    wrenches: Array
+    """(joints, 6, k)."""
+
+
+def _acting_on_nothing(columns: Sequence[_Columns], joints: int) -> Array:
+    """(6 j, r) of the first j joints."""
+    null = orthonormal_null(np.concatenate([part.rows for part in columns]).T)
+    wrenches = np.concatenate([part.wrenches[:joints].reshape(6 * joints, -1) for part in columns], axis=1)
+    return orthonormal_range(wrenches @ null)
+
+
+def _columns(scene: Scene, state: State, places: Mapping[str, Place], count: int, size: float) -> _Columns:
+    """Of all constraints of a scene, on so many joints; those that are not told of are the last together."""
+    mechanism, frames = scene.mechanism, state.frames()
+    rows = [np.zeros((0, 6 * len(frames)))]
+    wrenches = [np.zeros((count, 6, 0))]
+
+    def add(parts: list[tuple[str, int, int, Jacobian]], unit: Array) -> None:
+        """Equations of these joints, first and second bodies, of those units."""
         row = np.zeros((len(unit), len(frames), 6))
-        wrench = np.zeros((len(mechanism.joints), 6, len(unit)))
-        for k, i, j, blocks in parts:
+        wrench = np.zeros((count, 6, len(unit)))
+        for name, i, j, blocks in parts:
+            place = places[name]
             for body, r, theta in (
                 (i, blocks.r_first, blocks.theta_first),
                 (j, blocks.r_second, blocks.theta_second),
             ):
                 row[:, body] += np.hstack([r, theta / size])
-            pose = mechanism.bodies[j].pose
-            arm = frames[j].rotation @ pose.point_to_body(mechanism.joints[k].reaction_point)
-            torque = blocks.theta_second - np.cross(arm, blocks.r_second)
-            wrench[k] += np.hstack([blocks.r_second, torque / size]).T
+                if body == place.body:
+                    torque = theta - np.cross(place.arm, r)
+                    wrench[place.joint] += np.hstack([r, torque / size]).T
         row[:, 0] = 0.0
         rows.append(row.reshape(len(unit), 6 * len(frames)) * size / unit[:, None])
-        wrenches.append(wrench.reshape(6 * len(mechanism.joints), len(unit)) * size / unit)
+        wrenches.append(wrench * size / unit)
 
-    for k, equations in enumerate(mechanism.equations):
+    for equations in mechanism.equations:
         i, j = equations.first, equations.second
-        add([(k, i, j, equations.jacobian(frames[i], frames[j]))], equations.units(size))
+        blocks = equations.jacobian(frames[i], frames[j])
+        add([(equations.joint.name, i, j, blocks)], equations.units(size))
     measured = Cartesian(scene).measured
     for coupling in couplings(scene):
         parts = []
         for key, factor in coupling.factors.items():
             i, j = measured[key].first, measured[key].second
             blocks = measured[key].constraint.jacobian(frames[i], frames[j])
-            share = Jacobian(*(factor * block for block in blocks))
-            parts.append((mechanism.joint_index(key[0]), i, j, share))
+            parts.append((key[0], i, j, Jacobian(*(factor * block for block in blocks))))
         add(parts, np.array([size if coupling.is_length else 1.0]))
-    null = orthonormal_null(np.concatenate(rows).T)
-    return orthonormal_range(np.concatenate(wrenches, axis=1) @ null)
+    return _Columns(np.concatenate(rows), np.concatenate(wrenches, axis=2))
 
 
 def determined(force: Array, torque: Array, free: Sequence[Array], size: float) -> tuple[Array, Array]:

@@ -20,6 +20,9 @@ LEVELS = (
     "energy",
 )
 
+START = "start"
+"""Of two models, the level after the first: engines start from one scene, models where each file says."""
+
 OWN_ERROR = 4.0
 """Share of the difference between a run and a finer one that the run may be off: three times 4/3, which
 is its error where half a step leaves a quarter of it. Where it leaves half, its error is twice the
@@ -46,7 +49,7 @@ class Row:
     """One compared figure.
 
     Attributes:
-        level: one of `LEVELS`.
+        level: one of `LEVELS`, or `START`.
         quantity: what is compared, with its unit.
         between: the engines or systems compared, one or two.
         value, tolerance: the figure and what it may be at most, or usually is where it only informs.
@@ -70,12 +73,13 @@ class Row:
 
 def not_compared(rows: Sequence[Row]) -> Iterator[str]:
     """A line for each pair that parts: at which level, and that those after it were not compared."""
+    levels = (LEVELS[0], START, *LEVELS[1:])
     for between in dict.fromkeys(row.between for row in rows if len(row.between) == 2):
         failed = [row for row in rows if row.between == between and not row.agrees]
         if failed:
-            last = max(LEVELS.index(row.level) for row in failed)
-            if last + 1 < len(LEVELS):
-                yield f"{' and '.join(between)}: levels after {LEVELS[last]!r} not compared"
+            last = max(levels.index(row.level) for row in failed)
+            if last + 1 < len(levels):
+                yield f"{' and '.join(between)}: levels after {levels[last]!r} not compared"
 
 
 def reach(scene: Scene, position: Array) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,13 +13,27 @@ from crosscheck.comparison.energy import RANDOM_RATE, energy_scale
 from crosscheck.comparison.joint_geometry import joint_geometry
 from crosscheck.comparison.reactions import undetermined
 from crosscheck.comparison.terms import mass_and_force
+from crosscheck.errors import CrosscheckError
 from newton_euler.joint_geometry import JointGeometry
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
-from newton_euler.solve import numerical_rank, orthonormal_null, orthonormal_range
+from newton_euler.solve import numerical_rank, orthonormal_null, orthonormal_range, singular_values
 from newton_euler.state import Evaluation, MassProperties, State
 from newton_euler.system import System
+
+
+@contextmanager
+def solved(system: System, what: str) -> Iterator[None]:
+    """Linear algebra of what a system gives.
+
+    Raises:
+        CrosscheckError: naming the system, for numbers that are not finite and what LAPACK gives up.
+    """
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise CrosscheckError(f"{system.name}: {what} cannot be worked out: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +64,8 @@ class States:
     @cached_property
     def bases(self) -> list[Array]:
         """(6 b, d) for each state, see `admissible_basis`: the independent velocities of level 3."""
-        return [admissible_basis(self._system, q, self.units)[0] for q, _ in self._coordinates]
+        with solved(self._system, "independent velocities"):
+            return [admissible_basis(self._system, q, self.units)[0] for q, _ in self._coordinates]
 
     @cached_property
     def opening(self) -> float:
@@ -62,12 +79,14 @@ class States:
         Factorising it loses as many digits as after the best choice of units (N. J. Higham, Accuracy and
         Stability of Numerical Algorithms, 2nd ed., 2002, section 10.1.1).
         """
-        return max(_equilibrated(mass_and_force(self._system, q, v)[0]) for q, v in self._coordinates)
+        with solved(self._system, "the condition of the mass matrix"):
+            return max(_equilibrated(mass_and_force(self._system, q, v)[0]) for q, v in self._coordinates)
 
     @cached_property
     def undetermined(self) -> list[Array]:
         """For each state what `reactions.undetermined` gives."""
-        return [undetermined(self.scene, state) for state in self.all]
+        with solved(self._system, "reactions that nothing determines"):
+            return [undetermined(self.scene, state) for state in self.all]
 
     @cached_property
     def energy(self) -> float:
@@ -131,11 +150,13 @@ class Samples:
     @cached_property
     def evaluations(self) -> list[Evaluation]:
         """At each state."""
-        return [self.system.evaluate(q, v) for q, v in self.coordinates]
+        with solved(self.system, "accelerations"):
+            return [self.system.evaluate(q, v) for q, v in self.coordinates]
 
     @cached_property
     def _bases(self) -> list[tuple[Array, float]]:
-        return [admissible_basis(self.system, q, self.states.units) for q, _ in self.coordinates]
+        with solved(self.system, "independent velocities"):
+            return [admissible_basis(self.system, q, self.states.units) for q, _ in self.coordinates]
 
     @property
     def bases(self) -> list[Array]:
@@ -150,12 +171,12 @@ class Samples:
     @cached_property
     def free_motions(self) -> list[tuple[Array, Array]]:
         """Inertia (d, d) and force (d,) at each state, see `free_motion`, for the bases of the states."""
-        return [
-            free_motion(self.system, q, v, evaluation, basis, self.states.units)
-            for (q, v), evaluation, basis in zip(
-                self.coordinates, self.evaluations, self.states.bases, strict=True
-            )
-        ]
+        found = zip(self.coordinates, self.evaluations, self.states.bases, strict=True)
+        with solved(self.system, "effective inertia and force"):
+            return [
+                free_motion(self.system, q, v, evaluation, basis, self.states.units)
+                for (q, v), evaluation, basis in found
+            ]
 
     def stack(self, name: str) -> Array:
         """(n, bodies or joints, ...) array of that name, of the motions or else of the evaluations."""
@@ -179,7 +200,7 @@ def admissible_basis(system: System, q: Array, units: Array) -> tuple[Array, flo
     jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
     transformation = system.velocity_transformation(q) * system.velocity_units
     basis = orthonormal_range(transformation / units[:, None] @ orthonormal_null(jacobian))
-    values = np.linalg.svd(jacobian, compute_uv=False) if jacobian.size else np.ones(1)
+    values = singular_values(jacobian)[1] if jacobian.size else np.ones(1)
     rank = numerical_rank(values)
     return basis, float(values[0] / values[rank - 1]) if rank else 1.0
 
@@ -205,14 +226,14 @@ def free_motion(
     accelerations = np.hstack([evaluation.linear_acceleration, evaluation.angular_acceleration]).ravel()
     along = basis.T @ (accelerations / units)
     if len(mass) < system.nv:  # Cartesian: T qddot are the accelerations, because Gdot pdot = 0
-        motion = np.linalg.lstsq(transformation, np.column_stack([basis, accelerations / units]))[0]
+        motion = _least_squares(transformation, np.column_stack([basis, accelerations / units]))
         velocities, acceleration = motion[:, :-1], motion[:, -1]
         onto = _on_wrenches(evaluation.state, units[:, None] * basis)
     else:
         jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
         rows = np.concatenate([transformation, jacobian])  # T is silent on halves of bodies
         right = np.concatenate([basis, np.zeros((len(jacobian), basis.shape[1]))])
-        velocities = np.linalg.lstsq(rows, right)[0]
+        velocities = _least_squares(rows, right)
         acceleration = system.acceleration(q, v) / system.velocity_units
         onto = system.velocity_units[:, None] * velocities
     across = acceleration - velocities @ along
@@ -225,10 +246,20 @@ def _opening(system: System, coordinates: list[tuple[Array, Array]]) -> float:
     return max(float(np.max(np.abs(system.phi(q)) / units, initial=0.0)) for q, _ in coordinates)
 
 
+def _least_squares(matrix: Array, right: Array) -> Array:
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        raise np.linalg.LinAlgError("a matrix is not finite")  # LAPACK might go on for ever
+    return np.asarray(np.linalg.lstsq(matrix, right)[0])
+
+
 def _equilibrated(mass: Array) -> float:
     """Condition of a mass matrix scaled to a unit diagonal."""
+    if not len(mass):
+        return 1.0
+    if not np.isfinite(mass).all() or not np.all(np.diag(mass) > 0.0):
+        raise np.linalg.LinAlgError("its diagonal is not finite and positive")
     scale = 1.0 / np.sqrt(np.diag(mass))
-    return float(np.linalg.cond(mass * np.outer(scale, scale))) if len(mass) else 1.0
+    return float(np.linalg.cond(mass * np.outer(scale, scale)))
 
 
 def _on_wrenches(state: State, velocities: Array) -> Array:

@@ -30,7 +30,7 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array, cross
 from newton_euler.scene import Scene
-from newton_euler.solve import independent_rows
+from newton_euler.solve import independent_rows, singular_values
 from newton_euler.sparse import dense
 from newton_euler.state import Evaluation
 from newton_euler.system import System
@@ -70,7 +70,8 @@ class Comparison:
     Attributes:
         seed, number: which `random_scene` it is.
         content: what it is, for people.
-        condition: number of the dimensionless matrix of the equations of motion, in the 2-norm.
+        condition: number of the dimensionless matrix of the equations of motion, in the 2-norm; not a number
+            where it has none, which explains nothing.
         redundant: how many equations of joints and couplings are.
         gaps: relative difference by the system that is compared and the quantity; infinite for no answer.
         refusals: by system, why it has no answer.
@@ -188,14 +189,14 @@ def _compiled_gap(scene: Scene, formulation: str) -> float | None:
 def compare_random(seed: int, number: int, compiled: bool = False) -> Comparison:
     """One random mechanism through all engines; `compiled`: native code against its float form too."""
     scene = random_scene(seed, number)
-    matrix, redundant = equations_of_motion(scene)
+    condition, redundant = _condition(scene)
     gaps, refusals = dict[tuple[str, str], float](), dict[str, str]()
     evaluations = dict[str, Evaluation]()
     for name, build in _systems().items():
         try:
             system = build(scene)
             evaluations[name] = system.evaluate(*system.coordinates(scene.initial_state))
-        except NewtonEulerError as error:
+        except (NewtonEulerError, np.linalg.LinAlgError) as error:
             refusals[name], gaps[name, "no answer"] = str(error), np.inf
     wanted = evaluations.pop(Relative.name, None)
     if wanted is not None:
@@ -209,10 +210,19 @@ def compare_random(seed: int, number: int, compiled: bool = False) -> Comparison
             left.append(formulation)
         else:
             gaps[f"compiled {formulation}", "accelerations"] = native
-    condition = float(np.linalg.cond(matrix))
     kinds = " ".join(joint.kind for joint in scene.mechanism.joints)
     content = f"{len(scene.mechanism.bodies) - 1} bodies, {redundant} redundant, {kinds}"
     return Comparison(seed, number, content, condition, redundant, gaps, refusals, tuple(left))
+
+
+def _condition(scene: Scene) -> tuple[float, int]:
+    """The condition number of the equations of motion, and their redundant rows."""
+    try:
+        matrix, redundant = equations_of_motion(scene)
+        _, values, _ = singular_values(matrix)
+    except np.linalg.LinAlgError:
+        return np.nan, 0
+    return float(values[0] / values[-1]) if values[-1] > 0.0 else np.nan, redundant
 
 
 def _systems() -> dict[str, Callable[[Scene], System]]:

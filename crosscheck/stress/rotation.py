@@ -10,6 +10,7 @@ from crosscheck.references import known_figures
 from crosscheck.scenes import FIGURES, load
 from crosscheck.stress.runs import (
     COMBINATIONS,
+    FORMULATIONS,
     ONE_EACH,
     TIGHT,
     Setting,
@@ -35,6 +36,20 @@ TURNS = (0.499, 0.5, 0.501, 1.0, 10.0, 1e3)
 ANGLE = Bound(1e-6, 1e-2, "no plot would show less; half a degree can be seen")
 TORQUE = Bound(1e-6, 1e-2, "no plot would show less; a turn miscounted is far more")
 KNOWN = Bound(1e-6, 1e-2, "no plot would show less; a hundredth can be seen")
+ENERGY = Bound(1e-6, 1e-2, "no plot would show less; more than a hundredth is another motion")
+
+FIXED: tuple[Setting, ...] = (
+    *(newton_euler(form, integrator="Euler", step=step) for form in FORMULATIONS for step in (1e-3, 1e-4)),
+    newton_euler("relative", integrator="RK4", step=1e-3),
+    newton_euler("cartesian", integrator="RK4", step=1e-3),
+    mujoco("Euler"),
+    mujoco("implicitfast"),
+    mujoco("RK4"),
+)
+"""Steps of a tenth or a hundredth of a radian at `FAST`."""
+
+FAST = 100.0
+"""rad/s."""
 
 STIFFNESS, DAMPING = 100.0, 20.0
 """N m/rad and N m s/rad, critical for a moment of inertia of 1 kg m^2: x = X (1 - (1 + 10 t) exp(-10 t))."""
@@ -59,6 +74,10 @@ def cases(full: bool) -> list[Case]:
             made.append(
                 Case("i", what, setting.engine, str(setting), "angle error", "rad", ANGLE, run, limit=40.0)
             )
+    for setting in FIXED:
+        run = partial(measure_top_energy, setting)
+        what = f"free symmetric top, {FAST:g} rad/s, 1 s, fixed steps"
+        made.append(Case("i", what, setting.engine, str(setting), "energy error", "rel", ENERGY, run))
     for turns in TURNS if full else TURNS[1::2]:
         for setting in ONE_EACH:
             run = partial(measure_hinge, turns, setting)
@@ -79,6 +98,16 @@ def measure_top(speed: float, duration: float, setting: Setting) -> Measured:
     label = f"{setting.engine}, {setting}"
     curve = Curve("free top", "speed, rad/s", "angle error, rad", label, (speed,), (max(error, 1e-18),))
     return Measured(error, f"{run.settings['steps']} steps", (curve,))
+
+
+def measure_top_energy(setting: Setting) -> Measured:
+    """The energy, which nothing changes."""
+    scene = symmetric_top(1.0, 2.0, FAST * DIRECTION, 1.0)
+    run = setting.simulate(scene)
+    energy = run.kinetic_energy
+    assert energy is not None
+    error = float(np.max(np.abs(energy / energy[0] - 1.0)))
+    return Measured(error, f"orientation off by {top_error(scene, run):.1e} rad")
 
 
 def driven_hinge(turns: float) -> Scene:

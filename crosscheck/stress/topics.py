@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import signal
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -17,6 +16,8 @@ from multiprocessing.connection import Connection, wait
 from typing import Literal
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.output import tidied_up
+from crosscheck.workers import end_with_parent
 from newton_euler.errors import NewtonEulerError
 
 TOPICS = {
@@ -254,7 +255,7 @@ class _Worker:
 
 def _serve(connection: Connection) -> None:
     """Run cases until there are no more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal; the parent ends its workers
+    end_with_parent()
     while True:
         try:
             case: Case = connection.recv()
@@ -263,6 +264,7 @@ def _serve(connection: Connection) -> None:
         connection.send(judge(case))
 
 
+@tidied_up()
 def run_cases(cases: Sequence[Case], progress: Progress) -> list[Row]:
     """Rows of all cases in their order, by `PROCESSES` processes, the ones that may take longest first.
 

@@ -1,0 +1,261 @@
+"""Two models of one mechanism compared: levels in their order, up to the first that disagrees."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from crosscheck.against.accelerations import acceleration_rows, reactions_in_first
+from crosscheck.against.align import Aligned, align
+from crosscheck.against.dynamics import dynamics_rows
+from crosscheck.against.kinematics import kinematics_rows
+from crosscheck.against.model import beside_the_worst, bodies_row, model_rows, start_rows
+from crosscheck.comparison.rows import Row
+from crosscheck.comparison.runs import compare_runs, rests
+from crosscheck.comparison.samples import Samples, States
+from crosscheck.each_run import check_figures, each_run
+from crosscheck.engines import ENGINES, Engine
+from crosscheck.errors import CrosscheckError
+from crosscheck.limit import SHORTER, limited
+from crosscheck.partial import UnfinishedError
+from crosscheck.run import Crosscheck, Progress
+from crosscheck.scenes.options import titled
+from newton_euler.assemble import random_states
+from newton_euler.errors import NewtonEulerError
+from newton_euler.mapping import Mapping as Report
+from newton_euler.relative import Relative
+from newton_euler.scene import Scene
+from newton_euler.trajectory import Trajectory
+
+ENGINE = ENGINES["newton_euler"]
+"""Whose equations both models are given."""
+
+
+RANDOM_STATES = 8
+"""Random consistent states, beside the first's start, at which the equations of both are compared: twice as
+many as faults between engines are found with."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """One of the two.
+
+    Attributes:
+        name: as in tables and files.
+        source: the name or the file that it was loaded from.
+        options: of the scene, as they were set.
+        scene: what was read.
+        mapping: what became of the elements of a model file; None for a scene of this package's own.
+    """
+
+    name: str
+    source: str
+    options: Mapping[str, str]
+    scene: Scene
+    mapping: Report | None
+
+    @property
+    def title(self) -> str:
+        return titled(self.source, self.options)
+
+
+@dataclass(frozen=True, eq=False)
+class Against(Crosscheck):
+    """What a comparison of two models found; runs are by the models' names, in the first's terms.
+
+    Attributes:
+        models: the two.
+        notes: what people should know beside the figures: what was taken for what, and all that differs.
+    """
+
+    models: tuple[Model, Model] = field(kw_only=True)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def title(self) -> str:
+        """Both models, with the options that were set."""
+        return " against ".join(model.title for model in self.models)
+
+    @property
+    def rests(self) -> bool:
+        """Whether nothing moves in the runs there are."""
+        ran = [engine for engine in self.engines if engine.name in self.runs]
+        return rests(self.scene, ran, self.runs)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether every figure is within its tolerance."""
+        return all(row.agrees for row in self.rows)
+
+    @property
+    def verdict(self) -> str:
+        """One line: whether they are the same, or the first level at which they are not, and where."""
+        judged = [row for row in self.rows if not row.informs]
+        failed = [row for row in judged if not row.agrees]
+        names = " and ".join(model.title for model in self.models)
+        if not failed:
+            still = "; nothing moves" if self.rests else ""
+            return f"SAME: {names} agree in all {len(judged)} figures{still}"
+        row = failed[0]
+        return (
+            f"DIFFERENT: {names} part at level '{row.level}': {row.quantity}: {row.value:.3g} > "
+            f"{row.tolerance:.3g}, worst at {row.where} ({len(failed)} of {len(judged)} figures fail)"
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """As of any crosscheck, with what was compared and the notes."""
+        models = [
+            {
+                "name": model.name,
+                "source": model.source,
+                "options": dict(model.options),
+                "mapping": [asdict(entry) for entry in model.mapping.entries] if model.mapping else None,
+                "start": model.mapping.start if model.mapping else None,
+            }
+            for model in self.models
+        ]
+        return super().summary() | {"models": models, "notes": list(self.notes)}
+
+
+def together(models: tuple[Model, Model]) -> str:
+    """What the two are called together, in files."""
+    return "_against_".join(model.name for model in models)[:100]
+
+
+def against(first: Model, second: Model, progress: Progress) -> Against:
+    """Compare two models and run both for the first's duration; `progress` is told each stage.
+
+    Raises:
+        UnfinishedError: with the runs that came to their end, if one cannot go on or is too long.
+        CrosscheckError, NewtonEulerError: for models that cannot be compared.
+    """
+    begun = time.perf_counter()
+    pair = first.name, second.name
+    aligned = align(first.scene, second.scene)
+    scenes = (aligned.first, aligned.second or second.scene)
+    engines = [_engine(name, scene, aligned) for name, scene in zip(pair, scenes, strict=True)]
+    with limited("comparing equations", SHORTER, progress):
+        rows, notes, energy = _equations_compared(pair, aligned)
+    # bodies that have no partners cannot be laid over the first's
+    able = engines[:1] if aligned.second is None else engines
+    runs = each_run(aligned.first, able, progress, lambda: rows)
+    if energy is not None:
+        # of both together: what a run is off by itself is no difference between models
+        pairs = {
+            name: replace(run, constraint_violation=None, potential_energy=None) for name, run in runs.items()
+        }
+        try:
+            with limited("comparing runs", SHORTER, progress):
+                rows += compare_runs(aligned.first, engines, pairs, energy)
+            check_figures(rows)
+        except (CrosscheckError, NewtonEulerError) as error:
+            raise UnfinishedError(str(error), runs) from error
+    scene = replace(
+        aligned.first, name=together((first, second)), description="newton_euler's equations of each"
+    )
+    return Against(
+        first.source,
+        first.options,
+        scene,
+        tuple(engines),
+        {},
+        runs,
+        tuple(rows),
+        (),
+        time.perf_counter() - begun,
+        first.mapping,
+        models=(first, second),
+        notes=(*aligned.notes, *notes),
+    )
+
+
+def _engine(name: str, scene: Scene, aligned: Aligned) -> Engine:
+    """newton_euler with a model of its own, whatever scene it is asked to run; runs in the first's terms."""
+
+    def seen(run: Trajectory) -> Trajectory:
+        run = replace(run, engine=name)
+        return run if scene is aligned.first else _in_first(run, aligned)
+
+    return replace(
+        ENGINE,
+        name=name,
+        simulate=lambda _: seen(ENGINE.simulate(scene)),
+        refined=lru_cache(lambda _: seen(ENGINE.refined(scene))),
+        systems=lambda _: (Relative(scene),),
+    )
+
+
+def _in_first(run: Trajectory, aligned: Aligned) -> Trajectory:
+    """The second model's run with the joints and actuators of the first; 0 at what the first has alone."""
+    assert aligned.second is not None
+    a, b = aligned.first, aligned.second
+    assert run.reaction_force is not None
+    assert run.reaction_torque is not None
+    force, torque = reactions_in_first(
+        aligned, run.position, run.quaternion, run.reaction_force, run.reaction_torque
+    )
+    violation = actuation = None
+    if run.constraint_violation is not None:
+        violation = np.zeros((len(run.time), len(a.mechanism.joints)))
+        for name, other in aligned.joints.items():
+            k = b.mechanism.joint_index(other)
+            violation[:, a.mechanism.joint_index(name)] = run.constraint_violation[:, k]
+    if run.actuator_force is not None:
+        actuation = np.zeros((len(run.time), len(a.control)))
+        laws = {(law.joint, law.coordinate): k for k, law in enumerate(b.control)}
+        for n, law in enumerate(a.control):
+            partner = aligned.coordinates.get((law.joint, law.coordinate))
+            if partner is not None and partner.key in laws:
+                actuation[:, n] = partner.sense * run.actuator_force[:, laws[partner.key]]
+    return replace(
+        run,
+        joint_names=a.mechanism.joint_names,
+        reaction_force=force,
+        reaction_torque=torque,
+        constraint_violation=violation,
+        actuator_force=actuation,
+    )
+
+
+def _equations_compared(pair: tuple[str, str], aligned: Aligned) -> tuple[list[Row], list[str], float | None]:
+    """The figures of equations up to the first level that disagrees, and what there is to say about them.
+
+    And if all agree the energy that those of runs are relative to at least, J.
+    """
+    if aligned.second is None:
+        return [bodies_row(pair, aligned)], [], None
+    scene = aligned.first
+    start = States(scene, (scene.initial_state,))
+    starts = list(start_rows(pair, aligned, Samples(Relative(scene), start).condition))
+    notes = list(beside_the_worst(aligned))
+    if apart := [row for row in starts if not row.agrees]:
+        told = "; ".join(f"{row.quantity}: {row.value:.1e} at {row.where}" for row in apart)
+        notes.insert(0, f"starts differ: {told}; the models are compared where their bodies coincide best")
+    rows: list[Row] = []
+
+    def parts(level: Iterable[Row]) -> bool:
+        """Whether the models part at a level; the later ones are not worked out then."""
+        found = list(level)
+        check_figures(found)
+        rows.extend(found)
+        failed = [row for row in found if not row.agrees]
+        if len(failed) > 1:
+            also = "; ".join(f"{row.quantity}: {row.value:.1e} at {row.where}" for row in failed[1:])
+            notes.append(f"differs too at level {failed[0].level!r}: {also}")
+        return bool(failed)
+
+    if parts(model_rows(pair, aligned)) or parts(starts):
+        return rows, notes, None
+    states = States(scene, (scene.initial_state, *random_states(scene, RANDOM_STATES)))
+    first, second = Samples(Relative(scene), states), Samples(Relative(aligned.second), states)
+    parted = (
+        parts(kinematics_rows(pair, aligned, first, second))
+        or parts(dynamics_rows(pair, aligned, first, second))
+        or parts(acceleration_rows(pair, aligned, first, second))
+    )
+    return rows, notes, None if parted else states.energy

@@ -1,0 +1,184 @@
+"""The first levels: the models' own numbers, and where they start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from crosscheck.against.align import Aligned
+from crosscheck.against.placing import Held, anyhow_apart, axes_apart, held, inertia_apart, points_apart
+from crosscheck.comparison.rows import ROUND_OFF, START, Row, reach, round_off
+from newton_euler.couplings import Coupling, couplings
+from newton_euler.euler_parameters import angle_between, rotation
+from newton_euler.measured import Key
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+
+POINTS = "joint points, m"
+
+MOST_NAMED = 4
+"""Bodies or joints that are told of beside the worst."""
+
+
+def bodies_row(pair: tuple[str, str], aligned: Aligned) -> Row:
+    """How many bodies have no partner."""
+    alone = [name for names in aligned.alone for name in names]
+    return Row("model", "bodies without partner", pair, float(len(alone)), 0.5, ", ".join(alone))
+
+
+def differences(aligned: Aligned) -> Iterator[tuple[str, Array, float, Sequence[str]]]:
+    """Of each quantity of the models the difference for each body or joint, what it may be, and their names.
+
+    Each is taken in the bodies' frames, wherever the bodies start. Points of joints count as far as their
+    kinds tell them, and axes as lines.
+    """
+    assert aligned.second is not None
+    a, b, placed = aligned.first.mechanism, aligned.second.mechanism, aligned.placed[1:]
+    bodies = a.body_names[1:]
+    masses = np.array([[body.mass for body in mechanism.bodies[1:]] for mechanism in (a, b)])
+    yield "mass, rel", np.abs(masses[1] - masses[0]) / masses[0], ROUND_OFF, bodies
+    length = ROUND_OFF * reach(aligned.first, aligned.first.initial_state.position)
+    yield "centre of mass, m", np.array([np.linalg.norm(way.center) for way in placed]), length, bodies
+    # both are in the first's frames
+    inertia = [inertia_apart(x.inertia, y.inertia) for x, y in zip(a.bodies[1:], b.bodies[1:], strict=True)]
+    yield "inertia, rel", np.array(inertia), ROUND_OFF, bodies
+    joints = tuple(aligned.joints)
+    if joints:
+        axes = [_on_bodies(aligned, name, axes_apart) for name in joints]
+        yield "joint axes, rad", np.array(axes), ROUND_OFF, joints
+        points = [_on_bodies(aligned, name, points_apart) for name in joints]
+        yield POINTS, np.array(points), length, joints
+    coupled = dict(_couplings_apart(aligned))
+    if coupled:
+        yield "couplings, rel", np.array(list(coupled.values())), ROUND_OFF, tuple(coupled)
+
+
+def model_rows(pair: tuple[str, str], aligned: Aligned) -> Iterator[Row]:
+    """The largest of each of `differences`, and how many joints are of other kinds, which the levels after
+    this have to judge: a ball closes a plane loop as a hinge does."""
+    yield bodies_row(pair, aligned)
+    other = [name for name in aligned.joints if not same_kind(aligned, name)]
+    yield Row("model", "joints of another kind", pair, float(len(other)), 0.0, ", ".join(other), informs=True)
+    for quantity, gap, tolerance, names in differences(aligned):
+        worst = int(np.argmax(gap))
+        yield Row("model", quantity, pair, float(gap[worst]), tolerance, names[worst])
+
+
+def beside_the_worst(aligned: Aligned) -> Iterator[str]:
+    """What else of a quantity differs where several bodies or joints do, in words, and what lies elsewhere
+    without making a difference."""
+    for quantity, gap, tolerance, names in differences(aligned):
+        order = [int(k) for k in np.argsort(-gap) if not gap[k] <= tolerance]
+        if len(order) > 1:
+            told = ", ".join(f"{names[k]} {gap[k]:.1e}" for k in order[:MOST_NAMED])
+            more = len(order) - MOST_NAMED
+            yield f"{quantity} differs at {told}" + (f" and {more} more" if more > 0 else "")
+        if quantity == POINTS:
+            for k, name in enumerate(names):
+                far = _on_bodies(aligned, name, anyhow_apart)
+                if gap[k] <= tolerance < far:
+                    yield f"the point of joint {name} is {far:.1e} m elsewhere on what is one joint"
+
+
+def start_rows(pair: tuple[str, str], aligned: Aligned, condition: float) -> Iterator[Row]:
+    """Where the bodies start and how fast they move then; tolerances are round-off times the condition of
+    the constraints, which starts are assembled by."""
+    assert aligned.second is not None
+    first, second = aligned.first, aligned.second
+    here, there, names = first.initial_state, second.initial_state, first.mechanism.body_names
+    share = round_off(condition)
+    # where the first's centre of mass is on the second's body
+    arms = np.array(
+        [-rotation(p) @ way.center for p, way in zip(there.quaternion, aligned.placed, strict=True)]
+    )
+    length = first.mechanism.size
+    speed = max(
+        length, *(float(np.max(np.abs(v))) for v in (here.linear_velocity, length * here.angular_velocity))
+    )
+    velocity = there.linear_velocity + np.cross(there.angular_velocity, arms) - here.linear_velocity
+    for quantity, gap, tolerance in (
+        (
+            "positions, m",
+            np.linalg.norm(there.position + arms - here.position, axis=1),
+            share * reach(first, here.position),
+        ),
+        ("orientations, rad", angle_between(here.quaternion, there.quaternion), share),
+        ("velocities, rel", np.linalg.norm(velocity, axis=1) / speed, share),
+        (
+            "angular velocities, rel",
+            np.linalg.norm(there.angular_velocity - here.angular_velocity, axis=1) * length / speed,
+            share,
+        ),
+    ):
+        worst = int(np.argmax(gap))
+        yield Row(START, quantity, pair, float(gap[worst]), tolerance, names[worst])
+
+
+def _on_bodies(aligned: Aligned, name: str, apart: Callable[..., float]) -> float:
+    """The larger of a difference of a joint on its two bodies."""
+    assert aligned.second is not None
+    a, b = aligned.first.mechanism, aligned.second.mechanism
+    one, two = a.joints[a.joint_index(name)], b.joints[b.joint_index(aligned.joints[name])]
+    found = 0.0
+    for body in (one.first, one.second):
+        k = a.body_index(body)
+        parts = []
+        for mechanism, joint in ((a, one), (b, two)):
+            pose = mechanism.bodies[k].pose
+            point, loose, axes = held(joint, body)
+            axes = tuple((kind, pose.vector_to_body(axis)) for kind, axis in axes)
+            parts.append(Held(pose.point_to_body(point), pose.rotation.T @ loose, axes))
+        way = aligned.placed[k]._replace(turn=np.eye(3))  # the second's frames are the first's by now
+        found = max(found, apart(*parts, way))
+    return found
+
+
+def same_kind(aligned: Aligned, name: str) -> bool:
+    assert aligned.second is not None
+    a, b = aligned.first.mechanism, aligned.second.mechanism
+    one, two = a.joints[a.joint_index(name)], b.joints[b.joint_index(aligned.joints[name])]
+    kinds = [sorted(motion.kind for motion in joint.motions) for joint in (one, two)]
+    return kinds[0] == kinds[1] and one.only_closes == two.only_closes
+
+
+def _couplings_apart(aligned: Aligned) -> Iterator[tuple[str, float]]:
+    """For each gear, screw and motion how far its factors and function are apart; 1 without partner."""
+    assert aligned.second is not None
+    here, there = couplings(aligned.first), list(couplings(aligned.second))
+    for coupling in here:
+        factors = {
+            aligned.coordinates[key].key: factor * aligned.coordinates[key].sense
+            for key, factor in coupling.factors.items()
+            if key in aligned.coordinates
+        }
+        partner = next((c for c in there if factors and c.factors.keys() == factors.keys()), None)
+        if partner is None or len(factors) < len(coupling.factors):
+            yield coupling.name, 1.0
+            continue
+        there.remove(partner)
+        yield (
+            coupling.name,
+            max(
+                _factors_apart(factors, partner.factors),
+                _functions_apart(aligned.first, coupling, partner, factors),
+            ),
+        )
+    for coupling in there:
+        yield coupling.name, 1.0
+
+
+def _factors_apart(one: Mapping[Key, float], two: Mapping[Key, float]) -> float:
+    """Whatever both are multiplied by."""
+    a, b = (np.array([factors[key] for key in one]) for factors in (one, two))
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    return float(min(np.max(np.abs(a - b)), np.max(np.abs(a + b))))
+
+
+def _functions_apart(scene: Scene, one: Coupling, two: Coupling, factors: Mapping[Key, float]) -> float:
+    """Of time, from where they begin, relative to how far they go."""
+    if one.function is None or two.function is None:
+        return float(one.function is not two.function)
+    (sense,) = factors.values()
+    a, b = (np.array([f.value(t) - f.value(0.0) for t in scene.times]) for f in (one.function, two.function))
+    return float(np.max(np.abs(sense * b - a)) / max(float(np.max(np.abs(a))), 1e-12))
