@@ -21,6 +21,7 @@ from crosscheck.advice.baumgarte import baumgarte_advice
 from crosscheck.advice.cost import cost_advice
 from crosscheck.advice.measured import distance
 from crosscheck.advice.redundancy import redundancy_advice
+from crosscheck.advice.scope import scope_advice
 from crosscheck.advice.soft import fitting, soft_advice
 from crosscheck.comparison.levels import Row
 from crosscheck.comparison.reactions import undetermined_joints
@@ -30,6 +31,7 @@ from crosscheck.run import crosscheck
 from mjcf.write import SOLIMP
 from newton_euler.errors import NewtonEulerError
 from newton_euler.joints import Cylindrical, Fixed, Spherical
+from newton_euler.mapping import Mapping
 from newton_euler.mechanism import Mechanism
 from newton_euler.relative import Relative
 from newton_euler.scene import Scene
@@ -179,6 +181,69 @@ def test_what_is_redundant_can_be_replaced_as_advised(loop: Scene) -> None:
     assert one == pytest.approx(two, abs=1e-12 * np.max(np.abs(one)))  # round-off: it moves as it did
 
 
+LINKAGE = Path(__file__).parents[1] / "examples" / "linkage.xml"
+
+
+def test_a_redundant_closure_is_left_out_and_a_driven_joint_slides(tmp_path: Path) -> None:
+    """A user's file with a loop closed twice, changed as advised: joints with forces keep their hinges."""
+    closure = '<connect name="loop" site1="coupler_end" site2="rocker_end"/>'
+    twice = LINKAGE.read_text().replace(closure, closure + closure.replace("loop", "spare"))
+    (tmp_path / "twice.xml").write_text(twice)
+    scene = mjcf.read.read(tmp_path / "twice.xml").scene
+    assert undetermined_joints(scene, scene.initial_state)[0] == 4
+    advice = only(redundancy_advice(found(scene, {})))
+    assert advice.text == (
+        "4 constraint rows say nothing new; the motion is the same with joint 'loop' left out, a cylindrical "
+        "joint for the revolute 'elbow': then all reactions are determined"
+    )
+    once = twice.replace(closure, "")
+    sliding = once.replace('<joint name="elbow"/>', '<joint name="elbow"/><joint type="slide" damping="0"/>')
+    for text, rows in ((once, 1), (sliding, 0)):
+        (tmp_path / "changed.xml").write_text(text)
+        changed = mjcf.read.read(tmp_path / "changed.xml").scene
+        assert undetermined_joints(changed, changed.initial_state)[0] == rows
+        one, two = (
+            system.evaluate(*system.coordinates(s.initial_state)).linear_acceleration
+            for s, system in ((s, Relative(s)) for s in (scene, changed))
+        )
+        assert one == pytest.approx(two, abs=1e-12 * np.max(np.abs(one)))  # round-off: it moves as it did
+
+
+def test_advice_is_for_what_was_read(loop: Scene, runs: dict[str, Trajectory]) -> None:
+    report = Mapping()
+    report.exactly("joint 'a'", "revolute joint 'a'")
+    report.left_out("options of solver and integrator", "every engine has its own")
+    report.left_out("3 cameras", "they move nothing")
+    assert not list(scope_advice(replace(found(loop, runs), mapping=report)))
+    assert not list(scope_advice(found(loop, runs)))
+    for k in range(6):
+        report.left_out(f"joint 'j{k}'", "its dry friction 0.2")
+    report.approximated("tendon 't'", "a spring")
+    text = only(scope_advice(replace(found(loop, runs), mapping=report))).text
+    dry = ", ".join(f"joint 'j{k}' (its dry friction 0.2)" for k in range(4))
+    assert f"the model without {dry} and 2 more and with tendon 't' (a spring) as approximated;" in text
+
+
+@pytest.mark.parametrize(
+    "element", ["joint 'pivot' (its limits", "joint 'pivot' (its dry friction 0.1)", "3 geoms that can touch"]
+)
+def test_what_the_reader_leaves_out_is_in_it(tmp_path: Path, element: str) -> None:
+    """Limits, dry friction and contacts, but not what every file has or what moves nothing."""
+    text = LINKAGE.read_text().replace('contype="0" conaffinity="0"', "")
+    text = text.replace('<joint name="pivot"', '<joint name="pivot" frictionloss="0.1" range="-90 90"')
+    text = text.replace("<worldbody>", '<worldbody><camera name="eye"/>')
+    (tmp_path / "own.xml").write_text(text)
+    reading = mjcf.read.read(tmp_path / "own.xml")
+    assert {"1 cameras", "options of solver and integrator"} < {
+        entry.element for entry in reading.report.of("left out")
+    }
+    about = replace(found(reading.scene, {}), mapping=reading.report)
+    text = only(scope_advice(about)).text
+    assert element in text
+    assert "camera" not in text
+    assert "options" not in text
+
+
 def test_nothing_is_redundant_in_a_loop_of_balls() -> None:
     assert not list(redundancy_advice(found(ball_loop(), {})))
 
@@ -218,6 +283,11 @@ def test_the_cheapest_run_that_reaches_the_error(loop: Scene, runs: dict[str, Tr
     assert "newton_euler 1 s" in text
     assert "mujoco 2 s" in text
     assert "`crosscheck bench a_scene`" in text
+    settings = runs["newton_euler"].settings
+    traced, compiled = f"{settings['trace_time']:.2g}", f"{settings['compile_time']:.2g}"
+    setup = f"before, not counted, newton_euler traced in {traced} s and compiled in {compiled} s"
+    assert setup in text
+    assert text.count("not counted") == 1  # engines that compile nothing
     far = {name: replace(run, position=run.position + k) for k, (name, run) in enumerate(slow.items())}
     far["newton_euler"] = replace(far["newton_euler"], position=far["newton_euler"].position - 1.0)
     assert only(cost_advice(found(loop, far))).text.startswith("none of these runs has an error of at most")

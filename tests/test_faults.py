@@ -12,13 +12,13 @@ from mechanisms import GRAVITY, pendulum
 
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
+from crosscheck.faults import PLANTED_IN, plant
 from crosscheck.faults import find as finding
-from crosscheck.faults import plant
 from crosscheck.faults.catalogue import SIZES, Fault, catalogue, most_of
-from crosscheck.faults.find import PLANTED_IN, REFUSED, Found, Sighting, find, find_faults, samples_of
+from crosscheck.faults.find import REFUSED, Found, Search, Sighting, find, find_faults, samples_of
 from crosscheck.faults.report import SMALLEST, Count, by_motion, holds, in_all, lines
 from crosscheck.scenes import load
-from newton_euler import Body, JointSpring, Mechanism, Scene
+from newton_euler import Armature, Body, JointSpring, Mechanism, Scene
 from newton_euler.errors import MechanismError
 from newton_euler.joints import Fixed
 
@@ -55,7 +55,7 @@ def own(example):
 
 @pytest.fixture(scope="module")
 def found(example):
-    return find_faults(example, lambda message: None, sizes=(1e-1, 1e-4))
+    return find_faults(example, lambda message: None, sizes=(1e-1, 1e-4)).found
 
 
 def test_faults_of_every_kind_are_found_and_blamed(found):
@@ -126,6 +126,16 @@ def test_springs_are_told_from_bodies(kind):
         assert result.seen.where == "pivot"
 
 
+def test_an_armature_is_found_at_its_joint_or_the_body_that_it_turns():
+    scene = replace(pendulum(), armatures=(Armature("pivot", 0.3),))
+    (fault,) = (f for f in catalogue(scene, (1e-3,)) if f.kind == "armature")
+    for name in PLANTED_IN:
+        result = find(fault, ENGINES[name], samples_of(scene))
+        assert result.seen.level == "dynamics"
+        assert result.blamed
+        assert not replace(result, fault=replace(fault, right=frozenset({"ground"}))).blamed
+
+
 def test_a_fault_in_one_size_is_no_larger_in_another(example):
     """Figures are proportional to the fault: 1e-2 and 1e-5 of a mass differ by 1e3 to a per mille."""
     own = samples_of(example)
@@ -134,6 +144,17 @@ def test_a_fault_in_one_size_is_no_larger_in_another(example):
         fault = next(f for f in catalogue(example, (size,)) if f.kind == "mass")
         values.append(find(fault, ENGINES["mujoco"], own).seen.value)
     assert values[0] / values[1] == pytest.approx(1e3, rel=1e-3)
+
+
+def test_what_a_smaller_fault_does_is_not_unobservable(monkeypatch, example):
+    """It does the same, less: below round-off it is missed."""
+    faults = [a_fault(size).fault for size in (1e-1, 1e-6)]
+    results = {fault.size: a_fault(fault.size, observable=fault.size == 1e-1) for fault in faults}
+    monkeypatch.setattr(finding, "catalogue", lambda scene, sizes: faults)
+    monkeypatch.setattr(finding, "find", lambda fault, engine, own: results[fault.size])
+    assert [f.observable for f in find_faults(example, lambda message: None).found] == [True, True]
+    results[1e-1] = replace(results[1e-1], observable=False)
+    assert [f.observable for f in find_faults(example, lambda message: None).found] == [False, False]
 
 
 @pytest.mark.parametrize("name", ["tracker", "four_bar", "slider_crank", "stewart"])
@@ -220,23 +241,32 @@ def test_the_command(capsys, tmp_path, monkeypatch):
     assert written["faults"][0]["seen"]["where"] == "crank"
     assert written["verdict"] in out
     assert "by motion alone" in out
+    assert {entry["engine"] for entry in written["faults"]} == set(written["engines"]) == set(PLANTED_IN)
+    arguments = ("faults", EXAMPLE, "--engine", "pinocchio", "--output", tmp_path)
+    status, out, _ = run(capsys, *arguments)
+    assert status == 0
+    written = json.loads((tmp_path / "faults.json").read_text())
+    assert {entry["engine"] for entry in written["faults"]} == {"pinocchio"}
+    assert f"{len(few)} faults in pinocchio in " in out
     status, _, err = run(capsys, "faults", "nowhere")
     assert status == 2
     assert "unknown scene 'nowhere'" in err
 
 
 def test_the_command_tells_what_is_missed(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr("crosscheck.faults.find.find_faults", lambda *_: [a_fault(seen=None, moves=None)])
+    search = Search((a_fault(seen=None, moves=None),), ("mujoco",), {"pinocchio": "no such joint"})
+    monkeypatch.setattr("crosscheck.faults.find.find_faults", lambda *_, **__: search)
     status, out, _ = run(capsys, "faults", EXAMPLE, "--output", tmp_path)
     assert status == 1
     assert "missed: mass of bar by 0.0001, in mujoco: smaller than the tolerances" in out
+    assert "no fault planted in pinocchio, which cannot express the scene: no such joint" in out
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["tracker", "four_bar", "slider_crank"])
 def test_all_faults_of_a_scene(name):
     """All down to 1e-4 found, 95 % blamed on the very element; smaller ones if an engine has them."""
-    found = find_faults(load(name), lambda message: None)
+    found = find_faults(load(name), lambda message: None).found
     large = [f for f in found if f.fault.size is None or f.fault.size >= SMALLEST]
     count, motion = in_all(large), by_motion(large)
     assert count.of > 200

@@ -247,7 +247,9 @@ def test_a_user_guards_a_model(capsys, guarded, monkeypatch):
     status, out, _ = run(capsys, "regress", model, "--junit", "j.xml")
     assert status == 0
     assert "QUIET" in out
-    assert not (guarded / "output").exists()
+    (written,) = (guarded / "output" / "regress").iterdir()
+    assert written.name == "regress.json"
+    assert json.loads(written.read_text())["quiet"]
     suite = ElementTree.parse("j.xml").getroot().find("testsuite")
     assert suite.get("failures") == "0"
 

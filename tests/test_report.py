@@ -167,7 +167,7 @@ def test_a_disagreement_is_found_at_a_glance(bare):
     summary["figures"][0] |= {"value": 0.125, "agrees": False, "where": "the crank"}
     change(bare, figures=summary["figures"], agrees=False, verdict="DISAGREE: somewhere")
     text = (bare / PAGE).read_text() if report(bare) else ""
-    assert '<p class="verdict fails">DISAGREE: somewhere</p>' in text
+    assert '<p class="verdict fails">DISAGREE: somewhere (' in text
     assert "Where they part" in text
     assert '<td class="figure fails" title="worst at the crank">1.2e-01 &gt; 1e-12</td>' in text
 
@@ -219,21 +219,42 @@ def test_the_library_on_one_page(bare, tmp_path):
     assert [path.name for path in library.rglob(PAGE)] == [PAGE]
 
 
-def test_a_benchmark(tmp_path):
-    content = {
-        "scene": "tracker",
-        "machine": {"processor": EVIL},
-        "answer": "newton_euler needs 0.68 ms",
-        "table": [{"error": 1e-6, "cheapest": {"mujoco": None}, "notes": ["a", "b"]}],
-        "settings": [],
-    }
-    (tmp_path / "bench.json").write_text(json.dumps(content))
-    (tmp_path / "rhs.json").write_text(json.dumps({"words": ["0.4 us a call"]}))
-    (tmp_path / "work_precision.png").write_bytes(PNG)
-    found = report(tmp_path)
-    assert found.images == {"work precision": PNG}
-    for text in ("newton_euler needs 0.68 ms", "0.4 us a call", "1e-06", "a, b", EVIL):
+def test_all_below_the_usual_folder_on_one_page(bare, tmp_path):
+    """Folders of scenes, and folders of folders of them, as `output` holds them."""
+    output = tmp_path / "output"
+    shutil.copytree(bare, output / "four_bar")
+    for name in ("bench/one", "bench/two"):
+        (output / name).mkdir(parents=True)
+        (output / name / "rhs.json").write_text(json.dumps({"words": [f"{name} is quick"]}))
+    found = report(output)
+    assert found.links == {"folder-four_bar", "folder-bench/one", "folder-bench/two"} <= found.anchors
+    assert "bench/two is quick" in found.words
+
+
+def moved_scene() -> dict:
+    """A scene as `crosscheck regress` writes it, whose recording is in a folder of another machine."""
+    figure = {"group": "relative", "name": EVIL, "unit": "m", "where": "crank, x", "was": 1.0, "now": 1.5}
+    figure |= {"band": 0.1, "bands": 5.0, "moved": True, "problem": ""}
+    gone = figure | {"name": "gone", "was": None, "now": None, "bands": None, "problem": "not measured"}
+    baseline = {"date": "2026-01-01", "reason": "as delivered", "versions": {"numpy": "2.0"}}
+    scene = {"scene": "four_bar", "quiet": False, "verdict": "four_bar: MOVED: 1", "baseline": baseline}
+    scene |= {"versions": {"numpy": "3.0"}, "diverges": 0.1, "wall_time": 2.0, "figures": [figure, gone]}
+    return scene | {"recording": str(Path("/elsewhere") / "four_bar.rrd")}
+
+
+def test_scenes_against_their_baselines(folder):
+    content = {"quiet": False, "verdict": "MOVED: 1 of 2 scenes", "scenes": [moved_scene()]}
+    quiet = {"quiet": True, "verdict": "quiet as ever", "figures": [], "recording": None}
+    content["scenes"].append(moved_scene() | quiet | {"scene": "still"})
+    (folder / "summary.json").unlink()
+    (folder / "regress.json").write_text(json.dumps(content))
+    found = report(folder)
+    for text in ("MOVED: 1 of 2 scenes (4 s)", "quiet as ever", "crank, x", "not measured", "as delivered"):
         assert text in found.words
+    assert {"1", "1.5", "5", "2.0", "3.0"} <= set(found.text)
+    assert list(found.images) == [f"four_bar: The mechanism at 0, 0.025, 0.05 s, by {ENGINES[0]}"]
+    (folder / "four_bar.rrd").unlink()
+    assert "No picture of four_bar: cannot read " in report(folder).words
 
 
 @pytest.mark.parametrize(
@@ -244,7 +265,10 @@ def test_a_benchmark(tmp_path):
         ("summary.json", b"[" * 100_000, "is not JSON"),
         ("summary.json", b"{}", "summary.json: scene: Field required"),
         ("summary.json", b"[]", "summary.json: content: "),
-        ("bench.json", b"3", "bench.json is not what crosscheck writes"),
+        ("bench.json", b"3", "bench.json: content: "),
+        ("faults.json", b"{}", "faults.json: scene: Field required"),
+        ("regress.json", b'{"quiet": true, "verdict": "", "scenes": [1]}', "regress.json: scenes.0: "),
+        ("stress.json", b'{"form": "ci"}', "stress.json: wall_time: Field required"),
         ("pinocchio.npz", b"PK", "cannot read a trajectory from "),
     ],
 )
@@ -258,7 +282,8 @@ def test_what_cannot_be_read_is_one_line(bare, capsys, name, content, message):
 
 
 def test_folders_without_results(tmp_path, capsys):
-    (tmp_path / "deep" / "deeper").mkdir(parents=True)
+    (tmp_path / "deep" / "deeper" / "deepest").mkdir(parents=True)
+    (tmp_path / "deep" / "deeper" / "deepest" / "rhs.json").write_text("{}")
     for target, message in (("absent", "is no folder"), (".", "nothing of crosscheck's in ")):
         status, out, err = run(capsys, "report", tmp_path / target)
         assert (status, out) == (2, "")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 from crosscheck.advice.measured import WANTED, Advice, Found
 
@@ -15,6 +16,7 @@ def cost_advice(found: Found) -> Iterator[Advice]:
     by_time = sorted(errors, key=found.wall_time)
     able = [name for name in by_time if errors[name] <= WANTED]
     costs = ", ".join(f"{name} {found.wall_time(name):.2g} s ({errors[name]:.1e} off)" for name in by_time)
+    costs += "".join(_setup(name, found.runs[name].settings) for name in by_time)
     if able:
         run = found.runs[able[0]]
         step = run.settings.get("timestep")
@@ -27,3 +29,11 @@ def cost_advice(found: Found) -> Iterator[Advice]:
         text = f"none of these runs has an error of at most {WANTED:g} (m, rad)"
     bench = f"`crosscheck bench {found.source}` measures what each needs for it"
     yield Advice("cost", f"{text}: {costs}; {bench}")
+
+
+def _setup(name: str, settings: Mapping[str, Any]) -> str:
+    """What an engine compiles before its first run, where it says so."""
+    if "compile_time" not in settings:
+        return ""
+    traced, compiled = settings["trace_time"], settings["compile_time"]
+    return f"; before, not counted, {name} traced in {traced:.2g} s and compiled in {compiled:.2g} s"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from crosscheck.comparison.levels import Row
 from crosscheck.engines import Engine
 from newton_euler.errors import NewtonEulerError
 from newton_euler.euler_parameters import angle_between
+from newton_euler.mapping import Mapping as Report
 from newton_euler.scene import Scene
 from newton_euler.trajectory import Trajectory
 
@@ -25,7 +26,7 @@ class Advice:
     """One piece of advice.
 
     Attributes:
-        topic: "mujoco", "softness", "model", "baumgarte", "redundancy" or "cost".
+        topic: "model", "loop", "mujoco", "softness", "baumgarte", "redundancy" or "cost".
         text: a sentence or two with the numbers that it is made of.
     """
 
@@ -46,6 +47,8 @@ class Found:
         engines: that ran.
         runs: by engine.
         rows: the compared figures.
+        options: of the scene, as they were set.
+        mapping: what became of the elements of a model file; None for a scene of this package's own.
     """
 
     scene: Scene
@@ -53,6 +56,8 @@ class Found:
     engines: Sequence[Engine]
     runs: Mapping[str, Trajectory]
     rows: Sequence[Row]
+    options: Mapping[str, str] = field(default_factory=dict)
+    mapping: Report | None = None
 
     def engine(self, name: str) -> Engine:
         return next(engine for engine in self.engines if engine.name == name)

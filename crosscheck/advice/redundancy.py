@@ -29,7 +29,7 @@ SOFTER: dict[str, tuple[type[Joint], ...]] = {
 """Kinds that hold less, and need no direction that the joint does not have."""
 
 MOST_JOINTS = 20
-"""Whose reactions are not unique; above it nothing is tried."""
+"""That changes are tried at, those that nothing refers to first."""
 
 STATES = 1
 """Random states beside the initial one that a change is tried at."""
@@ -42,14 +42,16 @@ def redundancy_advice(found: Found) -> Iterator[Advice]:
     redundant = _redundant(scene.mechanism, states)
     if redundant == 0:
         return
-    closing = _closing(scene)
-    if len(closing) > MOST_JOINTS:
-        return
+    driven = _driven(scene)
+    coupled = set(chain.from_iterable((c.driver, c.follower) for c in scene.mechanism.couplings))
+    joints = zip(scene.mechanism.joints, scene.mechanism.equations, strict=True)
+    holding = [joint for joint, equations in joints if equations.count and joint.name not in coupled]
+    holding.sort(key=lambda joint: (joint.name in driven, joint.actuated))
+    names = [joint.name for joint in holding[:MOST_JOINTS]]
     mechanism, steps, left = scene.mechanism, list[str](), redundant
     while left:
-        best = min(
-            _changes(mechanism, closing, states), key=lambda change: change[0], default=(left, "", mechanism)
-        )
+        changes = _changes(mechanism, names, driven, states)
+        best = min(changes, key=lambda change: change[0], default=(left, "", mechanism))
         if best[0] >= left:
             break
         left = best[0]
@@ -58,7 +60,9 @@ def redundancy_advice(found: Found) -> Iterator[Advice]:
     if not steps:
         return
     rows = "row says" if redundant == 1 else "rows say"
-    rest = "then all reactions are determined" if left == 0 else f"then {left} of them are left"
+    rest = f"then {left} of them {'is' if left == 1 else 'are'} left"
+    if left == 0:
+        rest = "then all reactions are determined"
     yield Advice(
         "redundancy",
         f"{redundant} constraint {rows} nothing new; the motion is the same with {', '.join(steps)}: {rest}",
@@ -75,31 +79,25 @@ def _rank(mechanism: Mechanism, states: list[State]) -> int:
     return sum(equations.count for equations in mechanism.equations) - _redundant(mechanism, states)
 
 
-def _closing(scene: Scene) -> list[str]:
-    """Joints that no force, law or coupling refers to, and that hold something."""
+def _driven(scene: Scene) -> set[str]:
+    """Joints with a coordinate that a force, law, motion or armature refers to."""
     named = {law.joint for law in scene.control} | {motion.joint for motion in scene.motions}
     named |= {armature.joint for armature in scene.armatures}
     named |= {str(getattr(force, "joint", "")) for force in scene.forces}
-    named |= set(chain.from_iterable((c.driver, c.follower) for c in scene.mechanism.couplings))
-    joints = zip(scene.mechanism.joints, scene.mechanism.equations, strict=True)
-    return [j.name for j, equations in joints if equations.count and j.name not in named and not j.actuated]
+    return named | {joint.name for joint in scene.mechanism.joints if joint.actuated}
 
 
 def _changes(
-    mechanism: Mechanism, names: list[str], states: list[State]
+    mechanism: Mechanism, names: list[str], driven: set[str], states: list[State]
 ) -> Iterator[tuple[int, str, Mechanism]]:
     """What has the same motions with a joint less or of another kind: redundant rows, what was done, it."""
     rank = _rank(mechanism, states)
     joints = {joint.name: joint for joint in mechanism.joints}
     for name in names:
-        joint = joints.get(name)
-        if joint is None:
+        if name not in joints:
             continue
-        options: list[tuple[str, Joint | None]] = [(f"joint {name!r} left out", None)]
-        for kind in SOFTER.get(joint.kind, ()):
-            softer = _as(joint, kind)
-            options.append((f"a {kind.kind} joint for the {joint.kind} {name!r}", softer))
-        for what, other in options:
+        joint = joints[name]
+        for what, other in _options(joint, name in driven):
             changed = [other if j is joint else j for j in mechanism.joints]
             kept = [j for j in changed if j is not None]
             try:
@@ -108,6 +106,16 @@ def _changes(
                     yield _redundant(tried, states), what, tried
             except NewtonEulerError:  # a body that nothing holds any more
                 continue
+
+
+def _options(joint: Joint, driven: bool) -> Iterator[tuple[str, Joint | None]]:
+    """What may stand in a joint's place; one that is driven keeps its hinge or slide."""
+    if not driven:
+        yield f"joint {joint.name!r} left out", None
+    for kind in SOFTER.get(joint.kind, ()):
+        softer = _as(joint, kind)
+        if not driven or set(joint.coordinate_kinds) <= set(softer.coordinate_kinds):
+            yield f"a {kind.kind} joint for the {joint.kind} {joint.name!r}", softer
 
 
 def _as(joint: Any, kind: type[Joint]) -> Joint:

@@ -16,15 +16,26 @@ from crosscheck.cli.shared import (
     scene_options,
     setting_options,
 )
+from crosscheck.faults import PLANTED_IN
 
 
 @cli.command("faults")
 @click.argument("scene", default="tracker")
 @setting_options
 @click.option(
+    "--engine",
+    "names",
+    type=click.Choice(PLANTED_IN),
+    multiple=True,
+    default=PLANTED_IN,
+    help="Whose model the faults are planted in; repeatable.  [default: both, in turns]",
+)
+@click.option(
     "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/faults/SCENE]"
 )
-def faults_command(scene: str, settings: tuple[str, ...], loops: str | None, output: Path | None) -> int:
+def faults_command(
+    scene: str, settings: tuple[str, ...], loops: str | None, names: tuple[str, ...], output: Path | None
+) -> int:
     """Plant one fault at a time in an engine's model of SCENE; say which are found and blamed right."""
     import time
 
@@ -38,12 +49,16 @@ def faults_command(scene: str, settings: tuple[str, ...], loops: str | None, out
     check_writable(path)
     start = time.perf_counter()
     with progress_shown() as progress:
-        faults = find_faults(loaded, progress)
+        search = find_faults(loaded, progress, names=tuple(dict.fromkeys(names)))
     wall_time = time.perf_counter() - start
-    write(path, as_json(loaded, options, faults, wall_time))
+    write(path, as_json(loaded, options, search, wall_time))
+    faults = search.found
     click.echo(rendered(tables(loaded, faults)), nl=False)
+    for engine, why in search.left_out.items():
+        click.echo(f"no fault planted in {engine}, which cannot express the scene: {why}")
     for line in lines(loaded, faults):
         click.echo(line)
-    click.echo(f"wrote {path}; {len(faults)} faults in {wall_time:.0f} s")
+    planted = " and ".join(search.engines)
+    click.echo(f"wrote {path}; {len(faults)} faults in {planted} in {wall_time:.0f} s")
     click.echo(click.style(verdict(loaded, faults), bold=True))
     return AGREE if holds(faults) else DISAGREE

@@ -33,10 +33,14 @@ _file = click.Path(path_type=Path)
 @click.option("--update", "updates", is_flag=True, help="Make the baselines anew; needs --reason.")
 @click.option("--reason", metavar="TEXT", default=None, help="Why; kept with the baselines.")
 @click.option(
-    "--output", type=_file, default=Path("output/regress"), show_default=True, help="Folder for recordings."
+    "--output",
+    type=_file,
+    default=Path("output/regress"),
+    show_default=True,
+    help="Folder for JSON and recordings.",
 )
 @click.option("--junit", type=_file, help="Write JUnit XML.")
-@click.option("--json", "json_path", type=_file, help="Write JSON.")
+@click.option("--json", "json_path", type=_file, help="File for JSON.  [default: OUTPUT/regress.json]")
 @click.option("--markdown", type=_file, help="Write a summary in markdown.")
 def regress_command(
     sources: tuple[str, ...],
@@ -53,15 +57,17 @@ def regress_command(
 ) -> int:
     """Compare the figures of SCENEs or model files with stored baselines.
 
-    The library of scenes if none is given. Exit status 1 if a figure moved out of its band.
+    The library of scenes if none is given. Exit status 1 if a figure moved out of its band. What `crosscheck
+    report` makes a page of is in OUTPUT.
     """
-    from crosscheck.files import check_writable
     from crosscheck.regress.report import tables, verdict
     from crosscheck.regress.run import check, update, write_reports
 
     if len(sources) != 1 and (settings or loops or baseline):
         raise CrosscheckError("--set, --loops and --baseline are of one SCENE; name it")
     reports = [path for path in (junit, json_path, markdown) if path is not None]
+    if json_path is None and reason is None:
+        reports.append(json_path := output / "regress.json")
     if len(set(reports)) < len(reports):
         raise CrosscheckError("--junit, --json and --markdown name the same file")
     if updates != (reason is not None):
@@ -78,17 +84,15 @@ def regress_command(
             for group, why in found.left_out.items():
                 click.echo(f"  {group} left out: {why}")
         return AGREE
-    check_writable(*reports)
     with progress_shown() as progress:
-        compared, recordings = check(guarded, speed, output, progress)
+        compared, recordings = check(guarded, speed, output, reports, progress)
         written = write_reports(compared, recordings, junit, json_path, markdown)
     click.echo(rendered(tables(compared)), nl=False)
     for comparison in compared:
         click.echo(comparison.verdict)
         if comparison.scene in recordings:
             click.echo(f"  recording: {recordings[comparison.scene]}")
-    if written:
-        click.echo("wrote " + ", ".join(str(path) for path in written))
+    click.echo("wrote " + ", ".join(str(path) for path in written))
     click.echo(click.style(verdict(compared), bold=True))
     return DISAGREE if any(comparison.moved for comparison in compared) else AGREE
 

@@ -12,7 +12,11 @@ from crosscheck.cli.shared import AGREE, cli, progress_shown
 @cli.command("report")
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 def report_command(folder: Path) -> int:
-    """Write DIR/report.html, one page about what run, run --all or bench left in DIR."""
+    """Write DIR/report.html, one page about what other commands wrote to DIR.
+
+    DIR is the folder of run, run --all, regress, faults, stress or bench, with whatever options, or one
+    that holds such folders, as output does.
+    """
     from crosscheck.html.report import write_report
 
     with progress_shown() as progress:

@@ -59,6 +59,11 @@ class Fault:
     shift: Array | None = None
 
     @property
+    def alike(self) -> tuple[str, str, str]:
+        """What it has in common with those of other sizes: kind, element and detail."""
+        return self.kind, self.element, self.detail
+
+    @property
     def name(self) -> str:
         """For people."""
         size = "" if self.size is None else f" by {self.size:g}"
@@ -128,6 +133,11 @@ def _sized(scene: Scene, size: float) -> Iterator[Fault]:
                 if value := getattr(force, name):
                     other = plant.spring(index, **{name: (1.0 + size) * value})
                     yield Fault(kind, force.joint, "spring", size, other, right)
+    for index, rotor in enumerate(scene.armatures):
+        other = plant.armature(index, (1.0 + size) * rotor.inertia)
+        joint = scene.mechanism.joints[scene.mechanism.joint_index(rotor.joint)]
+        right = _bodies_at(joint) | {rotor.joint}  # what turns there is as heavy to turn as with more inertia
+        yield Fault("armature", rotor.joint, "", size, other, right)
 
 
 def _of_law(scene: Scene, index: int, law: PD, size: float) -> Iterator[Fault]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from crosscheck.comparison.rows import LEVELS
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.errors import CrosscheckError
+from crosscheck.faults import PLANTED_IN
 from crosscheck.faults.catalogue import SIZES, Fault, catalogue
 from newton_euler.assemble import random_states
 from newton_euler.errors import NewtonEulerError
@@ -22,9 +23,6 @@ from newton_euler.system import System
 
 STATES = 4
 """Random consistent states beside the initial one; gravity has three components to be told from the rest."""
-
-PLANTED_IN = ("mujoco", "pinocchio")
-"""In turns; newton_euler is what they are compared with."""
 
 PROGRESS = 10
 """Faults between two messages."""
@@ -64,9 +62,9 @@ class Found:
         moves: the same at levels 2 to 4, by motion alone.
         lost: for one that is not seen, where newton_euler with the same fault parts from the engine's model:
             the engine does not hold it.
-        observable: whether it changes a pose, velocity, energy, acceleration or reaction at all. If no motion
-            shows it, newton_euler's equations with it and without it are compared at the states; it is
-            unobservable if they agree to round-off.
+        observable: whether it, or a larger one like it, changes a pose, velocity, energy, acceleration or
+            reaction. If no motion shows it, newton_euler's equations with it and without it are compared at
+            the states; it is unobservable if they agree to round-off.
     """
 
     fault: Fault
@@ -92,22 +90,55 @@ class Found:
         return self.moves is not None and self.moves.where in self.fault.right | self.fault.near
 
 
-def find_faults(scene: Scene, progress: Callable[[str], None], sizes: Sequence[float] = SIZES) -> list[Found]:
+@dataclass(frozen=True)
+class Search:
+    """All faults of a scene.
+
+    Attributes:
+        found: what became of each.
+        engines: in which they were planted, in turns.
+        left_out: engines that cannot express the scene, and why.
+    """
+
+    found: tuple[Found, ...]
+    engines: tuple[str, ...]
+    left_out: dict[str, str]
+
+
+def find_faults(
+    scene: Scene,
+    progress: Callable[[str], None],
+    sizes: Sequence[float] = SIZES,
+    names: Sequence[str] = PLANTED_IN,
+) -> Search:
     """Plant all faults of a scene, one at a time, in one engine after the other, and look for each.
+
+    Args:
+        scene: as it should be.
+        progress: is told how far it is.
+        sizes: of the faults, see `SIZES`.
+        names: of engines out of `PLANTED_IN`.
 
     Raises:
         CrosscheckError: for a scene that the engines disagree on as it is.
-        NewtonEulerError: for a scene that neither engine can express.
+        NewtonEulerError: for a scene that none of the engines can express.
     """
     own = samples_of(scene)
-    engines = _able(own)
+    engines, left_out = _able(own, names)
     faults = catalogue(scene, sizes)
     found = []
     for number, fault in enumerate(faults):
         if number % PROGRESS == 0:
             progress(f"{number} of {len(faults)} faults: {fault.name}")
         found.append(find(fault, engines[number % len(engines)], own))
-    return found
+    return Search(tuple(_observable(found)), tuple(engine.name for engine in engines), left_out)
+
+
+def _observable(found: Sequence[Found]) -> Iterator[Found]:
+    """With those called observable of which a larger one is: they are too small, and no less at fault."""
+    sights = {each.fault.alike for each in found if each.observable}
+    for each in found:
+        yield replace(each, observable=each.fault.alike in sights)
 
 
 def samples_of(scene: Scene) -> Samples:
@@ -115,14 +146,14 @@ def samples_of(scene: Scene) -> Samples:
     return Samples(Relative(scene), States(scene, (scene.initial_state, *random_states(scene, STATES))))
 
 
-def _able(own: Samples) -> list[Engine]:
-    """The engines of `PLANTED_IN` that can express a scene; they have to agree on it."""
-    able, refusal = [], None
-    for name in PLANTED_IN:
+def _able(own: Samples, names: Sequence[str]) -> tuple[list[Engine], dict[str, str]]:
+    """The engines that can express a scene, which have to agree on it, and why the others cannot."""
+    able, refusals = [], {}
+    for name in names:
         try:
             (system,) = ENGINES[name].systems(own.states.scene)
         except NewtonEulerError as error:
-            refusal = error
+            refusals[name] = error
             continue
         parting = _first_failing(own, Samples(system, own.states), name, EQUATION_LEVELS)
         if parting is not None:
@@ -131,9 +162,9 @@ def _able(own: Samples) -> list[Engine]:
                 f"{parting.level!r}: {parting.quantity}; `crosscheck run` says more"
             )
         able.append(ENGINES[name])
-    if refusal is not None and not able:
-        raise refusal
-    return able
+    if not able:
+        raise next(iter(refusals.values()))
+    return able, {name: str(error) for name, error in refusals.items()}
 
 
 def find(fault: Fault, engine: Engine, own: Samples) -> Found:

@@ -151,20 +151,26 @@ def gravity(vector: Array) -> Plant:
 
 def law(index: int, **values: float) -> Plant:
     """Other parameters of a control law."""
-
-    def plant(scene: Scene) -> Scene:
-        laws = [replace(x, **values) if k == index else x for k, x in enumerate(scene.control)]  # type: ignore[arg-type]
-        return replace(scene, control=tuple(laws))
-
-    return plant
+    return _entry("control", index, values)
 
 
 def spring(index: int, **values: float) -> Plant:
     """Other parameters of a spring at a joint."""
+    return _entry("forces", index, values)
+
+
+def armature(index: int, inertia: float) -> Plant:
+    """Another armature, kg m^2 or kg."""
+    return _entry("armatures", index, {"inertia": inertia})
+
+
+def _entry(field: str, index: int, values: dict[str, float]) -> Plant:
+    """Other values in one entry of a list of the scene's."""
 
     def plant(scene: Scene) -> Scene:
-        forces = [replace(x, **values) if k == index else x for k, x in enumerate(scene.forces)]  # type: ignore[arg-type]
-        return replace(scene, forces=tuple(forces))
+        entries = list(getattr(scene, field))
+        entries[index] = replace(entries[index], **values)
+        return replace(scene, **{field: tuple(entries)})  # type: ignore[arg-type]
 
     return plant
 

@@ -7,14 +7,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.faults.find import REFUSED, STATES, Found, Sighting
+from crosscheck.faults.find import REFUSED, STATES, Found, Search, Sighting
+from crosscheck.output import tidied_up
 from newton_euler.scene import Scene
 from newton_euler.trajectory import atomic_file
 
@@ -69,20 +70,38 @@ TABLES: Mapping[str, Callable[[Iterable[Found]], Count]] = {
 }
 
 
-def tables(scene: Scene, faults: Sequence[Found]) -> Iterator[Table]:
-    """A line for each kind of fault, a column for each size."""
+class Counts(NamedTuple):
+    """A table of texts: a line for each kind of fault and one for all, a column for each size."""
+
+    title: str
+    head: list[str]
+    rows: list[list[str]]
+
+
+def counts(scene: Scene, faults: Sequence[Found]) -> Iterator[Counts]:
+    """What is found and blamed right, by all levels and by motion alone."""
     sizes = list(dict.fromkeys(found.fault.size for found in faults))
+    head = ["", *("no size" if size is None else f"{size:g}" for size in sizes)]
     for title, count in TABLES.items():
-        heading = Text(f"{scene.name}: {title}", style="bold")
-        table = Table(title=heading, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-        table.add_column("", no_wrap=True)
-        for size in sizes:
-            table.add_column("no size" if size is None else f"{size:g}", justify="right", no_wrap=True)
+        rows = []
         for kind in dict.fromkeys(found.fault.kind for found in faults):
             of_kind = [found for found in faults if found.fault.kind == kind]
-            table.add_row(kind, *(str(count(_of_size(of_kind, size))) for size in sizes))
+            rows.append([kind, *(str(count(_of_size(of_kind, size))) for size in sizes)])
+        rows.append(["all", *(count(_of_size(faults, size)).shares for size in sizes)])
+        yield Counts(f"{scene.name}: {title}", head, rows)
+
+
+def tables(scene: Scene, faults: Sequence[Found]) -> Iterator[Table]:
+    """`counts` for the terminal."""
+    for title, head, rows in counts(scene, faults):
+        heading = Text(title, style="bold")
+        table = Table(title=heading, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+        for column, name in enumerate(head):
+            table.add_column(name, justify="right" if column else "left", no_wrap=True)
+        for row in rows[:-1]:
+            table.add_row(*row)
         table.add_section()
-        table.add_row("all", *(count(_of_size(faults, size)).shares for size in sizes))
+        table.add_row(*rows[-1])
         yield table
 
 
@@ -146,7 +165,7 @@ def _largest(faults: Iterable[Found]) -> list[Found]:
     """The first of each kind, element and detail, which is the largest."""
     first: dict[tuple[str, str, str], Found] = {}
     for found in faults:
-        first.setdefault((found.fault.kind, found.fault.element, found.fault.detail), found)
+        first.setdefault(found.fault.alike, found)
     return list(first.values())
 
 
@@ -179,15 +198,20 @@ def verdict(scene: Scene, faults: Sequence[Found]) -> str:
     )
 
 
-def as_json(scene: Scene, options: Mapping[str, str], faults: Sequence[Found], wall_time: float) -> str:
-    """All faults with what became of them."""
+def as_json(scene: Scene, options: Mapping[str, str], search: Search, wall_time: float) -> str:
+    """What the terminal shows, and all faults with what became of them."""
+    faults = search.found
     content = {
         "scene": scene.name,
         "options": dict(options),
+        "engines": search.engines,
+        "left_out": search.left_out,
         "verdict": verdict(scene, faults),
         "holds": holds(faults),
         "wall_time": wall_time,
         "versions": {name: version(name) for name in PACKAGES},
+        "tables": [table._asdict() for table in counts(scene, faults)],
+        "words": list(lines(scene, faults)),
         "faults": [_entry(found) for found in faults],
     }
     return json.dumps(content, indent=1, allow_nan=False) + "\n"
@@ -230,7 +254,7 @@ def write(path: Path, text: str) -> None:
         CrosscheckError: naming the path if it cannot be written.
     """
     try:
-        with atomic_file(path) as temporary:
+        with tidied_up(), atomic_file(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error

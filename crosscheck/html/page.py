@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
+from pathlib import Path
+from statistics import median
 from typing import Any, NamedTuple
+
+from crosscheck.errors import CrosscheckError
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem; }
@@ -20,6 +24,12 @@ th.level { background: #f4f4f4; }
 figure { margin: 1rem 0; }
 img { max-width: 100%; }
 """
+
+
+MOST_NUMBERS = 9
+"""That are listed; of more the median and the range are shown."""
+
+Progress = Callable[[str], None]
 
 
 class Markup(str):
@@ -55,6 +65,12 @@ def paragraph(text: str, kind: str = "") -> Markup:
     return Markup(f'<p class="{escape(kind)}">{escape(text)}</p>')
 
 
+def verdict(text: str, judged: Cell, wall_time: float | None) -> Markup:
+    """What was found, in a line."""
+    took = "" if wall_time is None else f" ({wall_time:.3g} s)"
+    return paragraph(text + took, f"verdict {judged.judged}".strip())
+
+
 def link(text: str, anchor: str) -> Markup:
     """To a heading of the same page."""
     return Markup(f'<a href="#{escape(anchor)}">{escape(text)}</a>')
@@ -74,6 +90,15 @@ def picture(png: bytes, caption: str) -> Markup:
     text = escape(caption)
     image = f'<img alt="{text}" src="data:image/png;base64,{data}">'
     return Markup(f"<figure>{image}<figcaption>{text}</figcaption></figure>")
+
+
+def pictures(folder: Path, pattern: str) -> Iterator[Markup]:
+    """Files (PNG) of a folder; raises `CrosscheckError` for one that cannot be read."""
+    for path in sorted(folder.glob(pattern)):
+        try:
+            yield picture(path.read_bytes(), path.stem.replace("_", " "))
+        except OSError as error:
+            raise CrosscheckError(f"cannot read {path}: {error.strerror}") from error
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str | Cell] | str]) -> Markup:
@@ -121,5 +146,8 @@ def _text(content: Any) -> str:
     if isinstance(content, float):
         return f"{content:.6g}"
     if isinstance(content, list):
+        if len(content) > MOST_NUMBERS and all(isinstance(entry, float) for entry in content):
+            middle, least, most = (_text(of(content)) for of in (median, min, max))
+            return f"{middle}, the median of {len(content)} from {least} to {most}"
         return ", ".join(_text(entry) for entry in content)
     return str(content)

@@ -2,24 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable
-from crosscheck.html import measurements, page, run
-from crosscheck.html.page import Cell, Markup
-from crosscheck.html.summary import NAME, read_summary
+from crosscheck.html import bench, faults, page, regress, results, run, stress
+from crosscheck.html.page import Cell, Markup, Progress
+from crosscheck.html.results import Results
+from crosscheck.html.summary import Summary
+from crosscheck.output import tidied_up
 from newton_euler.trajectory import atomic_file
 
 PAGE = "report.html"
 
 ALONE, AMONG_OTHERS = (0.0, 0.5, 1.0), (0.5,)
-"""Shares of the duration at which a crosscheck's mechanism is shown."""
+"""Shares of the duration at which a recording is shown."""
+
+BELOW = ("*", "*/*")
+"""Where folders with results are looked for in one without: the folders of `crosscheck run --all`, those of
+all scenes that were benchmarked, all that is in the usual folder for output."""
+
+Sections = Callable[[Any, Path, Sequence[float], Progress], Iterator[Markup]]
+
+KINDS: dict[str, tuple[type[Results], Sections]] = {
+    "summary.json": (Summary, run.sections),
+    "regress.json": (regress.Regress, regress.sections),
+    "faults.json": (faults.Faults, faults.sections),
+    "stress.json": (stress.Stress, stress.sections),
+    **dict.fromkeys(bench.TITLES, (bench.Bench, bench.sections)),
+}
+"""By the name of the file that holds results: what is in it, and what a page shows of it."""
 
 
-def write_report(folder: Path, progress: Callable[[str], None]) -> Path:
-    """Write `PAGE` into a folder of `crosscheck run` or `bench`, or one that holds such folders.
+class Read(NamedTuple):
+    """A file of results with its content."""
+
+    path: Path
+    content: Results
+
+    def sections(self, shares: Sequence[float], progress: Progress) -> Iterator[Markup]:
+        return KINDS[self.path.name][1](self.content, self.path, shares, progress)
+
+
+def write_report(folder: Path, progress: Progress) -> Path:
+    """Write `PAGE` into a folder that a command wrote results to, or one that holds such folders.
 
     The page is one file, without anything to fetch; it appears whole or not at all.
 
@@ -29,54 +57,51 @@ def write_report(folder: Path, progress: Callable[[str], None]) -> Path:
         newton_euler.NewtonEulerError: for a run that cannot be read.
     """
     if not folder.is_dir():
-        raise CrosscheckError(f"{folder} is no folder; needed: one that crosscheck run or bench wrote")
+        raise CrosscheckError(f"{folder} is no folder; needed: one that a command of crosscheck wrote")
     path = folder / PAGE
     try:
-        own = _has_results(folder)
-        inner = [] if own else [f for f in sorted(folder.iterdir()) if f.is_dir() and _has_results(f)]
+        own = _files(folder)
+        below = [] if own else sorted(file for p in BELOW for f in folder.glob(p) for file in _files(f))
     except OSError as error:
         raise CrosscheckError(f"cannot read {folder}: {error.strerror}") from error
-    if not (own or inner):
+    if not (own or below):
         raise CrosscheckError(
-            f"nothing of crosscheck's in {folder}; needed: {NAME} or {', '.join(measurements.TITLES)}, "
-            "there or in folders below"
+            f"nothing of crosscheck's in {folder}; needed, there or at most two folders below: "
+            f"{', '.join(KINDS)}, as run, regress, faults, stress and bench write them"
         )
     check_writable(path)
+    found = [Read(file, results.read(file, KINDS[file.name][0])) for file in own or below]
     title = f"crosscheck: {folder.resolve().name}"
-    parts = [page.heading(title, 1), *(_results(folder, ALONE, progress) if own else _index(inner, progress))]
-    content = page.page(title, parts).encode()
+    parts = _all(found, ALONE, progress) if own else _index(folder, found, progress)
+    content = page.page(title, [page.heading(title, 1), *parts]).encode()
     try:
-        with atomic_file(path) as temporary:
+        with tidied_up(), atomic_file(path) as temporary:
             temporary.write_bytes(content)
     except OSError as error:
         raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
     return path
 
 
-def _has_results(folder: Path) -> bool:
-    return (folder / NAME).is_file() or bool(measurements.files(folder))
+def _files(folder: Path) -> list[Path]:
+    """The files with results in a folder."""
+    return [folder / name for name in KINDS if (folder / name).is_file()]
 
 
-def _results(folder: Path, shares: tuple[float, ...], progress: Callable[[str], None]) -> Iterator[Markup]:
-    """What one folder holds: a crosscheck, measurements, or both."""
-    if (folder / NAME).is_file():
-        yield from run.sections(folder, read_summary(folder), shares, progress)
-    if measurements.files(folder):
-        yield from measurements.sections(folder)
+def _all(found: Iterable[Read], shares: Sequence[float], progress: Progress) -> Iterator[Markup]:
+    for each in found:
+        yield from each.sections(shares, progress)
 
 
-def _index(folders: list[Path], progress: Callable[[str], None]) -> Iterator[Markup]:
-    """A line for each folder, and all of them below."""
+def _index(folder: Path, found: Sequence[Read], progress: Progress) -> Iterator[Markup]:
+    """A line for each file, and all of them below, those of a folder together."""
     rows: list[tuple[str | Cell, ...]] = []
-    for folder in folders:
-        to = page.link(folder.name, f"folder-{folder.name}")
-        if (folder / NAME).is_file():
-            summary = read_summary(folder)
-            judged = Cell("AGREE", "holds") if summary.agrees else Cell("FAILS", "fails")
-            rows.append((to, judged, f"{summary.wall_time:.1f}", summary.verdict))
-        else:
-            rows.append((to, "", "", ", ".join(path.name for path in measurements.files(folder))))
+    for path, content in found:
+        name = path.parent.relative_to(folder).as_posix()
+        verdict, judged, wall_time = content.headline
+        took = "" if wall_time is None else f"{wall_time:.1f}"
+        rows.append((page.link(name, f"folder-{name}"), judged, took, verdict or path.name))
     yield page.table(("", "", "time, s", "verdict"), rows)
-    for folder in folders:
-        yield page.heading(folder.name, anchor=f"folder-{folder.name}")
-        yield from _results(folder, AMONG_OTHERS, progress)
+    for inner in dict.fromkeys(path.parent for path, _ in found):
+        name = inner.relative_to(folder).as_posix()
+        yield page.heading(name, anchor=f"folder-{name}")
+        yield from _all((each for each in found if each.path.parent == inner), AMONG_OTHERS, progress)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.html import drawing, page, plots
-from crosscheck.html.page import Cell, Markup
+from crosscheck.html.page import Cell, Markup, Progress
 from crosscheck.html.summary import Figure, Summary
 from newton_euler.scalars import Array
 from newton_euler.trajectory import load_arrays
@@ -25,17 +25,15 @@ PARTS = {
 }
 
 
-def sections(
-    folder: Path, summary: Summary, shares: Sequence[float], progress: Callable[[str], None]
-) -> Iterator[Markup]:
+def sections(summary: Summary, path: Path, shares: Sequence[float], progress: Progress) -> Iterator[Markup]:
     """Verdict, tables, pictures and settings; pictures of the mechanism at `shares` of the duration."""
-    yield page.paragraph(summary.verdict, f"verdict {'holds' if summary.agrees else 'fails'}")
+    yield page.verdict(*summary.headline)
     if summary.advice:
         yield page.heading("Advice", 3)
         yield page.table(("", ""), ((piece.topic, piece.text) for piece in summary.advice))
     yield from _figures(summary)
     yield from _known_figures(summary)
-    yield from _pictures(folder, summary, shares, progress)
+    yield from _pictures(path.parent, summary, shares, progress)
     yield page.heading("Settings", 3)
     yield from _settings(summary)
     yield from _mapping(summary)
@@ -106,7 +104,7 @@ def _known_figures(summary: Summary) -> Iterator[Markup]:
 
 
 def _pictures(
-    folder: Path, summary: Summary, shares: Sequence[float], progress: Callable[[str], None]
+    folder: Path, summary: Summary, shares: Sequence[float], progress: Progress
 ) -> Iterator[Markup]:
     yield page.heading("Runs", 3)
     runs = _runs(folder, summary)
@@ -155,7 +153,6 @@ def _settings(summary: Summary) -> Iterator[Markup]:
             ("scene", summary.scene),
             ("source", summary.source),
             ("options", options or "none set"),
-            ("time of everything", f"{summary.wall_time:.3g} s"),
         ],
     )
     yield page.table(

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, Field
 
-from crosscheck.errors import CrosscheckError
-
-NAME = "summary.json"
+from crosscheck.html.page import Cell
+from crosscheck.html.results import Headline, Results
 
 
 class Figure(BaseModel):
@@ -62,7 +59,7 @@ class Advice(BaseModel):
     text: str
 
 
-class Summary(BaseModel):
+class Summary(Results):
     """See `crosscheck.run.Crosscheck.summary`."""
 
     scene: str
@@ -78,25 +75,9 @@ class Summary(BaseModel):
     start: list[str] | None
     figures: list[Figure]
     known_figures: list[KnownFigure]
-    advice: list[Advice] = []
+    advice: list[Advice] = Field(default_factory=list)
 
-
-def read_json(path: Path) -> Any:
-    """The content of a JSON file; raises `CrosscheckError`."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CrosscheckError(f"cannot read {path}: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise CrosscheckError(f"{path} is not JSON: {error}") from error
-
-
-def read_summary(folder: Path) -> Summary:
-    """The summary of a crosscheck; raises `CrosscheckError` naming the file and the field."""
-    path = folder / NAME
-    try:
-        return Summary.model_validate(read_json(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"]) or "content"
-        raise CrosscheckError(f"{path}: {field}: {first['msg']}") from error
+    @property
+    def headline(self) -> Headline:
+        judged = Cell("AGREE", "holds") if self.agrees else Cell("FAILS", "fails")
+        return Headline(self.verdict, judged, self.wall_time)

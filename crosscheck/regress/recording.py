@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.output import tidied_up
 from crosscheck.regress.baseline import Baseline
 from crosscheck.regress.measure import MAIN, main_run, regress_scene
 from newton_euler.errors import NewtonEulerError
@@ -39,7 +40,8 @@ def write(path: Path, scene: Scene, baseline: Baseline, diverges: float | None, 
     except NewtonEulerError:
         return False
     try:
-        write_recording(path, scene, runs, verdict, f"{scene.name} against its baseline", diverges)
+        with tidied_up():
+            write_recording(path, scene, runs, verdict, f"{scene.name} against its baseline", diverges)
     except OSError as error:
         raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
     return True

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable
+from crosscheck.output import tidied_up
 from crosscheck.regress import bands, recording
 from crosscheck.regress.baseline import Baseline, read
 from crosscheck.regress.compare import Comparison, compare
@@ -84,7 +85,7 @@ def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[
     for each in guarded:
         history = each.baseline().history if each.path.exists() else []
         made.append(bands.make(each.scene, each.options, reason, history, progress))
-    with ExitStack() as stack:
+    with tidied_up(), ExitStack() as stack:
         for each, baseline in zip(guarded, made, strict=True):
             try:
                 temporary = stack.enter_context(atomic_file(each.path))
@@ -95,22 +96,25 @@ def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[
 
 
 def check(
-    guarded: Sequence[Guarded], speed: bool, folder: Path, progress: Progress
+    guarded: Sequence[Guarded], speed: bool, folder: Path, reports: Sequence[Path], progress: Progress
 ) -> tuple[list[Comparison], dict[str, Path]]:
     """Compare scenes with their baselines, and record those that moved.
 
     Args:
         speed: whether ratios of speeds are compared too.
         folder: for the recordings, a file NAME.rrd for each scene that moved.
+        reports: files that are to be written afterwards.
         progress: is told each stage.
 
     Returns:
         What was found, and the recordings by scene.
 
     Raises:
-        CrosscheckError: for a baseline that is missing or cannot be read.
+        CrosscheckError: for a baseline that is missing or cannot be read, and a file that could not be
+            written.
     """
     baselines = [each.baseline() for each in guarded]
+    check_writable(*reports)
     found, recordings = [], {}
     for each, baseline in zip(guarded, baselines, strict=True):
         comparison = compare(each.scene, baseline, speed, progress, time.perf_counter)
@@ -143,7 +147,7 @@ def write_reports(
     for path, text in wanted:
         if path is not None:
             try:
-                with atomic_file(path) as temporary:
+                with tidied_up(), atomic_file(path) as temporary:
                     temporary.write_text(text, encoding="utf-8")
             except OSError as error:
                 raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error

@@ -1,0 +1,60 @@
+"""The sections of a page about a benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ConfigDict, Field
+
+from crosscheck.html import page
+from crosscheck.html.page import Markup, Progress
+from crosscheck.html.results import Headline, Results
+
+TITLES = {
+    "bench.json": "Run time against error",
+    "rhs.json": "One right-hand side",
+    "batch.json": "Many runs",
+    "scaling.json": "Right-hand sides over size",
+}
+"""Of the files that a benchmark writes."""
+
+PICTURES = {"bench.json": "work_precision.png", "scaling.json": "scaling.png"}
+
+MAIN = ("table", "right_hand_sides", "sides", "sizes")
+"""Entries that hold what was asked for."""
+
+SETTINGS = ("scene", "source", "options", "duration", "outputs", "error", "reference", "machine")
+
+
+class Bench(Results):
+    """Whatever a benchmark measured: the entries of each are their own."""
+
+    model_config = ConfigDict(extra="allow")
+
+    answer: str = ""
+    words: list[str] = Field(default_factory=list)
+
+    @property
+    def headline(self) -> Headline:
+        return Headline(self.answer)
+
+    @property
+    def entries(self) -> Mapping[str, Any]:
+        return self.model_extra or {}
+
+
+def sections(found: Bench, path: Path, shares: Sequence[float], progress: Progress) -> Iterator[Markup]:
+    """What was found in words, a picture, the main table, settings, and all other figures."""
+    yield page.heading(TITLES[path.name], 3)
+    yield page.listing([*found.answer.splitlines(), *found.words])
+    if path.name in PICTURES:
+        yield from page.pictures(path.parent, PICTURES[path.name])
+    parts = {name: page.values(value) for name, value in found.entries.items()}
+    yield from (part for name, part in parts.items() if name in MAIN)
+    yield page.heading("Settings", 3)
+    yield page.table(("", ""), ((name, parts[name]) for name in SETTINGS if name in parts))
+    for name, part in parts.items():
+        if name not in (*MAIN, *SETTINGS):
+            yield page.details(name.replace("_", " "), [part])
