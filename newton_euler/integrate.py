@@ -161,6 +161,8 @@ def _march_adaptive(
     """Yield (steps so far, y) at times[1:], from the steps' dense output."""
     from scipy.integrate import DOP853, Radau
 
+    from newton_euler.passing import PassingDOP853
+
     def jacobian(t: float, y: Array) -> Array:
         """By one-sided differences: scipy's own nudge grows without end for what nothing depends on."""
         at = derivative(t, y)
@@ -171,6 +173,9 @@ def _march_adaptive(
     given = {"rtol": options.rtol, "atol": options.atol}
     if options.integrator == "Radau":
         solver = Radau(derivative, times[0], y, times[-1], jac=jacobian, **given)
+    elif options.projection:
+        solver = PassingDOP853(system, project, derivative, times[0], y, times[-1], **given)
+        project = solver.project
     else:
         solver = DOP853(derivative, times[0], y, times[-1], **given)
     steps, due = 0, 1

@@ -84,6 +84,21 @@ def crossing(n: int, k: Vector) -> float:
 
 
 @native
+def crossing_factor(n: int, k: Vector, error: float) -> float:
+    """Factor for a step near a singular configuration that has it pass in the widest gap between two stages.
+
+    1 if it does, or if that configuration is no concern of a step that its error makes shorter anyway.
+    """
+    where = crossing(n, k)
+    shorter = SAFETY * error**EXPONENT if error > 1.0 else 1.0
+    if where < LEAST or (where <= MOST and shorter < 1.0 and where <= GAP * shorter):
+        return where / GAP
+    if where > MOST * shorter and where < 1.0 + GAP:
+        return where - GAP * shorter
+    return 1.0
+
+
+@native
 def first_step(
     n: int,
     span: float,
@@ -249,13 +264,7 @@ def march_dop853(
             near = 1
             error = min(error, error_on_constraints(n, h, rtol, atol, closing, now, end, k, at))
         if near == 1 and hops < HOPS:
-            where = crossing(n, k)
-            shorter = SAFETY * error**EXPONENT if error > 1.0 else 1.0
-            wanted = 1.0
-            if where < LEAST or (where <= MOST and shorter < 1.0 and where <= GAP * shorter):
-                wanted = where / GAP
-            elif where > MOST * shorter and where < 1.0 + GAP:
-                wanted = where - GAP * shorter
+            wanted = crossing_factor(n, k, error)
             if wanted < 1.0:
                 counts[REJECTED] += 1.0
                 hops += 1

@@ -13,6 +13,7 @@ from newton_euler.mechanism import CLOSURE_TOLERANCE
 from newton_euler.scalars import Array
 from newton_euler.solve import singular_values
 from newton_euler.stabilize import largest, worst_joint
+from newton_euler.system import System
 
 NEWTON_STEPS = 20
 
@@ -47,21 +48,29 @@ def surface(code: Code, x: Array) -> Surface:
 
 
 def close(code: Code, system: Formulation, x: Array) -> Array:
-    """(q, v) (size,) on the constraints near x (inputs,), as far as they are strong enough to say where.
+    """(q, v) (size,) on the constraints near x (inputs,); errors as of `close_by`."""
+    return close_by(lambda x: surface(code, x), system, x)[: code.size]
+
+
+def close_by(surface: Callable[[Array], Surface], system: System, x: Array) -> Array:
+    """x, which begins with (q, v), on the constraints near it, as far as they are strong enough to say where.
 
     Corrections are M^-1 J^T times multipliers, the direction in which wrong multipliers lead a run
     astray: what they did is undone, whatever it was.
+
+    Args:
+        surface: of the system, at an x.
 
     Raises:
         AssemblyError: if the constraints stay open by more than `CLOSURE_TOLERANCE`.
     """
     x = x.copy()
-    on_q, on_v = slice(system.nq), slice(system.nq, code.size)
+    on_q, on_v = slice(system.nq), slice(system.nq, system.nq + system.nv)
     x[on_q] = system.retract(x[on_q], np.zeros(system.nv))
-    found, best = surface(code, x), x.copy()
+    found, best = surface(x), x.copy()
     for _ in range(NEWTON_STEPS):
         x[on_q] = system.retract(x[on_q], -_correction(system, found)(found.phi))
-        here = surface(code, x)
+        here = surface(x)
         if not largest(here.phi) < 0.5 * largest(found.phi):
             break
         found, best = here, x.copy()
@@ -70,11 +79,11 @@ def close(code: Code, system: Formulation, x: Array) -> Array:
         raise AssemblyError(joint, gap, CLOSURE_TOLERANCE)
     correct = _correction(system, found)
     best[on_v] -= correct(found.opening)
-    best[on_v] -= correct(surface(code, best).opening)  # once more for the digits
-    return best[: code.size]
+    best[on_v] -= correct(surface(best).opening)  # once more for the digits
+    return best
 
 
-def _correction(system: Formulation, found: Surface) -> Callable[[Array], Array]:
+def _correction(system: System, found: Surface) -> Callable[[Array], Array]:
     """The step (nv,) that undoes residuals (k,) in the metric of the mass matrix."""
     units = system.velocity_units
     jacobian = found.jacobian * units / system.phi_units[:, None]

@@ -1,0 +1,152 @@
+"""scipy's DOP853 through singular configurations, as `newton_euler.steppers.adaptive` passes them.
+
+Accelerations lose digits with the cube of the distance to a configuration where the rank of the constraints
+drops, and error control alone shortens steps without end there. So a step is placed with no stage near by,
+and its error is that of what is left of it on the constraints.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+from scipy.integrate import DOP853
+
+from newton_euler.errors import IntegrationError, NewtonEulerError
+from newton_euler.euler_parameters import rotations
+from newton_euler.scalars import Array
+from newton_euler.solve import rank
+from newton_euler.steppers.adaptive import HOPS, SAFETY, crossing_factor, error_on_constraints
+from newton_euler.steppers.closing import Surface, close_by
+from newton_euler.steppers.dop853 import STAGES
+from newton_euler.steppers.march import HOP, NEAR, UNSAFE
+from newton_euler.system import System, at_time, opening
+
+Rates = Callable[[float, Array], Array]
+
+
+class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
+    """DOP853 that hops over singular configurations."""
+
+    def __init__(
+        self,
+        system: System,
+        project: Rates,
+        derivative: Rates,
+        t: float,
+        y: Array,
+        end: float,
+        **tolerances: float,
+    ) -> None:
+        """As scipy's, for the equations of a system, with its usual projection of a state at a time."""
+        self._system, self._project = system, project
+        self._rank = rank(self._jacobian(y))
+        self._healths: deque[float] = deque(maxlen=STAGES)
+        self._hops = 0
+        self._near = False
+
+        def watched(t: float, y: Array) -> Array:
+            self._healths.append(self._health(y))
+            return derivative(t, y)
+
+        super().__init__(watched, t, y, end, **tolerances)
+
+    def _jacobian(self, y: Array) -> Array:
+        system = self._system
+        jacobian = system.phi_jacobian(y[: system.nq])
+        return np.asarray(jacobian * system.velocity_units / system.phi_units[:, None])
+
+    def _health(self, y: Array) -> float:
+        """1 at most; near a singular configuration it falls with the square of the distance.
+
+        By the smallest singular value that is not zero where the run begins.
+        """
+        if self._rank == 0 or not np.all(np.isfinite(y)):
+            return 1.0
+        values = np.linalg.svd(self._jacobian(y), compute_uv=False)
+        return float((values[self._rank - 1] / values[0]) ** 2)
+
+    def project(self, t: float, y: Array) -> Array:
+        """A state of the last step on the constraints.
+
+        Raises:
+            IntegrationError: where it cannot be put there.
+        """
+        if not self._near:
+            return self._project(t, y)
+        try:
+            return close_densely(self._system, t, y)
+        except NewtonEulerError as error:
+            raise IntegrationError(t, f"projection fails: {error}") from error
+
+    def _estimate_error_norm(self, k: Array, h: float, scale: Array) -> float:
+        """Of a step from `self.y` with the rates k (13, n) of its stages; what is too large shortens it.
+
+        Near a singular configuration it is made just so large that the step is shortened to where it fits.
+        """
+        error = float(super()._estimate_error_norm(k, h, scale))
+        healths = np.array([self._health(self.y), *self._healths])
+        self._near = min(healths) < NEAR
+        if not self._near:
+            self._hops = 0
+            return error
+        if min(healths[1:]) < UNSAFE <= healths[0]:
+            return _error_for(HOP)
+        error = min(error, self._error_on_constraints(k, h))
+        factor = crossing_factor(0, healths, error)
+        if factor < 1.0 and self._hops < HOPS:
+            self._hops += 1
+            return _error_for(factor)
+        if error < 1.0:
+            self._hops = 0
+        return error
+
+    def _error_on_constraints(self, k: Array, h: float) -> float:
+        n = len(self.y)
+        rows = np.zeros((STAGES + 4, n + 1))
+        rows[: STAGES + 1, :n] = k
+        end = self.y + h * (k[:STAGES].T @ self.B)
+        states = [np.append(y, t) for y, t in ((self.y, self.t), (end, self.t + h), (end, self.t + h))]
+        now, end, at = states
+        return error_on_constraints(
+            n, h, float(self.rtol), float(self.atol), self._closing, now, end, rows.ravel(), at
+        )
+
+    def _closing(self, x: Array, y: Array) -> None:
+        """Projection near a singular configuration, in the form that steppers call."""
+        n = len(x) - 1
+        try:
+            y[:n] = close_densely(self._system, x[n], x[:n])
+            y[n] = 1.0
+        except NewtonEulerError:
+            y[n] = -1.0
+
+
+def close_densely(system: System, t: float, y: Array) -> Array:
+    """`newton_euler.steppers.closing.close_by` for any system at a time."""
+    now = at_time(system, t)
+
+    def surface(y: Array) -> Surface:
+        q, v = y[: system.nq], y[system.nq :]
+        return Surface(now.phi(q), opening(now, q, v), now.phi_jacobian(q), mass_matrix(now, q))
+
+    return close_by(surface, now, y)
+
+
+def mass_matrix(system: System, q: Array) -> Array:
+    """(nv, nv) M of the bodies' kinetic energy 1/2 v^T M v, without rotors."""
+    own, b = system.mass_properties(), len(system.mechanism.bodies)
+    motions = system.velocity_transformation(q).reshape(b, 6, system.nv)
+    now = rotations(system.state(q, np.zeros(system.nv)).quaternion)
+    turned = now @ rotations(system.scene.initial_state.quaternion).transpose(0, 2, 1)
+    inertia = turned @ own.inertia @ turned.transpose(0, 2, 1)
+    slide, turn = motions[:, :3], motions[:, 3:]
+    return np.asarray(
+        np.einsum("b,bik,bil->kl", own.mass, slide, slide) + np.einsum("bik,bij,bjl->kl", turn, inertia, turn)
+    )
+
+
+def _error_for(factor: float) -> float:
+    """The error for which scipy's step control takes a step that is shorter by a factor."""
+    return float((SAFETY / factor) ** (DOP853.error_estimator_order + 1))
