@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -10,10 +12,10 @@ from crosscheck.comparison.levels import Row
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import SHORTER, limited
-from crosscheck.partial import UnfinishedError
-from newton_euler.errors import NewtonEulerError, StoppedError
+from crosscheck.partial import UnfinishedError, reason_of
+from newton_euler.errors import IntegrationError, StoppedError
 from newton_euler.scene import Scene
-from newton_euler.trajectory import Trajectory
+from newton_euler.trajectory import Trajectory, check_finite
 
 
 def each_run(
@@ -36,12 +38,12 @@ def each_run(
         try:
             with limited(f"{engine.name}: {scene.duration:g} s of {scene.name}", SHORTER, progress):
                 run = engine.simulate(scene)
-            _check_finite(engine.name, run)
+            _check_finite(scene, run)
             runs[engine.name] = run
         except CrosscheckError as error:
             reasons.append(str(error))
-        except NewtonEulerError as error:
-            reasons.append(f"{engine.name}: {error}")
+        except Exception as error:  # one that nobody foresaw stops no other engine either
+            reasons.append(f"{engine.name}: {reason_of(error)}")
             if isinstance(error, StoppedError) and error.partial is not None:
                 partial[engine.name] = error.partial
     if reasons:
@@ -58,7 +60,7 @@ def _where_equations_part(
         with limited("comparing equations", SHORTER, progress):
             pairs = [row for row in equations() if len(row.between) > 1 and not row.informs]
             check_figures(pairs)
-    except (CrosscheckError, NewtonEulerError):
+    except Exception:  # the runs' own reasons are what is told
         return
     for row in [row for row in pairs if not row.agrees][:1]:
         yield (
@@ -79,8 +81,14 @@ def check_figures(rows: Sequence[Row]) -> None:
             )
 
 
-def _check_finite(engine: str, run: Trajectory) -> None:
-    for name, values in run.arrays().items():
-        if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
-            n = int(np.argmin(np.isfinite(values).reshape(len(run.time), -1).all(axis=1)))
-            raise CrosscheckError(f"{engine}: {name} is not finite at t = {run.time[n]:.6g} s")
+def _check_finite(scene: Scene, run: Trajectory) -> None:
+    """Raise `IntegrationError` for a run that is not finite, with the rows before."""
+    arrays = {name: values for name, values in run.arrays().items() if values.dtype.kind == "f"}
+    try:
+        check_finite(scene.times, arrays)
+    except IntegrationError as error:
+        rows = int(np.searchsorted(scene.times, error.time))
+        if rows:
+            before: dict[str, Any] = {name: values[:rows] for name, values in arrays.items()}
+            error.partial = replace(run, **before)
+        raise

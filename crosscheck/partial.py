@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable
+from newton_euler.errors import NewtonEulerError
 from newton_euler.trajectory import Trajectory
 
 
@@ -27,12 +29,20 @@ class UnfinishedError(CrosscheckError):
         super().__init__(reason)
 
 
+def reason_of(error: Exception) -> str:
+    """What to say of an error, in one line; one that nobody foresaw has its type named."""
+    foreseen = isinstance(error, CrosscheckError | NewtonEulerError)
+    text = str(error) if foreseen else f"internal error: {type(error).__name__}: {error}"
+    return " ".join(text.split())
+
+
 @contextmanager
 def partial_runs_saved(folder: Path) -> Iterator[None]:
-    """Save the runs of an `UnfinishedError` to a folder and remove what an earlier crosscheck left there.
+    """Where a block ends by an error, save the runs of an `UnfinishedError` to a folder.
 
     Runs that came to their end are ENGINE.npz, as of a crosscheck that did; others are ENGINE.partial.npz.
-    Without a summary the folder is none of a complete crosscheck.
+    What an earlier crosscheck left there is removed: without a summary the folder is none of a complete
+    crosscheck. A recording that it sent elsewhere stays.
 
     Raises:
         CrosscheckError: with the error and the files that were written.
@@ -43,25 +53,32 @@ def partial_runs_saved(folder: Path) -> Iterator[None]:
         path.unlink(missing_ok=True)
     try:
         yield
-    except UnfinishedError as error:
-        raise CrosscheckError("; ".join([str(error), *_saved(error, folder)])) from error
+    except Exception as error:  # the earlier verdict holds no more, whatever it was
+        unfinished = error if isinstance(error, UnfinishedError) else UnfinishedError(reason_of(error), {})
+        raise CrosscheckError("; ".join([str(unfinished), *_saved(unfinished, folder)])) from error
 
 
 def _saved(error: UnfinishedError, folder: Path) -> Iterator[str]:
     """Write the runs and say so; of a path that cannot be written too, and then no more."""
     complete = {folder / f"{name}.npz": run for name, run in error.runs.items()}
     stopped = {_partial(folder, name): run for name, run in error.partial.items()}
-    path = folder / "summary.json"
+    summary = path = folder / "summary.json"
+    earlier = [folder / f"{name}.npz" for name in ENGINES.keys() - error.runs.keys()]
     try:
-        path.unlink(missing_ok=True)
-        for name in ENGINES.keys() - error.runs.keys():
-            path = folder / f"{name}.npz"
+        for path in (summary, *_recording(summary), *earlier):
             path.unlink(missing_ok=True)
         for path, run in (complete | stopped).items():
             run.save(path)
             yield f"wrote {path}" + (f", up to t = {run.time[-1]:.6g} s" if path in stopped else "")
     except OSError as failure:
         yield f"cannot write {path}: {failure.strerror}"
+
+
+def _recording(summary: Path) -> Iterator[Path]:
+    """Where a summary's crosscheck leaves its recording if that goes nowhere else, beside the summary."""
+    with suppress(OSError, ValueError, KeyError, TypeError):
+        scene = json.loads(summary.read_text(encoding="utf-8"))["scene"]
+        yield summary.with_name(f"{scene}.rrd")
 
 
 def _partial(folder: Path, engine: str) -> Path:

@@ -19,7 +19,7 @@ from crosscheck.each_run import check_figures, each_run
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import SHORTER, TooLongError, limited
-from crosscheck.partial import UnfinishedError
+from crosscheck.partial import UnfinishedError, reason_of
 from crosscheck.scenes.options import titled
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mapping import Mapping as Report
@@ -158,9 +158,9 @@ def crosscheck(
     """Run a scene through the engines and compare them; `progress` is told each stage.
 
     Raises:
-        CrosscheckError: for a scene without the outputs that are compared, and for results that are
-            not finite. `UnfinishedError`, with all runs, where an engine's cannot go on or does not end,
-            after all others ran; and where they cannot be compared.
+        CrosscheckError: for a scene without the outputs that are compared. `UnfinishedError`, with all
+            runs, where an engine's fails, does not end or is not finite, after all others ran; and where
+            they cannot be compared.
         NewtonEulerError: for a scene that no engine can express.
     """
     for output in ("velocities", "reactions", "violation"):
@@ -181,8 +181,8 @@ def crosscheck(
         advice: tuple[Advice, ...] = ()
         with suppress(TooLongError), limited("working out advice", "there is none", progress):
             advice = advise(Found(scene, source, able, runs, rows, options, mapping))
-    except (CrosscheckError, NewtonEulerError) as error:
-        raise UnfinishedError(str(error), runs) from error
+    except Exception as error:  # runs are kept whatever goes wrong with their comparison
+        raise UnfinishedError(reason_of(error), runs) from error
     wall_time = time.perf_counter() - start
     return Crosscheck(
         source,
@@ -227,7 +227,8 @@ def _named(engine: Engine) -> Callable[[Scene], Trajectory]:
     def refined(scene: Scene) -> Trajectory:
         try:
             return engine.refined(scene)
-        except NewtonEulerError as error:
-            raise NewtonEulerError(f"{engine.name}, in a finer run for comparison: {error}") from error
+        except Exception as error:
+            kind = NewtonEulerError if isinstance(error, NewtonEulerError) else CrosscheckError
+            raise kind(f"{engine.name}, in a finer run for comparison: {reason_of(error)}") from error
 
     return refined

@@ -17,15 +17,13 @@ from rich.text import Text
 
 from crosscheck.comparison.levels import Row
 from crosscheck.engines import choose
-from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable
 from crosscheck.output import tidied_up, write
-from crosscheck.partial import partial_runs_saved
+from crosscheck.partial import partial_runs_saved, reason_of
 from crosscheck.report import judged, markdown
 from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
 from crosscheck.workers import end_with_parent
-from newton_euler.errors import NewtonEulerError
 
 
 @dataclass(frozen=True)
@@ -108,9 +106,7 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
                 result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
             write(result, folder, folder / f"{name}.rrd", markdown(result))
     except Exception as error:  # what goes wrong with one scene is a line, like the others' results
-        known = isinstance(error, CrosscheckError | NewtonEulerError)
-        reason = str(error) if known else f"internal error: {type(error).__name__}: {error}"
-        return Outcome(name, time.perf_counter() - start, False, f"{name} did not run: {reason}")
+        return Outcome(name, time.perf_counter() - start, False, f"{name} did not run: {reason_of(error)}")
     return _outcome(name, result, time.perf_counter() - start)
 
 

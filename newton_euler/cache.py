@@ -31,10 +31,11 @@ _COUNT_EVERY = 16
 _RECENT = 3600.0
 """s within which uses are not told apart."""
 
-_KEY = re.compile(r"[0-9a-f]{64}")
-"""Names of the cache's own files, of all that may be in a directory that somebody chose."""
+_ENDING = ".newton-euler"
+_OWN = re.compile(r"[0-9a-f]{64}" + re.escape(_ENDING))
+_UNFINISHED = ".newton-euler-new-"
+"""What the cache's own files are called, of all that may be in a directory that somebody chose."""
 
-_UNFINISHED = ".new-"
 _ABANDONED = 3600.0
 """s after which an unfinished file is that of a run that was killed."""
 
@@ -74,7 +75,7 @@ def read_cache(key: str) -> bytes | None:
     directory = cache_directory()
     if directory is None:
         return None
-    path = directory / key
+    path = directory / (key + _ENDING)
     try:
         with path.open("rb") as stream:
             content, used = stream.read(), os.fstat(stream.fileno()).st_mtime
@@ -102,7 +103,7 @@ def write_cache(key: str, code: bytes) -> None:
         try:
             with os.fdopen(handle, "wb") as stream:
                 stream.write(_digest(code) + code)
-            Path(name).replace(directory / key)
+            Path(name).replace(directory / (key + _ENDING))
         except BaseException:
             Path(name).unlink(missing_ok=True)
             raise
@@ -114,11 +115,13 @@ def _tidy(directory: Path) -> None:
     found: list[tuple[float, int, str]] = []
     for entry in os.scandir(directory):
         with suppress(OSError):  # here and below: another process may have been quicker
-            if _KEY.fullmatch(entry.name):
-                status = entry.stat()
+            if not entry.is_file(follow_symlinks=False):  # somebody's own
+                continue
+            status = entry.stat(follow_symlinks=False)
+            if _OWN.fullmatch(entry.name):
                 found.append((status.st_mtime, status.st_size, entry.path))
                 total += status.st_size
-            elif entry.name.startswith(_UNFINISHED) and now - entry.stat().st_mtime > _ABANDONED:
+            elif entry.name.startswith(_UNFINISHED) and now - status.st_mtime > _ABANDONED:
                 os.unlink(entry.path)
     if total > LIMIT:
         for _, size, path in sorted(found):

@@ -227,6 +227,21 @@ class Mechanism:
         return spread if spread > 0.0 else 1.0
 
     @cached_property
+    def longest(self) -> float:
+        """How far the longest body goes from its centre of mass, m: to a joint with equations, or on average
+        (root of the mean square over its mass). Unlike `size` it does not depend on where bodies float."""
+        lengths = [float(np.sqrt(0.5 * np.trace(body.inertia) / body.mass)) for body in self.bodies[1:]]
+        for equations in self.equations:
+            ends = (
+                (equations.first, equations.joint.point),
+                (equations.second, equations.joint.reaction_point),
+            )
+            for index, point in ends:
+                if index > 0 and equations.count > 0:
+                    lengths.append(float(np.linalg.norm(point - self.bodies[index].center_of_mass)))
+        return max(lengths)
+
+    @cached_property
     def _body_indices(self) -> dict[str, int]:
         return {name: index for index, name in enumerate(self.body_names)}
 

@@ -30,9 +30,9 @@ RK4_LIMIT = 2.785
 """Largest product of a gain alpha and a step of RK4 that is stable (E. Hairer, G. Wanner, Solving Ordinary
 Differential Equations II, second edition, Springer 1996, section IV.2)."""
 
-OPEN = 1e-2
-"""Sizes of the mechanism, or rad, by which a joint may come open without projection before what runs on is
-another mechanism: a hundredth can be seen."""
+COME_OPEN = 1e-2
+"""Lengths of the mechanism's longest body, or rad, by which a joint may come open without projection before
+what runs on is another mechanism: a hundredth can be seen."""
 
 ROUND_OFF = 16.0 * np.finfo(float).eps
 """Residuals below this share of the mechanism's size are what evaluating them loses."""
@@ -96,17 +96,18 @@ def joint_violations(mechanism: Mechanism, state: State) -> Array:
     return np.array([largest(e.phi(frames[e.first], frames[e.second])) for e in mechanism.equations])
 
 
-def check_closed(scene: Scene, times: Array, phi: Array) -> None:
-    """Raise `IntegrationError` at the first of times (n,) with a residual (n, k) of more than `OPEN`.
+def check_still_closed(scene: Scene, times: Array, phi: Array) -> None:
+    """Raise `IntegrationError` at the first of times (n,) with a residual (n, k) of more than `COME_OPEN`.
 
     Residuals are those of all joints, then of couplings. Where the first are larger than that, as of a start
-    that nobody has checked, twice as much is allowed: gains may still close it.
+    that nobody has checked, twice as much is allowed: gains may still close it. Nothing is known of the steps
+    between the times, which are those of outputs: a joint that closes again by the next one passes.
     """
     coupled, mechanism = couplings(scene), scene.mechanism
-    gaps = np.abs(phi) / row_units(mechanism.equations, coupled, mechanism.size)
+    gaps = np.abs(phi) / row_units(mechanism.equations, coupled, mechanism.longest)
     largest_gap = np.max(gaps, axis=1, initial=0.0)
     start = float(largest_gap[0])
-    wide = np.flatnonzero(largest_gap > (OPEN if start <= OPEN else 2.0 * start))
+    wide = np.flatnonzero(largest_gap > (COME_OPEN if start <= COME_OPEN else 2.0 * start))
     if not wide.size:
         return
     row = int(wide[0])

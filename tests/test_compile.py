@@ -8,6 +8,7 @@ import os
 import stat
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -19,9 +20,11 @@ import newton_euler.cache
 from newton_euler.cache import CACHE_VARIABLE, cache_key, read_cache, write_cache
 from newton_euler.compile import NativeFunction, NativeModule
 from newton_euler.emit import LANES
+from newton_euler.errors import MechanismError
 from newton_euler.expression import Graph
 from newton_euler.native import Callback, NativeError, Vector, native
 from newton_euler.native_functions import NativeFunctions
+from newton_euler.steppers.run import load
 from newton_euler.translate import text
 
 
@@ -142,7 +145,7 @@ def written(cache: Path, number: int) -> str:
     """The key of a kilobyte in the cache that was used so many hours after 1970."""
     key = cache_key("entry", number)
     write_cache(key, bytes(1000))
-    os.utime(cache / key, (3600.0 * number,) * 2)
+    os.utime(cache / f"{key}.newton-euler", (3600.0 * number,) * 2)
     return key
 
 
@@ -158,7 +161,28 @@ def test_the_cache_keeps_what_was_used_last_below_its_limit(cache, monkeypatch):
     assert "notes.txt" in found
     # as many as fit, three quarters of that after a count, and what comes before the next one
     assert 75_000 - 1032 < 1032 * (len(found) - 1) < 100_000 + 1032 * 100
-    assert found - {"notes.txt", keys[0]} == set(keys[2 - len(found) :])
+    kept = [keys[0], *keys[2 - len(found) :]]
+    assert found == {"notes.txt", *(f"{key}.newton-euler" for key in kept)}
+
+
+def test_a_directory_that_somebody_else_uses_too(cache, tmp_path, monkeypatch):
+    """Old files with names like the cache's own, and links to large ones, which count for nothing."""
+    monkeypatch.setattr(newton_euler.cache, "_COUNT_EVERY", 1)
+    monkeypatch.setattr(newton_euler.cache, "LIMIT", 10_000)
+    cache.mkdir()
+    large = tmp_path / "large"
+    large.write_bytes(bytes(20_000))
+    key = cache_key("theirs")
+    theirs = {".new-notes.txt", key, f"{key}.newton-euler.txt", f"copy-{key}.newton-euler"}
+    for name in theirs:
+        (cache / name).write_bytes(bytes(20_000))
+        os.utime(cache / name, (0.0, 0.0))
+    links = {f"{cache_key('link')}.newton-euler", ".newton-euler-new-link"}
+    for name in links:
+        (cache / name).symlink_to(large)
+        os.utime(cache / name, (0.0, 0.0), follow_symlinks=False)
+    own = {f"{written(cache, number)}.newton-euler" for number in range(5)}  # half of the limit
+    assert {path.name for path in cache.iterdir()} == theirs | links | own
 
 
 def test_reading_counts_no_files(cache, monkeypatch):
@@ -180,13 +204,49 @@ def test_what_cannot_be_marked_as_used_is_read(cache, monkeypatch):
 def test_what_a_killed_run_left_is_removed_in_time(cache, monkeypatch):
     monkeypatch.setattr(newton_euler.cache, "_COUNT_EVERY", 1)
     compiled(SOURCE)
-    old, new = cache / ".new-old", cache / ".new-new"
+    old, new = cache / ".newton-euler-new-old", cache / ".newton-euler-new-new"
     for path in (old, new):
         path.write_bytes(b"half")
     os.utime(old, (time.time() - 7200.0,) * 2)
     compiled(SOURCE + "; other")
     assert not old.exists()
     assert new.exists()  # its run may still be writing
+
+
+class Refused:
+    """Stands for the code of a scene whose third function cannot be traced while the first is compiled."""
+
+    def __init__(self, error: BaseException) -> None:
+        self.functions: dict[str, object] = {}
+        self.error, self.compiled = error, []
+        self.begun, self.go_on = threading.Event(), threading.Event()
+        self.compiler = threading.current_thread()
+
+    def needed(self, integrator: str) -> list[str]:
+        return ["first", "second", "third"]
+
+    def program(self, name: str) -> None:
+        if name == "third":
+            assert self.begun.wait(60.0)
+            raise self.error
+
+    def function(self, name: str) -> None:
+        self.compiled.append(name)
+        self.compiler = threading.current_thread()
+        self.begun.set()
+        assert self.go_on.wait(60.0)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), MechanismError("body 'a'", "is 1", "2")], ids=repr)
+def test_what_ends_tracing_ends_compilation(error):
+    code = Refused(error)
+    with pytest.raises(type(error)):
+        load(code, "Euler")
+    assert code.compiled == ["first"]  # still under way
+    code.go_on.set()
+    code.compiler.join(60.0)
+    assert not code.compiler.is_alive()
+    assert code.compiled == ["first"]
 
 
 def test_sine_and_cosine_are_the_librarys():

@@ -105,7 +105,7 @@ MISTAKES = {
         "test_urdf_dynamics.py",
     ),
     "Rerun's quaternions written w-first": (
-        "crosscheck/recording/log.py",
+        "crosscheck/recording/shapes.py",
         "return quaternion[..., [1, 2, 3, 0]]",
         "return quaternion",
         "test_rerun_log.py",
@@ -160,7 +160,7 @@ MISTAKES = {
     ),
     "turns that are never taken off": (
         "newton_euler/steppers/march.py",
-        "if turning[i] > 0.0 and abs(x[i]) > HALF_TURN:",
+        "if turning[i] == ANGLE and abs(x[i]) > HALF_TURN:",
         "if turning[i] < 0.0 and abs(x[i]) > HALF_TURN:",
         "test_integrate.py",
     ),

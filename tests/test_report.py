@@ -14,7 +14,8 @@ from command_line import run, scene_file, short_example
 from crosscheck.cli import main
 from crosscheck.errors import CrosscheckError
 from crosscheck.html import drawing, page
-from crosscheck.html.report import PAGE, write_report
+from crosscheck.html.report import MOST_IN_FULL, PAGE, write_report
+from crosscheck.scenes import SCENES
 
 ENGINES = ["newton_euler", "pinocchio"]
 VOID = {"meta", "br", "img"}
@@ -229,6 +230,76 @@ def test_all_below_the_usual_folder_on_one_page(bare, tmp_path):
     found = report(output)
     assert found.links == {"folder-four_bar", "folder-bench/one", "folder-bench/two"} <= found.anchors
     assert "bench/two is quick" in found.words
+
+
+def test_of_many_folders_an_index(bare, tmp_path, capsys):
+    """Verdicts, and what writes the pages; nothing is drawn, even of what has runs."""
+    output = tmp_path / "many runs"
+    for number in range(MOST_IN_FULL + 1):
+        shutil.copytree(bare, output / f"run_{number}")
+    change(output / "run_3", agrees=False, verdict="DISAGREE: as it were")
+    found = report(output)
+    assert found.links == set()
+    assert found.words.count("DISAGREE: as it were") == 1
+    assert found.text.count("AGREE") == MOST_IN_FULL
+    for number in range(MOST_IN_FULL + 1):
+        assert f"crosscheck report '{output / f'run_{number}'}'" in found.text
+    assert "The runs are not in the folder" not in found.words
+    shutil.rmtree(output / "run_3")
+    assert len(report(output).links) == MOST_IN_FULL
+    assert len(SCENES) <= MOST_IN_FULL  # so that `run --all` has one page
+
+
+def test_progress_counts_the_folders(folder, tmp_path):
+    for name in ("one", "two"):
+        shutil.copytree(folder, tmp_path / "library" / name)
+    said: list[str] = []
+    write_report(tmp_path / "library", said.append)
+    assert said == [
+        f"{number} of 2 folders, four_bar: {what}"
+        for number in (1, 2)
+        for what in ("pictures of the recording", "plots")
+    ]
+
+
+def two_models() -> list[dict]:
+    """As `run --against` writes them."""
+    mapping = [{"element": "geom 'shell'", "fate": "left out", "how": "no contacts"}]
+    plain = {"name": "plain", "source": "tracker", "options": {}, "mapping": None, "start": None}
+    file = {"name": "file", "source": "tracker.xml", "options": {"key": "go"}, "mapping": mapping}
+    return [file | {"start": ["starts from go"]}, plain]
+
+
+def test_two_models_and_the_notes_about_them(bare):
+    models = two_models()
+    first = {name: models[0][name] for name in ("mapping", "start")}
+    change(bare, models=models, notes=["joint a is translational here"], **first)
+    found = report(bare)
+    for text in ("Model plain", "Model file", "tracker.xml", "key=go", "geom 'shell'", "starts from go"):
+        assert text in found.words
+    assert "joint a is translational here" in found.words
+    assert "What became of the model file" not in found.words
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"models": two_models(), "notes": 3}, "notes: Input should be a valid list"),
+        ({"models": two_models()[:1], "notes": []}, "models: List should have at least 2 items"),
+        ({"models": [*two_models(), two_models()[0]], "notes": []}, "models: List should have at most 2"),
+        ({"models": [{"name": "a"}, {}], "notes": []}, "models.0.source: Field required"),
+        ({"notes": ["of what?"]}, "content: notes without models; a comparison of two models has both"),
+        ({"models": two_models()}, "content: models without notes; a comparison of two models has both"),
+    ],
+)
+def test_a_comparison_that_is_not_whole_is_one_line(bare, capsys, changes, message):
+    change(bare, **changes)
+    status, out, err = run(capsys, "report", bare)
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert f"{bare / 'summary.json'}: " in err
+    assert message in err
+    assert not (bare / PAGE).exists()
 
 
 def moved_scene() -> dict:

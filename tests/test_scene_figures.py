@@ -115,6 +115,29 @@ def test_an_engine_that_cannot_be_more_exact_is_judged_by_what_it_can(swing):
     assert found.own_error > ROUND_OFF
 
 
+@pytest.mark.parametrize("exact", [False, True])
+def test_an_engine_without_a_finer_run_is_not_judged_by_round_off(swing, exact):
+    def fails(scene):
+        raise newton_euler.NewtonEulerError("newton_euler, in a finer run: steps have become too small")
+
+    engine = own(exact=fails if exact else None, refined=fails)
+    with pytest.raises(newton_euler.NewtonEulerError, match="in a finer run: steps have become too small"):
+        list(measure("pendulum", swing, engine, newton_euler.simulate(swing), half_second()))
+
+
+def test_an_exact_run_without_a_finer_one_is_judged_by_the_usual(swing):
+    def fails(scene):
+        raise newton_euler.NewtonEulerError("steps have become too small")
+
+    exact, usual = newton_euler.simulate(swing, rtol=1e-12, atol=1e-14), newton_euler.simulate(swing)
+    (found, *_) = measure("pendulum", swing, own(exact=lambda _: exact, refined=fails), usual, half_second())
+    figure = FIGURES["pendulum"]["x"]
+    assert found.value == figure(exact)[-1]
+    assert found.own_error == pytest.approx(
+        OWN_ERROR * abs(figure(exact) - figure(usual)).max() + ROUND_OFF * abs(figure(exact)).max(), rel=1e-12
+    )
+
+
 def test_a_figure_between_outputs_is_refused(swing):
     known = [replace(half_second()[0], time=0.123)]
     with pytest.raises(CrosscheckError, match=r"scene 'pendulum' has no output at 0\.123 s"):

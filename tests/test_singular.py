@@ -12,11 +12,12 @@ from scipy.integrate import solve_ivp
 
 import newton_euler
 from newton_euler.errors import IntegrationError
-from newton_euler.joints import Revolute
+from newton_euler.joints import Free, Revolute
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.scene import Scene
-from newton_euler.stabilize import check_closed
+from newton_euler.stabilize import check_still_closed
 from newton_euler.state import MassProperties, State
+from newton_euler.steppers import march
 
 Y = np.array([0.0, 1.0, 0.0])
 MASSES = (1.0, 2.0, 1.5)
@@ -131,7 +132,7 @@ def test_a_joint_that_comes_open_ends_a_run_where_it_does():
     rows = len(found.time)
     assert 1 < rows < len(scene.times)
     assert caught.value.time == scene.times[rows]
-    assert found.constraint_violation.max() <= 1e-2 * max(1.0, scene.mechanism.size)
+    assert found.constraint_violation.max() <= 1e-2 * max(1.0, scene.mechanism.longest)
     with pytest.raises(IntegrationError) as unasked:  # for its violation
         newton_euler.simulate(
             replace(scene, outputs=frozenset()), "cartesian", "RK4", step=5e-2, stabilization="none"
@@ -163,15 +164,66 @@ def test_steps_of_order_1_stay_on_their_branch(angle, speed, formulation):
 )
 def test_what_is_open_and_what_has_come_open(gaps, stops):
     scene = pendulum()
-    size = scene.mechanism.size  # the first residuals of a hinge are lengths
+    longest = scene.mechanism.longest  # the first residuals of a hinge are lengths
     phi = np.zeros((3, 5))
-    phi[:, 1] = size * np.array(gaps) * [1.0, -1.0, 1.0]
+    phi[:, 1] = longest * np.array(gaps) * [1.0, -1.0, 1.0]
     if stops is None:
-        check_closed(scene, np.arange(3.0), phi)
+        check_still_closed(scene, np.arange(3.0), phi)
         return
     with pytest.raises(IntegrationError, match="joint 'pivot' has come open by") as caught:
-        check_closed(scene, np.arange(3.0), phi)
+        check_still_closed(scene, np.arange(3.0), phi)
     assert caught.value.time == stops
+
+
+def satellite(distance):
+    """An arm of 1 m that turns on a satellite so far away (m), whose own joint binds nothing."""
+    here = np.array([distance, 0.0, 0.0])
+    ball = np.diag([1.0, 1.0, 1.0])
+    arm = Body("arm", 1.0, [1.0 + distance, 0.0, 0.0], 0.01 * ball)
+    mechanism = Mechanism(
+        [Body.ground(), Body("satellite", 1e3, here, 10.0 * ball), arm],
+        [
+            Free("float", "ground", "satellite", np.zeros(3)),
+            Revolute("pin", "satellite", "arm", here, axis=Y),
+        ],
+    )
+    assert mechanism.longest == 1.0
+    state = State.initial(mechanism)
+    state.angular_velocity[2], state.linear_velocity[2] = 10.0 * Y, [0.0, 0.0, -10.0]
+    return Scene("satellite", mechanism, 20.0, 0.2, np.zeros(3), initial_state=state)
+
+
+def test_a_joint_of_what_floats_far_away_comes_open_as_here():
+    """No force depends on the place: only round-off does, by 1e-10 m at most."""
+    refusals = []
+    for distance in (0.0, 1e3, 1e6):
+        with pytest.raises(IntegrationError, match=r"joint .pin. has come open by 0\.01") as caught:
+            newton_euler.simulate(satellite(distance), "cartesian", "RK4", step=5e-2, stabilization="none")
+        refusals.append(str(caught.value))
+    assert len(set(refusals)) == 1
+
+
+def test_a_wheel_on_its_axle_is_as_long_as_its_mass_goes():
+    wheel = Body("wheel", 1e-9, np.zeros(3), 1e-21 * np.diag([0.25, 0.5, 0.25]))  # a disk of 1e-6 m
+    mechanism = Mechanism([Body.ground(), wheel], [Revolute("axle", "ground", "wheel", np.zeros(3), axis=Y)])
+    assert mechanism.longest == pytest.approx(1e-6 / np.sqrt(2.0))  # of its mass, r^2 / 2 on average
+    phi = np.array([[0.0] * 5, [2e-8, 0.0, 0.0, 0.0, 0.0]])
+    with pytest.raises(IntegrationError, match="joint 'axle' has come open by 2e-08"):
+        check_still_closed(Scene("wheel", mechanism, 1.0, 1.0), np.arange(2.0), phi)
+
+
+@pytest.mark.parametrize(("steps", "status"), [(9.5, march.DONE), (10.5, march.OPEN)])
+def test_what_the_last_newton_step_leaves_counts(steps, status):
+    """Steps that leave a fifth of the residual squared, of a start so many away from the tolerance."""
+    assert march.NEWTON_STEPS == 10
+
+    def position(x, scratch):
+        scratch[:] = [0.2 * x[0], x[0], 1.0]  # the residual squared stands for the state
+
+    x = np.array([march.OPEN_TOLERANCE**2 * 5.0**steps, 0.0])
+    begun = x[0]
+    assert march.project(1, 1e-16, 0, position, None, None, x, np.zeros(3)) == status
+    assert x[0] == pytest.approx(begun * 0.2**10)
 
 
 # Starting flat

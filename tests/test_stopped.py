@@ -13,9 +13,11 @@ from test_singular import STARTS, crank, parallelogram
 import mjcf
 import newton_euler
 import urdf
-from crosscheck import limit
+from crosscheck import limit, run_all
 from crosscheck.engines import ENGINES as ENGINES_BY_NAME
+from crosscheck.errors import CrosscheckError
 from crosscheck.faults import plant
+from crosscheck.partial import partial_runs_saved
 from crosscheck.run_all import outcome
 from crosscheck.scenes import load
 from crosscheck.scenes.write_file import write_scene
@@ -148,7 +150,7 @@ def test_crosscheck_run_saves_what_each_engine_computed(capsys, tmp_path):
     write_scene(runaway(("velocities", "reactions", "violation")), path)
     folder.mkdir()
     for name in ("mujoco.partial.npz", "mujoco.npz", "pinocchio.npz", "summary.json"):
-        (folder / name).write_text("of an earlier run")
+        (folder / name).write_text("of an earlier run")  # which a summary that cannot be read is too
     status, _, err = command(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", folder)
     assert status == 2
     assert err.count("\n") == 1
@@ -174,6 +176,17 @@ def stopping(scene: Scene) -> Trajectory:
 def endless(scene: Scene) -> Trajectory:
     while True:
         pass
+
+
+def breaking(scene: Scene) -> Trajectory:
+    raise np.linalg.LinAlgError("SVD did not\nconverge")
+
+
+def leave_earlier(folder) -> None:
+    """What a crosscheck of the pendulum left that agreed, and recordings of the user's own."""
+    for name in ("newton_euler.npz", "pinocchio.npz", "pendulum.rrd", "mine.rrd"):
+        (folder / name).write_text("of an earlier run")
+    (folder / "summary.json").write_text('{"scene": "pendulum", "agrees": true}')
 
 
 def pendulum_run(capsys, monkeypatch, folder, **changes) -> tuple[int, str, set[str]]:
@@ -225,6 +238,75 @@ def test_runs_that_cannot_be_compared_are_kept(capsys, monkeypatch, tmp_path):
     assert status == 2
     assert "newton_euler, in a finer run for comparison: integration stopped at t = 5 s" in err
     assert files == {"newton_euler.npz", "mujoco.npz"}
+
+
+def test_the_other_engines_run_when_one_breaks(capsys, monkeypatch, tmp_path):
+    leave_earlier(tmp_path)
+    status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, simulate=breaking)
+    assert status == 2
+    assert "error: newton_euler: internal error: LinAlgError: SVD did not converge; all " in err
+    assert f"wrote {tmp_path / 'mujoco.npz'}" in err
+    assert files == {"mujoco.npz", "mine.rrd"}
+
+
+def test_runs_are_kept_when_their_comparison_breaks(capsys, monkeypatch, tmp_path):
+    leave_earlier(tmp_path)
+    quick = replace(ENGINES_BY_NAME["newton_euler"], trajectory_error=0.0, drift=0.0, energy_error=0.0)
+    monkeypatch.setitem(ENGINES_BY_NAME, "newton_euler", quick)
+    status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, refined=breaking)
+    assert status == 2
+    assert "newton_euler, in a finer run for comparison: internal error: LinAlgError: SVD did not conv" in err
+    assert files == {"newton_euler.npz", "mujoco.npz", "mine.rrd"}
+    assert len(load_arrays(tmp_path / "newton_euler.npz")["time"]) == len(load("pendulum").times)
+
+
+@pytest.mark.parametrize(("first", "rows"), [(400, 400), (0, None)])
+def test_what_comes_before_numbers_that_are_not_finite_is_kept(capsys, monkeypatch, tmp_path, first, rows):
+    def overflowing(scene):
+        found = newton_euler.simulate(scene)
+        # reactions later than positions: the first time counts, not the first array
+        position, force = found.position.copy(), found.reaction_force.copy()
+        force[first:], position[first + 1 :] = np.inf, np.nan
+        return replace(found, position=position, reaction_force=force)
+
+    times = load("pendulum").times
+    status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, simulate=overflowing)
+    assert status == 2
+    assert f"newton_euler: integration stopped at t = {times[first]:.6g} s: reaction_force is not" in err
+    if rows is None:
+        assert files == {"mujoco.npz"}
+        return
+    assert files == {"newton_euler.partial.npz", "mujoco.npz"}
+    arrays = load_arrays(tmp_path / "newton_euler.partial.npz")
+    assert np.array_equal(arrays["time"], times[:rows])
+    assert {len(array) for name, array in arrays.items() if "names" not in name} == {rows}
+    assert all(np.isfinite(array).all() for name, array in arrays.items() if "names" not in name)
+
+
+@pytest.mark.parametrize("scene", ['"../outside"', "17", "null"])
+def test_no_file_elsewhere_is_taken_for_the_earlier_recording(tmp_path, scene):
+    outside, folder = tmp_path / "outside.rrd", tmp_path / "out"
+    folder.mkdir()
+    outside.write_text("the user's own")
+    (folder / "summary.json").write_text(f'{{"scene": {scene}}}')
+    with (
+        pytest.raises(CrosscheckError, match="internal error: ZeroDivisionError: nothing"),
+        partial_runs_saved(folder),
+    ):
+        raise ZeroDivisionError("nothing")
+    assert list(folder.iterdir()) == []
+    assert outside.exists()
+
+
+def test_run_all_leaves_no_earlier_verdict_where_a_scene_breaks(monkeypatch, tmp_path):
+    def breaks(*_):
+        raise ZeroDivisionError("nothing there")
+
+    leave_earlier(tmp_path)
+    monkeypatch.setattr(run_all, "crosscheck", breaks)
+    found = outcome("pendulum", ("newton_euler", "mujoco"), tmp_path)
+    assert found.verdict == "pendulum did not run: internal error: ZeroDivisionError: nothing there"
+    assert {path.name for path in tmp_path.iterdir()} == {"mine.rrd"}
 
 
 def test_run_all_keeps_what_each_scene_computed(monkeypatch, tmp_path):

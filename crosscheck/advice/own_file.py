@@ -14,13 +14,18 @@ from pathlib import Path
 from crosscheck.advice.measured import WANTED, Advice, Found
 from crosscheck.model_files.read import is_model, is_urdf
 
+OTHER_ADVICE = (
+    "this is about the gap of the file's own loops, advice on mujoco about the error of the motion, so that "
+    "their settings may differ"
+)
+
 
 def own_file_advice(found: Found) -> Iterator[Advice]:
     """For an MJCF with equalities: how far they open in it as it is, and as it is made stiffer."""
     if not is_model(found.source) or is_urdf(found.source):
         return
     from mjcf.read import read
-    from mjcf.reading.sag import sag
+    from mjcf.reading.sag import looked_at, sag
     from mjcf.reading.stiffer import CHANGES, stiffen, words
 
     start = read(found.source, found.options.get("key"), root=found.options.get("root")).start
@@ -29,9 +34,10 @@ def own_file_advice(found: Found) -> Iterator[Advice]:
         return
     solref, solimp = start.model.eq_solref[own.equality], start.model.eq_solimp[own.equality]
     text = (
-        f"{start.equality(own.equality)} of {Path(found.source).name}, run by MuJoCo as it is, opens by "
-        f"{own.gap:.1e} (m or rad): it gives way like a spring, of solref {words(solref)} and solimp "
-        f"{words(solimp)}"
+        f"to open by at most {WANTED:g} (m or rad): {start.equality(own.equality)} of "
+        f"{Path(found.source).name}, run by MuJoCo as it is, opens by {own.gap:.1e}"
+        f"{looked_at(start, found.scene.duration)}: it gives way like a spring, of solref "
+        f"{words(solref)} and solimp {words(solimp)}"
     )
     if own.gap <= WANTED:
         yield Advice("loop", f"{text}, which is stiff enough")
@@ -41,9 +47,11 @@ def own_file_advice(found: Found) -> Iterator[Advice]:
         made = stiffen(model, change, gap, WANTED)
         opened = sag(start, model, found.scene.duration)
         if isinstance(opened, str):
+            tried.append(f"goes astray {opened} with {made}")
             break
         gap = opened.gap
-        tried.append(f"{gap:.1e} with {made}")
+        tried.append(f"opens by {gap:.1e} with {made}")
         if gap <= WANTED:
             break
-    yield Advice("loop", f"{text}; changed step by step it opens by {', then '.join(tried)}")
+    short = "" if gap <= WANTED else "; none of it is enough"
+    yield Advice("loop", f"{text}; changed step by step it {', then '.join(tried)}{short}; {OTHER_ADVICE}")

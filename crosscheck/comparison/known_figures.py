@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -89,6 +90,10 @@ def measure(
         source: the scene's name in the library.
         run: the engine's run at its defaults.
         known: as `known_of` gives them.
+
+    Raises:
+        CrosscheckError: for a figure between the output times.
+        NewtonEulerError: of the engine's finer run, where it can make none.
     """
     fine, coarse = _two_runs(scene, engine, run)
     for entry in known:
@@ -113,14 +118,13 @@ def _two_runs(scene: Scene, engine: Engine, run: Trajectory) -> tuple[Trajectory
     """The engine's most exact run and the next, out of those that it can make.
 
     Next to a singular configuration tolerances can be too tight for round-off. An engine that can make
-    none but its usual run has no error of its own to show.
+    none but its usual run has nothing to tell its own error by.
     """
-    found: list[Trajectory] = []
-    for make in (engine.exact, engine.refined):
-        if make is not None and len(found) < 2:
+    if engine.exact is not None:
+        with suppress(NewtonEulerError):
+            exact = engine.exact(scene)
             try:
-                found.append(make(scene))
+                return exact, engine.refined(scene)
             except NewtonEulerError:
-                continue
-    fine, coarse, *_ = [*found, run, run]
-    return fine, coarse
+                return exact, run
+    return engine.refined(scene), run

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +24,9 @@ ALONE, AMONG_OTHERS = (0.0, 0.5, 1.0), (0.5,)
 BELOW = ("*", "*/*")
 """Where folders with results are looked for in one without: the folders of `crosscheck run --all`, those of
 all scenes that were benchmarked, all that is in the usual folder for output."""
+
+MOST_IN_FULL = 15
+"""Folders on one page, a few seconds each; of more there is an index alone. All scenes of the library fit."""
 
 Sections = Callable[[Any, Path, Sequence[float], Progress], Iterator[Markup]]
 
@@ -49,7 +53,8 @@ class Read(NamedTuple):
 def write_report(folder: Path, progress: Progress) -> Path:
     """Write `PAGE` into a folder that a command wrote results to, or one that holds such folders.
 
-    The page is one file, without anything to fetch; it appears whole or not at all.
+    The page is one file, without anything to fetch; it appears whole or not at all. Of more than
+    `MOST_IN_FULL` folders it holds the verdicts and names what writes the pages of each.
 
     Raises:
         CrosscheckError: for a folder without results, a result that cannot be read, and a page that
@@ -93,15 +98,27 @@ def _all(found: Iterable[Read], shares: Sequence[float], progress: Progress) -> 
 
 
 def _index(folder: Path, found: Sequence[Read], progress: Progress) -> Iterator[Markup]:
-    """A line for each file, and all of them below, those of a folder together."""
+    """A line for each file, and all of them below, those of a folder together, if these are few."""
+    inner = list(dict.fromkeys(path.parent for path, _ in found))
+    in_full = len(inner) <= MOST_IN_FULL
     rows: list[tuple[str | Cell, ...]] = []
     for path, content in found:
         name = path.parent.relative_to(folder).as_posix()
         verdict, judged, wall_time = content.headline
         took = "" if wall_time is None else f"{wall_time:.1f}"
-        rows.append((page.link(name, f"folder-{name}"), judged, took, verdict or path.name))
-    yield page.table(("", "", "time, s", "verdict"), rows)
-    for inner in dict.fromkeys(path.parent for path, _ in found):
-        name = inner.relative_to(folder).as_posix()
+        line = (page.link(name, f"folder-{name}") if in_full else name, judged, took, verdict or path.name)
+        rows.append(line if in_full else (*line, f"crosscheck report {shlex.quote(str(path.parent))}"))
+    head = ("", "", "time, s", "verdict")
+    yield page.table(head if in_full else (*head, "for its page"), rows)
+    if not in_full:
+        yield page.paragraph(f"{len(inner)} folders; up to {MOST_IN_FULL} are shown in full on one page.")
+        return
+    for number, part in enumerate(inner, 1):
+        name = part.relative_to(folder).as_posix()
         yield page.heading(name, anchor=f"folder-{name}")
-        yield from _all((each for each in found if each.path.parent == inner), AMONG_OTHERS, progress)
+        there = (each for each in found if each.path.parent == part)
+        yield from _all(there, AMONG_OTHERS, _counted(progress, f"{number} of {len(inner)} folders"))
+
+
+def _counted(progress: Progress, count: str) -> Progress:
+    return lambda text: progress(f"{count}, {text}")

@@ -44,7 +44,7 @@ def read(path: Path, kind: type[Kind]) -> Kind:
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(str(part) for part in first["loc"]) or "content"
-        raise CrosscheckError(f"{path}: {field}: {first['msg']}") from error
+        raise CrosscheckError(f"{path}: {field}: {first['msg'].removeprefix('Value error, ')}") from error
 
 
 def _json(path: Path) -> Any:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.html import drawing, page, plots
 from crosscheck.html.page import Cell, Markup, Progress
-from crosscheck.html.summary import Figure, Summary
+from crosscheck.html.summary import Figure, Mapped, Summary
 from newton_euler.scalars import Array
 from newton_euler.trajectory import load_arrays
 
@@ -28,6 +29,8 @@ PARTS = {
 def sections(summary: Summary, path: Path, shares: Sequence[float], progress: Progress) -> Iterator[Markup]:
     """Verdict, tables, pictures and settings; pictures of the mechanism at `shares` of the duration."""
     yield page.verdict(*summary.headline)
+    if summary.notes:
+        yield page.listing(summary.notes)
     if summary.advice:
         yield page.heading("Advice", 3)
         yield page.table(("", ""), ((piece.topic, piece.text) for piece in summary.advice))
@@ -36,7 +39,13 @@ def sections(summary: Summary, path: Path, shares: Sequence[float], progress: Pr
     yield from _pictures(path.parent, summary, shares, progress)
     yield page.heading("Settings", 3)
     yield from _settings(summary)
-    yield from _mapping(summary)
+    if summary.models is None:
+        yield from _mapping("the model file", summary.mapping, summary.start)
+        return
+    for model in summary.models:
+        yield page.heading(f"Model {model.name}", 3)
+        yield page.table(("", ""), [("source", model.source), ("options", _options(model.options))])
+        yield from _mapping(model.name, model.mapping, model.start)
 
 
 def _judged(value: float, allowed: float, agrees: bool, about: str) -> Cell:
@@ -146,13 +155,12 @@ def _runs(folder: Path, summary: Summary) -> dict[str, dict[str, Array]]:
 
 
 def _settings(summary: Summary) -> Iterator[Markup]:
-    options = ", ".join(f"{name}={value}" for name, value in summary.options.items())
     yield page.table(
         ("", ""),
         [
             ("scene", summary.scene),
             ("source", summary.source),
-            ("options", options or "none set"),
+            ("options", _options(summary.options)),
         ],
     )
     yield page.table(
@@ -164,13 +172,17 @@ def _settings(summary: Summary) -> Iterator[Markup]:
     yield page.table(("package", "version"), summary.versions.items())
 
 
-def _mapping(summary: Summary) -> Iterator[Markup]:
+def _options(options: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name}={value}" for name, value in options.items()) or "none set"
+
+
+def _mapping(file: str, mapping: Sequence[Mapped] | None, start: Sequence[str] | None) -> Iterator[Markup]:
     """What became of the elements of a model file, and where the run starts."""
-    if summary.mapping is not None:
-        yield page.heading("What became of the model file", 3)
-        for fate in dict.fromkeys(entry.fate for entry in reversed(summary.mapping)):
-            entries = [(entry.element, entry.how) for entry in summary.mapping if entry.fate == fate]
+    if mapping is not None:
+        yield page.heading(f"What became of {file}", 3)
+        for fate in dict.fromkeys(entry.fate for entry in reversed(mapping)):
+            entries = [(entry.element, entry.how) for entry in mapping if entry.fate == fate]
             yield page.details(f"{fate}: {len(entries)}", [page.table(("element", "how"), entries)])
-    if summary.start:
+    if start:
         yield page.heading("Start", 3)
-        yield page.listing(summary.start)
+        yield page.listing(start)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Self
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, model_validator
 
 from crosscheck.html.page import Cell
 from crosscheck.html.results import Headline, Results
@@ -59,8 +59,18 @@ class Advice(BaseModel):
     text: str
 
 
+class Model(BaseModel):
+    """One of two that were compared, see `crosscheck.against.compare.Model`."""
+
+    name: str
+    source: str
+    options: dict[str, Any]
+    mapping: list[Mapped] | None
+    start: list[str] | None
+
+
 class Summary(Results):
-    """See `crosscheck.run.Crosscheck.summary`."""
+    """See `crosscheck.run.Crosscheck.summary`, and `crosscheck.against.compare.Against.summary`."""
 
     scene: str
     source: str
@@ -76,6 +86,16 @@ class Summary(Results):
     figures: list[Figure]
     known_figures: list[KnownFigure]
     advice: list[Advice] = Field(default_factory=list)
+    models: list[Model] | None = Field(None, min_length=2, max_length=2)
+    notes: list[str] | None = None
+
+    @model_validator(mode="after")
+    def _of_two_models(self) -> Self:
+        """Two models and the notes about them come together."""
+        if (self.models is None) != (self.notes is None):
+            there, absent = ("models", "notes") if self.notes is None else ("notes", "models")
+            raise ValueError(f"{there} without {absent}; a comparison of two models has both")
+        return self
 
     @property
     def headline(self) -> Headline:

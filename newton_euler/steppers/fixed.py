@@ -30,7 +30,8 @@ CONTRADICTION = 1e-3
 """Share of the velocities by which accelerations within a step may contradict each other near a singular
 configuration. Chosen from runs of a parallelogram of bars without projection: those that went over to another
 branch had k3 - k2 of 8e-3 or more somewhere, good ones mostly less than 1e-3: some good ones are refused.
-Steps that pass with no stage near by are not looked at: without projection they open joints."""
+Steps that pass with no stage near by are not looked at: without projection they open joints, and
+`newton_euler.stabilize.check_still_closed` then refuses the run at its next output."""
 
 
 @native

@@ -119,16 +119,18 @@ def project(
     `position` writes the state after one Newton step, `velocity` the state with its velocities
     projected; both write the residual they found, squared, in place n and their health after it.
     `closing` does all of it where they are not healthy enough; it writes a number above 0 in place n if it
-    could.
+    could. After `NEWTON_STEPS` the residual is found once more, for what the last one left is what counts.
     """
     left = HUGE
-    for _ in range(NEWTON_STEPS):
+    for step in range(NEWTON_STEPS + 1):
         position(x, scratch)
         if not scratch[n + 1] > SURE:
             return project_densely(n, closing, x, scratch)
         before = left
         left = scratch[n]
         if left < tolerance * tolerance or left >= 0.25 * before:  # at round-off
+            break
+        if step == NEWTON_STEPS:
             break
         for i in range(n):
             x[i] = scratch[i]

@@ -12,7 +12,7 @@ from newton_euler.compiled import Code
 from newton_euler.errors import IntegrationError, NewtonEulerError
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.scalars import Array
-from newton_euler.stabilize import check_closed
+from newton_euler.stabilize import check_still_closed
 from newton_euler.steppers import march as m
 from newton_euler.system import at_time
 from newton_euler.trajectory import check_finite
@@ -54,7 +54,7 @@ class Outputs:
         results = results[:rows]
         arrays = named(self._code, results)
         if self._code.stabilization != "projection":
-            check_closed(self._code.scene, self._times, arrays["phi"])
+            check_still_closed(self._code.scene, self._times, arrays["phi"])
         if "reactions" in self._code.scene.outputs:
             self._settle_reactions(arrays)
         if not np.isfinite(results).all():

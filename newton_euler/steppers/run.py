@@ -7,7 +7,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from queue import SimpleQueue
 from typing import Any
 
@@ -56,30 +56,36 @@ def projector() -> NativeFunctions:
 def load(code: Code, integrator: str) -> None:
     """Have everything ready for a run.
 
-    LLVM works on one function while the next is traced: it lets go of the interpreter meanwhile.
+    LLVM works on one function while the next is traced: it lets go of the interpreter meanwhile. What ends
+    this early, an interrupt or a scene that is refused, leaves it to finish that one and begin no other.
     """
     needed = code.needed(integrator)
     if all(name in code.functions for name in needed):
         return
     import llvmlite.binding  # noqa: F401  before there are two threads to wait for each other
 
-    names: SimpleQueue[str] = SimpleQueue()
+    wanted: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
+    given_up = threading.Event()
 
     def compile_all() -> None:
         with suppress(Exception):  # what fails here fails again below
-            stepper(integrator), loops()
-            while name := names.get():
-                code.function(name)
+            while (make := wanted.get()) and not given_up.is_set():
+                make()
 
     compiler = threading.Thread(target=compile_all)
-    compiler.start()
     try:
+        compiler.start()
+        wanted.put(partial(stepper, integrator))
+        wanted.put(loops)
         for name in needed:
             code.program(name)
-            names.put(name)
-    finally:
-        names.put("")
+            wanted.put(partial(code.function, name))
+        wanted.put(None)
         compiler.join()
+    except BaseException:
+        given_up.set()
+        wanted.put(None)
+        raise
     stepper(integrator), loops()
     for name in needed:
         code.function(name)
