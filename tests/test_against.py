@@ -17,6 +17,8 @@ import mjcf.read
 import urdf.read
 from crosscheck.against import compare
 from crosscheck.against.compare import Against, Model, against
+from crosscheck.against.model import _functions_apart
+from crosscheck.against.placing import Features, Held, place
 from crosscheck.against.rigid import rigid
 from crosscheck.comparison.reactions import undetermined, undetermined_in_both
 from crosscheck.comparison.rows import LEVELS, START
@@ -25,11 +27,12 @@ from crosscheck.faults.plant import Plant
 from crosscheck.partial import UnfinishedError
 from newton_euler import Body, Mechanism, Scene
 from newton_euler.armature import Armature
-from newton_euler.couplings import Gear
+from newton_euler.couplings import Coupling, Gear
 from newton_euler.errors import IntegrationError
 from newton_euler.euler_parameters import from_rotation, from_rotation_vector, rotation
 from newton_euler.forces import PointSpring, Wrench
 from newton_euler.joints import Fixed, Revolute, Spherical
+from newton_euler.motions import Polynomial
 from newton_euler.trajectory import Trajectory
 
 LINKAGE = Path(__file__).parents[1] / "examples" / "linkage.xml"
@@ -265,6 +268,70 @@ def test_joints_of_another_kind_are_judged_by_the_motions_they_allow() -> None:
         assert first_failing(result)[::2] == ("kinematics", "pivot")
 
 
+STACKS = {
+    "hinge": '<joint name="h" axis="0 1 0"/>',
+    "slide": '<joint name="s" type="slide" axis="1 0 0"/>',
+    "ball": '<joint name="b" type="ball"/>',
+    "cylindrical": '<joint name="s" type="slide" axis="0 1 0"/><joint name="h" axis="0 1 0"/>',
+    "planar": '<joint name="s" type="slide" axis="1 0 0"/><joint name="t" type="slide" axis="0 0 1"/>'
+    '<joint name="h" axis="0 1 0"/>',
+    "table": '<joint name="s" type="slide" axis="1 0 0"/><joint name="t" type="slide" axis="0 0 1"/>'
+    '<joint name="h" axis="0 0 1"/>',
+    "pin in slot": '<joint name="s" type="slide" axis="1 0 0"/><joint name="h" axis="0 1 0"/>',
+    "universal": '<joint name="h" axis="1 0 0"/><joint name="i" axis="0 1 0"/>',
+    "three hinges": '<joint name="h" axis="1 0 0"/><joint name="i" axis="0 1 0"/>'
+    '<joint name="j" axis="0 0 1"/>',
+    "universal in slot": '<joint name="s" type="slide" axis="0 0 1"/><joint name="h" axis="1 0 0"/>'
+    '<joint name="i" axis="0 1 0"/>',
+    "ball in slot": '<joint name="s" type="slide" axis="1 0 0"/><joint name="b" type="ball"/>',
+}
+"""Joints of one body, from its parent on."""
+
+BALLS = {0.3: "0.9 0.1 0.3 0.2", -0.8: "0.8 -0.3 0.1 0.4"}
+"""Quaternions beside other coordinates."""
+
+
+def stacked(joints: list[str]) -> str:
+    """An arm, a body on it by these joints, and two keyframes of which nothing is zero."""
+    poses = []
+    for x, ball in BALLS.items():
+        own = (ball if "ball" in joint else f"{x / (1.0 + k)}" for k, joint in enumerate(joints))
+        poses.append(" ".join([f"{0.4 * x}", *own]))
+    return f"""<mujoco><compiler angle="radian"/><worldbody><body name="arm"><joint name="a" axis="0 1 0"/>
+    <inertial pos="0.02 0 0.05" mass="0.3" diaginertia="2e-3 2.1e-3 1e-4"/><body name="pin" pos="0 0 0.1">
+    {"".join(joints)}<inertial pos="0.05 0.01 0.03" mass="0.5"
+    fullinertia="3e-3 4e-3 3.5e-3 1e-4 2e-4 1.5e-4"/></body></body></worldbody>
+    <keyframe><key name="k0" qpos="{poses[0]}"/><key name="k1" qpos="{poses[1]}"/></keyframe></mujoco>"""
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("kind", STACKS)
+def test_another_keyframe_of_one_file_is_another_start(tmp_path: Path, kind: str, backwards: bool) -> None:
+    """Only a motion's axis that the others do not turn in a body is that body's."""
+    joints = re.findall("<joint[^>]*>", STACKS[kind])
+    model = tmp_path / "model.xml"
+    model.write_text(stacked(joints[::-1] if backwards else joints))
+    first, second = (mjcf.read.read(model, key).scene for key in ("k0", "k1"))
+    result = compared(first, second)
+    assert first_failing(result)[0] == START
+    figures = [row for row in result.rows if row.level == "model" and not row.informs]
+    assert all(row.value < ROUND_OFF for row in figures)
+
+
+def test_of_equal_ways_the_one_that_keeps_the_inertia_is_taken() -> None:
+    """An axis 0.1 rad off beside an inertia 0.1 * (3 - 1) / 3 off, at starts that tell nothing."""
+    turn = rotation(from_rotation_vector(np.array([0.0, 0.0, 0.1])))
+    other = rotation(from_rotation_vector(np.array([1.0, 2.0, 0.5])))
+    inertia, axis = np.diag([1.0, 3.0, 3.0]), np.array([0.0, 1.0, 0.0])
+
+    def carried(axis, pose, stated) -> Features:
+        joint = Held(np.zeros(3), np.zeros((3, 0)), (("hinge", axis),))
+        return Features(inertia, (joint,), (np.zeros(3), pose), stated)
+
+    way = place(carried(axis, np.eye(3), np.eye(3)), carried(turn @ axis, other, turn.T), 1.0)
+    np.testing.assert_allclose(way.turn, np.eye(3), atol=1e-15)
+
+
 def test_gears_are_compared_by_what_they_couple() -> None:
     def geared(ratio: float, sign: float = 1.0) -> Scene:
         bodies = [Body.ground(), bar("left", [0, 0, 0], [0, 0, 1]), bar("right", [1, 0, 0], [1, 0, 1])]
@@ -280,6 +347,18 @@ def test_gears_are_compared_by_what_they_couple() -> None:
     assert first_failing(result) == ("model", "couplings", "wheels")
 
 
+def test_functions_of_coupled_coordinates_are_compared_whatever_they_are_multiplied_by() -> None:
+    scene, keys = pendulum(), (("on_left", 0), ("on_right", 0))
+
+    def coupling(scale: float, speed: float) -> Coupling:
+        factors = dict(zip(keys, (scale, -2.0 * scale), strict=True))
+        return Coupling("gear", "wheels", "on_left", factors, Polynomial((0.0, scale * speed)), False)
+
+    one, two, faster = coupling(1.0, 0.7), coupling(-3.0, 0.7), coupling(-3.0, 0.7 * (1.0 + FAULT))
+    assert _functions_apart(scene, one, two, one.factors) < ROUND_OFF
+    assert _functions_apart(scene, one, faster, one.factors) == pytest.approx(FAULT, rel=1e-9)
+
+
 def test_bodies_without_partner_are_named() -> None:
     other = pendulum()
     names = {"ground": "ground", "rod": "stick"}
@@ -293,6 +372,7 @@ def test_bodies_without_partner_are_named() -> None:
     result = compared(other, stranger)
     assert first_failing(result) == ("model", "bodies without partner", "rod, stick")
     assert list(result.runs) == ["a"]
+    assert result.notes == ("bodies are paired by their names, and what is left by the names of its joints",)
 
 
 def test_bodies_fixed_to_each_other_are_one_rigid_body() -> None:
@@ -378,7 +458,22 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
             ("tracker", "--against", "tracker", "--engines", "mujoco"),
             "by newton_euler alone, without --engines",
         ),
-        (("tracker", "--against", "tracker", "--against-loops", "l.yaml"), "only a URDF has a loop file"),
+        (
+            ("tracker", "--against", "tracker", "--engines", "newton_euler,mujoco,pinocchio"),
+            "by newton_euler alone, without --engines",
+        ),
+        (
+            ("tracker", "--against", "tracker", "--against-loops", "l.yaml"),
+            "--against-loops l.yaml: only a URDF has a loop file",
+        ),
+        (
+            ("tracker", "--against", "tracker", "--against-set", "foo"),
+            "--against-set 'foo' is not of the form",
+        ),
+        (
+            ("tracker", "--against", LINKAGE, "--against-set", "duration=0.5"),
+            "--against-set duration: both models have the first's, see --set",
+        ),
         (("--all", "--against", "tracker"), "--all runs all scenes"),
         (("tracker", "--against", "none.xml"), "none.xml: cannot be read"),
     ],

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from crosscheck.against.align import Aligned
+from crosscheck.against.worst import worst_row
 from crosscheck.comparison.reactions import determined, undetermined_in_both
 from crosscheck.comparison.rows import EPSILON, Row, round_off
 from crosscheck.comparison.samples import Samples, Scales
@@ -31,16 +32,12 @@ def acceleration_rows(
     tolerance, looser = round_off(constraints * masses), round_off(constraints**2 * masses)
     scales, mechanism = Scales(first), states.scene.mechanism
 
-    def row(quantity: str, gap: Array, tolerance: float, names: Sequence[str]) -> Row:
-        worst = gap.max(axis=0)
-        return Row(LEVEL, quantity, pair, float(worst.max()), tolerance, names[int(np.argmax(worst))])
-
     for quantity, name, unit in (
         ("linear acceleration, rel", "linear_acceleration", 1.0),
         ("angular acceleration, rel", "angular_acceleration", scales.size),
     ):
         gap = np.linalg.norm(first.stack(name) - second.stack(name), axis=-1) * unit / scales.acceleration
-        yield row(quantity, gap, tolerance, mechanism.body_names)
+        yield worst_row(LEVEL, quantity, pair, gap, tolerance, mechanism.body_names)
     if not aligned.joints:
         return
     force, torque = (first.stack(name) for name in ("reaction_force", "reaction_torque"))
@@ -54,9 +51,11 @@ def acceleration_rows(
     free = [undetermined_in_both(states.scene, aligned.second, aligned.joints, state) for state in states.all]
     force, torque = determined(force, torque, free, scales.size)
     names = mechanism.joint_names
-    yield row("reaction force, rel", np.linalg.norm(force, axis=2) / scales.force, looser, names)
-    arm = scales.force * scales.size
-    yield row("reaction torque, rel", np.linalg.norm(torque, axis=2) / arm, looser, names)
+    for quantity, vector, unit in (
+        ("reaction force, rel", force, scales.force),
+        ("reaction torque, rel", torque, scales.force * scales.size),
+    ):
+        yield worst_row(LEVEL, quantity, pair, np.linalg.norm(vector, axis=2) / unit, looser, names)
 
 
 def reactions_in_first(

@@ -27,6 +27,7 @@ class Aligned:
             is a state of the other as far as centres of mass agree. Joints are its own. None if a body has
             no partner.
         alone: names of bodies that only the first or only the second model has.
+        bodies: the first's name of each body that both have, by the second's.
         joints: the second's name of each joint of the first that both have.
         coordinates: the second's of each joint coordinate of the first that both have.
         placed: for each body where it lies in the first's.
@@ -36,6 +37,7 @@ class Aligned:
     first: Scene
     second: Scene | None
     alone: tuple[tuple[str, ...], tuple[str, ...]]
+    bodies: Mapping[str, str]
     joints: Mapping[str, str]
     coordinates: Mapping[Key, Other]
     placed: tuple[Placed, ...]
@@ -53,7 +55,8 @@ def align(first: Scene, second: Scene) -> Aligned:
         if second_of[other] != first_of[name] and other != second.mechanism.body_names[0]
     ]
     if any(bodies.alone):
-        return Aligned(first, None, bodies.alone, {}, {}, (), tuple(notes))
+        notes.append("bodies are paired by their names, and what is left by the names of its joints")
+        return Aligned(first, None, bodies.alone, bodies.names, {}, {}, (), tuple(notes))
     second = _renamed(second, bodies.names, first)
     joints = pair_joints(first.mechanism, second.mechanism)
     names = [carried(first.mechanism, joints, body) for body in first.mechanism.body_names]
@@ -71,7 +74,7 @@ def align(first: Scene, second: Scene) -> Aligned:
     second = _reframed(second, placed)
     coordinates = pair_coordinates(first.mechanism, second.mechanism, joints)
     notes += _joint_notes(first.mechanism, second.mechanism, joints, coordinates)
-    return Aligned(first, second, bodies.alone, joints, coordinates, placed, tuple(notes))
+    return Aligned(first, second, bodies.alone, bodies.names, joints, coordinates, placed, tuple(notes))
 
 
 def _renamed(scene: Scene, names: Mapping[str, str], like: Scene) -> Scene:

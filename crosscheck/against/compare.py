@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -14,19 +15,18 @@ from crosscheck.against.accelerations import acceleration_rows, reactions_in_fir
 from crosscheck.against.align import Aligned, align
 from crosscheck.against.dynamics import dynamics_rows
 from crosscheck.against.kinematics import kinematics_rows
-from crosscheck.against.model import beside_the_worst, bodies_row, model_rows, start_rows
+from crosscheck.against.model import beside_the_worst, bodies_row, differences, model_rows, start_rows
+from crosscheck.against.uncompared import Uncompared, uncompared
 from crosscheck.comparison.rows import Row
 from crosscheck.comparison.runs import compare_runs, rests
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.each_run import check_figures, each_run
 from crosscheck.engines import ENGINES, Engine
-from crosscheck.errors import CrosscheckError
 from crosscheck.limit import SHORTER, limited
-from crosscheck.partial import UnfinishedError
+from crosscheck.partial import UnfinishedError, reason_of
 from crosscheck.run import Crosscheck, Progress
 from crosscheck.scenes.options import titled
 from newton_euler.assemble import random_states
-from newton_euler.errors import NewtonEulerError
 from newton_euler.mapping import Mapping as Report
 from newton_euler.relative import Relative
 from newton_euler.scene import Scene
@@ -70,10 +70,12 @@ class Against(Crosscheck):
 
     Attributes:
         models: the two.
+        uncompared: what differs and no figure is about.
         notes: what people should know beside the figures: what was taken for what, and all that differs.
     """
 
     models: tuple[Model, Model] = field(kw_only=True)
+    uncompared: tuple[Uncompared, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -89,8 +91,8 @@ class Against(Crosscheck):
 
     @property
     def agrees(self) -> bool:
-        """Whether every figure is within its tolerance."""
-        return all(row.agrees for row in self.rows)
+        """Whether every figure is within its tolerance, and nothing else differs that moves the mechanism."""
+        return all(row.agrees for row in self.rows) and not any(other.moves for other in self.uncompared)
 
     @property
     def verdict(self) -> str:
@@ -99,8 +101,14 @@ class Against(Crosscheck):
         failed = [row for row in judged if not row.agrees]
         names = " and ".join(model.title for model in self.models)
         if not failed:
-            still = "; nothing moves" if self.rests else ""
-            return f"SAME: {names} agree in all {len(judged)} figures{still}"
+            agree = f"{names} agree in all {len(judged)} figures" + ("; nothing moves" if self.rests else "")
+            if moving := [other for other in self.uncompared if other.moves]:
+                more = f" (and {len(moving) - 1} more)" if len(moving) > 1 else ""
+                return f"DIFFERENT in what is not compared: {moving[0].text}{more}; {agree}"
+            if others := self.uncompared:
+                count = "1 element" if len(others) == 1 else f"{len(others)} elements"
+                return f"SAME: {agree}; not compared and different: {count}, first {others[0].text}"
+            return f"SAME: {agree}"
         row = failed[0]
         return (
             f"DIFFERENT: {names} part at level '{row.level}': {row.quantity}: {row.value:.3g} > "
@@ -141,6 +149,7 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
     engines = [_engine(name, scene, aligned) for name, scene in zip(pair, scenes, strict=True)]
     with limited("comparing equations", SHORTER, progress):
         rows, notes, energy = _equations_compared(pair, aligned)
+        others = tuple(uncompared(first, second, aligned))
     # bodies that have no partners cannot be laid over the first's
     able = engines[:1] if aligned.second is None else engines
     runs = each_run(aligned.first, able, progress, lambda: rows)
@@ -153,24 +162,28 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
             with limited("comparing runs", SHORTER, progress):
                 rows += compare_runs(aligned.first, engines, pairs, energy)
             check_figures(rows)
-        except (CrosscheckError, NewtonEulerError) as error:
-            raise UnfinishedError(str(error), runs) from error
+        except Exception as error:  # runs are kept whatever goes wrong with their comparison
+            raise UnfinishedError(reason_of(error), runs) from error
+    same_file = os.path.realpath(first.source) == os.path.realpath(second.source)
+    if same_file and first.options == second.options:
+        notes.insert(0, f"both are {first.title}: one model against itself")
     scene = replace(
         aligned.first, name=together((first, second)), description="newton_euler's equations of each"
     )
     return Against(
-        first.source,
-        first.options,
-        scene,
-        tuple(engines),
-        {},
-        runs,
-        tuple(rows),
-        (),
-        time.perf_counter() - begun,
-        first.mapping,
+        source=first.source,
+        options=first.options,
+        scene=scene,
+        engines=tuple(engines),
+        left_out={},
+        runs=runs,
+        rows=tuple(rows),
+        measured=(),
+        wall_time=time.perf_counter() - begun,
+        mapping=first.mapping,
         models=(first, second),
-        notes=(*aligned.notes, *notes),
+        uncompared=others,
+        notes=(*aligned.notes, *notes, *map(str, others)),
     )
 
 
@@ -232,7 +245,8 @@ def _equations_compared(pair: tuple[str, str], aligned: Aligned) -> tuple[list[R
     scene = aligned.first
     start = States(scene, (scene.initial_state,))
     starts = list(start_rows(pair, aligned, Samples(Relative(scene), start).condition))
-    notes = list(beside_the_worst(aligned))
+    found = tuple(differences(aligned))
+    notes = list(beside_the_worst(found))
     if apart := [row for row in starts if not row.agrees]:
         told = "; ".join(f"{row.quantity}: {row.value:.1e} at {row.where}" for row in apart)
         notes.insert(0, f"starts differ: {told}; the models are compared where their bodies coincide best")
@@ -240,16 +254,16 @@ def _equations_compared(pair: tuple[str, str], aligned: Aligned) -> tuple[list[R
 
     def parts(level: Iterable[Row]) -> bool:
         """Whether the models part at a level; the later ones are not worked out then."""
-        found = list(level)
-        check_figures(found)
-        rows.extend(found)
-        failed = [row for row in found if not row.agrees]
+        figures = list(level)
+        check_figures(figures)
+        rows.extend(figures)
+        failed = [row for row in figures if not row.agrees]
         if len(failed) > 1:
             also = "; ".join(f"{row.quantity}: {row.value:.1e} at {row.where}" for row in failed[1:])
             notes.append(f"differs too at level {failed[0].level!r}: {also}")
         return bool(failed)
 
-    if parts(model_rows(pair, aligned)) or parts(starts):
+    if parts(model_rows(pair, aligned, found)) or parts(starts):
         return rows, notes, None
     states = States(scene, (scene.initial_state, *random_states(scene, RANDOM_STATES)))
     first, second = Samples(Relative(scene), states), Samples(Relative(aligned.second), states)

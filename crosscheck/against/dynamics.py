@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from crosscheck.against.align import Aligned
+from crosscheck.against.worst import worst_row
 from crosscheck.comparison.dynamics import motion_rows
 from crosscheck.comparison.rows import Row, round_off
 from crosscheck.comparison.samples import Samples, Scales
@@ -29,36 +30,35 @@ def dynamics_rows(pair: tuple[str, str], aligned: Aligned, first: Samples, secon
     scales = Scales(first)
     failed: list[str] = []
 
-    def row(quantity: str, gaps: Mapping[str, float]) -> Row:
-        worst = max(gaps, key=lambda name: gaps[name])
-        found = Row(LEVEL, quantity, pair, gaps[worst], share, worst)
+    def noted(quantity: str, gaps: Mapping[str, float]) -> Row:
+        found = worst_row(LEVEL, quantity, pair, np.array(list(gaps.values())), share, tuple(gaps))
         if not found.agrees:
-            failed.append(worst)
+            failed.append(found.where)
         return found
 
     gravity = [scene.gravity for scene in scenes]
     strength = float(np.max(np.linalg.norm(gravity, axis=1)))
-    yield row(
+    yield noted(
         "gravity, rel",
         {"gravity": float(np.linalg.norm(gravity[1] - gravity[0])) / strength if strength else 0.0},
     )
     rotors = [{a.key: np.array([a.inertia]) for a in scene.armatures} for scene in scenes]
     if any(rotors):
         largest = max(a.inertia for scene in scenes for a in scene.armatures)
-        yield row("rotor inertia, rel", _apart(aligned, rotors, lambda _: largest, sensed=False))
+        yield noted("rotor inertia, rel", _apart(aligned, rotors, lambda _: largest, sensed=False))
     for quantity, acting in (
         ("actuator force, rel", [_forces(scene, scene.control, first) for scene in scenes]),
         ("spring force, rel", [_forces(scene, _springs(scene), first) for scene in scenes]),
     ):
         if any(acting):
             largest = float(np.max(np.abs([values for found in acting for values in found.values()])))
-            yield row(quantity, _apart(aligned, acting, _units(scenes[0], scales, largest)))
+            yield noted(quantity, _apart(aligned, acting, _units(scenes[0], scales, largest)))
     wrenches = np.array([[_wrenches(scene, state) for state in first.states.all] for scene in scenes])
     if np.any(wrenches):
         wrenches[..., 3:] /= scales.size
         unit = max(scales.force, float(np.max(np.abs(wrenches))))
         gap = np.abs(wrenches[1] - wrenches[0]).max(axis=(0, 2)) / unit
-        yield row(
+        yield noted(
             "forces on bodies, rel", dict(zip(scenes[0].mechanism.body_names, gap.tolist(), strict=True))
         )
     yield from motion_rows(pair, first, second, lambda _: failed[0] if failed else None)

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from crosscheck.against.align import Aligned
 from crosscheck.against.placing import Held, anyhow_apart, axes_apart, held, inertia_apart, points_apart
+from crosscheck.against.worst import worst_row
 from crosscheck.comparison.rows import ROUND_OFF, START, Row, reach, round_off
 from newton_euler.couplings import Coupling, couplings
 from newton_euler.euler_parameters import angle_between, rotation
 from newton_euler.measured import Key
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
-
-POINTS = "joint points, m"
 
 MOST_NAMED = 4
 """Bodies or joints that are told of beside the worst."""
@@ -27,8 +27,20 @@ def bodies_row(pair: tuple[str, str], aligned: Aligned) -> Row:
     return Row("model", "bodies without partner", pair, float(len(alone)), 0.5, ", ".join(alone))
 
 
-def differences(aligned: Aligned) -> Iterator[tuple[str, Array, float, Sequence[str]]]:
-    """Of each quantity of the models the difference for each body or joint, what it may be, and their names.
+class Difference(NamedTuple):
+    """Of one quantity of the models."""
+
+    quantity: str
+    gap: Array
+    """(n,) for each body, joint or coupling."""
+    tolerance: float
+    names: Sequence[str]
+    elsewhere: Array | None = None
+    """(n,) m, of points of joints: the difference if what a kind of joint leaves open counts too."""
+
+
+def differences(aligned: Aligned) -> Iterator[Difference]:
+    """Of each quantity of the models the difference for each body or joint.
 
     Each is taken in the bodies' frames, wherever the bodies start. Points of joints count as far as their
     kinds tell them, and axes as lines.
@@ -37,47 +49,45 @@ def differences(aligned: Aligned) -> Iterator[tuple[str, Array, float, Sequence[
     a, b, placed = aligned.first.mechanism, aligned.second.mechanism, aligned.placed[1:]
     bodies = a.body_names[1:]
     masses = np.array([[body.mass for body in mechanism.bodies[1:]] for mechanism in (a, b)])
-    yield "mass, rel", np.abs(masses[1] - masses[0]) / masses[0], ROUND_OFF, bodies
+    yield Difference("mass, rel", np.abs(masses[1] - masses[0]) / masses[0], ROUND_OFF, bodies)
     length = ROUND_OFF * reach(aligned.first, aligned.first.initial_state.position)
-    yield "centre of mass, m", np.array([np.linalg.norm(way.center) for way in placed]), length, bodies
+    centers = np.array([np.linalg.norm(way.center) for way in placed])
+    yield Difference("centre of mass, m", centers, length, bodies)
     # both are in the first's frames
     inertia = [inertia_apart(x.inertia, y.inertia) for x, y in zip(a.bodies[1:], b.bodies[1:], strict=True)]
-    yield "inertia, rel", np.array(inertia), ROUND_OFF, bodies
+    yield Difference("inertia, rel", np.array(inertia), ROUND_OFF, bodies)
     joints = tuple(aligned.joints)
     if joints:
-        axes = [_on_bodies(aligned, name, axes_apart) for name in joints]
-        yield "joint axes, rad", np.array(axes), ROUND_OFF, joints
-        points = [_on_bodies(aligned, name, points_apart) for name in joints]
-        yield POINTS, np.array(points), length, joints
+        axes, points, elsewhere = np.array([_on_bodies(aligned, name) for name in joints]).T
+        yield Difference("joint axes, rad", axes, ROUND_OFF, joints)
+        yield Difference("joint points, m", points, length, joints, elsewhere)
     coupled = dict(_couplings_apart(aligned))
     if coupled:
-        yield "couplings, rel", np.array(list(coupled.values())), ROUND_OFF, tuple(coupled)
+        yield Difference("couplings, rel", np.array(list(coupled.values())), ROUND_OFF, tuple(coupled))
 
 
-def model_rows(pair: tuple[str, str], aligned: Aligned) -> Iterator[Row]:
-    """The largest of each of `differences`, and how many joints are of other kinds, which the levels after
-    this have to judge: a ball closes a plane loop as a hinge does."""
+def model_rows(pair: tuple[str, str], aligned: Aligned, found: Sequence[Difference]) -> Iterator[Row]:
+    """The largest of each of the `differences` found, and how many joints are of other kinds, which the
+    levels after this have to judge: a ball closes a plane loop as a hinge does."""
     yield bodies_row(pair, aligned)
     other = [name for name in aligned.joints if not same_kind(aligned, name)]
     yield Row("model", "joints of another kind", pair, float(len(other)), 0.0, ", ".join(other), informs=True)
-    for quantity, gap, tolerance, names in differences(aligned):
-        worst = int(np.argmax(gap))
-        yield Row("model", quantity, pair, float(gap[worst]), tolerance, names[worst])
+    for quantity, gap, tolerance, names, _ in found:
+        yield worst_row("model", quantity, pair, gap, tolerance, names)
 
 
-def beside_the_worst(aligned: Aligned) -> Iterator[str]:
+def beside_the_worst(found: Sequence[Difference]) -> Iterator[str]:
     """What else of a quantity differs where several bodies or joints do, in words, and what lies elsewhere
     without making a difference."""
-    for quantity, gap, tolerance, names in differences(aligned):
+    for quantity, gap, tolerance, names, elsewhere in found:
         order = [int(k) for k in np.argsort(-gap) if not gap[k] <= tolerance]
         if len(order) > 1:
             told = ", ".join(f"{names[k]} {gap[k]:.1e}" for k in order[:MOST_NAMED])
             more = len(order) - MOST_NAMED
             yield f"{quantity} differs at {told}" + (f" and {more} more" if more > 0 else "")
-        if quantity == POINTS:
-            for k, name in enumerate(names):
-                far = _on_bodies(aligned, name, anyhow_apart)
-                if gap[k] <= tolerance < far:
+        if elsewhere is not None:
+            for name, apart, far in zip(names, gap, elsewhere, strict=True):
+                if apart <= tolerance < far:
                     yield f"the point of joint {name} is {far:.1e} m elsewhere on what is one joint"
 
 
@@ -111,16 +121,16 @@ def start_rows(pair: tuple[str, str], aligned: Aligned, condition: float) -> Ite
             share,
         ),
     ):
-        worst = int(np.argmax(gap))
-        yield Row(START, quantity, pair, float(gap[worst]), tolerance, names[worst])
+        yield worst_row(START, quantity, pair, gap, tolerance, names)
 
 
-def _on_bodies(aligned: Aligned, name: str, apart: Callable[..., float]) -> float:
-    """The larger of a difference of a joint on its two bodies."""
+def _on_bodies(aligned: Aligned, name: str) -> Array:
+    """(3,) how far a joint's axes are apart, its points, and its points whatever its kind leaves open: the
+    larger on its two bodies."""
     assert aligned.second is not None
     a, b = aligned.first.mechanism, aligned.second.mechanism
     one, two = a.joints[a.joint_index(name)], b.joints[b.joint_index(aligned.joints[name])]
-    found = 0.0
+    found = np.zeros(3)
     for body in (one.first, one.second):
         k = a.body_index(body)
         parts = []
@@ -130,7 +140,8 @@ def _on_bodies(aligned: Aligned, name: str, apart: Callable[..., float]) -> floa
             axes = tuple((kind, pose.vector_to_body(axis)) for kind, axis in axes)
             parts.append(Held(pose.point_to_body(point), pose.rotation.T @ loose, axes))
         way = aligned.placed[k]._replace(turn=np.eye(3))  # the second's frames are the first's by now
-        found = max(found, apart(*parts, way))
+        apart = [measure(parts[0], parts[1], way) for measure in (axes_apart, points_apart, anyhow_apart)]
+        found = np.maximum(found, apart)
     return found
 
 
@@ -176,9 +187,9 @@ def _factors_apart(one: Mapping[Key, float], two: Mapping[Key, float]) -> float:
 
 
 def _functions_apart(scene: Scene, one: Coupling, two: Coupling, factors: Mapping[Key, float]) -> float:
-    """Of time, from where they begin, relative to how far they go."""
+    """Of time, from where they begin, relative to how far they go, whatever both are multiplied by."""
     if one.function is None or two.function is None:
         return float(one.function is not two.function)
-    (sense,) = factors.values()
+    c, d = (np.array([its[key] for key in factors]) for its in (factors, two.factors))
     a, b = (np.array([f.value(t) - f.value(0.0) for t in scene.times]) for f in (one.function, two.function))
-    return float(np.max(np.abs(sense * b - a)) / max(float(np.max(np.abs(a))), 1e-12))
+    return float(np.max(np.abs((c @ d) / (d @ d) * b - a)) / max(float(np.max(np.abs(a))), 1e-12))

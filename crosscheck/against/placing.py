@@ -16,6 +16,7 @@ import numpy as np
 
 from newton_euler.euler_parameters import rotation
 from newton_euler.joints import Joint
+from newton_euler.joints.base import Motion
 from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -25,6 +26,10 @@ COINCIDES = 1e-12
 
 BETTER = 0.5
 """Decades in all by which another way has to be better than one before it."""
+
+PARALLEL = 1.0 - 1e-6
+"""Cosine between axes that are taken for parallel: a small fault of one of the two of a cylindrical joint
+leaves both on both bodies."""
 
 MOST_WAYS = 20
 """Pairs of directions that are tried on a body."""
@@ -51,23 +56,56 @@ class Placed(NamedTuple):
 
 
 def held(joint: Joint, body: str) -> Held:
-    """What a joint holds on the body of that name."""
+    """What a joint holds on the body of that name.
+
+    Slides turn nothing, so that a body carries the axis of a motion if only slides and hinges parallel to it
+    are between the two.
+    """
     is_first = joint.first == body
     point = joint.point if is_first else joint.reaction_point
     if joint.only_closes:
         return Held(point, np.zeros((3, 0)), ())
-    slides = [motion.axis for motion in joint.motions if motion.kind == "slide"]
-    hinges = [motion.axis for motion in joint.motions if motion.kind == "hinge"]
-    ball = any(motion.kind == "ball" for motion in joint.motions)
-    both = len(hinges) <= 1 and not ball
-    """Whether both bodies carry all axes."""
-    axes = [("hinge", axis) for axis in (hinges if both else hinges[:1] if is_first else hinges[-1:])]
-    if len(slides) < 3 and (both or is_first):
-        axes += [("normal", _normal(*slides))] if len(slides) == 2 else [("slide", axis) for axis in slides]
-    if len(slides) == 3 or not (hinges or ball):
-        return Held(point, np.eye(3), tuple(axes))
-    loose = (slides if both or is_first else []) + (hinges if both else [])
+    motions = joint.motions if is_first else joint.motions[::-1]
+    """From this body to the other."""
+    slides = [motion.axis for motion in motions if motion.kind == "slide"]
+    if len(slides) == 3 or len(slides) == len(motions):
+        loose = [*np.eye(3)]
+    else:
+        loose = _axes(motions, "slide")
+        # a hinge that both bodies carry leaves open where on its line the point is
+        others = _axes(motions[::-1], "hinge")
+        loose += [axis for axis in _axes(motions, "hinge") if any(axis is other for other in others)]
+    axes = [("hinge", axis) for axis in _axes(motions, "hinge")]
+    if len(slides) == 2 and _carries_plane(motions, _normal(*slides)):
+        axes.append(("normal", _normal(*slides)))
+        if len(slides) < len(motions):
+            loose += slides
+    elif len(slides) < 3:
+        axes += [("slide", axis) for axis in _axes(motions, "slide")]
     return Held(point, np.array(loose).reshape(-1, 3).T, tuple(axes))
+
+
+def _axes(motions: Sequence[Motion], kind: str) -> list[Array]:
+    """Axes of the motions of a kind that the body carries from which the motions are counted."""
+    return [
+        motion.axis
+        for n, motion in enumerate(motions)
+        if motion.kind == kind and _turns_about(motions[:n], motion.axis)
+    ]
+
+
+def _carries_plane(motions: Sequence[Motion], normal: Array) -> bool:
+    """Whether the body carries the plane of two slides."""
+    last = max(n for n, motion in enumerate(motions) if motion.kind == "slide")
+    return _turns_about(motions[:last], normal)
+
+
+def _turns_about(motions: Sequence[Motion], axis: Array) -> bool:
+    """Whether motions leave a direction where it is, whatever their coordinates are."""
+    return all(
+        motion.kind == "slide" or (motion.kind == "hinge" and abs(motion.axis @ axis) > PARALLEL)
+        for motion in motions
+    )
 
 
 def _normal(a: Array, b: Array) -> Array:
@@ -93,23 +131,31 @@ def features(scene: Scene, body: int, joints: Sequence[str]) -> Features:
     found = []
     for name in joints:
         joint = mechanism.joints[mechanism.joint_index(name)]
-        if its.name in (joint.first, joint.second):
-            point, loose, axes = held(joint, its.name)
-            into = its.pose.rotation.T
-            local = tuple((kind, into @ axis) for kind, axis in axes)
-            found.append(Held(its.pose.point_to_body(point), into @ loose, local))
+        point, loose, axes = held(joint, its.name)
+        into = its.pose.rotation.T
+        local = tuple((kind, into @ axis) for kind, axis in axes)
+        found.append(Held(its.pose.point_to_body(point), into @ loose, local))
     pose = start.position[body], rotation(start.quaternion[body])
     return Features(its.inertia, tuple(found), pose, its.pose.rotation)
 
 
 def place(first: Features, second: Features, size: float) -> Placed:
-    """The way to lay a body of the second model on the first's in which the most coincides."""
-    best, least = None, np.inf
+    """The way to lay a body of the second model on the first's in which the most coincides.
+
+    Of ways as good as each other one that leaves centre of mass and inertia as they are, wherever the body
+    starts then if it starts elsewhere in both.
+    """
+    best, least = None, (np.inf, np.inf, False)
     for way in _ways(first, second):
         parts = [*_distances(first, second, way, size), _elsewhere(first, second, way, size)]
-        total = float(np.sum(np.log10(np.maximum(parts, COINCIDES))))
-        if total < least - BETTER:
-            best, least = way, total
+        decades = np.log10(np.maximum(parts, COINCIDES))
+        own, start = float(np.sum(decades[:-1])), float(decades[-1])
+        keeps = max(parts[:2]) <= COINCIDES
+        ahead = own + start - (least[0] + least[1])
+        if keeps != least[2] and min(start, least[1]) > np.log10(COINCIDES):
+            ahead = own - least[0]
+        if ahead < -BETTER or (keeps and not least[2] and ahead < BETTER):
+            best, least = way, (own, start, keeps)
         if max(parts) <= COINCIDES:
             break
     assert best is not None

@@ -36,7 +36,7 @@ ALL_ENGINES = "newton_euler,mujoco,pinocchio"
 @cli.command("run")
 @click.argument("scene", required=False)
 @click.option("--all", "library", is_flag=True, help="Run all scenes of the library, a line each.")
-@click.option("--engines", default=ALL_ENGINES, show_default=True, help="Comma-separated.")
+@click.option("--engines", help=f"Comma-separated.  [default: {ALL_ENGINES}]")
 @setting_options
 @click.option("--against", metavar="MODEL", help="Compare with another model instead, by newton_euler alone.")
 @click.option("--against-loops", metavar="FILE", help="Loop file of that model if it is a URDF.")
@@ -53,7 +53,7 @@ ALL_ENGINES = "newton_euler,mujoco,pinocchio"
 def run_command(
     scene: str | None,
     library: bool,
-    engines: str,
+    engines: str | None,
     settings: tuple[str, ...],
     against: str | None,
     against_loops: str | None,
@@ -68,14 +68,14 @@ def run_command(
     unless it is told to go elsewhere.
     """
     destination = Destination(**recording)
-    wanted = [name.strip() for name in engines.split(",") if name.strip()]
+    wanted = [name.strip() for name in (engines or ALL_ENGINES).split(",") if name.strip()]
     if library:
         if scene or settings or loops or against or destination != Destination():
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
         return _run_all(wanted, output or Path("output"))
     if against is None and (against_loops or against_settings):
         raise CrosscheckError("--against-loops and --against-set are options of the model of --against")
-    if against is not None and engines != ALL_ENGINES:
+    if against is not None and engines is not None:
         raise CrosscheckError("--against compares two models by newton_euler alone, without --engines")
     destination.check()
     with redirect_stdout(sys.stderr) if destination.stdout else nullcontext():
@@ -128,8 +128,11 @@ def _models(*named: tuple[str, tuple[str, ...], str | None]) -> tuple[Model, Mod
     paths = [Path(source) for source, *_ in named]
     alike = paths[0].stem == paths[1].stem
     found: list[Model] = []
-    for path, (source, settings, loops) in zip(paths, named, strict=True):
-        options = scene_options(source, settings, loops)
+    for path, prefix, (source, settings, loops) in zip(paths, ("", "against-"), named, strict=True):
+        options = scene_options(source, settings, loops, prefix)
+        for option in ("duration", "output_period"):
+            if prefix and option in options:
+                raise CrosscheckError(f"--against-set {option}: both models have the first's, see --set")
         name = unique_name(path.name if alike else path.stem, "model", [model.name for model in found])
         found.append(Model(name, source, options, *load_scene(source, options)))
     first, second = found

@@ -56,23 +56,26 @@ def recording_options(command: Callable[..., int]) -> Callable[..., int]:
     return command
 
 
-def scene_options(scene: str, settings: tuple[str, ...], loops: str | None) -> dict[str, str]:
-    """Options of a scene by name, out of `--set` and `--loops`."""
+def scene_options(
+    scene: str, settings: tuple[str, ...], loops: str | None, prefix: str = ""
+) -> dict[str, str]:
+    """Options of a scene by name, out of `--set` and `--loops`, whose names may have a prefix."""
     from crosscheck.model_files.read import is_urdf
 
     options = {}
     for setting in settings:
         key, equals, value = setting.partition("=")
         if not (key and equals and value):
-            raise CrosscheckError(f"--set {setting!r} is not of the form OPTION=VALUE")
+            raise CrosscheckError(f"--{prefix}set {setting!r} is not of the form OPTION=VALUE")
         if key in options:
-            raise CrosscheckError(f"--set {key} is given twice")
+            raise CrosscheckError(f"--{prefix}set {key} is given twice")
         options[key] = value
     if loops is not None:
         if not is_urdf(scene):
-            raise CrosscheckError(f"--loops {loops}: only a URDF has a loop file, {scene!r} is none")
+            raise CrosscheckError(f"--{prefix}loops {loops}: only a URDF has a loop file, {scene!r} is none")
         if "loops" in options:
-            raise CrosscheckError(f"--loops {loops} and --set loops={options['loops']} are one option")
+            both = f"--{prefix}loops {loops} and --{prefix}set loops={options['loops']}"
+            raise CrosscheckError(f"{both} are one option")
         options["loops"] = loops
     return options
 
