@@ -309,9 +309,16 @@ def pushed() -> Scene:
     ],
     ids=["rod", "screw", "gear", "motion", "wrench", "point spring"],
 )
-def test_tight_pinocchio_refuses(scene: Scene, element: str) -> None:
-    with pytest.raises(UrdfError, match=f"^{element}: the tight equations of Pinocchio know"):
-        urdf_tight.equations_of(scene, 10.0, None)
+def test_tight_pinocchio_has_what_its_recursion_has_no_place_for(scene: Scene, element: str) -> None:
+    """1e-12: the same equations in another order; that they are right is asserted of the system above."""
+    equations = urdf_tight.equations_of(scene, 10.0, None)
+    system = equations.system
+    wanted = system.acceleration(*system.coordinates(scene.initial_state))
+    rates = equations.rates(0.0, equations.start)
+    assert system.map.v_from_pinocchio(rates[equations.nq :]) == pytest.approx(wanted, rel=1e-12)
+    assert np.abs(wanted).max() > 1e-3
+    with pytest.raises(UrdfError, match=f"^{element}: Pinocchio's lcaba knows"):
+        urdf_tight.equations_of(scene, 10.0, (1e-6, 10))
 
 
 def test_tight_pinocchio_has_springs_of_joints() -> None:

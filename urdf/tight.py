@@ -7,6 +7,7 @@ can be made before is.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from itertools import repeat
 from typing import Any, NamedTuple
@@ -67,6 +68,7 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
     Raises:
         UrdfError: for a scene with something that `lcaba` has no place for.
     """
+    scene = replace(scene, outputs=frozenset())  # no work among the coordinates
     system = PinocchioSystem(scene, alpha)
     outside = _outside(scene)
     if outside and lcaba:
