@@ -23,6 +23,9 @@ from newton_euler.steppers.dop853 import STAGES
 from newton_euler.steppers.march import HOP, NEAR, UNSAFE
 from newton_euler.system import System, at_time, opening
 
+FAR = 100.0 * NEAR
+"""Health at both ends above which the stages of a step are not looked at."""
+
 Rates = Callable[[float, Array], Array]
 
 
@@ -42,12 +45,13 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         """As scipy's, for the equations of a system, with its usual projection of a state at a time."""
         self._system, self._project = system, project
         self._rank = rank(self._jacobian(y))
-        self._healths: deque[float] = deque(maxlen=STAGES)
+        self._best = 0.0
+        self._states: deque[Array] = deque(maxlen=STAGES)
         self._hops = 0
         self._near = False
 
         def watched(t: float, y: Array) -> Array:
-            self._healths.append(self._health(y))
+            self._states.append(y)
             return derivative(t, y)
 
         super().__init__(watched, t, y, end, **tolerances)
@@ -58,14 +62,16 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         return np.asarray(jacobian * system.velocity_units / system.phi_units[:, None])
 
     def _health(self, y: Array) -> float:
-        """1 at most; near a singular configuration it falls with the square of the distance.
+        """1 at the best so far; near a singular configuration it falls with the square of the distance.
 
         By the smallest singular value that is not zero where the run begins.
         """
         if self._rank == 0 or not np.all(np.isfinite(y)):
             return 1.0
         values = np.linalg.svd(self._jacobian(y), compute_uv=False)
-        return float((values[self._rank - 1] / values[0]) ** 2)
+        found = float((values[self._rank - 1] / values[0]) ** 2)
+        self._best = max(self._best, found)
+        return found / self._best
 
     def project(self, t: float, y: Array) -> Array:
         """A state of the last step on the constraints.
@@ -86,8 +92,11 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         Near a singular configuration it is made just so large that the step is shortened to where it fits.
         """
         error = float(super()._estimate_error_norm(k, h, scale))
-        healths = np.array([self._health(self.y), *self._healths])
-        self._near = min(healths) < NEAR
+        ends = self._health(self.y), self._health(self._states[-1])
+        self._near = False
+        if min(ends) < FAR:
+            healths = np.array([self._health(y) for y in (self.y, *self._states)])
+            self._near = min(healths) < NEAR
         if not self._near:
             self._hops = 0
             return error
