@@ -150,7 +150,7 @@ def _by_joint(scene: Scene, phi: Array) -> Array:
     owners = [k for k, equations in enumerate(mechanism.equations) for _ in range(equations.count)]
     owners += [mechanism.joint_index(coupling.joint) for coupling in couplings(scene)]
     violation = np.zeros((len(phi), len(mechanism.joints)))
-    for owner, residual in zip(owners, np.abs(phi).T, strict=True):
+    for owner, residual in zip(owners, np.abs(phi).reshape(len(phi), len(owners)).T, strict=True):
         violation[:, owner] = np.maximum(violation[:, owner], residual)
     return violation
 

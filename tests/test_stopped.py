@@ -23,6 +23,7 @@ from crosscheck.scenes import load
 from crosscheck.scenes.write_file import write_scene
 from newton_euler import PD, Body, Mechanism, Sampled, Scene
 from newton_euler.errors import IntegrationError, StoppedError
+from newton_euler.forces import Wrench
 from newton_euler.integrate import Options
 from newton_euler.joints import Prismatic
 from newton_euler.relative import Relative
@@ -317,3 +318,11 @@ def test_run_all_keeps_what_each_scene_computed(monkeypatch, tmp_path):
     assert not found.agrees
     assert "newton_euler: integration stopped at t = 5 s" in found.verdict
     assert {path.name for path in tmp_path.iterdir()} == {"newton_euler.partial.npz", "mujoco.npz"}
+
+
+def test_pinocchio_stops_before_the_first_output():
+    """Forces beyond all numbers: there is nothing to keep, and the reason is told."""
+    push = Wrench("push", "dumbbell", np.zeros(3), force=np.full(3, 1e308))
+    with pytest.raises(IntegrationError, match="t = 0 s: .*not finite") as caught:
+        urdf.simulate(replace(load("pendulum"), forces=(push,)))
+    assert caught.value.partial is None
