@@ -10,9 +10,9 @@ import numpy as np
 
 from crosscheck.comparison.levels import Row
 from crosscheck.engines import Engine
-from crosscheck.errors import CrosscheckError
+from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, limited
-from crosscheck.partial import UnfinishedError, reason_of
+from crosscheck.partial import UnfinishedError
 from newton_euler.errors import IntegrationError, StoppedError
 from newton_euler.scene import Scene
 from newton_euler.trajectory import Trajectory, check_finite

@@ -8,9 +8,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from crosscheck.engines import ENGINES
-from crosscheck.errors import CrosscheckError
+from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.files import check_writable
-from newton_euler.errors import NewtonEulerError
 from newton_euler.trajectory import Trajectory
 
 
@@ -27,13 +26,6 @@ class UnfinishedError(CrosscheckError):
     ) -> None:
         self.runs, self.partial = dict(runs), dict(partial or {})
         super().__init__(reason)
-
-
-def reason_of(error: Exception) -> str:
-    """What to say of an error, in one line; one that nobody foresaw has its type named."""
-    foreseen = isinstance(error, CrosscheckError | NewtonEulerError)
-    text = str(error) if foreseen else f"internal error: {type(error).__name__}: {error}"
-    return " ".join(text.split())
 
 
 @contextmanager

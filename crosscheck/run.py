@@ -17,9 +17,9 @@ from crosscheck.comparison.levels import Row, compare, without_runs
 from crosscheck.comparison.runs import rests
 from crosscheck.each_run import check_figures, each_run
 from crosscheck.engines import Engine
-from crosscheck.errors import CrosscheckError
+from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, TooLongError, limited
-from crosscheck.partial import UnfinishedError, reason_of
+from crosscheck.partial import UnfinishedError
 from crosscheck.scenes.options import titled
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mapping import Mapping as Report

@@ -17,9 +17,10 @@ from rich.text import Text
 
 from crosscheck.comparison.levels import Row
 from crosscheck.engines import choose
+from crosscheck.errors import reason_of
 from crosscheck.files import check_writable
 from crosscheck.output import tidied_up, write
-from crosscheck.partial import partial_runs_saved, reason_of
+from crosscheck.partial import partial_runs_saved
 from crosscheck.report import judged, markdown
 from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load

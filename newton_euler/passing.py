@@ -21,7 +21,7 @@ from newton_euler.steppers.adaptive import HOPS, SAFETY, crossing_factor, error_
 from newton_euler.steppers.closing import Surface, close_by
 from newton_euler.steppers.dop853 import STAGES
 from newton_euler.steppers.march import HOP, NEAR, UNSAFE
-from newton_euler.system import System, at_time, opening
+from newton_euler.system import System, at_time, dimensionless_jacobian, opening
 
 FAR = 100.0 * NEAR
 """Health at both ends above which the stages of a step are not looked at."""
@@ -57,9 +57,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         super().__init__(watched, t, y, end, **tolerances)
 
     def _jacobian(self, y: Array) -> Array:
-        system = self._system
-        jacobian = system.phi_jacobian(y[: system.nq])
-        return np.asarray(jacobian * system.velocity_units / system.phi_units[:, None])
+        return dimensionless_jacobian(self._system, y[: self._system.nq])
 
     def _health(self, y: Array) -> float:
         """1 at the best so far; near a singular configuration it falls with the square of the distance.

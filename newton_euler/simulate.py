@@ -137,10 +137,9 @@ def native_trajectory(
 ) -> Trajectory:
     """The trajectory of a run in native code from what `newton_euler.steppers.run.outputs` gave."""
     arrays.pop("health", None)
-    phi = arrays.pop("phi", None)
     if "violation" in scene.outputs:
-        assert phi is not None
-        arrays["constraint_violation"] = _by_joint(scene, phi)
+        arrays["constraint_violation"] = _by_joint(scene, arrays["phi"])
+    arrays.pop("phi", None)  # runs without projection have it to be checked
     return _trajectory(scene, "newton_euler", settings, wall_time, arrays)
 
 

@@ -89,6 +89,11 @@ def at_time(system: S, time: float) -> S:
     return changed
 
 
+def dimensionless_jacobian(system: System, q: Array) -> Array:
+    """(k, nv) `phi_jacobian` in units of the mechanism's size: what ranks and conditions are judged by."""
+    return np.asarray(system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None])
+
+
 def opening(system: System, q: Array, v: Array) -> Array:
     """dPhi/dt (k,) = Phi_q qdot + Phi_t."""
     rate = system.phi_jacobian(q) @ v

@@ -14,17 +14,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import pendulum
 from test_expression import everything, traced
 
 import newton_euler.cache
 from newton_euler.cache import CACHE_VARIABLE, cache_key, read_cache, write_cache
 from newton_euler.compile import NativeFunction, NativeModule
+from newton_euler.compiled import Code
 from newton_euler.emit import LANES
 from newton_euler.errors import MechanismError
 from newton_euler.expression import Graph
 from newton_euler.native import Callback, NativeError, Vector, native
 from newton_euler.native_functions import NativeFunctions
-from newton_euler.steppers.run import load
+from newton_euler.steppers.run import load, stepper
 from newton_euler.translate import text
 
 
@@ -247,6 +249,15 @@ def test_what_ends_tracing_ends_compilation(error):
     code.compiler.join(60.0)
     assert not code.compiler.is_alive()
     assert code.compiled == ["first"]
+
+
+def test_another_integrator_is_compiled_before_its_run():
+    stepper.cache_clear()
+    code = Code(pendulum())
+    load(code, "DOP853")
+    assert stepper.cache_info().currsize == 1
+    load(code, "RK4")  # which needs nothing else of this scene
+    assert stepper.cache_info().currsize == 2
 
 
 def test_sine_and_cosine_are_the_librarys():

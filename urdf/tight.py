@@ -24,7 +24,7 @@ from newton_euler.joints import Rod
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.solve import rank
-from newton_euler.system import at_time
+from newton_euler.system import at_time, dimensionless_jacobian
 from newton_euler.tree import weld_loops
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError
@@ -175,7 +175,7 @@ def _proximal(mu: float, iterations: int) -> Any:
 def _chosen(system: PinocchioSystem, accelerate: Callable[[Any], Array]) -> Any:
     """Plain elimination for independent closures, else the cheapest regularisation that is accurate."""
     q, v = system.coordinates(system.scene.initial_state)
-    jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
+    jacobian = dimensionless_jacobian(system, q)
     exact = system.map.v_to_pinocchio(system.acceleration(q, v))
     candidates = PROXIMAL[:1] if rank(jacobian) == len(jacobian) else PROXIMAL[1:]
     for mu, iterations in candidates:

@@ -22,8 +22,9 @@ from crosscheck.comparison.runs import compare_runs, rests
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.each_run import check_figures, each_run
 from crosscheck.engines import ENGINES, Engine
+from crosscheck.errors import reason_of
 from crosscheck.limit import SHORTER, limited
-from crosscheck.partial import UnfinishedError, reason_of
+from crosscheck.partial import UnfinishedError
 from crosscheck.run import Crosscheck, Progress
 from crosscheck.scenes.options import titled
 from newton_euler.assemble import random_states

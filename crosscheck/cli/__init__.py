@@ -17,7 +17,7 @@ import click
 
 from crosscheck.cli import faults, measure, regress, report, run
 from crosscheck.cli.shared import BAD_INPUT, cli
-from crosscheck.errors import CrosscheckError
+from crosscheck.errors import reason_of
 
 __all__ = ["faults", "main", "measure", "regress", "report", "run"]
 
@@ -51,17 +51,13 @@ def _invoke(arguments: list[str] | None) -> int:
 
 
 def _reason(error: Exception) -> str:
-    """What to say of an error; one that nobody foresaw has its type named."""
-    from newton_euler.errors import NewtonEulerError
-
-    if isinstance(error, CrosscheckError | NewtonEulerError):
-        return str(error)
+    """What to say of an error, click's own and standard output's among them."""
     if isinstance(error, click.ClickException):
         return error.format_message()
     if isinstance(error, OSError) and error.filename is None:  # files are named where they are written
         _discard_output()
         return f"cannot write standard output: {error.strerror}"
-    return f"internal error: {type(error).__name__}: {error}"
+    return reason_of(error)
 
 
 def _discard_output() -> None:

@@ -20,7 +20,7 @@ from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.solve import numerical_rank, orthonormal_null, orthonormal_range, singular_values
 from newton_euler.state import Evaluation, MassProperties, State
-from newton_euler.system import System
+from newton_euler.system import System, dimensionless_jacobian
 
 
 @contextmanager
@@ -197,7 +197,7 @@ def admissible_basis(system: System, q: Array, units: Array) -> tuple[Array, flo
     is the constraint Jacobian in a form that depends on no choice of coordinates or rows. The condition is
     that of the independent constraint rows, 1 without constraints.
     """
-    jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
+    jacobian = dimensionless_jacobian(system, q)
     transformation = system.velocity_transformation(q) * system.velocity_units
     basis = orthonormal_range(transformation / units[:, None] @ orthonormal_null(jacobian))
     values = singular_values(jacobian)[1] if jacobian.size else np.ones(1)
@@ -230,7 +230,7 @@ def free_motion(
         velocities, acceleration = motion[:, :-1], motion[:, -1]
         onto = _on_wrenches(evaluation.state, units[:, None] * basis)
     else:
-        jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
+        jacobian = dimensionless_jacobian(system, q)
         rows = np.concatenate([transformation, jacobian])  # T is silent on halves of bodies
         right = np.concatenate([basis, np.zeros((len(jacobian), basis.shape[1]))])
         velocities = _least_squares(rows, right)

@@ -28,6 +28,7 @@ from newton_euler.scene import Scene
 from newton_euler.solve import rank
 from newton_euler.stabilize import ROUND_OFF, largest, project_position, project_velocity
 from newton_euler.state import State
+from newton_euler.system import dimensionless_jacobian
 
 GRAVITY = 9.81
 """m/s^2, in a random direction."""
@@ -255,7 +256,7 @@ def _rank(mechanism: Mechanism) -> tuple[int, int]:
 
 
 def _rank_at(system: Relative, q: Array) -> tuple[int, int]:
-    jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
+    jacobian = dimensionless_jacobian(system, q)
     found = rank(jacobian)
     return system.nv - found, len(jacobian) - found
 

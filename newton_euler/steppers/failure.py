@@ -11,6 +11,7 @@ from newton_euler.scalars import Array
 from newton_euler.solve import singular_values
 from newton_euler.stabilize import worst_joint
 from newton_euler.steppers import march as m
+from newton_euler.system import dimensionless_jacobian
 
 
 def failure(
@@ -57,7 +58,7 @@ def singular_joint(code: Code, x: Array) -> str:
     system, rows = code.float_system(x), code.rows.numbers
     if not rows:
         return system.fastest_joint(x[: system.nq], x[system.nq : code.size])
-    jacobian = system.phi_jacobian(x[: system.nq]) * system.velocity_units / system.phi_units[:, None]
+    jacobian = dimensionless_jacobian(system, x[: system.nq])
     combination = singular_values(jacobian[rows])[0][:, -1]
     weights: dict[str, float] = {}
     for row, share in zip(rows, combination, strict=True):

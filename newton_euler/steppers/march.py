@@ -128,9 +128,8 @@ def project(
             return project_densely(n, closing, x, scratch)
         before = left
         left = scratch[n]
-        if left < tolerance * tolerance or left >= 0.25 * before:  # at round-off
-            break
-        if step == NEWTON_STEPS:
+        # at round-off, or at an end
+        if left < tolerance * tolerance or left >= 0.25 * before or step == NEWTON_STEPS:
             break
         for i in range(n):
             x[i] = scratch[i]

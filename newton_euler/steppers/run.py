@@ -59,16 +59,26 @@ def load(code: Code, integrator: str) -> None:
     LLVM works on one function while the next is traced: it lets go of the interpreter meanwhile. What ends
     this early, an interrupt or a scene that is refused, leaves it to finish that one and begin no other.
     """
-    needed = code.needed(integrator)
-    if all(name in code.functions for name in needed):
-        return
+    missing = [name for name in code.needed(integrator) if name not in code.functions]
+    if missing:
+        _compile_beside(code, integrator, missing)
+    stepper(integrator), loops()
+    for name in missing:
+        code.function(name)
+
+
+def _compile_beside(code: Code, integrator: str, names: Sequence[str]) -> None:
+    """Trace these functions of a scene here, and compile them and the stepper in a thread meanwhile.
+
+    What fails in the thread is left out, and fails again where it is asked for.
+    """
     import llvmlite.binding  # noqa: F401  before there are two threads to wait for each other
 
     wanted: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
     given_up = threading.Event()
 
     def compile_all() -> None:
-        with suppress(Exception):  # what fails here fails again below
+        with suppress(Exception):
             while (make := wanted.get()) and not given_up.is_set():
                 make()
 
@@ -77,7 +87,7 @@ def load(code: Code, integrator: str) -> None:
         compiler.start()
         wanted.put(partial(stepper, integrator))
         wanted.put(loops)
-        for name in needed:
+        for name in names:
             code.program(name)
             wanted.put(partial(code.function, name))
         wanted.put(None)
@@ -86,9 +96,6 @@ def load(code: Code, integrator: str) -> None:
         given_up.set()
         wanted.put(None)
         raise
-    stepper(integrator), loops()
-    for name in needed:
-        code.function(name)
 
 
 class Fallback:
