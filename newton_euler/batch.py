@@ -109,6 +109,7 @@ def simulate_batch(
     """
     from concurrent.futures import ThreadPoolExecutor
 
+    from newton_euler.improve import finish_improving
     from newton_euler.steppers.run import March, load
 
     options = Options(integrator, rtol, atol, step, most_steps)
@@ -120,6 +121,7 @@ def simulate_batch(
     workers = _threads(threads)
     compiled = CompiledScene(scene, formulation, stabilization, alpha, tuple(parameters))
     load(compiled, integrator)
+    finish_improving()  # many runs are worth waiting for
     starts = _starts(compiled, states, parameters)
     times = scene.times
     results = np.empty((len(starts), len(times), compiled.function("output").outputs))

@@ -133,12 +133,12 @@ class Code:
         names += {"Euler": ["rate"], "Radau": ["jacobian"]}.get(integrator, [])
         return names + ["measured"] * bool(self.scene.sampled)
 
-    def function(self, name: str) -> NativeFunction:
-        """One of the functions, traced and compiled if it has not been."""
+    def function(self, name: str, hurry: bool = False) -> NativeFunction:
+        """One of the functions, traced and compiled if it has not been; `hurry` as of `NativeFunction`."""
         if name not in self.functions:
             program = self.program(name)
             identity = self._identity and f"{self._identity} {name}"
-            function = self.functions[name] = NativeFunction(program, name == "output", identity)
+            function = self.functions[name] = NativeFunction(program, name == "output", identity, hurry)
             self.compile_time += function.module.time
         return self.functions[name]
 

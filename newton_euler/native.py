@@ -40,6 +40,11 @@ class Signature(NamedTuple):
     result: str
 
 
+def machine_type(kind: str) -> str:
+    """LLVM's own type for one of those that values have here: a function to call is a pointer."""
+    return "ptr" if kind == "fn" else kind
+
+
 _SIGNATURES: dict[Callable[..., Any], Signature] = {}
 
 

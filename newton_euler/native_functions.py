@@ -16,12 +16,13 @@ from newton_euler.translate import sources, text
 class NativeFunctions:
     """Native functions compiled together, to be called with numbers and arrays from Python."""
 
-    def __init__(self, functions: list[Callable[..., Any]]) -> None:
-        names = " ".join(function.__name__ for function in functions)
-        self.module = NativeModule(names + sources(functions), lambda: text(functions), optimise=True)
+    def __init__(self, functions: list[Callable[..., Any]], hurry: bool = False) -> None:
+        """Compile them, in a `hurry` if wanted, see `NativeModule`."""
+        signatures = {function.__name__: signature_of(function) for function in functions}
+        identity = " ".join(signatures) + sources(functions)
+        self.module = NativeModule(identity, lambda: text(functions), signatures, optimise=True, hurry=hurry)
         self._calls = {
-            function.__name__: _ctypes(signature_of(function))(self.module.address(function.__name__))
-            for function in functions
+            name: _ctypes(signature)(self.module.addresses[name]) for name, signature in signatures.items()
         }
 
     def bind(self, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:

@@ -10,7 +10,7 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 from newton_euler import native
-from newton_euler.native import NativeError, is_native, signature_of
+from newton_euler.native import NativeError, is_native, machine_type, signature_of
 from newton_euler.trigonometry import literal
 
 COMPARISONS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
@@ -103,14 +103,14 @@ class Translator:
         definition = _definitions(self.function.__code__.co_filename)[self.function.__name__]
         arguments = []
         for name, kind in self.signature.arguments.items():
-            arguments.append(f"{_machine(kind)} %{name}.in")
+            arguments.append(f"{machine_type(kind)} %{name}.in")
             self._store(name, Value(kind, f"%{name}.in"))
         self._block(definition.body)
         if self._open:
             if self.signature.result != "void":
                 raise self._error(definition, "ends without a return")
             self._emit("ret void")
-        result, name = _machine(self.signature.result), self.function.__name__
+        result, name = machine_type(self.signature.result), self.function.__name__
         head = f"define {linkage}{result} @{name}({', '.join(arguments)}) {{"
         return "\n".join([head, "entry:", *self._slots, *self._lines, "}"])
 
@@ -358,7 +358,7 @@ class Translator:
             converted = self._float(argument) if kind == "double" else argument
             if converted.type != kind:
                 raise self._error(node, f"passes {converted.type} for {kind}")
-            given.append(f"{_machine(kind)} {converted.operand}")
+            given.append(f"{machine_type(kind)} {converted.operand}")
         call = f"call {signature.result} @{function.__name__}({', '.join(given)})"
         if signature.result == "void":
             self._emit(call)
@@ -378,16 +378,16 @@ class Translator:
         known = self._variables.get(name)
         if known is None:
             known = self._variables[name] = Value(value.type, f"%{name}.slot")
-            self._slots.append(f"  {known.operand} = alloca {_machine(value.type)}")
+            self._slots.append(f"  {known.operand} = alloca {machine_type(value.type)}")
         if known.type == "double":
             value = self._float(value)
         if known.type != value.type:
             raise self._error(node, f"assigns {value.type} to {name!r}, which is {known.type}")
-        self._emit(f"store {_machine(value.type)} {value.operand}, ptr {known.operand}")
+        self._emit(f"store {machine_type(value.type)} {value.operand}, ptr {known.operand}")
 
     def _load(self, name: str) -> Value:
         kind, slot = self._variables[name]
-        return Value(kind, self._new(f"load {_machine(kind)}, ptr {slot}"))
+        return Value(kind, self._new(f"load {machine_type(kind)}, ptr {slot}"))
 
     def _new(self, instruction: str) -> str:
         self._count += 1
@@ -423,10 +423,6 @@ def _definitions(file: str) -> dict[str, ast.FunctionDef]:
     """The functions that a file defines, by name."""
     body = ast.parse(Path(file).read_text(encoding="utf-8")).body
     return {node.name: node for node in body if isinstance(node, ast.FunctionDef)}
-
-
-def _machine(kind: str) -> str:
-    return "ptr" if kind == "fn" else kind
 
 
 def _loaded(target: ast.expr) -> ast.expr:

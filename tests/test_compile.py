@@ -24,7 +24,7 @@ from newton_euler.compiled import Code
 from newton_euler.emit import LANES
 from newton_euler.errors import MechanismError
 from newton_euler.expression import Graph
-from newton_euler.native import Callback, NativeError, Vector, native
+from newton_euler.native import Callback, NativeError, Signature, Vector, native
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.steppers.run import load, stepper
 from newton_euler.translate import text
@@ -50,7 +50,7 @@ def test_native_code_computes_what_the_program_says(cache):
 
 
 def compiled(text):
-    return NativeModule(text, lambda: text, optimise=True)
+    return NativeModule(text, lambda: text, {"f": Signature({"x": "double"}, "double")}, optimise=True)
 
 
 SOURCE = "define double @f(double %x) {\n  %y = fadd double %x, 1.0\n  ret double %y\n}"
@@ -114,7 +114,7 @@ def test_a_user_without_a_home_has_no_cache(monkeypatch):
 
 def test_processes_that_compile_at_once_do_not_disturb_each_other(cache):
     code = "from newton_euler.compile import NativeModule\n"
-    code += f"NativeModule({SOURCE!r}, lambda: {SOURCE!r}, optimise=True)"
+    code += f"NativeModule({SOURCE!r}, lambda: {SOURCE!r}, {{}}, optimise=True)"
     environment = os.environ | {CACHE_VARIABLE: str(cache)}
     jobs = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(6)]
     assert [job.wait() for job in jobs] == [0] * 6
@@ -125,7 +125,7 @@ def test_processes_that_compile_at_once_do_not_disturb_each_other(cache):
 def test_runs_that_are_killed_leave_the_cache_usable(cache):
     """Killed at random moments while they compile and write, again and again."""
     code = "from newton_euler.compile import NativeModule\nk = 0\nwhile True:\n    k += 1\n" + (
-        f"    NativeModule({SOURCE!r} + '; %d' % (k % 7), lambda: {SOURCE!r}, optimise=True)\n"
+        f"    NativeModule({SOURCE!r} + '; %d' % (k % 7), lambda: {SOURCE!r}, {{}}, optimise=True)\n"
         "    import shutil, os\n"
         "    for name in os.listdir(os.environ['NEWTON_EULER_CACHE'])[:3]:\n"
         "        if not name.startswith('.'): os.unlink(os.environ['NEWTON_EULER_CACHE'] + '/' + name)\n"
@@ -139,7 +139,7 @@ def test_runs_that_are_killed_leave_the_cache_usable(cache):
         job.kill()
         job.wait()
         for source in sources:
-            assert compiled(source).address("f")
+            assert compiled(source).addresses["f"]
     assert all(compiled(source).from_cache for source in sources)
 
 
@@ -232,7 +232,7 @@ class Refused:
             assert self.begun.wait(60.0)
             raise self.error
 
-    def function(self, name: str) -> None:
+    def function(self, name: str, hurry: bool) -> None:
         self.compiled.append(name)
         self.compiler = threading.current_thread()
         self.begun.set()

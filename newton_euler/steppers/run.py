@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from newton_euler.compile import llvm_binding
 from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import IntegrationError, OptionError
+from newton_euler.improve import improve
 from newton_euler.integrate import Options
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.scalars import Array
@@ -44,7 +46,7 @@ MARCHES: dict[str, Callable[..., int]] = {
 @lru_cache
 def stepper(integrator: str) -> NativeFunctions:
     """An integrator, which no scene changes; compiled once."""
-    return NativeFunctions([MARCHES[integrator]])
+    return NativeFunctions([MARCHES[integrator]], hurry=True)
 
 
 @lru_cache
@@ -58,22 +60,19 @@ def load(code: Code, integrator: str) -> None:
 
     LLVM works on one function while the next is traced: it lets go of the interpreter meanwhile. What ends
     this early, an interrupt or a scene that is refused, leaves it to finish that one and begin no other.
+    What is new is compiled in a hurry, and improved while it runs.
     """
     missing = [name for name in code.needed(integrator) if name not in code.functions]
     if missing:
         _compile_beside(code, integrator, missing)
-    stepper(integrator), loops()
-    for name in missing:
-        code.function(name)
+    # what fails in the thread fails here once more
+    functions = [code.function(name).module for name in missing]
+    improve([stepper(integrator).module, loops().module, *functions])
 
 
 def _compile_beside(code: Code, integrator: str, names: Sequence[str]) -> None:
-    """Trace these functions of a scene here, and compile them and the stepper in a thread meanwhile.
-
-    What fails in the thread is left out, and fails again where it is asked for.
-    """
-    import llvmlite.binding  # noqa: F401  before there are two threads to wait for each other
-
+    """Trace these functions of a scene here, and compile them and the stepper in a thread meanwhile."""
+    llvm_binding()  # before there are two threads to wait for each other
     wanted: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
     given_up = threading.Event()
 
@@ -89,7 +88,7 @@ def _compile_beside(code: Code, integrator: str, names: Sequence[str]) -> None:
         wanted.put(loops)
         for name in names:
             code.program(name)
-            wanted.put(partial(code.function, name))
+            wanted.put(partial(code.function, name, hurry=True))
         wanted.put(None)
         compiler.join()
     except BaseException:

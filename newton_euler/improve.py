@@ -1,0 +1,64 @@
+"""Better code for what was compiled in a hurry, made while that is in use.
+
+Both round alike, so when the exchange happens changes nothing but the time that a run takes.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Iterable
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from newton_euler.compile import NativeModule
+
+
+class _Improver:
+    """A thread that improves one module after the other, as long as there are any.
+
+    It is the only one, for LLVM's binding does one thing at a time, and what is compiled in a hurry should
+    have to wait for one module at most. A process waits for it before it ends, so that the next one finds
+    good code in the cache.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waiting: deque[NativeModule] = deque()
+        self._thread: threading.Thread | None = None
+
+    def add(self, modules: Iterable[NativeModule]) -> None:
+        with self._lock:
+            self._waiting.extend(module for module in modules if module.quick)
+            if self._waiting and self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="newton_euler compiler")
+                self._thread.start()
+
+    def finish(self) -> None:
+        while thread := self._thread:
+            thread.join()
+
+    def _work(self) -> None:
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    self._thread = None
+                    return
+                module = self._waiting.popleft()
+            with suppress(Exception):  # a run goes on with what it has
+                module.improve()
+
+
+_IMPROVER = _Improver()
+
+improve = _IMPROVER.add
+"""Have modules improved, in a thread of its own."""
+
+finish_improving = _IMPROVER.finish
+"""Wait until all modules are improved, as benchmarks do."""
+
+if hasattr(os, "register_at_fork"):
+    # a child would find LLVM's binding locked by a thread that it does not have
+    os.register_at_fork(before=finish_improving)
