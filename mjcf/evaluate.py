@@ -106,6 +106,7 @@ def joint_wrenches(compiled: CompiledScene) -> Array:
     """
     model, data = compiled.model, compiled.data
     places, velocities = model.jnt_qposadr, model.jnt_dofadr
+    balls = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_BALL)
     stretch = data.qpos[places] - model.qpos_spring[places]
     forces = -model.jnt_stiffness * stretch - model.dof_damping[velocities] * data.qvel[velocities]
     # MuJoCo's balances of bodies know nothing of armatures
@@ -113,7 +114,12 @@ def joint_wrenches(compiled: CompiledScene) -> Array:
     laws = len(compiled.scene.control)
     np.add.at(forces, model.actuator_trnid[:laws, 0], data.actuator_force[:laws])
     wrenches = np.zeros((model.nbody, 6))
+    for ball in balls.tolist():
+        turn = data.xmat[model.jnt_bodyid[ball]].reshape(3, 3)
+        wrenches[model.jnt_bodyid[ball], 3:] += turn @ _ball_torque(model, data, ball)
     for joint, force in enumerate(forces):
+        if joint in balls:
+            continue
         slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
         part = slice(0, 3) if slides else slice(3, 6)
         together = np.flatnonzero(
@@ -122,6 +128,16 @@ def joint_wrenches(compiled: CompiledScene) -> Array:
         axes = dual_axes(data.xaxis[together])
         wrenches[model.jnt_bodyid[joint], part] += force * axes[together.tolist().index(joint)]
     return wrenches
+
+
+def _ball_torque(model: mujoco.MjModel, data: mujoco.MjData, ball: int) -> Array:
+    """(3,) N m on the child of a ball by its spring, damper and rotor, in the child's frame."""
+    on_q = slice(model.jnt_qposadr[ball], model.jnt_qposadr[ball] + 4)
+    on_v = slice(model.jnt_dofadr[ball], model.jnt_dofadr[ball] + 3)
+    turned = np.empty(3)
+    mujoco.mju_subQuat(turned, data.qpos[on_q], model.qpos_spring[on_q])
+    torque = -model.jnt_stiffness[ball] * turned - model.dof_damping[on_v] * data.qvel[on_v]
+    return np.asarray(torque - model.dof_armature[on_v] * data.qacc[on_v])
 
 
 def motor_wrenches(compiled: CompiledScene) -> Array:

@@ -1,28 +1,37 @@
 """The forces of a scene as MJCF.
 
-Springs of joints are attributes of MuJoCo's joints. Springs between points are spatial tendons, and
-wrenches are motors on sites whose control is 1: MuJoCo turns a motor's force with its site, or not if a
-site of the world is its `refsite`. Names hold a space, which no name of a scene does, so that none clash.
+Springs of joints are attributes of MuJoCo's joints. Those of balls have no attribute for where they rest,
+which is qpos0. MuJoCo can move it while it runs: it does for a spring that yields, and then a key says where
+it is. Springs between points are spatial tendons, and wrenches are motors on sites whose control is 1: MuJoCo
+turns a motor's force with its site, or not if a site of the world is its `refsite`. Names hold a space, which
+no name of a scene does, so that none clash.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from typing import TypeGuard
 
 import numpy as np
 
-from mjcf.layout import coordinate_name
+from mjcf.layout import Layout, ball_name, coordinate_name
 from mjcf.text import number, numbers
-from newton_euler.forces import JointSpring, PointSpring, Wrench
+from newton_euler.armature import Armature, BallArmature
+from newton_euler.euler_parameters import from_rotation_vector
+from newton_euler.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
+from newton_euler.tree import SpanningTree
 
 WORLD_SITE = "world frame"
 """Name of the site against which motors of wrenches that keep their direction are turned."""
 
 SITE_SIZE = 0.01
 """Radius of a site, in sizes of the mechanism."""
+
+NEVER = 4.0
+"""rad, beyond which a spring yields that never does: no ball turns more than half a turn."""
 
 TENDON_WIDTH = 0.003
 """Radius of a tendon, in sizes of the mechanism."""
@@ -32,18 +41,46 @@ def joint_attributes(scene: Scene) -> dict[str, dict[str, str]]:
     """Attributes of MuJoCo's joints, by their names, that make up the springs and armatures of joints."""
     found: dict[str, dict[str, str]] = {}
     for armature in scene.armatures:
-        joint = scene.mechanism.joints[scene.mechanism.joint_index(armature.joint)]
-        found[coordinate_name(joint, armature.coordinate)] = {"armature": number(armature.inertia)}
+        found[_motion_name(scene.mechanism, armature)] = {"armature": number(armature.inertia)}
     for spring in scene.forces:
-        if isinstance(spring, JointSpring):
-            joint = scene.mechanism.joints[scene.mechanism.joint_index(spring.joint)]
-            name = coordinate_name(joint, spring.coordinate)
+        if isinstance(spring, JointSpring | BallSpring):
+            name = _motion_name(scene.mechanism, spring)
             found[name] = found.get(name, {}) | {
                 "stiffness": number(spring.stiffness),
                 "damping": number(spring.damping),
-                "springref": number(spring.rest),
             }
+            if isinstance(spring, JointSpring):
+                found[name]["springref"] = number(spring.rest)
+            elif _is_turned(spring):
+                found[name]["springyield"] = number(NEVER)
     return found
+
+
+def _motion_name(mechanism: Mechanism, on: JointSpring | BallSpring | Armature | BallArmature) -> str:
+    joint = mechanism.joints[mechanism.joint_index(on.joint)]
+    if isinstance(on, JointSpring | Armature):
+        return coordinate_name(joint, on.coordinate)
+    return ball_name(joint)
+
+
+def rests(scene: Scene, tree: SpanningTree, layout: Layout) -> Array:
+    """(4 n,) quaternions of MuJoCo's balls where the springs rest that do so elsewhere than in qpos0."""
+    mechanism = scene.mechanism
+    turned = {mechanism.joint_index(force.joint): force.rest for force in scene.forces if _is_turned(force)}
+    found, place = [np.zeros(0)], 0
+    for kept in layout.order:
+        for motion, on_q, _ in kept.places:
+            size = on_q.stop - on_q.start
+            if motion.kind == "ball" and kept.joint in turned:
+                rest, q = turned[kept.joint], np.zeros(tree.nq)
+                q[on_q] = from_rotation_vector(rest if kept.forward else -rest)
+                found.append((layout.to_qpos @ q)[place : place + size])
+            place += size
+    return np.concatenate(found)
+
+
+def _is_turned(force: Force) -> TypeGuard[BallSpring]:
+    return isinstance(force, BallSpring) and bool(np.any(force.rest))
 
 
 def add_sites(elements: dict[int, ET.Element], scene: Scene) -> None:

@@ -20,6 +20,12 @@ def coordinate_name(joint: Joint, coordinate: int) -> str:
     return [name for name, motion in names if motion.kind != "ball"][coordinate]
 
 
+def ball_name(joint: Joint) -> str:
+    """MJCF name of a joint's ball."""
+    names = zip(motion_names(joint), joint.motions, strict=True)
+    return next(name for name, motion in names if motion.kind == "ball")
+
+
 class Layout:
     """Indices and maps between a tree and its MuJoCo model.
 

@@ -39,7 +39,7 @@ class CompiledScene:
         """Compile; raises `ModelError` with MuJoCo's reason if it refuses."""
         self.scene = scene
         self.mechanism = scene.mechanism
-        self.welded = weld_loops(scene.mechanism)
+        self.welded = weld_loops(scene.mechanism, loaded=scene.loaded_balls)
         self.tree = self.welded.tree
         self.couplings = TreeCouplings(scene, self.tree)
         self.time = 0.0
@@ -52,6 +52,7 @@ class CompiledScene:
             raise ModelError(scene.name, " ".join(str(error).split())) from error
         self.data: Any = mujoco.MjData(self.model)
         self._restore_inertias()
+        self._turn_springs()
         self.actuate()
 
     def _restore_inertias(self) -> None:
@@ -63,6 +64,14 @@ class CompiledScene:
         mujoco.mj_setConst(self.model, self.data)
         # frames that are nearly the body's own would be taken for it, and products of inertia with them
         self.model.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+
+    def _turn_springs(self) -> None:
+        """Let springs of balls rest where the key has them, whatever `data` is reset to."""
+        model = self.model
+        for joint in np.flatnonzero(model.jnt_plasticadr >= 0):
+            spring, key = model.jnt_qposadr[joint], model.jnt_plasticadr[joint]
+            model.qpos_spring[spring : spring + 4] = model.key_plastic[0, key : key + 4]
+        mujoco.mj_resetData(model, self.data)
 
     def mass_properties(self) -> MassProperties:
         """What the bodies weigh in the compiled model; halves of a body are put together."""

@@ -26,7 +26,7 @@ from mjcf.reading.source import SourceError, compiled
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
 from mjcf.silence import heard_warnings
-from newton_euler.armature import Armature
+from newton_euler.armature import Armature, BallArmature
 from newton_euler.assemble import assemble
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mapping import Mapping, unique_name
@@ -115,7 +115,7 @@ def _scene(
     ties = Ties(loops.gears)
     forces = Forces(start, bodies, joints, ties, gravity, report)
     actuators = Actuators(start, bodies, joints, ties, forces, report)
-    rotors = armatures(start, joints, ties, report)
+    rotors, of_balls = armatures(start, joints, ties, report)
     for key, inertia in actuators.armatures.items():
         rotors[key] = rotors.get(key, 0.0) + inertia
     report_leftovers(start, joints, report)
@@ -130,7 +130,10 @@ def _scene(
         actuators.laws,
         forces=tuple(forces.forces),
         motions=tuple(loops.held),
-        armatures=tuple(Armature(joint, a, k) for (joint, k), a in rotors.items()),
+        armatures=(
+            *(Armature(joint, a, k) for (joint, k), a in rotors.items()),
+            *(BallArmature(joint, a) for joint, a in of_balls.items()),
+        ),
         description=f"{Path(path).name} from {start.key}",
     )
     return _moving(scene, start, bodies, report)

@@ -25,6 +25,7 @@ from mjcf.forces import (
     add_tendon,
     add_wrenches,
     joint_attributes,
+    rests,
     wrenches,
 )
 from mjcf.layout import Layout, coordinate_name
@@ -83,7 +84,7 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
 
 def to_xml(scene: Scene) -> str:
     """The scene as an MJCF document; numbers keep all their digits. Raises `MjcfError`."""
-    return welded_to_xml(scene, weld_loops(scene.mechanism, keep_bodies=True))
+    return welded_to_xml(scene, weld_loops(scene.mechanism, keep_bodies=True, loaded=scene.loaded_balls))
 
 
 def welded_to_xml(scene: Scene, welded: WeldedMechanism) -> str:
@@ -392,4 +393,6 @@ def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
         attributes["qvel"] = numbers(layout.to_qvel @ v)
     if controls(scene):
         attributes["ctrl"] = numbers(controls(scene))
+    if len(resting := rests(scene, welded.tree, layout)):
+        attributes["plastic"] = numbers(resting)
     ET.SubElement(ET.SubElement(root, "keyframe"), "key", attributes)

@@ -1,12 +1,12 @@
 """Newton-Euler dynamics of any mechanism with closed loops, written by hand."""
 
-from newton_euler.armature import Armature
+from newton_euler.armature import Armature, BallArmature
 from newton_euler.assemble import assemble
 from newton_euler.batch import simulate_batch
 from newton_euler.control import PD, Sampled
 from newton_euler.couplings import Gear
 from newton_euler.errors import NewtonEulerError
-from newton_euler.forces import JointSpring, PointSpring, Wrench
+from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.motions import Polynomial, PrescribedMotion, Sine, Sum
 from newton_euler.scene import Scene
@@ -17,6 +17,8 @@ from newton_euler.trajectory import Trajectory
 __all__ = [
     "PD",
     "Armature",
+    "BallArmature",
+    "BallSpring",
     "Body",
     "Gear",
     "JointSpring",

@@ -2,7 +2,8 @@
 
 The rotor itself is no body of the mechanism: of its motion only the spin about its axis is taken into
 account, which is what a large gear ratio makes large (Featherstone, Rigid Body Dynamics Algorithms, 2008,
-chapter 9, on gears). It adds a to the diagonal of the mass matrix in joint coordinates.
+chapter 9, on gears). It adds a to the diagonal of the mass matrix in joint coordinates. MuJoCo's models have
+such inertias on balls as well, the same about all axes.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from newton_euler.balls import check_ball
 from newton_euler.control import check_key, is_finite_number
-from newton_euler.errors import MechanismError
+from newton_euler.errors import MechanismError, check_texts
 from newton_euler.mechanism import Mechanism
 
 if TYPE_CHECKING:
@@ -40,11 +42,7 @@ class Armature:
     parameters: ClassVar[tuple[str, ...]] = ("inertia",)
 
     def __post_init__(self) -> None:
-        if not is_finite_number(self.inertia) or self.inertia <= 0.0:
-            raise MechanismError(
-                self.element, f"inertia is {self.inertia!r:.100}", "a positive finite number"
-            )
-        object.__setattr__(self, "inertia", float(self.inertia))
+        _set_inertia(self)
         check_key(self.element, self.joint, self.coordinate)
 
     @property
@@ -58,17 +56,67 @@ class Armature:
         return self.joint, self.coordinate
 
 
-def check_armatures(armatures: Sequence[Armature], mechanism: Mechanism) -> None:
-    """Raise `MechanismError` unless the mechanism has the joint coordinates, each once."""
+@dataclass(frozen=True)
+class BallArmature:
+    """A rotor inertia on a joint's ball, the same about all axes: kinetic energy 1/2 a |omega|^2.
+
+    omega is the angular velocity of the joint's second body against the first. The torque on the second
+    body is -a times the rate of omega as either body sees it, alpha_2 - alpha_1 + omega_2 x omega_1.
+
+    Attributes:
+        joint: name of the joint.
+        inertia: a in kg m^2, positive.
+
+    Raises:
+        MechanismError: naming the joint and the value at fault.
+    """
+
+    joint: str
+    inertia: float
+
+    parameters: ClassVar[tuple[str, ...]] = ("inertia",)
+
+    def __post_init__(self) -> None:
+        _set_inertia(self)
+        check_texts(self.element, self, "joint")
+
+    @property
+    def element(self) -> str:
+        """What errors call it."""
+        return f"armature of the ball of joint {self.joint!r}"
+
+
+def _set_inertia(armature: Armature | BallArmature) -> None:
+    inertia = armature.inertia
+    if not is_finite_number(inertia) or inertia <= 0.0:
+        raise MechanismError(armature.element, f"inertia is {inertia!r:.100}", "a positive finite number")
+    object.__setattr__(armature, "inertia", float(inertia))
+
+
+def check_armatures(armatures: Sequence[Armature | BallArmature], mechanism: Mechanism) -> None:
+    """Raise `MechanismError` unless the mechanism has the joint coordinates and balls, each once."""
     for armature in armatures:
-        if armature.joint not in mechanism.joint_names:
-            known = ", ".join(mechanism.joint_names)
-            raise MechanismError(armature.element, "is on an unknown joint", f"one of {known}")
-        count = len(mechanism.joints[mechanism.joint_index(armature.joint)].coordinate_kinds)
-        if not 0 <= armature.coordinate < count:
-            needed = f"an index below {count}" if count else "a joint with a hinge or a slide"
-            raise MechanismError(armature.element, f"coordinate is {armature.coordinate}", needed)
-    for key, count in Counter(armature.key for armature in armatures).items():
+        if isinstance(armature, BallArmature):
+            check_ball(armature.element, armature.joint, mechanism)
+        else:
+            _check_coordinate(armature, mechanism)
+    for element, count in Counter(map(_identity, armatures)).items():
         if count > 1:
-            where = f"armature of joint {key[0]!r}"
-            raise MechanismError(where, f"{count} for one coordinate", "one a coordinate")
+            raise MechanismError(element, f"{count} for one coordinate", "one a coordinate or ball")
+
+
+def _check_coordinate(armature: Armature, mechanism: Mechanism) -> None:
+    if armature.joint not in mechanism.joint_names:
+        known = ", ".join(mechanism.joint_names)
+        raise MechanismError(armature.element, "is on an unknown joint", f"one of {known}")
+    count = len(mechanism.joints[mechanism.joint_index(armature.joint)].coordinate_kinds)
+    if not 0 <= armature.coordinate < count:
+        needed = f"an index below {count}" if count else "a joint with a hinge or a slide"
+        raise MechanismError(armature.element, f"coordinate is {armature.coordinate}", needed)
+
+
+def _identity(armature: Armature | BallArmature) -> str:
+    """What no two armatures of a scene may have in common."""
+    if isinstance(armature, BallArmature):
+        return armature.element
+    return f"armature of coordinate {armature.coordinate} of joint {armature.joint!r}"

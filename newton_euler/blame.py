@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from newton_euler.forces import Surroundings, pulls
+from newton_euler.force_terms import Surroundings, pulls
 from newton_euler.mechanism import Mechanism
 from newton_euler.scene import Scene
 from newton_euler.state import State

@@ -21,7 +21,7 @@ from newton_euler.cartesian_terms import CartesianTerms
 from newton_euler.couplings import turns
 from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import matrix_g, matrix_l
-from newton_euler.forces import power, rotors_energy, springs_energy
+from newton_euler.force_terms import power, rotors_energy, springs_energy
 from newton_euler.measured import carried_angles, carried_rates
 from newton_euler.reactions import at_joint_points, pushes
 from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros
@@ -43,9 +43,8 @@ class Cartesian(CartesianTerms):
         g = self.applied(q, frames)[1]
         phi, gamma, rate = self.joint_phi(q), self.joint_gamma(q, frames), self.joint_rate(q, frames)
         n6, n7 = len(mass), self.nv
-        rotors = self.rotor_rows(q, frames)
-        for armature, on_q, on_b, drift in zip(self.scene.armatures, *rotors, strict=True):
-            push = armature.inertia * dense([on_b], n6)[0]  # -a (Phi_q qddot - gamma) on the coordinate
+        for inertia, on_q, on_b, drift in zip(*self.rotor_rows(q, frames), strict=True):
+            push = inertia * dense([on_b], n6)[0]  # -a (Phi_q qddot - gamma) on the coordinate
             mass = mass + np.outer(push, dense([on_q], n7)[0])
             g = g + drift * push
         phi_q, b = (dense(rows, n) for rows, n in zip(self.joint_jacobian(q, frames), (n7, n6), strict=True))
@@ -128,9 +127,8 @@ class Cartesian(CartesianTerms):
         # the rows of the norms of p are met by construction
         count = sum(number < self.rows for number in rows.numbers)
         # a rotor is a constraint that gives way: x'' + lambda / a = 0
-        _, of_rotors, drift = self.rotor_rows(q, frames)
-        softness = [1.0 / armature.inertia for armature in self.scene.armatures]
-        soft = dict(enumerate(softness, start=self.rows))
+        inertias, _, of_rotors, drift = self.rotor_rows(q, frames)
+        soft = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
         used = RowsInUse([*rows.numbers[:count], *soft], rows.scales and rows.scales[: count + len(soft)])
         right = np.concatenate([right, drift])
         pushed = sparse_vector(np.array(force))
@@ -295,7 +293,7 @@ class Cartesian(CartesianTerms):
             forces,
             torques,
             self.applied(q, frames)[0],
-            kinetic + rotors_energy(self.scene, seen),
+            kinetic + rotors_energy(self.scene, frames, seen),
             potential + springs,
             q[self.work][0] if self.scene.tracks_work else None,
         )

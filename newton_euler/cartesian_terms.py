@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from newton_euler import balls
+from newton_euler.armature import Armature, BallArmature
 from newton_euler.constraints import Frame, Jacobian
 from newton_euler.couplings import couplings, row_owners, row_units
 from newton_euler.euler_parameters import matrix_g, matrix_l, rotation
-from newton_euler.forces import Surroundings, body_wrenches
+from newton_euler.force_terms import Surroundings, body_wrenches
 from newton_euler.measured import Key, Measured, coordinates, wanted
 from newton_euler.scalars import Array, Scalar, zeros
 from newton_euler.scene import Scene
@@ -19,6 +23,18 @@ def _spread(rows: Rows, start: int, block: Array) -> None:
     for row, entries in zip(rows, block, strict=True):
         for k, entry in enumerate(entries):
             add(row, start + k, entry)
+
+
+class Rotors(NamedTuple):
+    """Armatures a of coordinates x: d2x/dt2 = Phi_q qddot - gamma, and a force on x acts through B^T."""
+
+    inertias: list[Scalar]
+    """kg m^2 or kg"""
+    on_q: Rows
+    """Rows of Phi_q."""
+    on_b: Rows
+    """Rows of B."""
+    gammas: list[Scalar]
 
 
 class CartesianTerms:
@@ -48,7 +64,8 @@ class CartesianTerms:
         self.rows = sum(equations.count for equations in self.equations) + len(self.couplings)
         self.damping, self.stiffness = 2.0 * alpha, alpha * alpha
         counted = wanted(scene, self.couplings)
-        keys = dict.fromkeys([*counted, *(armature.key for armature in scene.armatures)])
+        rotors = (armature.key for armature in scene.armatures if isinstance(armature, Armature))
+        keys = dict.fromkeys([*counted, *rotors])
         measured = {key: self.equations[self.mechanism.joint_index(key[0])] for key in keys}
         self.measured = coordinates(measured, self.nq, counted)
         self.nq += sum(coordinate.carried is not None for coordinate in self.measured.values())
@@ -98,11 +115,11 @@ class CartesianTerms:
         for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
             _spread(rows[7 * k : 7 * k + 3], 7 * k, body.mass * np.eye(3))
             _spread(rows[7 * k + 3 : 7 * k + 7], 7 * k + 3, 4.0 * matrix_l(p).T @ body.inertia @ matrix_l(p))
-        on_q, _, _ = self.rotor_rows(q, self.frames(q, np.zeros(self.nv)))
-        for armature, row in zip(self.scene.armatures, on_q, strict=True):
+        rotors = self.rotor_rows(q, self.frames(q, np.zeros(self.nv)))
+        for inertia, row in zip(rotors.inertias, rotors.on_q, strict=True):
             for i, x in row.items():
                 for j, y in row.items():
-                    add(rows[i], j, armature.inertia * (x * y))
+                    add(rows[i], j, inertia * (x * y))
         return rows
 
     def velocity_terms(self, q: Array, qdot: Array) -> Array:
@@ -197,22 +214,24 @@ class CartesianTerms:
             b.append(totals[1])
         return phi_q, b
 
-    def rotor_rows(self, q: Array, frames: list[Frame]) -> tuple[Rows, Rows, Array]:
-        """Rows of Phi_q, of B and gamma (a,) of the coordinates x that bear armatures.
-
-        d2x/dt2 = Phi_q qddot - gamma, and a force on x acts through B^T.
-        """
-        on_q: Rows = []
-        on_b: Rows = []
-        gammas = []
+    def rotor_rows(self, q: Array, frames: list[Frame]) -> Rotors:
+        """What armatures are on: a coordinate each, those of balls the three of their angular velocity."""
+        found = Rotors([], [], [], [])
         for armature in self.scene.armatures:
-            coordinate = self.measured[armature.key]
-            seen = coordinate.measure(q, frames)
-            shares = self._rows(q, frames, coordinate.first, coordinate.second, seen.jacobian)
-            on_q.extend(shares[0])
-            on_b.extend(shares[1])
-            gammas.append(seen.gamma)
-        return on_q, on_b, np.array(gammas)
+            if isinstance(armature, BallArmature):
+                first, second = balls.ends(self.mechanism, armature.joint)
+                jacobian, gammas = balls.SPIN, balls.spin_gamma(frames[first], frames[second])
+            else:
+                coordinate = self.measured[armature.key]
+                first, second = coordinate.first, coordinate.second
+                seen = coordinate.measure(q, frames)
+                jacobian, gammas = seen.jacobian, np.array([seen.gamma])
+            on_q, on_b = self._rows(q, frames, first, second, jacobian)
+            found.inertias.extend([armature.inertia] * len(gammas))
+            found.on_q.extend(on_q)
+            found.on_b.extend(on_b)
+            found.gammas.extend(gammas)
+        return found
 
     def _rows(
         self, q: Array, frames: list[Frame], first: int, second: int, blocks: Jacobian

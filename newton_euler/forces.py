@@ -1,30 +1,27 @@
 """Forces: springs and dampers at joints and between points, and constant wrenches.
 
 Points are given in the world at the mechanism's initial pose, like those of joints, and move with
-their bodies. What forces between points and wrenches do to the bodies is worked out here, once for
-all formulations, over generic scalars (Nikravesh, Computer-Aided Analysis of Mechanical Systems,
-1988, chapter 9, for the elements between two points).
+their bodies. What a force is at a state is worked out here over generic scalars (Nikravesh,
+Computer-Aided Analysis of Mechanical Systems, 1988, chapter 9, for the elements between two points);
+for what all of a scene do together see `newton_euler.force_terms`.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
+from newton_euler.balls import check_ball
 from newton_euler.constraints import Frame
 from newton_euler.control import check_key, is_finite_number
 from newton_euler.errors import MechanismError, check_texts
 from newton_euler.joints import Pose
-from newton_euler.measured import Key
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism, check_name
 from newton_euler.scalars import Array, Scalar, cross, sqrt
-
-if TYPE_CHECKING:
-    from newton_euler.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -85,6 +82,59 @@ class JointSpring:
 
 
 @dataclass(frozen=True, eq=False)
+class BallSpring:
+    """A torsion spring and damper on a joint's ball, the same about all axes: -(k theta + d omega), N m.
+
+    theta is the rotation vector of the second body against the first, from where the spring rests, and
+    omega their relative angular velocity; the torque is that on the second body. theta is below half a
+    turn: there the torque of a spring jumps to the other side.
+
+    Attributes:
+        joint: name of the joint it acts on.
+        stiffness: k in N m/rad, 0 or more.
+        damping: d in N m s/rad, 0 or more.
+        rest: (3,) rotation vector of the second body against the first where the spring rests, rad from
+            the initial pose, in the world's axes there.
+
+    Raises:
+        MechanismError: naming the joint and the value at fault.
+    """
+
+    joint: str
+    stiffness: float = 0.0
+    damping: float = 0.0
+    rest: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+
+    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "rest")
+
+    def __post_init__(self) -> None:
+        check_texts(self.element, self, "joint")
+        _set_numbers(self, self.element, ("stiffness", "damping"), 0.0)
+        _set_vector(self, self.element, "rest")
+
+    @property
+    def element(self) -> str:
+        """What errors call it."""
+        return f"spring of the ball of joint {self.joint!r}"
+
+    def check(self, mechanism: Mechanism) -> None:
+        """Raise `MechanismError` unless the mechanism has its joint, with a ball."""
+        check_ball(self.element, self.joint, mechanism)
+
+    def torque(self, theta: Array, omega: Array) -> Array:
+        """(3,) N m on the second body at a turn theta (3,) rad and its rate omega (3,) rad/s."""
+        return -(self.stiffness * theta + self.damping * omega)
+
+    def power(self, omega: Array) -> Scalar:
+        """Power of the damper, W."""
+        return -self.damping * (omega @ omega)
+
+    def energy(self, theta: Array) -> Scalar:
+        """Energy of the spring, J."""
+        return 0.5 * self.stiffness * (theta @ theta)
+
+
+@dataclass(frozen=True, eq=False)
 class PointSpring:
     """A spring and damper between points of two bodies; tension k (l - l0) + d dl/dt along their line.
 
@@ -138,7 +188,7 @@ class PointSpring:
     def check_apart(self, mechanism: Mechanism, frames: Sequence[Frame]) -> None:
         """Raise `MechanismError` if it has no direction where bodies with these frames are."""
         poses = [body.pose for body in mechanism.bodies]
-        d = _ends(self, mechanism, poses, frames).d
+        d = line_of(self, mechanism, poses, frames).d
         if self.has_direction and np.linalg.norm(d) <= CLOSURE_TOLERANCE:
             raise MechanismError(
                 self.element,
@@ -192,13 +242,7 @@ class Wrench:
             raise MechanismError(self.element, f"acts on the ground {self.body!r}", "a body that moves")
 
 
-Force = JointSpring | PointSpring | Wrench
-
-Measurements = Mapping[Key, tuple[Scalar, ...]]
-"""Joint coordinates (m or rad), their rates, and what else may follow."""
-
-Surroundings = tuple[list[Pose], list[Frame], Measurements]
-"""What forces depend on: reference poses and frames of all bodies, and joint coordinates."""
+Force = JointSpring | BallSpring | PointSpring | Wrench
 
 
 def _check_known(element: str, what: str, name: object, known: tuple[str, ...]) -> None:
@@ -217,7 +261,7 @@ def _set_numbers(thing: Force, element: str, names: Sequence[str], least: float 
         object.__setattr__(thing, name, float(value))
 
 
-def _set_vector(thing: PointSpring | Wrench, element: str, name: str) -> None:
+def _set_vector(thing: BallSpring | PointSpring | Wrench, element: str, name: str) -> None:
     """Replace an attribute by a read-only array (3,) of its own; raises `MechanismError`."""
     raw = getattr(thing, name)
     try:
@@ -230,7 +274,7 @@ def _set_vector(thing: PointSpring | Wrench, element: str, name: str) -> None:
     object.__setattr__(thing, name, value)
 
 
-class _Line(NamedTuple):
+class Line(NamedTuple):
     """The two points of a spring at a state; world frame."""
 
     first: int
@@ -244,7 +288,10 @@ class _Line(NamedTuple):
     """(3,) of d, m/s."""
 
 
-def _ends(spring: PointSpring, mechanism: Mechanism, poses: Sequence[Pose], frames: Sequence[Frame]) -> _Line:
+def line_of(
+    spring: PointSpring, mechanism: Mechanism, poses: Sequence[Pose], frames: Sequence[Frame]
+) -> Line:
+    """The two points of a spring where bodies have these frames; `poses` are the frames' initial ones."""
     i, j = mechanism.body_index(spring.first), mechanism.body_index(spring.second)
     s_i = frames[i].rotation @ poses[i].point_to_body(spring.point_on_first)
     s_j = frames[j].rotation @ poses[j].point_to_body(spring.point_on_second)
@@ -255,10 +302,10 @@ def _ends(spring: PointSpring, mechanism: Mechanism, poses: Sequence[Pose], fram
         - frames[i].velocity
         - cross(frames[i].angular_velocity, s_i)
     )
-    return _Line(i, j, s_i, s_j, d, rate)
+    return Line(i, j, s_i, s_j, d, rate)
 
 
-def _pull(spring: PointSpring, line: _Line) -> Array:
+def pull_along(spring: PointSpring, line: Line) -> Array:
     """(3,) N, what the spring does to the first body's point; the opposite acts on the second's."""
     if not spring.has_direction:
         return np.asarray(spring.stiffness * line.d)
@@ -268,7 +315,7 @@ def _pull(spring: PointSpring, line: _Line) -> Array:
     return np.asarray(tension * along)
 
 
-def _wrench(wrench: Wrench, body: int, poses: Sequence[Pose], frames: Sequence[Frame]) -> tuple[Array, ...]:
+def wrench_at(wrench: Wrench, body: int, poses: Sequence[Pose], frames: Sequence[Frame]) -> tuple[Array, ...]:
     """Force, torque and arm of its point (3,) each, world frame."""
     pose, frame = poses[body], frames[body]
     arm = frame.rotation @ pose.point_to_body(wrench.point)
@@ -278,95 +325,12 @@ def _wrench(wrench: Wrench, body: int, poses: Sequence[Pose], frames: Sequence[F
     return frame.rotation @ force, frame.rotation @ torque, arm
 
 
-def body_wrenches(scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame]) -> list[Array]:
-    """What springs between points and wrenches do to each body (ground first): (6,) N and N m.
-
-    Force and torque about the centre of mass, world frame. `poses` are the reference poses of the
-    frames at the initial pose.
-    """
-    total: list[Array] = [np.zeros(6) for _ in frames]
-    for force in scene.forces:
-        if isinstance(force, PointSpring):
-            line = _ends(force, scene.mechanism, poses, frames)
-            pull = _pull(force, line)
-            total[line.first] = total[line.first] + np.concatenate([pull, cross(line.s_i, pull)])
-            total[line.second] = total[line.second] - np.concatenate([pull, cross(line.s_j, pull)])
-        elif isinstance(force, Wrench):
-            k = scene.mechanism.body_index(force.body)
-            push, torque, arm = _wrench(force, k, poses, frames)
-            total[k] = total[k] + np.concatenate([push, torque + cross(arm, push)])
-    return total
-
-
-def springs_energy(
-    scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured: Measurements
-) -> Scalar:
-    """Energy of all springs, J."""
-    energy: Scalar = 0.0
-    for spring in scene.forces:
-        if isinstance(spring, JointSpring):
-            energy = energy + spring.energy(measured[spring.joint, spring.coordinate][0])
-        elif isinstance(spring, PointSpring):
-            d = _ends(spring, scene.mechanism, poses, frames).d
-            length = sqrt(d @ d)
-            stretch = length - spring.rest_length
-            energy = energy + 0.5 * spring.stiffness * (stretch * stretch)
-    return energy
-
-
-def rotors_energy(scene: Scene, measured: Measurements) -> Scalar:
-    """Kinetic energy of the armatures, J."""
-    energy: Scalar = 0.0
-    for armature in scene.armatures:
-        rate = measured[armature.key][1]
-        energy = energy + 0.5 * armature.inertia * (rate * rate)
-    return energy
-
-
-def power(scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured: Measurements) -> Scalar:
-    """Power, W, of what has no energy of its own: control laws, dampers and wrenches."""
-    power: Scalar = 0.0
-    for law in scene.joint_forces:
-        power = power + law.power(*measured[law.joint, law.coordinate][:2])
-    for force in scene.forces:
-        if isinstance(force, PointSpring):
-            line = _ends(force, scene.mechanism, poses, frames)
-            if force.has_direction:
-                along = line.d @ line.rate
-                power = power - force.damping * (along * along) / (line.d @ line.d)
-        elif isinstance(force, Wrench):
-            k = scene.mechanism.body_index(force.body)
-            push, torque, arm = _wrench(force, k, poses, frames)
-            omega = frames[k].angular_velocity
-            power = power + push @ (frames[k].velocity + cross(omega, arm)) + torque @ omega
-    return power
-
-
-def pulls(
-    scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured: Measurements
-) -> dict[str, float]:
-    """N, how strong each of a scene's forces is, by what errors call it; a torque as a force at the
-    mechanism's size."""
-    size = scene.mechanism.size
-    found: dict[str, float] = {}
-    for law in scene.joint_forces:
-        joint = scene.mechanism.joints[scene.mechanism.joint_index(law.joint)]
-        turns = joint.coordinate_kinds[law.coordinate] == "hinge"
-        x, rate = measured[law.joint, law.coordinate][:2]
-        found[law.element] = abs(law.force(x, rate)) / (size if turns else 1.0)
-    for force in scene.forces:
-        if isinstance(force, PointSpring):
-            pull = _pull(force, _ends(force, scene.mechanism, poses, frames))
-            found[force.element] = float(np.max(np.abs(pull)))
-        elif isinstance(force, Wrench):
-            found[force.element] = float(np.max(np.abs([force.force, force.torque / size])))
-    return found
-
-
 def _identity(force: Force) -> str:
     """What no two forces of a scene may have in common."""
     if isinstance(force, JointSpring):
         return f"spring of coordinate {force.coordinate} of joint {force.joint!r}"
+    if isinstance(force, BallSpring):
+        return force.element
     return f"force {force.name!r}"
 
 
@@ -380,7 +344,7 @@ def check_forces(forces: Sequence[Force], mechanism: Mechanism, frames: Sequence
         force.check(mechanism)
     for element, count in Counter(map(_identity, forces)).items():
         if count > 1:
-            needed = "unique names, and one spring a joint coordinate"
+            needed = "unique names, and one spring a joint coordinate or ball"
             raise MechanismError(element, f"{count} of that name", needed)
     for force in forces:
         if isinstance(force, PointSpring):

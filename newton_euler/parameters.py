@@ -7,6 +7,7 @@ A parameter has a name and a value of the shape that the scene has there:
   `JOINT.1.target` for its second coordinate;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
   `JOINT.1.spring.rest` for its second coordinate;
+- `JOINT.ball.stiffness`, `JOINT.ball.damping`, `JOINT.ball.rest` of the spring of a joint's ball;
 - `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points;
 - `NAME.force`, `NAME.torque` of a wrench.
 
@@ -27,7 +28,7 @@ import numpy as np
 
 from newton_euler.control import Law
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.forces import Force, JointSpring, PointSpring, Wrench
+from newton_euler.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.mechanism import Body
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -39,6 +40,8 @@ def place_of(force: Law | Force) -> str:
     """What names of a control law's or force's parameters begin with."""
     if isinstance(force, PointSpring | Wrench):
         return force.name
+    if isinstance(force, BallSpring):
+        return f"{force.joint}.ball"
     place = force.joint if force.coordinate == 0 else f"{force.joint}.{force.coordinate}"
     return f"{place}.spring" if isinstance(force, JointSpring) else place
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from newton_euler.constraints import Frame, Jacobian
 from newton_euler.couplings import Coupling
-from newton_euler.forces import body_wrenches
+from newton_euler.force_terms import body_wrenches
 from newton_euler.joints import JointEquations
 from newton_euler.measured import Coordinate, Key
 from newton_euler.mechanism import Mechanism
@@ -92,6 +92,7 @@ def tree_reactions(
     angular: Array,
     multipliers: Array,
     joint_forces: Sequence[tuple[Key, Scalar]],
+    spun: Sequence[tuple[tuple[int, int], Array]],
 ) -> tuple[Array, Array]:
     """Forces and torques (j, 3) about the joint points on the second bodies.
 
@@ -105,6 +106,7 @@ def tree_reactions(
         linear, angular: (b, 3) accelerations.
         multipliers: (k,) of the loop closures and couplings.
         joint_forces: N or N m on joint coordinates, of control laws, springs and rotors.
+        spun: by rotors of balls, their first and second bodies and (3,) N m on the second, world frame.
     """
     mechanism, tree = system.mechanism, system.tree
     frames = [link.frame for link in links]
@@ -130,6 +132,9 @@ def tree_reactions(
         push = _push(number, e.first, e.second, blocks, np.array([u]))
         need[e.first] = need[e.first] - push.on_first
         need[e.second] = need[e.second] - push.on_second
+    for (first, second), torque in spun:
+        couple = np.concatenate([np.zeros(3), torque])
+        need[first], need[second] = need[first] + couple, need[second] - couple
     for kept in reversed(tree.joints):
         force, torque = need[kept.child][:3], need[kept.child][3:]
         center = frames[kept.child].position

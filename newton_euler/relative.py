@@ -22,11 +22,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from newton_euler.armature import BallArmature
+from newton_euler.balls import ends, spin_rate
 from newton_euler.constraints import Frame
 from newton_euler.couplings import turns
 from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import product
-from newton_euler.forces import power, rotors_energy, springs_energy
+from newton_euler.force_terms import power, rotors_energy, springs_energy
 from newton_euler.links import Link
 from newton_euler.measured import carried_angles, carried_rates
 from newton_euler.reactions import tree_reactions
@@ -204,14 +206,21 @@ class Relative(RelativeTerms):
             ((law.joint, law.coordinate), u)
             for law, u in zip(self.scene.joint_forces, actuation, strict=True)
         ]
-        for armature, (a, row, gamma) in zip(self.scene.armatures, self.rotor_terms(measured), strict=True):
-            acceleration = sum((x * qddot[k] for k, x in row.items()), start=0.0) - gamma
-            pushes.append((armature.key, -(a * acceleration)))
-        forces, torques = tree_reactions(self, links, linear, angular, multipliers, pushes)
-        state = self._state(links)
         frames = [link.frame for link in links]
+        spun = []
+        for armature in self.scene.armatures:
+            if isinstance(armature, BallArmature):
+                bodies = ends(self.mechanism, armature.joint)
+                spun.append((bodies, -armature.inertia * spin_rate(frames, angular, bodies)))
+            else:
+                seen = measured[armature.key]
+                x_rates = (x * qddot[k] for k, x in seen.jacobian.items())
+                acceleration = sum(x_rates, start=0.0) - seen.gamma
+                pushes.append((armature.key, -(armature.inertia * acceleration)))
+        forces, torques = tree_reactions(self, links, linear, angular, multipliers, pushes, spun)
+        state = self._state(links)
         kinetic, potential = energies(self.scene, frames, self.inertias)
-        kinetic = kinetic + rotors_energy(self.scene, measured)
+        kinetic = kinetic + rotors_energy(self.scene, frames, measured)
         potential = potential + springs_energy(self.scene, self.tree.poses, frames, measured)
         return Evaluation(
             state,

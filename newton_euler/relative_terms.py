@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from newton_euler import balls
+from newton_euler.armature import Armature, BallArmature
 from newton_euler.constraints import Jacobian
 from newton_euler.couplings import couplings, row_owners, row_units
-from newton_euler.forces import Surroundings, body_wrenches
+from newton_euler.force_terms import Surroundings, body_wrenches
 from newton_euler.links import Link, tree_links
 from newton_euler.measured import Key, coordinates, wanted
 from newton_euler.scalars import Array, Scalar, cross, zeros
@@ -68,7 +70,8 @@ class RelativeTerms:
         self.in_use: RowsInUse | None = None
         self.couplings = couplings(scene)
         counted = wanted(scene, self.couplings)
-        keys = dict.fromkeys([*counted, *(armature.key for armature in scene.armatures)])
+        rotors = (armature.key for armature in scene.armatures if isinstance(armature, Armature))
+        keys = dict.fromkeys([*counted, *rotors])
         self.places = {key: self.tree.place(*key) for key in keys}
         cut = {
             key: self.tree.equations(self.mechanism.joint_index(key[0]))
@@ -149,7 +152,7 @@ class RelativeTerms:
         for path, block, share in self.body_terms(links):
             mass[np.ix_(path, path)] += block
             force[path] += share
-        for inertia, row, gamma in self.rotor_terms(self.measured(q, v, links)):
+        for inertia, row, gamma in self.rotor_terms(q, v, links):
             for i, x in row.items():
                 force[i] += inertia * gamma * x
                 for j, y in row.items():
@@ -157,12 +160,29 @@ class RelativeTerms:
         return mass, force
 
     def rotor_terms(
-        self, measured: dict[Key, Measured]
+        self, q: Array, v: Array, links: list[Link]
     ) -> Iterator[tuple[Scalar, dict[int, Scalar], Scalar]]:
-        """For each armature a, and J and gamma of its coordinate: its force is -a (J vdot - gamma)."""
+        """For each armature a, and J and gamma of its coordinate: its force is -a (J vdot - gamma).
+
+        Those of balls have three, components of the angular velocity in one frame or the other.
+        """
+        measured = self.measured(q, v, links)
         for armature in self.scene.armatures:
-            seen = measured[armature.key]
-            yield armature.inertia, seen.jacobian, seen.gamma
+            if isinstance(armature, BallArmature):
+                for row, gamma in self._spin_terms(armature.joint, links):
+                    yield armature.inertia, row, gamma
+            else:
+                seen = measured[armature.key]
+                yield armature.inertia, seen.jacobian, seen.gamma
+
+    def _spin_terms(self, joint: str, links: list[Link]) -> list[tuple[dict[int, Scalar], Scalar]]:
+        """J and gamma of the relative angular velocity at a ball, which is three of v if the tree has it."""
+        place = self.tree.ball_place(joint)
+        if place is not None:
+            return [({k: 1.0}, 0.0) for k in range(place.start, place.stop)]
+        first, second = (links[k] for k in balls.ends(self.mechanism, joint))
+        gamma = balls.spin_gamma(first.frame, second.frame) - _drift(balls.SPIN, first, second)
+        return list(zip(self._project(balls.SPIN, first, second), gamma, strict=True))
 
     def mass_rows(self, q: Array) -> Rows:
         """The nonzeros of M (nv, nv), over generic scalars."""
@@ -176,9 +196,11 @@ class RelativeTerms:
         for path, block, share in self.body_terms(links):
             for n, i in enumerate(path):
                 force[i] = force[i] + share[n]
-                for m, j in enumerate(path):
+                for m, j in enumerate(path[: n + 1]):  # both triangles alike, to the last bit and zero
                     add(mass[i], j, block[n, m])
-        for inertia, row, gamma in self.rotor_terms(self.measured(q, v, links)):
+                    if i != j:
+                        add(mass[j], i, block[n, m])
+        for inertia, row, gamma in self.rotor_terms(q, v, links):
             for i, x in row.items():
                 force[i] = force[i] + inertia * gamma * x
                 for j, y in row.items():

@@ -10,11 +10,11 @@ from functools import cached_property
 
 import numpy as np
 
-from newton_euler.armature import Armature, check_armatures
+from newton_euler.armature import Armature, BallArmature, check_armatures
 from newton_euler.control import Law, Sampled, is_finite_number
 from newton_euler.couplings import check_motions, couplings, residuals
 from newton_euler.errors import MechanismError, check_choice
-from newton_euler.forces import Force, JointSpring, check_forces
+from newton_euler.forces import BallSpring, Force, JointSpring, check_forces
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.motions import PrescribedMotion
 from newton_euler.scalars import Array
@@ -53,7 +53,7 @@ class Scene:
         outputs: names out of `OUTPUTS`.
         forces: springs, dampers and wrenches beside gravity and control.
         motions: prescribed motions of joints.
-        armatures: rotor inertias on joint coordinates.
+        armatures: rotor inertias on joint coordinates and balls.
         description: one printable line for people.
 
     Raises:
@@ -71,7 +71,7 @@ class Scene:
     outputs: frozenset[str] = frozenset(OUTPUTS)
     forces: tuple[Force, ...] = ()
     motions: tuple[PrescribedMotion, ...] = ()
-    armatures: tuple[Armature, ...] = ()
+    armatures: tuple[Armature | BallArmature, ...] = ()
     description: str = ""
 
     @np.errstate(all="ignore")  # what overflows is refused, here or by a run
@@ -151,14 +151,14 @@ class Scene:
         forces = tuple(self.forces) if isinstance(self.forces, Iterable) else (self.forces,)
         for force in forces:
             if not isinstance(force, Force):
-                needed = "JointSpring, PointSpring or Wrench"
+                needed = "JointSpring, BallSpring, PointSpring or Wrench"
                 raise MechanismError(f"scene {self.name!r}", f"forces holds {force!r:.200}", needed)
         object.__setattr__(self, "forces", forces)
         check_forces(self.forces, self.mechanism, self.initial_state.frames())
 
     def _check_armatures(self) -> None:
         given = self.armatures
-        if not isinstance(given, Iterable) or not all(isinstance(a, Armature) for a in given):
+        if not isinstance(given, Iterable) or not all(isinstance(a, Armature | BallArmature) for a in given):
             raise MechanismError(
                 f"scene {self.name!r}", f"armatures is {given!r:.200}", "a tuple of armatures"
             )
@@ -286,6 +286,13 @@ class Scene:
     def joint_forces(self) -> tuple[Law | JointSpring, ...]:
         """All that acts on joint coordinates: the control laws, then the springs of joints."""
         return (*self.control, *(force for force in self.forces if isinstance(force, JointSpring)))
+
+    @property
+    def loaded_balls(self) -> frozenset[str]:
+        """Names of the joints on whose balls there is a spring, a damper or an armature."""
+        springs = (force.joint for force in self.forces if isinstance(force, BallSpring))
+        rotors = (armature.joint for armature in self.armatures if isinstance(armature, BallArmature))
+        return frozenset((*springs, *rotors))
 
     @property
     def tracks_work(self) -> bool:

@@ -74,6 +74,8 @@ def motion_names(joint: Joint, forward: bool = True) -> list[str]:
 class SpanningTree:
     """The tree of `mechanism` that cuts the joints with the fewest equations: balls first.
 
+    Of joints with as many it rather keeps those that are actuated or `loaded`.
+
     Rods are always cut. A body that only they reach floats: the tree has a free joint for it, after
     the joints of the mechanism, at its centre of mass.
 
@@ -84,8 +86,13 @@ class SpanningTree:
         nq, nv: numbers of coordinates and velocities.
     """
 
-    def __init__(self, mechanism: Mechanism, never: Collection[str] = ()) -> None:
-        """Grow from the ground; joints named in `never` are cut whatever their kind."""
+    def __init__(
+        self, mechanism: Mechanism, never: Collection[str] = (), loaded: Collection[str] = ()
+    ) -> None:
+        """Grow from the ground; joints named in `never` are cut whatever their kind.
+
+        `loaded` are names of joints that something acts on.
+        """
         self.mechanism = mechanism
         kept: list[TreeJoint] = []
         reached: dict[int, int] = {0: 0}  # body: depth
@@ -96,7 +103,7 @@ class SpanningTree:
             for index in mechanism.joints_at[body]:
                 equations = self._equations[index]
                 if equations.joint.name not in never and not equations.joint.only_closes:
-                    passive = not equations.joint.actuated
+                    passive = not (equations.joint.actuated or equations.joint.name in loaded)
                     heapq.heappush(candidates, (-equations.count, passive, reached[body], index, body))
 
         self.floating: tuple[Free, ...] = ()
@@ -182,6 +189,14 @@ class SpanningTree:
         single = [(on_q.start, on_v.start) for motion, on_q, on_v in kept.places if motion.kind != "ball"]
         return single[coordinate if kept.forward else -1 - coordinate]
 
+    def ball_place(self, joint: str) -> slice | None:
+        """Where in v the angular velocity of a joint's ball is; None if it is cut."""
+        kept = self._kept.get(self.mechanism.joint_index(joint))
+        if kept is None:
+            return None
+        (place,) = (on_v for motion, _, on_v in kept.places if motion.kind == "ball")
+        return place
+
     def rate(self, q: Array, v: Array) -> Array:
         """qdot (nq,): v itself, and pdot = 1/2 L^T omega' for quaternions."""
         if self.nq == self.nv:
@@ -242,7 +257,7 @@ class WeldedMechanism:
 
     Attributes:
         mechanism: the bodies, halves appended at the end; the joints, welds appended at the end.
-        tree: its spanning tree; the cuts are spherical joints, rods and welds.
+        tree: its spanning tree; the cuts are spherical joints that nothing acts on, rods and welds.
         origin: for each body the index of the body it is a part of in the original.
     """
 
@@ -261,20 +276,24 @@ class WeldedMechanism:
         )
 
 
-def weld_loops(mechanism: Mechanism, keep_bodies: bool = False) -> WeldedMechanism:
+def weld_loops(
+    mechanism: Mechanism, keep_bodies: bool = False, loaded: Collection[str] = ()
+) -> WeldedMechanism:
     """Rewrite the loops of a mechanism so that only balls, rods and welds close them.
 
     Args:
         mechanism: of any loops.
         keep_bodies: whether to cut loops at their own welds. To an engine a weld in the tree is the better
             one, it costs no equations; but readers of a file make one body of the two that it holds.
+        loaded: names of balls that something acts on, which engines have in the tree only.
     """
     bodies, joints = list(mechanism.bodies), list(mechanism.joints)
     origin = list(range(len(bodies)))
     never = _own_welds(mechanism) if keep_bodies else []
-    for index in SpanningTree(mechanism, never).cuts:
+    for index in SpanningTree(mechanism, never, loaded).cuts:
         joint = mechanism.joints[index]
-        if isinstance(joint, Spherical | Rod) or joint.name in never:
+        closes = isinstance(joint, Rod) or (isinstance(joint, Spherical) and joint.name not in loaded)
+        if closes or joint.name in never:
             continue
         side = "second" if joint.second != mechanism.body_names[0] else "first"
         whole = mechanism.body_index(getattr(joint, side))
@@ -291,7 +310,7 @@ def weld_loops(mechanism: Mechanism, keep_bodies: bool = False) -> WeldedMechani
             body = bodies[number]
             bodies[number] = replace(body, mass=share * body.mass, inertia=share * body.inertia)
     welded = Mechanism(bodies, joints, mechanism.couplings)
-    return WeldedMechanism(welded, SpanningTree(welded, never), tuple(origin))
+    return WeldedMechanism(welded, SpanningTree(welded, never, loaded), tuple(origin))
 
 
 def _own_welds(mechanism: Mechanism) -> list[str]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mechanisms import REGULAR, bar, bolted, planar_four_bar, seven_hinges
+from mechanisms import GRAVITY, REGULAR, bar, bolted, planar_four_bar, seven_hinges
 
 import newton_euler
 from crosscheck.scenes import SCENES, load
@@ -19,12 +19,39 @@ from newton_euler.compiled import FORMULATIONS, formulate
 from newton_euler.errors import IntegrationError
 from newton_euler.euler_parameters import from_rotation_vector, rotation
 from newton_euler.integrate import Options
-from newton_euler.joints import Fixed, Spherical
+from newton_euler.joints import Compound, Fixed, Free, Spherical
+from newton_euler.mechanism import Body, Mechanism
 from newton_euler.relative import Relative
+from newton_euler.scene import Scene
 from newton_euler.simulate import run
 
 LIBRARY = {name: lambda name=name: load(name) for name in SCENES}
-BUILDS = LIBRARY | {build.__name__: build for build in REGULAR} | {"planar_four_bar": planar_four_bar}
+
+
+def skew_hinges() -> Scene:
+    """An arm on three hinges that are not perpendicular, whose end a body without other joints hangs on.
+
+    In their mass matrix some numbers are zero, and others nothing but round-off.
+    """
+    end = [0.2, 0.0, 0.0]
+    bodies = [
+        Body.ground(),
+        Body("arm", 0.3, [0.1, 0.0, 0.0], np.diag([6e-5, 1.2e-3, 1.2e-3])),
+        Body("box", 0.2, end, np.diag([1.7e-4, 1.3e-4, 9e-5])),
+    ]
+    joints = [
+        Compound("shoulder", "ground", "arm", [0.0, 0.0, 0.0], hinges=[[3, 1, 0], [0, 3, 1], [1, 0, 3]]),
+        Free("free", "ground", "box", end),
+        Spherical("hand", "arm", "box", end),
+    ]
+    return Scene("skew_hinges", Mechanism(bodies, joints), 1.0, 0.01, GRAVITY)
+
+
+BUILDS = (
+    LIBRARY
+    | {build.__name__: build for build in REGULAR}
+    | {build.__name__: build for build in (planar_four_bar, skew_hinges)}
+)
 
 CONDITION = {"slider_tree": 10.0, "andrews": 10.0}
 """Where accelerations differ by more than 1e-12 between any two forms, float forms among themselves too."""

@@ -104,7 +104,7 @@ STRETCHED = PointSpring("s", *ENDS, stiffness=1.0, rest_length=1.0)
 @pytest.mark.parametrize(
     ("forces", "message"),
     [
-        (3, "scene 'mass': forces holds 3; needed: JointSpring, PointSpring or Wrench"),
+        (3, "scene 'mass': forces holds 3; needed: JointSpring, BallSpring, PointSpring or Wrench"),
         ([PD("rail", 1.0, 1.0, 0.0)], "forces holds PD("),
         (
             [JointSpring("axle")],

@@ -27,7 +27,7 @@ from newton_euler import PD, Body, JointSpring, Mechanism, PointSpring, Scene, S
 from newton_euler.assemble import random_states
 from newton_euler.compiled import FORMULATIONS, formulate
 from newton_euler.euler_parameters import from_rotation_vector
-from newton_euler.forces import power
+from newton_euler.force_terms import power
 from newton_euler.integrate import Options
 from newton_euler.joints import Free, Revolute
 from newton_euler.simulate import compile_scene, run

@@ -24,7 +24,7 @@ from crosscheck.random.mechanisms import (
 from crosscheck.random.scenes import KINDS, random_scene
 from newton_euler.cartesian import Cartesian
 from newton_euler.errors import SingularityError
-from newton_euler.forces import JointSpring, PointSpring, Wrench
+from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.joints import JOINT_KINDS, Free
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.relative import Relative
@@ -76,7 +76,8 @@ def test_what_they_cover(comparisons):
     assert set(cut) | {"fixed", "prismatic", "translational"} == set(KINDS)
     assert set(loops) == {0, 1, 2, 3}
     assert {len(scene.mechanism.bodies) - 1 for scene in scenes} == set(range(2, 9))
-    assert set(forces) == {JointSpring, PointSpring, Wrench, "world", "body"}
+    assert set(forces) == {JointSpring, BallSpring, PointSpring, Wrench, "world", "body"}
+    assert sum(len(scene.armatures) > 0 for scene in scenes) > 3
     assert sum(len(scene.control) > 0 for scene in scenes) > 3
     assert sum(len(scene.motions) > 0 for scene in scenes) > 3
     assert sum(len(scene.mechanism.couplings) > 0 for scene in scenes) > 3

@@ -28,7 +28,8 @@ from urdf.forces import PointForces
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia
 from urdf.proximal import SHARE, converged, plain, redundant_rows, regularised
-from urdf.reactions import Actuator, driven, external_forces, joint_wrenches, reactions
+from urdf.reactions import actuator, driven, external_forces, joint_wrenches, reactions
+from urdf.rotors import Rotors
 from urdf.rows import Rows, solve
 from urdf.write import closures, to_loops, to_urdf
 
@@ -60,7 +61,7 @@ class PinocchioSystem:
         """
         self.scene = scene
         self.mechanism = scene.mechanism
-        self._welded = weld_loops(scene.mechanism)
+        self._welded = weld_loops(scene.mechanism, loaded=scene.loaded_balls)
         self._tree = self._welded.tree
         self._couplings = TreeCouplings(scene, self._tree)
         self.time = 0.0
@@ -95,7 +96,9 @@ class PinocchioSystem:
         self._rows = Rows(self.closed, self.map, self._couplings, self._length, alpha)
         self.phi_units = np.concatenate([self._closures.units, self._rows.units])
         self._set_armatures()
-        self._actuators = [self._actuator(law.joint, law.coordinate) for law in scene.joint_forces]
+        self._actuators = [
+            actuator(scene.mechanism, self._tree, law.joint, law.coordinate) for law in scene.joint_forces
+        ]
         self._proximal = self._proximal_settings()
 
     def _add_body_frames(self) -> list[int]:
@@ -117,22 +120,11 @@ class PinocchioSystem:
 
         Not the other one: Pinocchio's kinetic energy has them only in part.
         """
-        self.rotors = [(self._actuator(*armature.key), armature.inertia) for armature in self.scene.armatures]
-        inertias = np.zeros(self.nv)
-        for rotor, inertia in self.rotors:
-            inertias[rotor.on_v] = inertia
+        self._rotors = Rotors(self.scene, self._tree)
+        inertias = self._rotors.inertias
         units = self._mass * self._length**2 / self.velocity_units**2
         self.armature = self.map.v_to_pinocchio(inertias)
         self._scaled.model.armature = self.map.v_to_pinocchio(inertias / units)
-
-    def _actuator(self, joint: str, coordinate: int) -> Actuator:
-        """What a control law or a spring drives; the tree has it, balls at most are ever cut."""
-        index = self.mechanism.joint_index(joint)
-        place = self._tree.place(joint, coordinate)
-        assert place is not None
-        (forward,) = (kept.forward for kept in self._tree.joints if kept.joint == index)
-        kinds = [m.kind for m in self.mechanism.joints[index].motions if m.kind != "ball"]
-        return Actuator(index, kinds[coordinate] == "slide", 1.0 if forward else -1.0, *place)
 
     def _proximal_settings(self) -> Any:
         """Plain elimination for independent closures, iterations for redundant ones.
@@ -193,7 +185,7 @@ class PinocchioSystem:
 
     def _measured(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
         """The same of `Scene.joint_forces`."""
-        return [(q[actuator.on_q], v[actuator.on_v]) for actuator in self._actuators]
+        return [(q[place.on_q], v[place.on_v]) for place in self._actuators]
 
     def actuation(self, q: Array, v: Array) -> Array:
         """Forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""
@@ -209,8 +201,8 @@ class PinocchioSystem:
     def generalized_force(self, q: Array, v: Array) -> Array:
         """(nv,) of all forces but gravity."""
         force = np.zeros(self.nv)
-        for actuator, u in zip(self._actuators, self.actuation(q, v), strict=True):
-            force[actuator.on_v] += u
+        for place, u in zip(self._actuators, self.actuation(q, v), strict=True):
+            force[place.on_v] += u
         if self._forces:
             self._move(q, v)
             pin.computeJointJacobians(self._model, self._data)
@@ -390,10 +382,11 @@ class PinocchioSystem:
         pin.computeJointJacobians(self._model, self._data, pin_q)
         columns = self.map.v_from_pinocchio(np.reshape(self._data.J, (6, self.nv)))
         forces_on = list(zip(self._actuators, actuation, strict=True))
-        forces_on += [(rotor, -inertia * qddot[rotor.on_v]) for rotor, inertia in self.rotors]
+        forces_on += self._rotors.forces(qddot)
         forces, torques = reactions(self.scene, wrenches, state, driven(self._tree, columns, forces_on))
-        kinetic = pin.computeKineticEnergy(self._model, self._data, pin_q, pin_v)
-        kinetic += sum(0.5 * inertia * v[rotor.on_v] ** 2 for rotor, inertia in self.rotors)
+        for joint, torque in self._rotors.torques(state.frames(), accelerations[:, 3:]):
+            torques[joint] -= torque
+        kinetic = pin.computeKineticEnergy(self._model, self._data, pin_q, pin_v) + self._rotors.energy(v)
         potential = pin.computePotentialEnergy(self._model, self._data, pin_q)
         return Evaluation(
             state,

@@ -1,4 +1,4 @@
-"""Forces between points of bodies and wrenches, by Pinocchio's frames."""
+"""Springs of balls, springs between points of bodies and wrenches, by Pinocchio's frames."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.forces import PointSpring, Wrench
+from newton_euler.balls import ends
+from newton_euler.forces import BallSpring, PointSpring, Wrench
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 
@@ -28,7 +29,7 @@ class Push(NamedTuple):
 
 
 class PointForces:
-    """The springs between points and the wrenches of a scene.
+    """The springs of balls, the springs between points and the wrenches of a scene.
 
     They are worked out from `data` as `pinocchio.updateFramePlacements` leaves it, velocities included.
     """
@@ -36,6 +37,7 @@ class PointForces:
     def __init__(self, scene: Scene, model: Any, body_frames: list[int]) -> None:
         """Add frames at their points to `model`, turned as the bodies, whose own are `body_frames`."""
         self._model, self._bodies = model, len(body_frames)
+        self._balls: list[tuple[BallSpring, tuple[int, int], tuple[int, int], Any]] = []
         self._springs: list[tuple[PointSpring, tuple[int, int], tuple[int, int]]] = []
         self._wrenches: list[tuple[Wrench, int, int, Array, Array]] = []
         mechanism = scene.mechanism
@@ -62,12 +64,29 @@ class PointForces:
                 turn = mechanism.bodies[body].pose.vector_to_body
                 frame = added(f"wrench {force.name}", body, force.point)
                 self._wrenches.append((force, body, frame, turn(force.force), turn(force.torque)))
+            elif isinstance(force, BallSpring):
+                i, j = ends(mechanism, force.joint)
+                # the second body's frame in the first's where the spring rests
+                a_i, a_j = (mechanism.bodies[k].pose.rotation for k in (i, j))
+                rest = a_i.T @ pin.exp3(force.rest) @ a_j
+                self._balls.append((force, (i, j), (body_frames[i], body_frames[j]), rest))
 
     def __bool__(self) -> bool:
-        return bool(self._springs or self._wrenches)
+        return bool(self._balls or self._springs or self._wrenches)
 
     def pushes(self, data: Any) -> list[Push]:
         """What they do to the bodies."""
+        return [*self._ball_pushes(data), *self._spring_pushes(data), *self._wrench_pushes(data)]
+
+    def _ball_pushes(self, data: Any) -> list[Push]:
+        found = []
+        for spring, (i, j), frames, rest in self._balls:
+            torque = spring.torque(self._turned(data, frames, rest), self._spin(data, frames))
+            found.append(Push(i, frames[0], np.zeros(3), -torque))
+            found.append(Push(j, frames[1], np.zeros(3), torque))
+        return found
+
+    def _spring_pushes(self, data: Any) -> list[Push]:
         found = []
         for spring, bodies, frames in self._springs:
             d, rate = self._line(data, frames)
@@ -78,6 +97,10 @@ class PointForces:
             pull = tension * d / (length or 1.0)
             found.append(Push(bodies[0], frames[0], pull, np.zeros(3)))
             found.append(Push(bodies[1], frames[1], -pull, np.zeros(3)))
+        return found
+
+    def _wrench_pushes(self, data: Any) -> list[Push]:
+        found = []
         for wrench, body, frame, force, torque in self._wrenches:
             turn = data.oMf[frame].rotation
             if wrench.frame == "body":
@@ -96,21 +119,24 @@ class PointForces:
 
     def energy(self, data: Any) -> float:
         """Energy of the springs, J."""
+        turned = sum(
+            float(spring.energy(self._turned(data, frames, rest))) for spring, _, frames, rest in self._balls
+        )
         stretched = (
             (spring, float(np.linalg.norm(self._line(data, frames)[0])))
             for spring, _, frames in self._springs
         )
-        return sum(
+        return turned + sum(
             0.5 * spring.stiffness * (length - spring.rest_length) ** 2 for spring, length in stretched
         )
 
     def power(self, data: Any) -> float:
         """Power of dampers and wrenches, W."""
-        power = 0.0
+        power = sum(float(spring.power(self._spin(data, frames))) for spring, _, frames, _ in self._balls)
         for spring, _, frames in self._springs:
             d, rate = self._line(data, frames)
             power -= spring.damping * float(d @ rate) ** 2 / (float(d @ d) or 1.0)
-        for push in self.pushes(data)[2 * len(self._springs) :]:
+        for push in self._wrench_pushes(data):
             velocity = self._velocity(data, push.frame)
             power += float(push.force @ velocity.linear + push.torque @ velocity.angular)
         return power
@@ -120,6 +146,16 @@ class PointForces:
         first, second = (data.oMf[frame].translation for frame in frames)
         rates = [self._velocity(data, frame).linear for frame in frames]
         return second - first, rates[1] - rates[0]
+
+    def _turned(self, data: Any, frames: tuple[int, int], rest: Array) -> Array:
+        """(3,) rotation vector of the second frame against the first from `rest` (3, 3), world frame."""
+        first, second = (data.oMf[frame].rotation for frame in frames)
+        return np.asarray(first @ pin.log3(first.T @ second @ rest.T))
+
+    def _spin(self, data: Any, frames: tuple[int, int]) -> Array:
+        """(3,) angular velocity of the second frame against the first, world frame."""
+        first, second = (self._velocity(data, frame).angular for frame in frames)
+        return np.asarray(second - first)
 
     def _velocity(self, data: Any, frame: int) -> Any:
         return pin.getFrameVelocity(self._model, data, frame, pin.LOCAL_WORLD_ALIGNED)

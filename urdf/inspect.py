@@ -13,7 +13,7 @@ from urdf.dynamics import PinocchioSystem
 
 def joint_geometry(system: PinocchioSystem) -> dict[str, JointGeometry]:
     """The joints of a model at its initial pose."""
-    closed, welded = system.closed, weld_loops(system.mechanism)
+    closed, welded = system.closed, weld_loops(system.mechanism, loaded=system.scene.loaded_balls)
     model = closed.model
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
@@ -52,7 +52,6 @@ def mass_and_force(system: PinocchioSystem, q: Array, v: Array) -> tuple[Array, 
     data, pin_q = model.createData(), system.map.q_to_pinocchio(q)
     upper = np.triu(pin.crba(model, data, pin_q))  # Pinocchio fills only the upper half
     mass = to_tree(to_tree(upper + np.triu(upper, 1).T).T)
-    for rotor, inertia in system.rotors:
-        mass[rotor.on_v, rotor.on_v] += inertia
+    mass += np.diag(system.map.v_from_pinocchio(system.armature))
     bias = pin.nonLinearEffects(model, data, pin_q, system.map.v_to_pinocchio(v))
     return mass, system.generalized_force(q, v) - to_tree(bias)

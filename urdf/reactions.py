@@ -13,6 +13,7 @@ import pinocchio as pin
 
 from newton_euler.euler_parameters import rotation
 from newton_euler.hinge_angles import dual_axes
+from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import State
@@ -34,6 +35,16 @@ class Actuator(NamedTuple):
     sign: float
     on_q: int
     on_v: int
+
+
+def actuator(mechanism: Mechanism, tree: SpanningTree, joint: str, coordinate: int) -> Actuator:
+    """What drives a joint coordinate; the tree has it, balls at most are ever cut."""
+    index = mechanism.joint_index(joint)
+    place = tree.place(joint, coordinate)
+    assert place is not None
+    (forward,) = (kept.forward for kept in tree.joints if kept.joint == index)
+    kind = mechanism.joints[index].coordinate_kinds[coordinate]
+    return Actuator(index, kind == "slide", 1.0 if forward else -1.0, *place)
 
 
 def driven(

@@ -152,7 +152,7 @@ def _laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
     """Actuation and springs of joints as an affine function of y: (nv, nq + nv) and (nv,)."""
     order_q = list(system.map.q_to_pinocchio(np.arange(system.nq)))
     order_v = list(system.map.v_to_pinocchio(np.arange(system.nv)))
-    tree = weld_loops(scene.mechanism).tree
+    tree = weld_loops(scene.mechanism, loaded=scene.loaded_balls).tree
     gains, constant = np.zeros((tree.nv, tree.nq + tree.nv)), np.zeros(tree.nv)
     for law in scene.joint_forces:
         place = tree.place(law.joint, law.coordinate)

@@ -48,7 +48,7 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
     Raises:
         NameClashError: if the parts of a joint are named as another joint or body is.
     """
-    welded = weld_loops(scene.mechanism, keep_bodies)
+    welded = weld_loops(scene.mechanism, keep_bodies, scene.loaded_balls)
     mechanism, tree = welded.mechanism, welded.tree
     robot = Element("robot", name=scene.name)
     add_materials(robot)
@@ -79,7 +79,7 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
 
 def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
     """The loop file (YAML text) that belongs to `to_urdf(scene, keep_bodies)`."""
-    welded = weld_loops(scene.mechanism, keep_bodies)
+    welded = weld_loops(scene.mechanism, keep_bodies, scene.loaded_balls)
     joints = welded.mechanism.joints
     balls, motors = [], []
     for kept in welded.tree.joints:

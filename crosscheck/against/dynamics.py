@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from crosscheck.against.align import Aligned
+from crosscheck.against.balls import ball_rotors, ball_torques, balls_apart
 from crosscheck.against.worst import worst_row
 from crosscheck.comparison.dynamics import motion_rows
 from crosscheck.comparison.rows import Row, round_off
 from crosscheck.comparison.samples import Samples, Scales
+from newton_euler.armature import Armature
 from newton_euler.cartesian import Cartesian
 from newton_euler.control import Law
-from newton_euler.forces import JointSpring, body_wrenches
+from newton_euler.force_terms import body_wrenches
+from newton_euler.forces import BallSpring, JointSpring
 from newton_euler.measured import Key
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -42,18 +46,29 @@ def dynamics_rows(pair: tuple[str, str], aligned: Aligned, first: Samples, secon
         "gravity, rel",
         {"gravity": float(np.linalg.norm(gravity[1] - gravity[0])) / strength if strength else 0.0},
     )
-    rotors = [{a.key: np.array([a.inertia]) for a in scene.armatures} for scene in scenes]
-    if any(rotors):
+    rotors, of_balls = [_rotors(scene) for scene in scenes], [ball_rotors(scene) for scene in scenes]
+    if any(rotors) or any(of_balls):
         largest = max(a.inertia for scene in scenes for a in scene.armatures)
-        yield noted("rotor inertia, rel", _apart(aligned, rotors, lambda _: largest, sensed=False))
-    for quantity, acting in (
-        ("actuator force, rel", [_forces(scene, scene.control, first) for scene in scenes]),
-        ("spring force, rel", [_forces(scene, _springs(scene), first) for scene in scenes]),
+        gaps = _apart(aligned, rotors, lambda _: largest, sensed=False)
+        more = balls_apart(aligned, of_balls, largest, sensed=False)
+        yield noted("rotor inertia, rel", _largest(gaps, more))
+    none = [dict[str, Array]()] * 2
+    for quantity, acting, torques in (
+        ("actuator force, rel", [_forces(scene, scene.control, first) for scene in scenes], none),
+        (
+            "spring force, rel",
+            [_forces(scene, _springs(scene), first) for scene in scenes],
+            [ball_torques(scene, first.states.all) for scene in scenes],
+        ),
     ):
-        if any(acting):
-            largest = float(np.max(np.abs([values for found in acting for values in found.values()])))
-            yield noted(quantity, _apart(aligned, acting, _units(scenes[0], scales, largest)))
-    wrenches = np.array([[_wrenches(scene, state) for state in first.states.all] for scene in scenes])
+        if any(acting) or any(torques):
+            values = [value for found in acting for value in found.values()]
+            values += [value for found in torques for value in found.values()]
+            largest = max(float(np.max(np.abs(value))) for value in values)
+            gaps = _apart(aligned, acting, _units(scenes[0], scales, largest))
+            unit = max(scales.force * scales.size, largest)
+            yield noted(quantity, _largest(gaps, balls_apart(aligned, torques, unit)))
+    wrenches = np.array([_wrenches(scene, first.states.all) for scene in scenes])
     if np.any(wrenches):
         wrenches[..., 3:] /= scales.size
         unit = max(scales.force, float(np.max(np.abs(wrenches))))
@@ -62,6 +77,11 @@ def dynamics_rows(pair: tuple[str, str], aligned: Aligned, first: Samples, secon
             "forces on bodies, rel", dict(zip(scenes[0].mechanism.body_names, gap.tolist(), strict=True))
         )
     yield from motion_rows(pair, first, second, lambda _: failed[0] if failed else None)
+
+
+def _rotors(scene: Scene) -> dict[Key, Array]:
+    """(1,) kg m^2 or kg by joint coordinate."""
+    return {a.key: np.array([a.inertia]) for a in scene.armatures if isinstance(a, Armature)}
 
 
 def _springs(scene: Scene) -> list[JointSpring]:
@@ -81,12 +101,23 @@ def _forces(scene: Scene, laws: Iterable[Law | JointSpring], samples: Samples) -
     return {key: np.array(values) for key, values in found.items()}
 
 
-def _wrenches(scene: Scene, state: State) -> Array:
-    """(b, 6) N and N m of springs between points and wrenches; none on the ground, which takes anything."""
+def _wrenches(scene: Scene, states: Iterable[State]) -> Array:
+    """(n, b, 6) N and N m of springs between points and wrenches.
+
+    None on the ground, which takes anything.
+    """
     poses = [body.pose for body in scene.mechanism.bodies]
-    found = np.array(body_wrenches(scene, poses, state.frames()))
-    found[0] = 0.0
+    others = tuple(force for force in scene.forces if not isinstance(force, BallSpring))
+    without = replace(scene, forces=others)
+    found = np.array([body_wrenches(without, poses, state.frames()) for state in states])
+    found[:, 0] = 0.0
     return found
+
+
+def _largest(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+    """The larger gap of each joint."""
+    names = dict.fromkeys((*one, *other))
+    return {name: max(one.get(name, 0.0), other.get(name, 0.0)) for name in names}
 
 
 def _apart(

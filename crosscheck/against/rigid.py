@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from newton_euler.forces import Force, JointSpring, PointSpring, Wrench
+from newton_euler.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.joints import Fixed, Joint
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.scalars import Array, cross
@@ -102,7 +102,7 @@ def forces_with_bodies(forces: tuple[Force, ...], names: Mapping[str, str], grou
     found: list[Force] = []
     for force in forces:
         match force:
-            case JointSpring():
+            case JointSpring() | BallSpring():
                 found.append(force)
             case PointSpring():
                 renamed = with_bodies(force, names)

@@ -18,10 +18,11 @@ import numpy as np
 
 from crosscheck.comparison.momentum import momentum_residuals
 from crosscheck.comparison.samples import Samples
+from newton_euler.balls import SPIN, ends
 from newton_euler.cartesian import Cartesian
 from newton_euler.control import Law
 from newton_euler.errors import AssemblyError
-from newton_euler.forces import JointSpring
+from newton_euler.forces import BallSpring, JointSpring
 from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -137,8 +138,8 @@ def dynamic_cause(first: Samples, second: Samples, forces: bool = True) -> str |
             continue
         if forces and _is_gravity(scene, residuals):
             return "gravity"
-        for law in scene.joint_forces if forces else ():
-            pushes = np.array([_push(equations, law, evaluation) for evaluation in samples.evaluations])
+        for law in _at_joints(scene) if forces else ():
+            pushes = np.array([_pushes(equations, law, evaluation) for evaluation in samples.evaluations])
             if _explains(pushes, residuals):
                 return law.joint
         return scene.mechanism.body_names[1 + int(np.argmax(largest))]
@@ -154,20 +155,33 @@ def _is_gravity(scene: Scene, residuals: Array) -> bool:
     return bool(np.abs(left).max() < EXPLAINED * np.abs(residuals).max())
 
 
+def _at_joints(scene: Scene) -> tuple[Law | JointSpring | BallSpring, ...]:
+    """Control laws and springs of joints and of their balls."""
+    return (*scene.joint_forces, *(force for force in scene.forces if isinstance(force, BallSpring)))
+
+
 def _explains(pushes: Array, residuals: Array) -> bool:
-    """Whether residuals (n, b - 1, 6) are multiples of `pushes`, another at each state."""
-    flat, pushed = residuals.reshape(len(residuals), -1), pushes.reshape(len(pushes), -1)
-    factors = np.sum(flat * pushed, axis=1) / np.sum(pushed * pushed, axis=1)
-    return bool(np.abs(flat - factors[:, None] * pushed).max() < EXPLAINED * np.abs(flat).max())
+    """Whether residuals (n, b - 1, 6) are multiples of `pushes` (n, k, b - 1, 6) added, others each state."""
+    flat = residuals.reshape(len(residuals), -1)
+    left = flat.copy()
+    for rest, pushed in zip(left, pushes.reshape(*pushes.shape[:2], -1), strict=True):
+        rest -= np.linalg.lstsq(pushed.T, rest)[0] @ pushed
+    return bool(np.abs(left).max() < EXPLAINED * np.abs(flat).max())
 
 
-def _push(equations: Cartesian, law: Law | JointSpring, found: Evaluation) -> Array:
-    """(b - 1, 6) what a unit force of a law does to the bodies, in the form of `_residual`."""
+def _pushes(equations: Cartesian, law: Law | JointSpring | BallSpring, found: Evaluation) -> Array:
+    """(k, b - 1, 6) what one unit force of a law, or three of a ball, do to the bodies, as of `_residual`."""
     q, _ = equations.coordinates(found.state)
     frames = found.state.frames()
-    driven = equations.measured[law.joint, law.coordinate]
-    r_i, theta_i, r_j, theta_j = driven.measure(q, frames).jacobian
-    push = np.zeros((len(frames), 6))
-    for body, r, theta in ((driven.first, r_i, theta_i), (driven.second, r_j, theta_j)):
-        push[body] += np.concatenate([r[0], frames[body].rotation.T @ theta[0] / equations.mechanism.size])
-    return push[1:]
+    if isinstance(law, BallSpring):
+        first, second = ends(equations.mechanism, law.joint)
+        jacobian = SPIN
+    else:
+        driven = equations.measured[law.joint, law.coordinate]
+        first, second = driven.first, driven.second
+        jacobian = driven.measure(q, frames).jacobian
+    r_i, theta_i, r_j, theta_j = jacobian
+    pushes = np.zeros((len(r_i), len(frames), 6))
+    for body, r, theta in ((first, r_i, theta_i), (second, r_j, theta_j)):
+        pushes[:, body] += np.hstack([r, theta @ frames[body].rotation / equations.mechanism.size])
+    return pushes[:, 1:]

@@ -55,11 +55,9 @@ def _residual(equations: Cartesian, found: Evaluation) -> Array:
     )
     applied = equations.applied(q, frames)[1].reshape(-1, 6)
     accelerations = np.hstack([found.linear_acceleration, rates])[1:].ravel()
-    _, rows, drift = equations.rotor_rows(q, frames)
-    for armature, row, gamma in zip(
-        equations.scene.armatures, dense(rows, accelerations.size), drift, strict=True
-    ):
-        applied = applied - (armature.inertia * (row @ accelerations - gamma) * row).reshape(-1, 6)
+    inertias, _, rows, gammas = equations.rotor_rows(q, frames)
+    for inertia, row, gamma in zip(inertias, dense(rows, accelerations.size), gammas, strict=True):
+        applied = applied - (inertia * (row @ accelerations - gamma) * row).reshape(-1, 6)
     left = (needed - _reaction_wrenches(equations.mechanism, found))[1:] - applied
     left[:, 3:] /= mechanism.size
     return left

@@ -10,9 +10,10 @@ import numpy as np
 
 from crosscheck.faults import plant
 from crosscheck.faults.plant import Plant
+from newton_euler.armature import BallArmature
 from newton_euler.control import PD
 from newton_euler.couplings import couplings
-from newton_euler.forces import JointSpring
+from newton_euler.forces import BallSpring, JointSpring
 from newton_euler.joints import Joint
 from newton_euler.joints.base import perpendicular_pair
 from newton_euler.scalars import Array
@@ -127,17 +128,19 @@ def _sized(scene: Scene, size: float) -> Iterator[Fault]:
         if isinstance(law, PD):
             yield from _of_law(scene, index, law, size)
     for index, force in enumerate(scene.forces):
-        if isinstance(force, JointSpring):
+        if isinstance(force, JointSpring | BallSpring):
             right = frozenset({force.joint})
+            detail = "spring" if isinstance(force, JointSpring) else "spring of its ball"
             for kind, name in (("gain", "stiffness"), ("damping", "damping")):
                 if value := getattr(force, name):
                     other = plant.spring(index, **{name: (1.0 + size) * value})
-                    yield Fault(kind, force.joint, "spring", size, other, right)
+                    yield Fault(kind, force.joint, detail, size, other, right)
     for index, rotor in enumerate(scene.armatures):
         other = plant.armature(index, (1.0 + size) * rotor.inertia)
         joint = scene.mechanism.joints[scene.mechanism.joint_index(rotor.joint)]
         right = _bodies_at(joint) | {rotor.joint}  # what turns there is as heavy to turn as with more inertia
-        yield Fault("armature", rotor.joint, "", size, other, right)
+        detail = "of its ball" if isinstance(rotor, BallArmature) else ""
+        yield Fault("armature", rotor.joint, detail, size, other, right)
 
 
 def _of_law(scene: Scene, index: int, law: PD, size: float) -> Iterator[Fault]:
@@ -199,6 +202,7 @@ def _other_kinds(scene: Scene, joint: Joint) -> dict[str, dict[str, Array]]:
     """The kind that a joint is easily taken for, with its axes; its first coordinates are what they were."""
     names = {key[0] for coupling in couplings(scene) for key in coupling.factors}
     driven = {law.joint for law in scene.joint_forces} | {a.joint for a in scene.armatures} | names
+    driven |= scene.loaded_balls
     driven |= {motion.joint for motion in scene.motions}
     match joint.kind:
         case "revolute" if joint.name in driven:
@@ -206,7 +210,7 @@ def _other_kinds(scene: Scene, joint: Joint) -> dict[str, dict[str, Array]]:
             return {"universal": {"axis_on_first": axis, "axis_on_second": perpendicular_pair(axis)[0]}}
         case "revolute" | "universal" if joint.name not in driven:
             return {"spherical": {}}
-        case "spherical":
+        case "spherical" if joint.name not in driven:
             x, y, _ = np.eye(3)
             return {"universal": {"axis_on_first": x, "axis_on_second": y}}
         case "prismatic" | "translational":

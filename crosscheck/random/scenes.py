@@ -14,11 +14,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from newton_euler.armature import BallArmature
 from newton_euler.control import PD, Law
 from newton_euler.couplings import Gear
 from newton_euler.errors import AssemblyError
 from newton_euler.euler_parameters import from_rotation_vector, rotation
-from newton_euler.forces import Force, JointSpring, PointSpring, Wrench
+from newton_euler.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.joints import JOINT_KINDS, Joint
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.motions import Polynomial, PrescribedMotion
@@ -222,6 +223,23 @@ def _askew(rng: np.random.Generator, count: int) -> Array:
     return np.array([_unit(axis + rng.uniform(-0.2, 0.2, 3)) for axis in axes]).reshape(-1, 3)
 
 
+def _of_balls(
+    rng: np.random.Generator, draft: _Draft
+) -> tuple[tuple[BallSpring, ...], tuple[BallArmature, ...]]:
+    """Springs, dampers and rotors on balls now and then, of the order of the weight and of the inertias."""
+    torque, inertia = draft.mass * GRAVITY * draft.length, 0.1 * draft.mass * draft.length**2
+    springs, rotors = list[BallSpring](), list[BallArmature]()
+    for joint in draft.joints:
+        chances, (stiffness, damping, rotor) = rng.random(2), rng.uniform(0.1, 3.0, 3)
+        rest = rng.uniform(-1.0, 1.0, 3)
+        if any(motion.kind == "ball" for motion in joint.motions):
+            if chances[0] < 0.2:
+                springs.append(BallSpring(joint.name, stiffness * torque, damping * torque, rest))
+            if chances[1] < 0.2:
+                rotors.append(BallArmature(joint.name, rotor * inertia))
+    return tuple(springs), tuple(rotors)
+
+
 def _unit(vector: Array) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
@@ -305,6 +323,8 @@ def random_scene(seed: int, number: int) -> Scene:
     rng = np.random.default_rng([seed, number])
     draft = _Draft(rng)
     forces, control = draft.forces()
+    # a stream of their own: what was there before them stays
+    springs, rotors = _of_balls(np.random.default_rng([seed, number, 1]), draft)
     mechanism = draft.mechanism
     scene = Scene(
         f"random_{seed}_{number}",
@@ -314,7 +334,8 @@ def random_scene(seed: int, number: int) -> Scene:
         gravity=GRAVITY * _direction(rng),
         control=tuple(control),
         initial_state=_moved(rng, mechanism),
-        forces=tuple(forces),
+        forces=(*forces, *springs),
+        armatures=rotors,
         description=f"random mechanism {number} of seed {seed}",
     )
     return _motion(rng, scene) if rng.random() < 0.15 else scene

@@ -11,11 +11,11 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.armature import Armature
+from newton_euler.armature import Armature, BallArmature
 from newton_euler.control import PD
 from newton_euler.couplings import Gear
 from newton_euler.errors import NewtonEulerError
-from newton_euler.forces import JointSpring, PointSpring, Wrench
+from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.joints import JOINT_KINDS, Compound, Joint, Screw
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
@@ -186,15 +186,35 @@ class JointSpringEntry(_Strict):
         return JointSpring(**self.model_dump(exclude={"kind"}))
 
 
+class BallSpringEntry(_Strict):
+    """A spring and damper on a joint's ball; `rest` is a rotation vector, rad."""
+
+    kind: Literal["ball_spring"]
+    joint: str
+    stiffness: Number = 0.0
+    damping: Number = 0.0
+    rest: Vector = (0.0, 0.0, 0.0)
+
+    def build(self) -> BallSpring:
+        return BallSpring(**self.model_dump(exclude={"kind"}))
+
+
 class ArmatureEntry(_Strict):
-    """A rotor inertia on a joint coordinate."""
+    """A rotor inertia on a joint coordinate, or on a joint's ball."""
 
     joint: str
     inertia: Number
-    coordinate: Index = 0
+    coordinate: Index | None = None
+    ball: bool = False
 
-    def build(self) -> Armature:
-        return Armature(**self.model_dump())
+    def build(self) -> Armature | BallArmature:
+        if not self.ball:
+            return Armature(self.joint, self.inertia, self.coordinate or 0)
+        if self.coordinate is not None:
+            raise CrosscheckError(
+                f"armature of joint {self.joint!r}: has a ball and a coordinate; needed: one or the other"
+            )
+        return BallArmature(self.joint, self.inertia)
 
 
 class PointSpringEntry(_Strict):
@@ -229,7 +249,9 @@ class WrenchEntry(_Strict):
         return Wrench(**self.model_dump(exclude={"kind"}))
 
 
-ForceEntry = Annotated[JointSpringEntry | PointSpringEntry | WrenchEntry, Field(discriminator="kind")]
+ForceEntry = Annotated[
+    JointSpringEntry | BallSpringEntry | PointSpringEntry | WrenchEntry, Field(discriminator="kind")
+]
 
 
 class PolynomialEntry(_Strict):

@@ -12,8 +12,9 @@ import numpy as np
 import yaml
 
 from crosscheck.errors import CrosscheckError
+from newton_euler.armature import BallArmature
 from newton_euler.control import PD
-from newton_euler.forces import JointSpring, PointSpring, Wrench
+from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.joints import Compound, Joint, Screw
 from newton_euler.motions import Polynomial, Sine, TimeFunction
 from newton_euler.scene import Scene
@@ -23,6 +24,7 @@ from newton_euler.trajectory import atomic_file
 
 KINDS: dict[type[Any], str] = {
     JointSpring: "joint_spring",
+    BallSpring: "ball_spring",
     PointSpring: "point_spring",
     Wrench: "wrench",
 }
@@ -80,7 +82,10 @@ def entries(scene: Scene) -> dict[str, Any]:
             {"joint": m.joint, "coordinate": m.coordinate, "function": _function(m.function)}
             for m in scene.motions
         ],
-        "armatures": [_plain(armature) for armature in scene.armatures],
+        "armatures": [
+            _plain(armature) | ({"ball": True} if isinstance(armature, BallArmature) else {})
+            for armature in scene.armatures
+        ],
         "initial_state": _state(scene),
         "outputs": sorted(scene.outputs),
     }

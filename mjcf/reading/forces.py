@@ -5,14 +5,15 @@ from __future__ import annotations
 from itertools import product
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from mjcf.reading.bodies import GROUND, Bodies
-from mjcf.reading.joints import BALL, Joints
+from mjcf.reading.joints import BALL, FREE, Joints
 from mjcf.reading.loops import fixed, straight
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
-from newton_euler.forces import Force, JointSpring, PointSpring, Wrench
+from newton_euler.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.mapping import Mapping, unique_name
 from newton_euler.measured import Key
 from newton_euler.scalars import Array
@@ -43,7 +44,8 @@ class Forces:
 
     def name(self, wanted: str, fallback: str) -> str:
         """A name that no force has yet."""
-        return unique_name(wanted, fallback, (f.name for f in self.forces if not isinstance(f, JointSpring)))
+        named = (force.name for force in self.forces if isinstance(force, PointSpring | Wrench))
+        return unique_name(wanted, fallback, named)
 
     def _add_joint(self, number: int) -> None:
         model, element = self._model, self._joints.element(number)
@@ -57,15 +59,58 @@ class Forces:
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
-        if number not in self._joints.keys:
-            kind = "ball" if model.jnt_type[number] == BALL else "free"
-            self._report.left_out(element, f"{what}: a {kind} joint has no coordinate to act on")
-            self._start.differ(model.jnt_stiffness, number)
+        if number in self._joints.keys:
+            joint, coordinate = self._joints.keys[number]
+            rest = float(self._reference(number)[0] - self._data.qpos[place])
+            self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
+            self._report.exactly(element, f"{what} as a spring")
             return
-        joint, coordinate = self._joints.keys[number]
-        rest = float(model.qpos_spring[place] - self._data.qpos[place])
-        self.forces.append(JointSpring(joint, stiffness, damping, rest, coordinate))
-        self._report.exactly(element, f"{what} as a spring")
+        joint = self._joints.of[number]
+        if model.jnt_type[number] == FREE:
+            rests = self._reference(number)[:3] - self._data.qpos[place : place + 3]
+            for coordinate, rest in enumerate(rests.tolist()):
+                self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
+            place += 3
+        self.forces.append(BallSpring(joint, stiffness, damping, self._rest(number, place)))
+        self._report.exactly(element, f"{what} as a spring of all its motions")
+
+    def _add_spring(self, spring: JointSpring) -> None:
+        """Add a spring to what is on its coordinate already: two of them are one between where they rest."""
+        key = spring.joint, spring.coordinate
+        for place, other in enumerate(self.forces):
+            if isinstance(other, JointSpring) and (other.joint, other.coordinate) == key:
+                stiffness = other.stiffness + spring.stiffness
+                moments = other.stiffness * other.rest + spring.stiffness * spring.rest
+                rest = moments / stiffness if stiffness else 0.0
+                damping = other.damping + spring.damping
+                self.forces[place] = JointSpring(spring.joint, stiffness, damping, rest, spring.coordinate)
+                return
+        self.forces.append(spring)
+
+    def _reference(self, number: int) -> Array:
+        """The part of qpos of a joint in which its spring rests; that of one that may yield is a state."""
+        model = self._model
+        size = {int(FREE): 7, int(BALL): 4}.get(int(model.jnt_type[number]), 1)
+        place, plastic = model.jnt_qposadr[number], model.jnt_plasticadr[number]
+        if plastic < 0:
+            return np.asarray(model.qpos_spring[place : place + size])
+        limit = float(model.jnt_springyield[number])
+        if limit < np.pi or model.jnt_type[number] != BALL:
+            self._report_yield(self._joints.element(number), limit)
+        return np.asarray(self._data.plastic[plastic : plastic + size])
+
+    def _report_yield(self, element: str, limit: float) -> None:
+        why = f"that its spring yields beyond {limit:g}: springs here are elastic"
+        self._report.left_out(element, why)
+
+    def _rest(self, number: int, place: int) -> Array:
+        """(3,) where the spring of a ball rests, as of `BallSpring`; its quaternion is at `place` of qpos."""
+        turned = np.empty(3)
+        mujoco.mju_subQuat(turned, self._reference(number)[-4:], self._data.qpos[place : place + 4])
+        child = int(self._model.jnt_bodyid[number])
+        in_world = self._data.xmat[child].reshape(3, 3) @ turned
+        (joint,) = (joint for joint in self._joints.joints if joint.name == self._joints.of[number])
+        return np.asarray(in_world if joint.second == self._bodies.names[child] else -in_world)
 
     def _add_tendon(self, tendon: int) -> None:
         model = self._model
@@ -81,6 +126,10 @@ class Forces:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
         low, high = (float(x) for x in model.tendon_lengthspring[tendon])
+        plastic = int(model.tendon_plasticadr[tendon])
+        if plastic >= 0:
+            low, high = (float(x) for x in self._data.plastic[plastic : plastic + 2])
+            self._report_yield(element, float(model.tendon_springyield[tendon]))
         ends = straight(self._start, tendon)
         weights = fixed(self._start, tendon)
         if low != high and stiffness:
@@ -111,7 +160,7 @@ class Forces:
             return
         rest = (along.rest - float(self._data.ten_length[tendon])) / slope
         stiffness, damping = along.stiffness * slope * slope, along.damping * slope * slope
-        self.forces.append(JointSpring(joint, stiffness, damping, rest, coordinate))
+        self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
         self._report.exactly(element, f"{what} as a spring of joint {joint!r}, which tells its length")
 
     def _add_straight(
@@ -151,10 +200,13 @@ class Forces:
         self._report.exactly(element, f"gravity compensation {share:g} as wrench {wrench!r}")
 
 
-def armatures(start: Start, joints: Joints, ties: Ties, report: Mapping) -> dict[Key, float]:
-    """Rotor inertias (kg m^2 or kg) by joint and coordinate."""
+def armatures(
+    start: Start, joints: Joints, ties: Ties, report: Mapping
+) -> tuple[dict[Key, float], dict[str, float]]:
+    """Rotor inertias (kg m^2 or kg) by joint and coordinate, and those of balls by joint."""
     model: Any = start.model
     found: dict[Key, float] = {}
+    balls: dict[str, float] = {}
     for number in range(model.njnt):
         inertia = float(model.dof_armature[model.jnt_dofadr[number]])
         if inertia == 0.0:
@@ -163,11 +215,11 @@ def armatures(start: Start, joints: Joints, ties: Ties, report: Mapping) -> dict
         if number in joints.keys:
             key = joints.keys[number]
             found[key] = found.get(key, 0.0) + inertia
-            report.exactly(element, f"its armature {inertia:g}")
         else:
-            kind = "ball" if model.jnt_type[number] == BALL else "free"
-            report.left_out(element, f"its armature {inertia:g}: a {kind} joint has no coordinate for it")
-            start.differ(model.dof_armature, model.dof_jntid == number)
+            balls[joints.of[number]] = inertia
+            if model.jnt_type[number] == FREE:
+                found |= {(joints.of[number], coordinate): inertia for coordinate in range(3)}
+        report.exactly(element, f"its armature {inertia:g}")
     for tendon in np.flatnonzero(model.tendon_armature):
         element = f"tendon {model.tendon(tendon).name or int(tendon)!r}"
         inertia = float(model.tendon_armature[tendon])
@@ -180,7 +232,7 @@ def armatures(start: Start, joints: Joints, ties: Ties, report: Mapping) -> dict
         key, reduced = rotor
         found[key] = found.get(key, 0.0) + reduced
         report.exactly(element, f"its armature {inertia:g} at joint {key[0]!r}, which tells its length")
-    return found
+    return found, balls
 
 
 def reduced_inertia(
