@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -148,6 +149,10 @@ define {result} @{entry}({arguments}) {{
 """
 
 
+_HURRIED: WeakValueDictionary[str, NativeModule] = WeakValueDictionary()
+"""Modules of programs that somebody uses or that wait to be improved, which whoever asks next shares."""
+
+
 class NativeFunction:
     """`y = f(x)` in native code.
 
@@ -178,7 +183,12 @@ class NativeFunction:
             return declarations(self.lanes) + body
 
         known = f"{identity}, {self.lanes} lanes, straight: {straight}" if identity else text()
-        self.module = NativeModule(known, text, {"f": PROGRAM}, hurry=hurry)
+        module = _HURRIED.get(known) if hurry else None
+        if module is None:
+            module = NativeModule(known, text, {"f": PROGRAM}, hurry=hurry)
+            if hurry:
+                _HURRIED[known] = module
+        self.module = module
         self.address = self.module.addresses["f"]
         self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
 

@@ -138,8 +138,9 @@ class Code:
         if name not in self.functions:
             program = self.program(name)
             identity = self._identity and f"{self._identity} {name}"
-            function = self.functions[name] = NativeFunction(program, name == "output", identity, hurry)
-            self.compile_time += function.module.time
+            start = time.perf_counter()
+            self.functions[name] = NativeFunction(program, name == "output", identity, hurry)
+            self.compile_time += time.perf_counter() - start
         return self.functions[name]
 
     def program(self, name: str) -> Program:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import os
 import threading
 from collections import deque
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -19,22 +19,34 @@ if TYPE_CHECKING:
 class _Improver:
     """A thread that improves one module after the other, as long as there are any.
 
-    It is the only one, for LLVM's binding does one thing at a time, and what is compiled in a hurry should
-    have to wait for one module at most. A process waits for it before it ends, so that the next one finds
-    good code in the cache.
+    It is the only one, for LLVM's binding does one thing at a time, and gives way between two modules to what
+    is compiled in a hurry. A process waits for it before it ends, so that the next one finds good code in
+    the cache.
     """
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._changed = threading.Condition()
         self._waiting: deque[NativeModule] = deque()
+        self._hurries = 0
         self._thread: threading.Thread | None = None
 
     def add(self, modules: Iterable[NativeModule]) -> None:
-        with self._lock:
+        with self._changed:
             self._waiting.extend(module for module in modules if module.quick)
             if self._waiting and self._thread is None:
                 self._thread = threading.Thread(target=self._work, name="newton_euler compiler")
                 self._thread.start()
+
+    @contextmanager
+    def give_way(self) -> Iterator[None]:
+        with self._changed:
+            self._hurries += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._hurries -= 1
+                self._changed.notify_all()
 
     def finish(self) -> None:
         while thread := self._thread:
@@ -42,7 +54,8 @@ class _Improver:
 
     def _work(self) -> None:
         while True:
-            with self._lock:
+            with self._changed:
+                self._changed.wait_for(lambda: not self._hurries)
                 if not self._waiting:
                     self._thread = None
                     return
@@ -55,6 +68,9 @@ _IMPROVER = _Improver()
 
 improve = _IMPROVER.add
 """Have modules improved, in a thread of its own."""
+
+giving_way = _IMPROVER.give_way
+"""A context in which none is begun."""
 
 finish_improving = _IMPROVER.finish
 """Wait until all modules are improved, as benchmarks do."""

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
+from weakref import WeakValueDictionary
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from newton_euler.steppers.run import MARCHES, stepper
 def no_cache(monkeypatch):
     """Everything is compiled, and by nobody before."""
     monkeypatch.setenv(CACHE_VARIABLE, "")
+    monkeypatch.setattr("newton_euler.compile._HURRIED", WeakValueDictionary())
     stepper.cache_clear(), loops.cache_clear()
     yield
     stepper.cache_clear(), loops.cache_clear()
@@ -75,6 +77,13 @@ def test_better_marches_round_alike(no_cache, monkeypatch, integrator):
     after = code.simulate(integrator, **settings)
     assert after.position.tobytes() == before.position.tobytes()
     assert after.quaternion.tobytes() == before.quaternion.tobytes()
+
+
+def test_who_asks_next_shares_what_is_there(no_cache):
+    program = Code(load("pendulum")).program("derivative")
+    first, second = (NativeFunction(program, hurry=True) for _ in range(2))
+    assert second.module is first.module
+    assert NativeFunction(program).module is not first.module  # good code was asked for
 
 
 def test_code_is_exchanged_while_it_runs(no_cache):
@@ -152,3 +161,13 @@ def test_what_cannot_be_improved_stays_as_it_is():
     improver.finish()
     assert [module.improved for module in modules] == [False, True]
     assert improver._thread is None
+
+
+def test_what_is_in_a_hurry_goes_first():
+    improver, module = _Improver(), Module(fails=False)
+    with improver.give_way():
+        improver.add([module])
+        improver._thread.join(0.2)
+        assert not module.improved
+    improver.finish()
+    assert module.improved

@@ -16,7 +16,7 @@ import numpy as np
 from newton_euler.compile import llvm_binding
 from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import IntegrationError, OptionError
-from newton_euler.improve import improve
+from newton_euler.improve import giving_way, improve
 from newton_euler.integrate import Options
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.scalars import Array
@@ -64,7 +64,8 @@ def load(code: Code, integrator: str) -> None:
     """
     missing = [name for name in code.needed(integrator) if name not in code.functions]
     if missing:
-        _compile_beside(code, integrator, missing)
+        with giving_way():
+            _compile_beside(code, integrator, missing)
     # what fails in the thread fails here once more
     functions = [code.function(name).module for name in missing]
     improve([stepper(integrator).module, loops().module, *functions])
