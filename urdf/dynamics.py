@@ -27,7 +27,7 @@ from urdf.errors import UrdfError
 from urdf.forces import PointForces
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia
-from urdf.proximal import SHARE, converged, plain, redundant_rows, regularised
+from urdf.proximal import SHARE, beside, converged, plain, redundant_rows, regularised
 from urdf.reactions import actuator, driven, external_forces, joint_wrenches, reactions
 from urdf.rotors import Rotors
 from urdf.rows import Rows, solve
@@ -134,7 +134,12 @@ class PinocchioSystem:
         q, _ = self.coordinates(self.scene.initial_state)
         self._place(q)
         self._redundant = redundant_rows(self._dimensionless())
-        return self._regularised(q) if self._redundant else plain()
+        if not self._redundant:
+            return plain()
+        settings = self._regularised(q)
+        self._place(beside(self, q))
+        self._redundant = min(self._redundant, redundant_rows(self._dimensionless()))
+        return settings
 
     def _dimensionless(self) -> Array:
         """(k, nv) Jacobian of the closures where Pinocchio's frames are."""
@@ -148,7 +153,7 @@ class PinocchioSystem:
             pin.crba(self._scaled.model, self._scaled_data, self.map.q_to_pinocchio(q / self._q_units))
         )
         mass = self.map.v_from_pinocchio(self.map.v_from_pinocchio(upper + np.triu(upper, 1).T).T)
-        # the redundant ones of the start: next to a singular pose, or drifted open, others would be counted
+        # those of closed poses that are not singular: next to one, or drifted open, others would be counted
         return regularised(self._dimensionless(), mass, self._redundant)
 
     # What integrators, projection and assembly ask for

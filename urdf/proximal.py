@@ -12,8 +12,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.errors import AssemblyError
 from newton_euler.scalars import Array
 from newton_euler.solve import rank
+from newton_euler.stabilize import project_position
+from newton_euler.system import System
+
+NEAR = 0.3
+"""rad, and sizes of the mechanism."""
 
 MU = 1e-6
 """Regularisation of redundant closures against the mean of the diagonal of J M^-1 J^T, in units of the
@@ -34,6 +40,15 @@ ITERATIONS = 30
 CONVERGED = 1e-6
 """Relative change in the last iteration above which something keeps them from an end: a configuration that is
 near a singular one, or redundant closures that contradict each other because they have drifted open."""
+
+
+def beside(system: System, q: Array) -> Array:
+    """A closed configuration near q, as a rule not singular where q is; q itself if none is found."""
+    step = system.velocity_units * np.random.default_rng(0).uniform(-NEAR, NEAR, system.nv)
+    try:
+        return project_position(system, system.retract(q, step))
+    except AssemblyError:
+        return q
 
 
 def redundant_rows(jacobian: Array) -> int:
