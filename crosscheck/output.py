@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+from crosscheck.against.compare import Against
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
+from crosscheck.partial import partial_path
 from crosscheck.run import Crosscheck
 from newton_euler.trajectory import atomic_file
 
@@ -36,8 +39,9 @@ def write(result: Crosscheck, folder: Path, recording: Path | None, verdict: str
     """Write the runs, the summary and the Rerun recording, all of them or none.
 
     The summary is removed first and comes back last, so that a folder that has one is complete wherever
-    a process that wrote to it was killed. What an earlier crosscheck left in the folder of other engines,
-    or a recording if this one goes elsewhere, is removed.
+    a process that wrote to it was killed. Runs of two models that stopped are NAME.partial.npz. What an
+    earlier crosscheck left in the folder of other engines, or a recording if this one goes elsewhere, is
+    removed.
 
     Args:
         recording: file that the recording goes to; no file if None.
@@ -49,6 +53,7 @@ def write(result: Crosscheck, folder: Path, recording: Path | None, verdict: str
     summary = folder / "summary.json"
     usual = recording_path(result, folder)
     path = folder
+    partial = result.partial if isinstance(result, Against) else {}
     try:
         content = b""
         if recording is not None:
@@ -66,13 +71,14 @@ def write(result: Crosscheck, folder: Path, recording: Path | None, verdict: str
             text = json.dumps(result.summary(), indent=1, allow_nan=False)
             temporary(summary).write_text(text + "\n", encoding="utf-8")
             runs = [folder / f"{name}.npz" for name in result.runs]
-            for target, run in zip(runs, result.runs.values(), strict=True):
+            runs += [partial_path(folder, name) for name in partial]
+            for target, run in zip(runs, (*result.runs.values(), *partial.values()), strict=True):
                 run.save(temporary(target))
             if recording is not None:
                 temporary(recording).write_bytes(content)
             path = summary
             summary.unlink(missing_ok=True)
-            for name in ENGINES.keys() - result.runs.keys():
+            for name in {*ENGINES, *(engine.name for engine in result.engines)} - result.runs.keys():
                 path = folder / f"{name}.npz"
                 path.unlink(missing_ok=True)
             if recording != usual:
@@ -81,6 +87,22 @@ def write(result: Crosscheck, folder: Path, recording: Path | None, verdict: str
     except OSError as error:
         raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
     return [*runs, summary, *([] if recording is None else [recording])]
+
+
+def check_own(folder: Path, sources: Sequence[str]) -> None:
+    """Raise `CrosscheckError` if a folder has a crosscheck of others than these models, in this order.
+
+    Paths of an earlier crosscheck are taken as seen from here.
+    """
+    earlier: list[str] = []
+    with suppress(OSError, ValueError, KeyError, TypeError):  # no summary of a crosscheck is no other's
+        found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        earlier = [str(model["source"]) for model in found.get("models") or [found]]
+    if earlier and list(map(os.path.realpath, earlier)) != list(map(os.path.realpath, sources)):
+        raise CrosscheckError(
+            f"{folder} holds a crosscheck of {' against '.join(earlier)}, not of "
+            f"{' against '.join(sources)}; name another folder (--output), or this one to overwrite it"
+        )
 
 
 def recording_path(result: Crosscheck, folder: Path) -> Path:

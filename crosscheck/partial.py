@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -29,17 +29,21 @@ class UnfinishedError(CrosscheckError):
 
 
 @contextmanager
-def partial_runs_saved(folder: Path) -> Iterator[None]:
+def partial_runs_saved(folder: Path, names: Collection[str] = ()) -> Iterator[None]:
     """Where a block ends by an error, save the runs of an `UnfinishedError` to a folder.
 
     Runs that came to their end are ENGINE.npz, as of a crosscheck that did; others are ENGINE.partial.npz.
     What an earlier crosscheck left there is removed: without a summary the folder is none of a complete
     crosscheck. A recording that it sent elsewhere stays.
 
+    Args:
+        names: of runs other than those of engines.
+
     Raises:
         CrosscheckError: with the error and the files that were written.
     """
-    partial = [_partial(folder, name) for name in ENGINES]
+    known = {*ENGINES, *names}
+    partial = [partial_path(folder, name) for name in known]
     check_writable(*partial)
     for path in partial:
         path.unlink(missing_ok=True)
@@ -47,15 +51,15 @@ def partial_runs_saved(folder: Path) -> Iterator[None]:
         yield
     except Exception as error:  # the earlier verdict holds no more, whatever it was
         unfinished = error if isinstance(error, UnfinishedError) else UnfinishedError(reason_of(error), {})
-        raise CrosscheckError("; ".join([str(unfinished), *_saved(unfinished, folder)])) from error
+        raise CrosscheckError("; ".join([str(unfinished), *_saved(unfinished, folder, known)])) from error
 
 
-def _saved(error: UnfinishedError, folder: Path) -> Iterator[str]:
+def _saved(error: UnfinishedError, folder: Path, known: set[str]) -> Iterator[str]:
     """Write the runs and say so; of a path that cannot be written too, and then no more."""
     complete = {folder / f"{name}.npz": run for name, run in error.runs.items()}
-    stopped = {_partial(folder, name): run for name, run in error.partial.items()}
+    stopped = {partial_path(folder, name): run for name, run in error.partial.items()}
     summary = path = folder / "summary.json"
-    earlier = [folder / f"{name}.npz" for name in ENGINES.keys() - error.runs.keys()]
+    earlier = [folder / f"{name}.npz" for name in known - error.runs.keys()]
     try:
         for path in (summary, *_recording(summary), *earlier):
             path.unlink(missing_ok=True)
@@ -73,5 +77,6 @@ def _recording(summary: Path) -> Iterator[Path]:
         yield summary.with_name(f"{scene}.rrd")
 
 
-def _partial(folder: Path, engine: str) -> Path:
+def partial_path(folder: Path, engine: str) -> Path:
+    """Where a run that stopped is saved."""
     return folder / f"{engine}.partial.npz"

@@ -88,7 +88,7 @@ def _table(title: str, rows: list[Row]) -> Table:
 
 def _cell(row: Row) -> Text:
     if row.informs:
-        return Text(f"{row.value:.1e}")
+        return Text(f"{row.value:.1e}{' not judged' if row.unsettled else ''}")
     return judged(row.value, row.tolerance, row.agrees)
 
 
@@ -112,7 +112,7 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
             f"stiff: motions die out at {rate:.2g} 1/s at the start, for which DOP853 would need {steps:.0f} "
             f"steps to be stable; an implicit method in {', '.join(implicit)}"
         )
-    if result.mapping:
+    if result.mapping and result.runs:
         yield _start_line(result)
     if result.rests:
         yield _rest_line(result)
@@ -179,6 +179,8 @@ def markdown(result: Crosscheck) -> str:
                 "|---|---|---|---|---|---|",
             ]
         verdict = "for information" if row.informs else "holds" if row.agrees else "**FAILS**"
+        if row.unsettled:
+            verdict = f"not judged: {row.unsettled} does not converge"
         lines.append(
             f"| {row.quantity} | {', '.join(row.between)} | {row.value:.1e} | {row.tolerance:.0e} "
             f"| {verdict} | {row.where} |"

@@ -14,6 +14,7 @@ from typing import Any
 from crosscheck.advice import Advice, Found, advise
 from crosscheck.comparison.known_figures import Measured, known_of, measure
 from crosscheck.comparison.levels import Row, compare, without_runs
+from crosscheck.comparison.rows import not_judged
 from crosscheck.comparison.runs import rests
 from crosscheck.each_run import check_figures, each_run
 from crosscheck.engines import Engine
@@ -118,7 +119,10 @@ class Crosscheck:
                 f"({len(wrong)} of {len(self.measured)} known figures fail)"
             )
         known = f", and the reference in all {len(self.measured)}" if self.measured else ""
+        known += not_judged(self.rows)
         known += "; nothing moves" if self.rests else ""
+        if self.mapping and (counts := self.mapping.counts()):
+            known += f"; of the file {counts}"
         if alone:
             return f"{subject} hold, all {len(judged)}{known}"
         return f"AGREE: {names} agree on {self.title} in all {len(judged)} figures{known}"

@@ -115,10 +115,10 @@ def _scene(
     ties = Ties(loops.gears)
     forces = Forces(start, bodies, joints, ties, gravity, report)
     actuators = Actuators(start, bodies, joints, ties, forces, report)
-    rotors, of_balls = armatures(start, joints, ties, report)
+    rotors, of_balls = armatures(start, bodies, joints, ties, report)
     for key, inertia in actuators.armatures.items():
         rotors[key] = rotors.get(key, 0.0) + inertia
-    report_leftovers(start, joints, report)
+    report_leftovers(start, bodies, joints, report)
     own = model_name(model)
     name = unique_name(Path(path).stem if own in ("", UNNAMED) else own, "model", ())
     scene = Scene(

@@ -2,13 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
+import numpy as np
+
+from newton_euler.measured import Key
 
 Fate = Literal["exactly", "approximated", "left out"]
 
 FATES: tuple[Fate, ...] = ("exactly", "approximated", "left out")
+
+CONTACTS, LIMITS, FRICTION = "contacts", "limits", "dry friction"
+"""Topics of what files of several formats hold."""
+
+RANGE = "range from the start"
+"""Of limits: how far (m or rad) a joint coordinate may go down and up from where it starts, (2,)."""
+
+CONTROL, FORCE, ROTOR = "control law", "force", "rotor"
+"""What elements became that not every format has; all have dampers along hinges and slides."""
+
+CLOSE, TINY = 1e-9, 1e-12
+"""Relative to the largest number of a value, and SI: round-off of a file's digits, degrees and frames."""
+
+Value = tuple[float | str, ...]
+
+
+def value(of: Any) -> Value:
+    """The numbers of an array in one row, or a text; infinities as texts, which JSON has none of."""
+    if isinstance(of, str):
+        return (of,)
+    numbers = (float(x) for x in np.ravel(of))
+    return tuple(x if math.isfinite(x) else str(x) for x in numbers)
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a file says of something that a scene does not hold as it is.
+
+    Attributes:
+        element: its kind and name, such as "geom 'floor'".
+        values: by the names that the file's format has for them, poses in the world at the start; SI.
+        joints: the scene's joint coordinates that it acts on; of a ball or a free joint the first.
+        bodies: the scene's bodies that it acts on or is a part of.
+    """
+
+    element: str
+    values: dict[str, Value]
+    joints: tuple[Key, ...] = ()
+    bodies: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -19,11 +63,19 @@ class Mapped:
         element: its kind and name, such as "equality 'close'".
         fate: carried over exactly, approximated, or left out.
         how: what it became, how it was approximated, or why it was left out.
+        became: `CONTROL`, `FORCE`, `ROTOR`, or "" for anything else.
+        topic: which of the things that a file can say of the element it is about, "" for all that it says.
+        inert: whether nothing would move otherwise with the element as the file has it.
+        parts: what the file says, of what was not carried over exactly.
     """
 
     element: str
     fate: Fate
     how: str
+    became: str = ""
+    topic: str = ""
+    inert: bool = False
+    parts: tuple[Part, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.element}: {self.fate}: {self.how}"
@@ -41,18 +93,52 @@ class Mapping:
         self.entries: list[Mapped] = []
         self.start: list[str] = []
 
-    def exactly(self, element: str, how: str) -> None:
-        self.entries.append(Mapped(element, "exactly", how))
+    def exactly(self, element: str, how: str, became: str = "") -> None:
+        self.entries.append(Mapped(element, "exactly", how, became))
 
-    def approximated(self, element: str, how: str) -> None:
-        self.entries.append(Mapped(element, "approximated", how))
+    def approximated(self, element: str, how: str, *parts: Part, became: str = "", topic: str = "") -> None:
+        self.entries.append(Mapped(element, "approximated", how, became, topic, parts=parts))
 
-    def left_out(self, element: str, why: str) -> None:
-        self.entries.append(Mapped(element, "left out", why))
+    def left_out(self, element: str, why: str, *parts: Part, topic: str = "", inert: bool = False) -> None:
+        self.entries.append(Mapped(element, "left out", why, "", topic, inert, parts))
 
     def of(self, fate: Fate) -> list[Mapped]:
         """The entries of one fate."""
         return [entry for entry in self.entries if entry.fate == fate]
+
+    def counts(self) -> str:
+        """How many elements were approximated and left out that move something, in words; "" if none."""
+        found: list[str] = []
+        for fate in FATES[1:]:
+            elements = {entry.element for entry in self.of(fate) if not entry.inert}
+            if elements:
+                what = "element is" if len(elements) == 1 else "elements are"
+                found.append(f"{len(elements)} {'' if found else what + ' '}{fate}")
+        return ", ".join(found)
+
+
+def differing(one: dict[str, Value], two: dict[str, Value]) -> Iterator[str]:
+    """Names of values that are not the same to round-off, or that only one of two has."""
+    for name in {**one, **two}:
+        if name not in one or name not in two or not _close(one[name], two[name]):
+            yield name
+
+
+def room(one: Value, two: Value) -> float:
+    """By how much two numbers of these values may differ and be the same."""
+    return TINY + CLOSE * max((abs(x) for x in (*one, *two) if isinstance(x, float)), default=0.0)
+
+
+def _close(one: Value, two: Value) -> bool:
+    if one == two:
+        return True
+    if len(one) != len(two):
+        return False
+    allowed = room(one, two)
+    return all(
+        abs(x - y) <= allowed if isinstance(x, float) and isinstance(y, float) else x == y
+        for x, y in zip(one, two, strict=True)
+    )
 
 
 def unique_name(wanted: str, fallback: str, taken: Iterable[str]) -> str:

@@ -24,6 +24,7 @@ from crosscheck.comparison.rows import LEVELS, START
 from crosscheck.faults import plant
 from crosscheck.faults.plant import Plant
 from crosscheck.partial import UnfinishedError
+from crosscheck.scenes.write_file import write_scene
 from newton_euler import Body, Mechanism, Scene
 from newton_euler.armature import Armature
 from newton_euler.couplings import Coupling, Gear
@@ -363,18 +364,69 @@ def test_bad_usage(capsys, tmp_path, arguments, message) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_run_that_stops_does_not_hide_where_the_models_part(monkeypatch) -> None:
+STOPPED = "integration stopped at t = 0.1 s: steps too small"
+
+
+def stopping_above(monkeypatch: pytest.MonkeyPatch, mass: float) -> None:
+    """Have runs of a first body of more than that mass, kg, stop after a first output."""
+
     def simulate(scene: Scene) -> Trajectory:
-        if scene.mechanism.bodies[1].mass > 1.0:
-            raise IntegrationError(0.1, "steps too small")
-        return real(scene)
+        found = real(scene)
+        if scene.mechanism.bodies[1].mass <= mass:
+            return found
+        error = IntegrationError(0.1, "steps too small")
+        error.partial = found
+        raise error
 
     real = compare.ENGINE.simulate
     monkeypatch.setattr(compare, "ENGINE", replace(compare.ENGINE, simulate=simulate))
+
+
+def test_a_run_that_stops_does_not_hide_where_the_models_part(monkeypatch) -> None:
+    stopping_above(monkeypatch, 1.0)
+    result = compared(pendulum(), plant.mass("rod", FAULT)(pendulum()))
+    assert first_failing(result) == ("model", "mass", "rod")
+    assert result.verdict.startswith("DIFFERENT: a and b part at level 'model': mass, rel: ")
+    assert result.verdict.endswith("; not run to the end")
+    assert result.notes[0] == f"not run to the end: b: {STOPPED}"
+    assert (list(result.runs), list(result.partial)) == (["a"], ["b"])
+
+
+def test_a_run_that_stops_of_models_that_agree_until_then_gives_no_verdict(monkeypatch) -> None:
+    stopping_above(monkeypatch, 0.5)
     with pytest.raises(UnfinishedError) as caught:
-        compared(pendulum(), plant.mass("rod", FAULT)(pendulum()))
-    stopped, parted = str(caught.value).split("; ")
-    assert stopped == "b: integration stopped at t = 0.1 s: steps too small"
-    assert parted.startswith("without runs a and b part at level 'model': mass, rel: ")
-    assert parted.endswith("worst at rod")
-    assert list(caught.value.runs) == ["a"]
+        compared(pendulum(), pendulum())
+    one, other, agreed = str(caught.value).split("; ")
+    assert (one, other) == (f"a: {STOPPED}", f"b: {STOPPED}")
+    assert agreed.startswith("all ")
+    assert agreed.endswith(" agree, up to level 'accelerations and reactions'")
+
+
+@pytest.mark.parametrize(("mass", "files"), [(1.0, {"one.npz", "other.partial.npz"}), (
+    0.5, {"one.partial.npz", "other.partial.npz"})])  # fmt: skip
+def test_models_that_part_are_different_on_the_command_line_whatever_stops(
+    capsys, monkeypatch, tmp_path, mass, files
+) -> None:
+    write_scene(pendulum(), tmp_path / "one.yaml")
+    write_scene(plant.mass("rod", FAULT)(pendulum()), tmp_path / "other.yaml")
+    out = tmp_path / "out"
+    arguments = ("run", tmp_path / "one.yaml", "--against", tmp_path / "other.yaml", "--output", out)
+    recording = "one_against_other.rrd"
+    assert run(capsys, *arguments)[0] == 1
+    assert {path.name for path in out.iterdir()} == {"one.npz", "other.npz", "summary.json", recording}
+    stopping_above(monkeypatch, mass)
+    status, printed, err = run(capsys, *arguments)
+    assert (status, err) == (1, "")
+    assert f": {STOPPED}" in printed
+    assert printed.splitlines()[-1].startswith("DIFFERENT: ")
+    assert {path.name for path in out.iterdir()} == {*files, "summary.json", recording}
+    assert run(capsys, "report", out)[0] == 0
+    monkeypatch.undo()
+    assert run(capsys, *arguments)[0] == 1
+    assert {path.name for path in out.iterdir()} == {
+        "one.npz",
+        "other.npz",
+        "summary.json",
+        recording,
+        "report.html",
+    }

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mjcf_models import ELEMENTS, FOUR_BARS, PAIR, SAME, arm, gap, model, reading
+from mjcf_models import ELEMENTS, FLOATING, FOUR_BARS, PAIR, SAME, arm, gap, model, reading
 
 import newton_euler
 from mjcf.errors import MjcfError
+from mjcf.model import CompiledScene
 from mjcf.read import Reading, read
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.original import acceleration_gap, gap_line
@@ -252,6 +253,50 @@ TIED = model(
 )
 
 
+OPPOSED = TIED.replace('coef="2"', 'coef="1"').replace('coef="-0.5"', 'coef="2"').replace("-1.5", "-1.2")
+
+
+def test_gains_of_a_tendon_of_tied_joints_are_not_negative(tmp_path: Path) -> None:
+    """A law on the joint that leads, where one on each of them would have damping below 0."""
+    found = reading(tmp_path, OPPOSED)
+    assert gap(found) < SAME
+    (law,) = found.scene.control
+    # p = -1.2 q, so that the actuator's length is 2 (p + 2 q) = 2 (1 - 2 / 1.2) p
+    slope = 2.0 * (1.0 - 2.0 / 1.2)
+    assert (law.joint, law.coordinate) == ("p", 0)
+    assert (law.stiffness, law.damping) == pytest.approx((40.0 * slope**2, 3.0 * slope**2))
+    CompiledScene(found.scene)
+    # a joint with a limit keeps its own share, to be held at that
+    limited = reading(tmp_path, OPPOSED.replace('name="q"', 'name="q" actuatorfrcrange="-9 9"'))
+    assert gap(limited) < SAME
+    held = {law.joint: (law.stiffness, law.force(0.1, 0.2)) for law in limited.scene.control}
+    assert held["two_joints"] == (0.0, 9.0)
+    assert held["p"][0] == pytest.approx(40.0 * 2.0 * slope)
+
+
+def test_a_tendon_that_equalities_keep_does_no_work(tmp_path: Path) -> None:
+    kept = OPPOSED.replace('polycoef="0 -1.2', 'polycoef="0 -2')
+    found = reading(tmp_path, kept)
+    assert gap(found) < SAME
+    assert not found.scene.control
+    (entry,) = (entry for entry in found.report.of("left out") if entry.element == "actuator 0")
+    assert str(entry) == "actuator 0: left out: equalities keep its length, so that it does no work"
+
+
+def test_springs_of_a_joint_and_of_a_tendon_add_up(tmp_path: Path) -> None:
+    """Also through a gear: 30 at 2 p - 0.5 q = 0.2, with p = -1.5 q, and 7 at p = 20 degrees."""
+    own = TIED.replace('name="p"', 'name="p" stiffness="7" damping="5" springref="20"')
+    found = reading(tmp_path, own)
+    assert gap(found) < SAME
+    (spring,) = (force for force in found.scene.forces if force.joint == "p")
+    slope = 2.0 + 0.5 / 1.5
+    assert spring.stiffness == pytest.approx(7.0 + 30.0 * slope**2)
+    assert spring.damping == pytest.approx(5.0 + 2.0 * slope**2)
+    p, q = found.start.data.qpos[:2]
+    pull = 30.0 * slope * (2.0 * p - 0.5 * q - 0.2) + 7.0 * (p - np.radians(20.0))
+    assert spring.stiffness * spring.rest == pytest.approx(-pull)
+
+
 def test_springs_and_actuators_on_joints_that_a_gear_ties(tmp_path: Path) -> None:
     """A sum of joint coordinates of which one tells the others needs no left-out line."""
     found = reading(tmp_path, TIED)
@@ -277,6 +322,57 @@ def test_ties_through_several_gears() -> None:
     assert ties.rates([p, other]) is None
     assert ties.rates([other]) == {other: 1.0}
     assert ties.rates([]) is None
+
+
+@pytest.mark.parametrize("torque_scale", ["1e-9", "0.01", "1", "40", "-2"])
+def test_an_open_weld_is_closed_whatever_its_torquescale(torque_scale: str, tmp_path: Path) -> None:
+    """MuJoCo scales what it says of angles by that."""
+    turned = '0.1 0 -0.5 0.8 0.1 0.6 0" torquescale="' + torque_scale
+    text = ELEMENTS["weld at another pose"].replace("0.1 0 -0.5 0.8 0 0.6 0", turned)
+    found = reading(tmp_path, text)
+    assert gap(found) < SAME
+    first, second = found.report.start[:2]
+    # the places are the same for all, and so is the axis times the sine of half the angle
+    assert first == reading(tmp_path, text.replace(torque_scale, "1")).report.start[0]
+    assert first.startswith("qpos0 is open, in m or rad: equality 0 0.")
+    assert second.startswith("assembled next to qpos0: closed to ")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (
+            model(arm('<joint name="ball" type="ball"/>'), '<actuator><motor joint="ball"/></actuator>'),
+            "no control law acts on a ball joint, as joint 'ball' is",
+        ),
+        (
+            model(FLOATING, '<actuator><motor joint="root"/></actuator>'),
+            "no control law acts on a free joint, as joint 'root' is",
+        ),
+        (
+            model(
+                PAIR,
+                '<tendon><spatial name="t"><site site="s1"/><site site="s2"/></spatial></tendon>'
+                '<actuator><motor tendon="t"/></actuator>',
+            ),
+            "no control law acts through its transmission, tendon",
+        ),
+    ],
+)
+def test_what_no_control_law_acts_on(text: str, why: str, tmp_path: Path) -> None:
+    pushed = text.replace("</mujoco>", '<keyframe><key ctrl="3"/></keyframe></mujoco>')
+    (entry,) = (e for e in reading(tmp_path, pushed).report.of("left out") if e.element == "actuator 0")
+    assert entry.how == why
+
+
+def test_a_keyframe_without_a_name(tmp_path: Path) -> None:
+    keys = '<keyframe><key qpos="0.3 -0.2 0.1"/><key qpos="0.1 -0.2 0.1"/></keyframe></mujoco>'
+    text = FOUR_BARS["cut at C by a connect"].replace("</mujoco>", keys)
+    for key, called in ((None, "keyframe 0"), ("1", "keyframe 1")):
+        found = reading(tmp_path, text, key=key)
+        assert found.report.start[0].startswith(f"{called} is open, in m or rad: ")
+        assert found.scene.description == f"model.xml from {called}"
+        assert any("in m or rad: keyframe 0 open by " in line for line in found.report.start)
 
 
 def test_an_unknown_keyframe(tmp_path: Path) -> None:

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+import os
 import re
-import resource
+import subprocess
+import sys
 import time
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import check_refused, command, run
+from command_line import check_refused, run
 from elements import ELEMENTS as SCENES
+from mechanisms import GRAVITY
 from mjcf_models import ELEMENTS, FOUR_BARS
 from test_armature import COMPOUNDS, armed, sprung
 from test_urdf_read import CHAIN, LOOPS, TIPS, robot
 
 import mjcf
+import urdf.read
+from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS, read_model
 from crosscheck.scenes import load
 from crosscheck.scenes.write_file import write_scene
 from mjcf.read import read as read_mjcf
+from newton_euler.forces import JointSpring
 from newton_euler.relative import Relative
 from newton_euler.scene import Scene
 from newton_euler.state import Evaluation
@@ -127,6 +136,39 @@ def test_convert_says_what_a_format_cannot_hold(capsys, tmp_path):
     assert (status, "ends in .xml, .mjcf, .urdf, .yaml, .yml, .json" in err) == (2, True)
 
 
+def dampings(scene: Scene) -> dict[tuple[str, int], float]:
+    """What is along hinges and slides, N s/m or N m s/rad, by joint and coordinate."""
+    found = [force for force in scene.forces if isinstance(force, JointSpring)]
+    return {(force.joint, force.coordinate): force.damping for force in found}
+
+
+def test_a_urdf_keeps_the_damping_of_joints_there_and_back(capsys, tmp_path):
+    model, target, again = (tmp_path / name for name in ("model.xml", "model.urdf", "again.urdf"))
+    model.write_text(ELEMENTS["springs and dampers"].replace('stiffness="20"', ""))
+    status, out, _ = run(capsys, "convert", model, target)
+    own = read_mjcf(model).scene
+    assert status == 0
+    assert "joint 'p', joint 'q', joint 'r': its stiffness 0 and damping 2 as a spring" in out
+    assert "a URDF has no forces" not in out
+    assert dampings(own) == dampings(urdf.read.read(target).scene)
+    assert set(dampings(own).values()) == {2.0}
+    assert_same_scene(
+        replace(own, gravity=GRAVITY), urdf.read.read(target, tmp_path / "model.loops.yaml").scene
+    )
+    status, out, _ = run(capsys, "convert", target, again)
+    assert (status, "a URDF has no forces" in out) == (0, False)
+    assert dampings(urdf.read.read(again).scene) == dampings(own)
+
+
+def test_a_urdf_keeps_the_damping_of_springs_and_says_that_they_are_left_out(capsys, tmp_path):
+    model, target = tmp_path / "model.xml", tmp_path / "model.urdf"
+    model.write_text(ELEMENTS["springs and dampers"])
+    _, out, _ = run(capsys, "convert", model, target)
+    left_out = out[out.index("\nleft out:") :]
+    assert "its stiffness 20 and damping 2 as a spring: a URDF has no forces but damping along h" in left_out
+    assert dampings(urdf.read.read(target).scene) == dampings(read_mjcf(model).scene)
+
+
 BOMB = "<!DOCTYPE x [<!ENTITY a 'aaaaaaaaaa'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;&a;&a;'>]>"
 
 HOSTILE = {
@@ -202,6 +244,36 @@ def test_options_of_models(capsys, tmp_path):
     check_refused(capsys, tmp_path, "tracker", "--loops", "x.yaml", message="only a URDF has a loop file")
 
 
+def test_gravity_of_a_urdf(capsys, tmp_path):
+    path = tmp_path / "chain.urdf"
+    path.write_text(CHAIN)
+    for given, gravity in (("0", (0.0, 0.0, 0.0)), ("0,0.5,-1.62", (0.0, 0.5, -1.62))):
+        scene, report = read_model(str(path), {"gravity": given})
+        assert tuple(scene.gravity) == gravity
+        said = " ".join(f"{g:g}" for g in gravity)
+        assert report.start[-1].startswith(f"gravity is {said} m/s^2, a URDF has none; ")
+    assert tuple(load(str(path)).gravity) == GRAVITY
+    for given in ("9.81", "0,0", "down", "0,0,-9.81,0"):
+        message = f"gravity is '{given}'; needed: X,Y,Z in m/s^2, or 0"
+        check_refused(capsys, tmp_path, path, "--set", f"gravity={given}", message=message)
+    check_refused(capsys, tmp_path, path, "--set", "gravity=0,0,inf", message="three finite numbers, m/s^2")
+
+
+@pytest.mark.parametrize(
+    ("options", "reader"), [(MJCF_OPTIONS, read_mjcf), (URDF_OPTIONS, urdf.read.read)], ids=["mjcf", "urdf"]
+)
+def test_options_of_models_are_listed_with_their_defaults(capsys, options, reader):
+    _, out, _ = run(capsys, "list")
+    defaults = {
+        name: of.default for name, of in inspect.signature(reader).parameters.items() if name != "path"
+    }
+    assert options.keys() == defaults.keys()
+    for name, option in options.items():
+        assert f"    --set {name}={option.values}  [default: {option.default}]\n" in out
+        if defaults[name] is not None:
+            assert option.read(name, option.default) == defaults[name]
+
+
 def test_a_model_of_several_folders_needs_the_option_root(capsys, tmp_path):
     inner = tmp_path / "package" / "robots"
     inner.mkdir(parents=True)
@@ -218,11 +290,16 @@ def test_macros_without_end_are_given_up(tmp_path):
         '<mujoco><worldbody><replicate count="100000000" offset="1 0 0"><body><joint/><geom size="1"/></body>'
         "</replicate></worldbody></mujoco>"
     )
-    done = command(tmp_path, "run", "model.xml")
-    assert done.returncode == 2
-    assert done.stderr == "crosscheck: error: model.xml: MuJoCo needs too much time or memory to compile it\n"
-    kilobytes = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    assert kilobytes < 1_000_000
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    with (tmp_path / "errors").open("w") as errors:
+        run_model = [sys.executable, "-m", "crosscheck", "run", "model.xml"]
+        process = subprocess.Popen(run_model, cwd=tmp_path, env=environment, stderr=errors)
+        _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 2
+    told = (tmp_path / "errors").read_text()
+    assert told == "crosscheck: error: model.xml: MuJoCo needs too much time or memory to compile it\n"
+    assert usage.ru_maxrss < 1_000_000  # kB, of the process and of what it started
 
 
 @pytest.mark.parametrize("file", ["truncated", "alias", "empty", "directory", "kind"])

@@ -107,7 +107,50 @@ def test_free_and_planar_joints_and_mimics(tmp_path: Path) -> None:
     assert kinds == {"floats": Free, "slides": Compound, "leads": Revolute, "follows": Prismatic}
     (gear,) = found.scene.mechanism.couplings
     assert (gear.driver, gear.follower, gear.ratio) == ("leads", "follows", 0.5)
-    assert found.report.start[0] == "coordinates 0 are open, in m or rad: mimic of follows 0.1"
+    where = "joints start where their mimics' offsets put them with their drivers at 0, m or rad: "
+    assert found.report.start[:2] == [
+        where + "'follows' 0.1",
+        "starts from coordinates 0 and mimics at their offsets: all loops closed, to 0.0e+00",
+    ]
+
+
+@pytest.mark.parametrize("kind", ["revolute", "continuous"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_mimics_start_at_their_offsets_with_their_drivers_at_zero(
+    tmp_path: Path, kind: str, order: int
+) -> None:
+    """Against Pinocchio's forward kinematics, with a follower that another one follows, in either order."""
+    # 4 rad are more than half a turn
+    followers = (
+        joint("second", kind, "a", "b", '<mimic joint="first" multiplier="2" offset="0.4"/>'),
+        joint("third", kind, "b", "c", '<mimic joint="second" multiplier="-0.5" offset="4"/>'),
+    )
+    links = (link("a"), link("b"), link("c"))
+    text = robot(*links, joint("first", "revolute", "base", "a"), *followers[::order])
+    found = reading(tmp_path, text)
+    assert found.report.start[0].endswith(": " + ", ".join(["'second' 0.4", "'third' 3.8"][::order]))
+    model = pin.buildModelFromXML(text.replace("<mimic", "<ignored"))
+    data = model.createData()
+    q = pin.integrate(model, pin.neutral(model), np.array([0.0, 0.4, 4.0 - 0.5 * 0.4]))
+    pin.forwardKinematics(model, data, q)
+    for index, body in enumerate(found.scene.mechanism.bodies[1:], start=1):
+        center = data.oMi[index].act(model.inertias[index].lever)
+        assert body.center_of_mass == pytest.approx(center, abs=1e-14)  # three rotations of order 1
+    gears = [(gear.driver, gear.follower, gear.ratio) for gear in found.scene.mechanism.couplings]
+    assert sorted(gears) == [("first", "second", 2.0), ("second", "third", -0.5)]
+
+
+def test_mimics_that_follow_each_other_are_assembled(tmp_path: Path) -> None:
+    text = robot(
+        link("a"), link("b"), link("c"),
+        joint("free", "revolute", "base", "c"),
+        joint("one", "revolute", "base", "a", '<mimic joint="two" multiplier="0.5" offset="0.3"/>'),
+        joint("two", "revolute", "a", "b", '<mimic joint="one" multiplier="0.5"/>'),
+    )  # fmt: skip
+    found = reading(tmp_path, text)
+    assert found.report.start[0] == "coordinates 0 are open, in m or rad: mimic of one 0.3"
+    # one = 0.5 two + 0.3 and two = 0.5 one have the solution 0.4 and 0.2
+    assert "joint 'one' moved most, by 0.4" in found.report.start[1]
 
 
 def test_massless_links_between_joints_make_one_joint(tmp_path: Path) -> None:

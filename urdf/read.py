@@ -1,8 +1,8 @@
 """URDF and loop file -> scene, with a report of what became of every element.
 
 Pinocchio parses the URDF and adds up what fixed joints hold together; the scene is made of its model at
-coordinates 0, or next to them where the loops close. The loop file has the keys of Gepetto's
-example-parallel-robots, see `urdf.loops`.
+coordinates 0, with followers of mimics where their offsets put them, or next to that where the loops close.
+The loop file has the keys of Gepetto's example-parallel-robots, see `urdf.loops`.
 """
 
 from __future__ import annotations
@@ -12,16 +12,18 @@ import sys
 import tempfile
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from newton_euler.couplings import Gear
 from newton_euler.errors import NewtonEulerError, check_choice
 from newton_euler.forces import JointSpring
 from newton_euler.joints import Fixed, Joint, Rod, Spherical
-from newton_euler.mapping import Mapping, unique_name
+from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, Part, unique_name, value
 from newton_euler.measured import Key
 from newton_euler.mechanism import Mechanism
 from newton_euler.scene import Scene
@@ -30,6 +32,7 @@ from urdf.errors import UrdfError
 from urdf.loops import Loops
 from urdf.model import BASES, ClosedLoopModel, build
 from urdf.reading.bodies import Tree
+from urdf.reading.held import Held
 from urdf.reading.source import SourceError, check_inertias, parsed, read_loops, read_text
 from urdf.reading.start import Mimic, Start
 from urdf.reading.visuals import dressed
@@ -41,7 +44,7 @@ OUTPUT_PERIOD = 0.01
 """s"""
 
 GRAVITY = (0.0, 0.0, -9.81)
-"""m/s^2; a URDF has none."""
+"""m/s^2, unless another one is asked for; a URDF has none."""
 
 PARTS = {
     "link": ("inertial", "visual", "collision"),
@@ -68,6 +71,7 @@ def read(
     duration: float = DURATION,
     output_period: float = OUTPUT_PERIOD,
     base: str = "fixed",
+    gravity: Sequence[float] = GRAVITY,
 ) -> Reading:
     """Read a URDF.
 
@@ -76,6 +80,7 @@ def read(
         loops: of its loop file; none if None.
         duration, output_period: of the scene, s.
         base: "fixed" or "free", whether its root link is the ground or floats.
+        gravity: (3,) of the scene, m/s^2.
 
     Raises:
         UrdfError: naming the file and the element at fault.
@@ -102,8 +107,10 @@ def read(
         _report_held(closing, report)
         tree.bodies = dressed(where, root, start, tree, report)
         scene = _scene(where, root, closed, closing, start, tree, mimics, report, duration, output_period)
+        scene = replace(scene, gravity=np.array(gravity))
         root_link = "is the ground" if base == "fixed" else "floats"
-        report.start.append(f"gravity is 9.81 m/s^2 along -z, a URDF has none; its root link {root_link}")
+        pull = " ".join(f"{g:g}" for g in gravity)
+        report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")
     except RuntimeError as error:  # what Pinocchio asserts, of inertias for one
         check_inertias(where, root)
         raise SourceError(where, f"Pinocchio refuses it: {' '.join(str(error).split())}") from error
@@ -159,14 +166,14 @@ def _scene(
     joints = [*tree.joints, *_closing(closed, loops, tree, report)]
     gears = list(_gears(start, loops, tree, mimics, [joint.name for joint in joints], report))
     name = unique_name(root.get("name", "") or Path(path).stem, "robot", ())[:100].strip(".") or "robot"
-    springs = tuple(_springs(root, tree, report))
-    _report_leftovers(root, report)
+    held = Held(start, tree)
+    springs = tuple(_springs(root, tree, held, report))
+    _report_leftovers(root, held, report)
     return Scene(
         name,
         unweld_loops(Mechanism(tree.bodies, joints, gears)),
         duration,
         output_period,
-        GRAVITY,  # type: ignore[arg-type]
         forces=springs,
         description=Path(path).name,
     )
@@ -181,7 +188,7 @@ def _closing(closed: ClosedLoopModel, loops: Loops, tree: Tree, report: Mapping)
         (a, p), (b, q) = tree.end(first), tree.end(second)
         element = f"closed_loop {' and '.join(pair)}"
         if a == b:
-            report.left_out(element, f"both frames are on {a!r}")
+            report.left_out(element, f"both frames are on {a!r}", inert=True)
             continue
         name = unique_name(_closure_name(pair) or f"closure_{number + 1}", "closure", taken)
         taken = [*taken, name]
@@ -206,12 +213,14 @@ def _gears(
             follower, driver = tree.keys[mimic.follower], tree.keys[mimic.driver]
             pairs.append((element, follower, driver, mimic.multiplier))
         else:
-            report.left_out(element, "one of its joints moves nothing")
+            told = {"multiplier": value(mimic.multiplier), "offset": value(mimic.offset)}
+            report.left_out(element, "one of its joints moves nothing", Part(element, told))
     for coupling in loops.coupled:
         terms = [(tree.keys[name], c) for name, c in coupling.items() if c and name in tree.keys]
         element = f"coupled {', '.join(coupling)}"
         if len(terms) != 2:
-            report.left_out(element, f"couples {len(terms)} joints, gears couple two")
+            told = {name: value(factor) for name, factor in coupling.items()}
+            report.left_out(element, f"couples {len(terms)} joints, gears couple two", Part(element, told))
             continue
         (follower, own), (driver, other) = terms
         pairs.append((element, follower, driver, -other / own))
@@ -221,7 +230,7 @@ def _gears(
         report.exactly(element, f"gear {name!r} of ratio {ratio:.6g}")
 
 
-def _springs(root: ET.Element, tree: Tree, report: Mapping) -> Iterator[JointSpring]:
+def _springs(root: ET.Element, tree: Tree, held: Held, report: Mapping) -> Iterator[JointSpring]:
     """The dampers of joints."""
     for joint in root.findall("joint"):
         name, dynamics = str(joint.get("name")), joint.find("dynamics")
@@ -231,27 +240,35 @@ def _springs(root: ET.Element, tree: Tree, report: Mapping) -> Iterator[JointSpr
             yield JointSpring(key[0], damping=damping, coordinate=key[1])
             report.exactly(f"joint {name!r}", f"its damping {damping:g} as a damper")
         elif damping:
-            report.left_out(f"joint {name!r}", f"its damping {damping:g}: it is no hinge or slide that moves")
+            part = held.joint(joint, "dynamics", "damping")
+            why = f"its damping {damping:g}: it is no hinge or slide that moves"
+            report.left_out(part.element, why, part, topic="damping")
 
 
-def _report_leftovers(root: ET.Element, report: Mapping) -> None:
+def _report_leftovers(root: ET.Element, held: Held, report: Mapping) -> None:
     """Tell of everything that is no rigid body and no bilateral constraint."""
     for joint in root.findall("joint"):
         element, dynamics = f"joint {joint.get('name')!r}", joint.find("dynamics")
         friction = 0.0 if dynamics is None else float(dynamics.get("friction", 0.0))
         if friction:
-            report.left_out(element, f"its dry friction {friction:g}")
+            why = f"its dry friction {friction:g}"
+            report.left_out(element, why, held.friction(joint), topic=FRICTION)
         if joint.find("limit") is not None and joint.get("type") in ("revolute", "prismatic"):
-            report.left_out(element, "its limits: limits are no bilateral constraints")
+            why = "its limits: limits are no bilateral constraints"
+            report.left_out(element, why, held.limits(joint), topic=LIMITS)
         if joint.find("safety_controller") is not None:
-            report.left_out(element, "its safety controller")
+            part = held.joint(joint, "safety_controller")
+            report.left_out(element, "its safety controller", part, topic="safety controller")
     for tag, known in PARTS.items():
         parts = Counter(part.tag for element in root.findall(tag) for part in element)
-        for part, count in parts.items():
-            if part not in known:
-                report.left_out(f"{count} <{part}> of {tag}s", "no part of a URDF's mechanics")
-    count = len(root.findall("link/collision"))
-    if count:
-        report.left_out(f"{count} collision elements", "contacts are no bilateral constraints")
+        for inner, count in parts.items():
+            if inner not in known:
+                report.left_out(f"{count} <{inner}> of {tag}s", "no part of a URDF's mechanics", inert=True)
+    links = [(link, link.findall("collision")) for link in root.findall("link")]
+    touching = [held.collision(link, k, each) for link, own in links for k, each in enumerate(own)]
+    if touching:
+        why = "contacts are no bilateral constraints"
+        report.left_out(f"{len(touching)} collision elements", why, *touching, topic=CONTACTS)
     for tag in dict.fromkeys(child.tag for child in root if child.tag not in ("link", "joint", "material")):
-        report.left_out(f"{len(root.findall(tag))} <{tag}>", "no part of a URDF's mechanics")
+        element = f"{len(root.findall(tag))} <{tag}>"
+        report.left_out(element, "no part of a URDF's mechanics", inert=True)

@@ -13,6 +13,8 @@ numbers beside them add up to zero.
 from __future__ import annotations
 
 import os
+from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -21,6 +23,7 @@ import numpy as np
 import yaml
 
 from newton_euler.couplings import couplings
+from newton_euler.forces import JointSpring
 from newton_euler.joints import Fixed, Joint, Motion, Rod
 from newton_euler.mechanism import Body
 from newton_euler.scalars import Array
@@ -42,7 +45,8 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
 
     Links are named as the bodies, joints as the joints (`<joint>_1`, `<joint>_2`, ... for the parts
     of a joint with several motions, from its first body to its second). Ball joints are placeholders,
-    revolute, for the loop file to replace. Gravity, control, forces, prescribed motions and the initial
+    revolute, for the loop file to replace. Of forces there is the damping of joints' springs, which
+    Pinocchio keeps and does not use. Gravity, control, other forces, prescribed motions and the initial
     state are the scene's and not in the text. `keep_bodies` is as of `newton_euler.tree.weld_loops`.
 
     Raises:
@@ -64,8 +68,12 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
         if index < len(scene.mechanism.bodies):  # the halves of a body are drawn once
             for shape in scene.mechanism.shapes(index):
                 add_visual(link, shape, origins[index], color(index))
+    dampings = defaultdict[str, float](float)
+    for force in scene.forces:
+        if isinstance(force, JointSpring) and force.damping:
+            dampings[_coordinate_name(scene, force.joint, force.coordinate)] += force.damping
     for kept in tree.joints:
-        _add_chain(robot, welded, kept, origins)
+        _add_chain(robot, welded, kept, origins, dampings)
     for pair in closures(welded):
         for frame, number, point in pair:
             SubElement(robot, "link", name=frame)
@@ -167,8 +175,14 @@ def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> 
     SubElement(inertial, "inertia", {name: repr(float(inertia[at]) + 0.0) for name, at in entries})
 
 
-def _add_chain(robot: Element, welded: WeldedMechanism, kept: TreeJoint, origins: list[Array]) -> None:
-    """One joint of the tree: a chain from its parent's link to its child's."""
+def _add_chain(
+    robot: Element,
+    welded: WeldedMechanism,
+    kept: TreeJoint,
+    origins: list[Array],
+    dampings: Mapping[str, float],
+) -> None:
+    """One joint of the tree: a chain from its parent's link to its child's, `dampings` by URDF joint."""
     names, joint = welded.mechanism.body_names, welded.tree.joint(kept.joint)
     parent, child = names[kept.parent], names[kept.child]
     offset = origins[kept.child] - origins[kept.parent]
@@ -183,6 +197,8 @@ def _add_chain(robot: Element, welded: WeldedMechanism, kept: TreeJoint, origins
         element = _add_joint(robot, kind, name, parent, link, offset)
         SubElement(element, "axis", xyz=numbers(_axis(motion)))
         SubElement(element, "limit", lower=f"-{LIMIT}", upper=LIMIT, effort=LIMIT, velocity=LIMIT)
+        if name in dampings:
+            SubElement(element, "dynamics", damping=repr(dampings[name]))
         parent, offset = link, np.zeros(3)
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from crosscheck.advice.measured import WANTED, Advice, Found
 from crosscheck.model_files.read import is_model, is_urdf
+from newton_euler.mapping import Mapping
 
 OTHER_ADVICE = (
     "this is about the gap of the file's own loops, advice on mujoco about the error of the motion, so that "
@@ -24,11 +25,19 @@ def own_file_advice(found: Found) -> Iterator[Advice]:
     """For an MJCF with equalities: how far they open in it as it is, and as it is made stiffer."""
     if not is_model(found.source) or is_urdf(found.source):
         return
-    from mjcf.read import read
     from mjcf.reading.sag import looked_at, sag
+    from mjcf.reading.source import SourceError, compiled
+    from mjcf.reading.start import Start
     from mjcf.reading.stiffer import CHANGES, stiffen, words
+    from mjcf.silence import heard_warnings
 
-    start = read(found.source, found.options.get("key"), root=found.options.get("root")).start
+    try:
+        with heard_warnings():  # they are in the report of the reading
+            model = compiled(found.source, found.options.get("root"))
+            start = Start(found.source, model, found.options.get("key"), Mapping())
+    except SourceError as error:
+        yield Advice("loop", f"none on those of the file, which is no longer what was run: {error}")
+        return
     own = sag(start, start.model, found.scene.duration) if start.gaps() else ""
     if isinstance(own, str) or own.gap == 0.0:
         return

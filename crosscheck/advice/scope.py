@@ -7,9 +7,6 @@ from collections.abc import Iterator, Sequence
 from crosscheck.advice.measured import Advice, Found
 from newton_euler.mapping import Mapped
 
-STILL = ("every engine has its own", "they move nothing", "one is the start", "is not active")
-"""How reports begin about what was left out and makes no difference to a motion."""
-
 MOST_NAMED = 4
 """Elements; the report before the tables has all."""
 
@@ -18,7 +15,7 @@ def scope_advice(found: Found) -> Iterator[Advice]:
     """For models of which something that moves bodies was left out or approximated."""
     if found.mapping is None:
         return
-    left_out = [entry for entry in found.mapping.of("left out") if not entry.how.startswith(STILL)]
+    left_out = [entry for entry in found.mapping.of("left out") if not entry.inert]
     approximated = found.mapping.of("approximated")
     parts = []
     if left_out:

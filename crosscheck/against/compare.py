@@ -17,7 +17,7 @@ from crosscheck.against.dynamics import dynamics_rows
 from crosscheck.against.kinematics import kinematics_rows
 from crosscheck.against.model import beside_the_worst, bodies_row, differences, model_rows, start_rows
 from crosscheck.against.uncompared import Uncompared, uncompared
-from crosscheck.comparison.rows import Row
+from crosscheck.comparison.rows import Row, not_judged
 from crosscheck.comparison.runs import compare_runs, rests
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.each_run import check_figures, each_run
@@ -40,6 +40,9 @@ ENGINE = ENGINES["newton_euler"]
 RANDOM_STATES = 8
 """Random consistent states, beside the first's start, at which the equations of both are compared: twice as
 many as faults between engines are found with."""
+
+TO_THE_END = "not run to the end"
+"""How it is said that a run stopped."""
 
 
 @dataclass(frozen=True)
@@ -72,11 +75,15 @@ class Against(Crosscheck):
     Attributes:
         models: the two.
         uncompared: what differs and no figure is about.
+        stopped: why runs, or their comparison, did not come to their end; empty if they did.
+        partial: runs that stopped, as far as they came, by model.
         notes: what people should know beside the figures: what was taken for what, and all that differs.
     """
 
     models: tuple[Model, Model] = field(kw_only=True)
     uncompared: tuple[Uncompared, ...] = ()
+    stopped: str = ""
+    partial: Mapping[str, Trajectory] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
@@ -88,7 +95,7 @@ class Against(Crosscheck):
     def rests(self) -> bool:
         """Whether nothing moves in the runs there are."""
         ran = [engine for engine in self.engines if engine.name in self.runs]
-        return rests(self.scene, ran, self.runs)
+        return bool(ran) and rests(self.scene, ran, self.runs)
 
     @property
     def agrees(self) -> bool:
@@ -101,11 +108,13 @@ class Against(Crosscheck):
         judged = [row for row in self.rows if not row.informs]
         failed = [row for row in judged if not row.agrees]
         names = " and ".join(model.title for model in self.models)
+        ending = f"; {TO_THE_END}" if self.stopped else ""
         if not failed:
-            agree = f"{names} agree in all {len(judged)} figures" + ("; nothing moves" if self.rests else "")
+            agree = f"{names} agree in all {len(judged)} figures{not_judged(self.rows)}"
+            agree += "; nothing moves" if self.rests else ""
             if moving := [other for other in self.uncompared if other.moves]:
                 more = f" (and {len(moving) - 1} more)" if len(moving) > 1 else ""
-                return f"DIFFERENT in what is not compared: {moving[0].text}{more}; {agree}"
+                return f"DIFFERENT in what is not compared: {moving[0].text}{more}; {agree}{ending}"
             if others := self.uncompared:
                 count = "1 element" if len(others) == 1 else f"{len(others)} elements"
                 return f"SAME: {agree}; not compared and different: {count}, first {others[0].text}"
@@ -113,7 +122,7 @@ class Against(Crosscheck):
         row = failed[0]
         return (
             f"DIFFERENT: {names} part at level '{row.level}': {row.quantity}: {row.value:.3g} > "
-            f"{row.tolerance:.3g}, worst at {row.where} ({len(failed)} of {len(judged)} figures fail)"
+            f"{row.tolerance:.3g}, worst at {row.where} ({len(failed)} of {len(judged)} figures fail){ending}"
         )
 
     def summary(self) -> dict[str, Any]:
@@ -139,8 +148,10 @@ def together(models: tuple[Model, Model]) -> str:
 def against(first: Model, second: Model, progress: Progress) -> Against:
     """Compare two models and run both for the first's duration; `progress` is told each stage.
 
+    A run that cannot go on or is too long hides no difference that is known without it.
+
     Raises:
-        UnfinishedError: with the runs that came to their end, if one cannot go on or is too long.
+        UnfinishedError: with the runs that came to their end, if one did not and no difference is known.
         CrosscheckError, NewtonEulerError: for models that cannot be compared.
     """
     begun = time.perf_counter()
@@ -153,8 +164,18 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
         others = tuple(uncompared(first, second, aligned))
     # bodies that have no partners cannot be laid over the first's
     able = engines[:1] if aligned.second is None else engines
-    runs = each_run(aligned.first, able, progress, lambda: rows)
-    if energy is not None:
+    runs, partial, stopped = dict[str, Trajectory](), dict[str, Trajectory](), ""
+
+    def different() -> bool:
+        return not all(row.agrees for row in rows) or any(other.moves for other in others)
+
+    try:
+        runs = each_run(aligned.first, able, progress, lambda: [] if different() else rows)
+    except UnfinishedError as error:
+        if not different():
+            raise
+        runs, partial, stopped = error.runs, error.partial, str(error)
+    if energy is not None and not stopped:
         # of both together: what a run is off by itself is no difference between models
         pairs = {
             name: replace(run, constraint_violation=None, potential_energy=None) for name, run in runs.items()
@@ -164,7 +185,10 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
                 rows += compare_runs(aligned.first, engines, pairs, energy)
             check_figures(rows)
         except Exception as error:  # runs are kept whatever goes wrong with their comparison
-            raise UnfinishedError(reason_of(error), runs) from error
+            stopped = reason_of(error)
+            rows = [row for row in rows if np.isfinite(row.value)]
+            if not different():
+                raise UnfinishedError(stopped, runs) from error
     same_file = os.path.realpath(first.source) == os.path.realpath(second.source)
     if same_file and first.options == second.options:
         notes.insert(0, f"both are {first.title}: one model against itself")
@@ -184,7 +208,14 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
         mapping=first.mapping,
         models=(first, second),
         uncompared=others,
-        notes=(*aligned.notes, *notes, *map(str, others)),
+        stopped=stopped,
+        partial=partial,
+        notes=(
+            *(f"{TO_THE_END}: {why}" for why in [stopped] if why),
+            *aligned.notes,
+            *notes,
+            *map(str, others),
+        ),
     )
 
 

@@ -11,11 +11,12 @@ from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
     cli,
-    load_and_tell,
+    load_scene,
     progress_shown,
     rendered,
     scene_options,
     setting_options,
+    tell,
 )
 from crosscheck.errors import CrosscheckError
 
@@ -80,7 +81,8 @@ def regress_command(
         with progress_shown() as progress:
             made = update(guarded, reason, progress)
         for each, found in zip(guarded, made, strict=True):
-            click.echo(f"wrote {each.path}: {len(found.figures)} figures")
+            beside = f", {len(found.carried)} parts of the file beside them" if found.carried else ""
+            click.echo(f"wrote {each.path}: {len(found.figures)} figures{beside}")
             for group, why in found.left_out.items():
                 click.echo(f"  {group} left out: {why}")
         return AGREE
@@ -107,9 +109,10 @@ def _guarded(sources: tuple[str, ...], options: dict[str, str], baseline: Path |
             raise CrosscheckError(
                 f"the baseline of {source!r} is of its defaults; --set needs --baseline FILE"
             )
-        scene = load_and_tell(source, options)
+        scene, mapping = load_scene(source, options)
+        tell(source, mapping)
         for other in guarded:
             if other.scene.name == scene.name:
                 raise CrosscheckError(f"{other.source} and {source} are both named {scene.name!r}")
-        guarded.append(Guarded(source, options, scene, baseline or usual_path(source)))
+        guarded.append(Guarded(source, options, scene, baseline or usual_path(source), mapping))
     return guarded

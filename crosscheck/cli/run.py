@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 
 ALL_ENGINES = "newton_euler,mujoco,pinocchio"
 
+OUTPUT = Path("output")
+"""Where folders of results go unless told otherwise."""
+
 
 @cli.command("run")
 @click.argument("scene", required=False)
@@ -47,7 +50,7 @@ ALL_ENGINES = "newton_euler,mujoco,pinocchio"
     "--output",
     type=click.Path(path_type=Path),
     default=None,
-    help="Folder.  [default: output/SCENE, or output with --all]",
+    help="Folder.  [default: output/ and SCENE's name or its file's without suffix; output with --all]",
 )
 @recording_options
 def run_command(
@@ -64,15 +67,15 @@ def run_command(
 ) -> int:
     """Run SCENE through the engines and compare them, or with --against compare it with another model.
 
-    SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given. The recording is saved
-    unless it is told to go elsewhere.
+    SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given. What OPTION can be is told
+    by crosscheck list. The recording is saved unless it is told to go elsewhere.
     """
     destination = Destination(**recording)
     wanted = [name.strip() for name in (engines or ALL_ENGINES).split(",") if name.strip()]
     if library:
         if scene or settings or loops or against or destination != Destination():
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
-        return _run_all(wanted, output or Path("output"))
+        return _run_all(wanted, output)
     if against is None and (against_loops or against_settings):
         raise CrosscheckError("--against-loops and --against-set are options of the model of --against")
     if against is not None and engines is not None:
@@ -85,9 +88,14 @@ def run_command(
         return _run_against(models, output, destination)
 
 
-def _run_all(engines: list[str], folder: Path) -> int:
+def _run_all(engines: list[str], output: Path | None) -> int:
+    from crosscheck.output import check_own
     from crosscheck.run_all import outcome_lines, outcomes_table, run_all
+    from crosscheck.scenes import SCENES
 
+    folder = output or OUTPUT
+    for name in SCENES if output is None else ():
+        check_own(folder / name, [name])
     with progress_shown() as progress:
         outcomes = run_all(engines, folder, progress)
     click.echo(rendered([outcomes_table(outcomes)]), nl=False)
@@ -109,6 +117,7 @@ def _run(
     from crosscheck.run import crosscheck
 
     chosen = choose(engines)
+    folder = output or _own_folder(Path(scene).stem.strip(".") or "scene", [scene])
     options = scene_options(scene, settings, loops)
     loaded, mapping = load_scene(scene, options)
     for line in report_lines(mapping) if mapping else ():
@@ -117,7 +126,15 @@ def _run(
     def work(progress: Progress) -> Crosscheck:
         return crosscheck(loaded, chosen, progress, scene, options, mapping)
 
-    return _carry_out(work, loaded.name, [engine.name for engine in chosen], output, destination)
+    return _carry_out(work, loaded.name, [engine.name for engine in chosen], folder, destination)
+
+
+def _own_folder(name: str, sources: Sequence[str]) -> Path:
+    """Where the results of these models go unless told otherwise; an error if another's are there."""
+    from crosscheck.output import check_own
+
+    check_own(OUTPUT / name, sources)
+    return OUTPUT / name
 
 
 def _models(*named: tuple[str, tuple[str, ...], str | None]) -> tuple[Model, Model]:
@@ -152,14 +169,16 @@ def _run_against(models: tuple[Model, Model], output: Path | None, destination: 
     def work(progress: Progress) -> Crosscheck:
         return against(*models, progress)
 
-    return _carry_out(work, together(models), [model.name for model in models], output, destination)
+    name = together(models)
+    folder = output or _own_folder(name, [model.source for model in models])
+    return _carry_out(work, name, [model.name for model in models], folder, destination)
 
 
 def _carry_out(
     work: Callable[[Progress], Crosscheck],
     name: str,
     runs: Sequence[str],
-    output: Path | None,
+    folder: Path,
     destination: Destination,
 ) -> int:
     """Do what was asked for, with `runs` of these names, write and send it and tell of it."""
@@ -169,12 +188,11 @@ def _carry_out(
     from crosscheck.partial import partial_runs_saved
     from crosscheck.report import markdown, settings_lines, terminal_tables
 
-    folder = output or Path("output") / name
     recording = (destination.save or folder / f"{name}.rrd") if destination.to_file else None
     arrays = [folder / f"{run}.npz" for run in runs]
     check_writable(*arrays, folder / "summary.json", *([recording] if recording else []))
     with progress_shown() as progress:
-        with partial_runs_saved(folder):
+        with partial_runs_saved(folder, runs):
             result = work(progress)
         progress("writing")
         notes = result.notes if isinstance(result, Against) else ()
@@ -195,8 +213,9 @@ def _carry_out(
 
 @cli.command("list")
 def list_command() -> int:
-    """List the scenes and engines."""
+    """List the scenes, the engines, and the options of scenes and of model files."""
     from crosscheck.engines import ENGINES
+    from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS
     from crosscheck.scenes import SCENES
     from crosscheck.scenes.options import options_of
 
@@ -204,6 +223,10 @@ def list_command() -> int:
         click.echo(f"{name}: {scene().description}")
         for key, option in options_of(scene).items():
             click.echo(f"    --set {key}={option.values}  [default: {option.default}]")
+    for kind, options in (("MJCF, a .xml or .mjcf file", MJCF_OPTIONS), ("URDF, a .urdf file", URDF_OPTIONS)):
+        click.echo(f"{kind}:")
+        for name, choice in options.items():
+            click.echo(f"    --set {name}={choice.values}  [default: {choice.default}]")
     click.echo(f"engines: {', '.join(ENGINES)}")
     return AGREE
 

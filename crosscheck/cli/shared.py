@@ -34,7 +34,11 @@ def setting_options(command: Callable[..., int]) -> Callable[..., int]:
     """What `scene_options` takes."""
     loops = click.option("--loops", metavar="FILE", default=None, help="Loop file (YAML) of a URDF.")
     settings = click.option(
-        "--set", "settings", multiple=True, metavar="OPTION=VALUE", help="Option of the scene; repeatable."
+        "--set",
+        "settings",
+        multiple=True,
+        metavar="OPTION=VALUE",
+        help="Option of the scene or model file, see crosscheck list; repeatable.",
     )
     return settings(loops(command))
 
@@ -93,10 +97,15 @@ def load_scene(scene: str, options: dict[str, str]) -> tuple[Scene, Mapping | No
 def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
     """A scene, with a line on standard error for each element of its file that is not in it as it was."""
     loaded, mapping = load_scene(scene, options)
+    tell(scene, mapping)
+    return loaded
+
+
+def tell(scene: str, mapping: Mapping | None) -> None:
+    """Write a line to standard error for each element of a model file that is not in its scene as it was."""
     for entry in mapping.entries if mapping else ():
         if entry.fate != "exactly":
             click.echo(f"{scene}: {entry}", err=True)
-    return loaded
 
 
 @contextmanager

@@ -55,6 +55,8 @@ class Row:
         value, tolerance: the figure and what it may be at most, or usually is where it only informs.
         where: the body, joint, term or time of the largest difference.
         informs: a figure that says how an engine works and is not judged.
+        unsettled: the engine whose error does not fall where its step or tolerance is refined, so that the
+            figure is not judged; empty if there is none.
     """
 
     level: str
@@ -64,11 +66,21 @@ class Row:
     tolerance: float
     where: str
     informs: bool = False
+    unsettled: str = ""
 
     @property
     def agrees(self) -> bool:
         """NaN does not agree with anything."""
         return self.informs or bool(self.value <= self.tolerance)
+
+
+def not_judged(rows: Sequence[Row]) -> str:
+    """What a verdict says of figures whose engines do not converge; empty if there are none."""
+    found = [row.unsettled for row in rows if row.unsettled]
+    names = list(dict.fromkeys(found))
+    count = "1 more is" if len(found) == 1 else f"{len(found)} more are"
+    converge = "does not converge" if len(names) == 1 else "do not converge"
+    return f"; {count} not judged: {' and '.join(names)} {converge} there" if found else ""
 
 
 def not_compared(rows: Sequence[Row]) -> Iterator[str]:

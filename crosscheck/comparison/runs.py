@@ -6,6 +6,8 @@ What an engine's run may be off is measured by refining its step or tolerance.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -13,6 +15,8 @@ import numpy as np
 from crosscheck.comparison.energy import energy_balance
 from crosscheck.comparison.rows import OWN_ERROR, ROUND_OFF, UNRESOLVED, Row, reach
 from crosscheck.engines import Engine
+from crosscheck.errors import CrosscheckError
+from newton_euler.errors import NewtonEulerError
 from newton_euler.euler_parameters import angle_between
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -20,6 +24,13 @@ from newton_euler.trajectory import Trajectory
 
 Gap = Callable[[Trajectory, Trajectory], Array]
 """How far two runs are apart, (n,) at all times or (n, bodies or joints)."""
+
+Runs = Mapping[str, Trajectory]
+"""By engine."""
+
+FALLS = 1.0 - 1.0 / OWN_ERROR
+"""Share of an error that a finer run leaves at most: above, the error is more than `OWN_ERROR` times what
+the run changes by."""
 
 
 def _positions_apart(x: Trajectory, y: Trajectory) -> Array:
@@ -77,66 +88,138 @@ def compare_runs(
     mechanism. Shares are of 1 rad for angles. For lengths they are of the mechanism's reach in the
     runs, but of 1 m at least: error control is relative to large coordinates and absolute for small
     ones. Energies are relative to the larger of the run's own and `energy`, J.
+
+    What that shows holds of a run whose error falls then. Where it does not, and is not down to what engines
+    may be off anyway or to round-off, the engine does not converge and the figure is not judged.
     """
     bodies, joints, times = scene.mechanism.body_names, scene.mechanism.joint_names, scene.times
     length = max(1.0, *(reach(scene, run.position) for run in runs.values()))
     finer: dict[str, Trajectory] = {}
+    unsettled: set[str] = set()
 
-    def allowed(value: float, fixed: float, between: Sequence[Engine], apart: Gap, unit: float) -> float:
-        """`fixed` shares of a unit, and own errors while the value exceeds that, quickest engine first."""
+    def own_change(engine: Engine, apart: Gap) -> float:
+        """How far an engine's run is from its finer one."""
+        if engine.name not in finer:
+            finer[engine.name] = engine.refined(scene)
+        return float(np.max(apart(runs[engine.name], finer[engine.name])))
+
+    def restless(between: Sequence[Engine], gap: Callable[[Runs], Array], apart: Gap, least: float) -> str:
+        """The engine whose finer run excuses a figure without being nearer to the others'; empty if none.
+
+        Nearer to their runs as they are, which costs nothing, or to their finer ones, in which their own
+        errors hide nothing; or at `least`.
+        """
+        used = [engine for engine in between if engine.name in finer]
+        name = max(used, key=lambda engine: own_change(engine, apart)).name
+
+        def falls(others: Runs) -> bool:
+            before, after = (float(np.max(gap({**others, name: of[name]}))) for of in (runs, finer))
+            return after <= max(FALLS * before, least)
+
+        if falls(runs):
+            return ""
+        if name not in unsettled:
+            for engine in between:
+                with suppress(NewtonEulerError, CrosscheckError):
+                    finer.setdefault(engine.name, engine.refined(scene))
+            if falls(runs | finer):
+                return ""
+            unsettled.add(name)
+        return name
+
+    def row(
+        level: str,
+        quantity: str,
+        between: Sequence[Engine],
+        gap: Callable[[Runs], Array],
+        apart: Gap,
+        fixed: float,
+        unit: float,
+        shown: float = 1.0,
+    ) -> Row:
+        """The largest of a gap and what it may be: `fixed` shares of the unit, and own errors while it
+        exceeds that, quickest engine first; shown in multiples of `shown`."""
+        gaps = gap(runs)
+        value, tolerance = float(np.max(gaps)), fixed * unit
+        where = worst(gaps, joints if level == "drift" else bodies)
         for engine in sorted(between, key=lambda engine: runs[engine.name].wall_time):
-            if value <= fixed:
+            if value <= tolerance:
                 break
-            if engine.name not in finer:
-                finer[engine.name] = engine.refined(scene)
-            own = float(np.max(apart(runs[engine.name], finer[engine.name]))) / unit
-            fixed += min(OWN_ERROR * own, UNRESOLVED)
-        return fixed
+            tolerance += min(OWN_ERROR * own_change(engine, apart), UNRESOLVED * unit)
+        excused = fixed * unit < value <= tolerance
+        name = restless(between, gap, apart, max(fixed, ROUND_OFF) * unit) if excused else ""
+        names = tuple(engine.name for engine in between)
+        return Row(
+            level,
+            quantity,
+            names,
+            value / shown,
+            tolerance / shown,
+            where,
+            informs=bool(name),
+            unsettled=name,
+        )
 
-    def worst(gap: Array, names: Sequence[str]) -> str:
-        n, k = divmod(int(np.argmax(gap)), gap.shape[1])
+    def worst(gaps: Array, names: Sequence[str]) -> str:
+        if gaps.ndim == 1:
+            return f"{times[int(np.argmax(gaps))]:.3g} s"
+        n, k = divmod(int(np.argmax(gaps)), gaps.shape[1])
         return f"{names[k]} at {times[n]:.3g} s"
+
+    def between_two(a: Engine, b: Engine, apart: Gap) -> Callable[[Runs], Array]:
+        return lambda of: apart(of[a.name], of[b.name])
 
     together = [(a, b) for a, b in combinations(engines, 2) if (a.name, b.name) not in parted]
     still = []
     for a, b in together:
-        agree = True
-        for quantity, apart, unit in (
-            ("positions, m", _positions_apart, length),
-            ("orientations, rad", _orientations_apart, 1.0),
-        ):
-            gap = apart(runs[a.name], runs[b.name])
-            fixed = a.trajectory_error + b.trajectory_error
-            tolerance = unit * allowed(float(gap.max()) / unit, fixed, (a, b), apart, unit)
-            where = worst(gap, bodies)
-            row = Row("trajectories", quantity, (a.name, b.name), float(gap.max()), tolerance, where)
-            agree = agree and row.agrees
-            yield row
-        if agree:
+        found = [
+            row(
+                "trajectories",
+                quantity,
+                (a, b),
+                between_two(a, b, apart),
+                apart,
+                a.trajectory_error + b.trajectory_error,
+                unit,
+            )
+            for quantity, apart, unit in (
+                ("positions, m", _positions_apart, length),
+                ("orientations, rad", _orientations_apart, 1.0),
+            )
+        ]
+        yield from found
+        if all(row.agrees for row in found):
             still.append((a, b))
     for engine in engines:
-        violation = runs[engine.name].constraint_violation
-        if violation is not None:
-            value, where = float(violation.max()), worst(violation, joints)
-            tolerance = length * allowed(value / length, engine.drift, (engine,), _violations_apart, length)
-            yield Row("drift", "open joints, m or rad", (engine.name,), value, tolerance, where)
+        if runs[engine.name].constraint_violation is not None:
+            violation = partial(_violation, engine.name)
+            quantity = "open joints, m or rad"
+            yield row("drift", quantity, (engine,), violation, _violations_apart, engine.drift, length)
     for a, b in still:
         kinetic = runs[a.name].kinetic_energy
         if kinetic is not None:
             unit = max(energy, float(np.max(kinetic)))
-            gap = _kinetic_energies_apart(runs[a.name], runs[b.name]) / unit
-            value, where = float(gap.max()), f"{times[int(np.argmax(gap))]:.3g} s"
-            fixed = a.energy_error + b.energy_error
-            tolerance = allowed(value, fixed, (a, b), _kinetic_energies_apart, unit)
-            yield Row("energy", "kinetic energy, rel", (a.name, b.name), value, tolerance, where)
+            fixed, gap = a.energy_error + b.energy_error, between_two(a, b, _kinetic_energies_apart)
+            quantity = "kinetic energy, rel"
+            yield row("energy", quantity, (a, b), gap, _kinetic_energies_apart, fixed, unit, unit)
     for engine in engines:
         balance = energy_balance(scene, runs[engine.name])
         if balance is not None:
-            unit = max(energy, balance.exchanged)
-            gap = np.abs(balance.residual) / unit
-            value, where = float(gap.max()), f"{times[int(np.argmax(gap))]:.3g} s"
-            tolerance = allowed(value, engine.energy_error, (engine,), _residuals_apart(scene), unit)
-            yield Row("energy", "energy less work, rel", (engine.name,), value, tolerance, where)
+            unit, apart = max(energy, balance.exchanged), _residuals_apart(scene)
+            gap, fixed = partial(_residual, scene, engine.name), engine.energy_error
+            yield row("energy", "energy less work, rel", (engine,), gap, apart, fixed, unit, unit)
+
+
+def _violation(engine: str, runs: Runs) -> Array:
+    violation = runs[engine].constraint_violation
+    assert violation is not None
+    return violation
+
+
+def _residual(scene: Scene, engine: str, runs: Runs) -> Array:
+    balance = energy_balance(scene, runs[engine])
+    assert balance is not None
+    return np.abs(balance.residual)
 
 
 def _residuals_apart(scene: Scene) -> Gap:

@@ -87,6 +87,8 @@ def _figures(summary: Summary) -> Iterator[Markup]:
 
 def _cell(figure: Figure) -> Cell:
     about = f"worst at {figure.where}"
+    if figure.unsettled:
+        return Cell(f"{figure.value:.1e} not judged", "", f"{figure.unsettled} does not converge, {about}")
     if figure.informs:
         return Cell(f"{figure.value:.1e}", "", about)
     return _judged(figure.value, figure.tolerance, figure.agrees, about)

@@ -20,6 +20,7 @@ class Figure(BaseModel):
     tolerance: float
     where: str
     informs: bool
+    unsettled: str = ""
     agrees: bool
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
 from newton_euler.control import Sampled
-from newton_euler.mapping import Mapping
+from newton_euler.forces import JointSpring
+from newton_euler.mapping import CONTROL, FORCE, ROTOR, Mapping
 from newton_euler.scene import Scene
 from urdf.write import loops_path
 
@@ -17,10 +17,7 @@ SCENE_FILES = (".yaml", ".yml", ".json")
 
 MJCF = (".xml", ".mjcf")
 
-CONTROL = re.compile(r"^control law of |^its actuators' force ")
-FORCES = re.compile(r"^wrench | as wrench | as a spring| as point spring | as a damper$")
-ROTORS = re.compile(r"^its armature \S+( at joint .*)?$")
-"""How reading a model file tells of what is no part of a URDF."""
+NO_FORCES = "a URDF has no forces but damping along hinges and slides, which is written"
 
 
 def check_target(path: Path) -> None:
@@ -78,9 +75,10 @@ def write_as(scene: Scene, path: Path, report: Mapping) -> list[Path]:
 
     urdf.write(scene, path)
     _leave_out(report, CONTROL, "a URDF has no control laws", [law.element for law in scene.control])
-    _leave_out(report, FORCES, "a URDF as written here has no forces", [f.element for f in scene.forces])
+    forces = [f.element for f in scene.forces if not (isinstance(f, JointSpring) and f.stiffness == 0.0)]
+    _leave_out(report, FORCE, NO_FORCES, forces)
     # rotors of several elements of a file add up at one joint coordinate, and are told of there
-    report.entries = [entry for entry in report.entries if not ROTORS.search(entry.how)]
+    report.entries = [entry for entry in report.entries if entry.became != ROTOR]
     for armature in scene.armatures:
         report.left_out(armature.element, "a URDF has no rotors")
     for motion in scene.motions:
@@ -89,9 +87,9 @@ def write_as(scene: Scene, path: Path, report: Mapping) -> list[Path]:
     return _files(path)
 
 
-def _leave_out(report: Mapping, told: re.Pattern[str], why: str, elements: list[str]) -> None:
+def _leave_out(report: Mapping, became: str, why: str, elements: list[str]) -> None:
     """File as left out what reading has carried over; the scene's own elements where it told of none."""
-    again = [entry for entry in report.entries if entry.fate != "left out" and told.search(entry.how)]
+    again = [entry for entry in report.entries if entry.became == became]
     report.entries = [entry for entry in report.entries if entry not in again]
     for entry in again:
         report.left_out(entry.element, f"{entry.how}: {why}")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
+from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
 from newton_euler.mapping import Mapped
@@ -13,11 +14,53 @@ from newton_euler.scene import Scene
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 
-NUMBERS = ("duration", "output_period")
+
+def _number(name: str, value: str) -> float:
+    try:
+        return float(value)
+    except ValueError as error:
+        raise CrosscheckError(f"{name} is {value!r}; needed: a number of seconds") from error
+
+
+def _vector(name: str, value: str) -> tuple[float, float, float]:
+    """Three numbers, between commas, or 0 for all of them."""
+    try:
+        x, y, z = map(float, ["0", "0", "0"] if value == "0" else value.split(","))
+    except ValueError as error:
+        raise CrosscheckError(f"{name} is {value!r}; needed: X,Y,Z in m/s^2, or 0") from error
+    return x, y, z
+
+
+def _text(name: str, value: str) -> str:
+    return value
+
+
+class Option(NamedTuple):
+    """One option of model files.
+
+    Attributes:
+        values: what people give.
+        default: what it is unless told otherwise.
+        read: takes the option's name and a value as given.
+    """
+
+    values: str
+    default: str
+    read: Callable[[str, str], Any]
+
+
+TIMES = {"duration": Option("SECONDS", "1", _number), "output_period": Option("SECONDS", "0.01", _number)}
 """Options of all model files."""
 
-MJCF_TEXTS, URDF_TEXTS = ("key", "root"), ("loops", "base")
-"""Options of one kind of them."""
+MJCF_OPTIONS = TIMES | {
+    "key": Option("KEYFRAME to start from, or qpos0", "the first keyframe if there is one", _text),
+    "root": Option("FOLDER that holds all files that it refers to", "its own folder", _text),
+}
+URDF_OPTIONS = TIMES | {
+    "loops": Option("FILE, its loop file, like --loops", "none", _text),
+    "base": Option("fixed|free", "fixed", _text),
+    "gravity": Option("X,Y,Z in m/s^2, or 0", "0,0,-9.81", _vector),
+}
 
 LONGEST_NAMES = 150
 """Characters of a list of names in one line of a report."""
@@ -38,42 +81,27 @@ def read_model(path: str, options: Mapping[str, str | int]) -> tuple[Scene, Mapp
 
     Args:
         path: ends in one of `SUFFIXES`.
-        options: `duration` and `output_period` in s; of MJCF also `key`, the keyframe to start
-            from, and `root`, the folder that holds all files that it refers to; of a URDF `loops`, the
-            path of its loop file, and `base`, "fixed" or "free", what its root link is.
+        options: those of `MJCF_OPTIONS` or `URDF_OPTIONS`, as people give them.
 
     Raises:
-        CrosscheckError: for an unknown option or one that is no number.
+        CrosscheckError: for an unknown option or one that cannot be read.
         newton_euler.NewtonEulerError: naming the file and the element at fault.
     """
-    numbers, texts = _options(path, options)
+    known = URDF_OPTIONS if is_urdf(path) else MJCF_OPTIONS
+    given: dict[str, Any] = {}
+    for name, value in options.items():
+        if name not in known:
+            raise CrosscheckError(f"{path} has no option {name!r}; choose from: {', '.join(known)}")
+        given[name] = known[name].read(name, str(value))
     if is_urdf(path):
         from urdf.read import read as read_urdf
 
-        found = read_urdf(path, texts.get("loops"), base=texts.get("base", "fixed"), **numbers)
+        found = read_urdf(path, **given)
         return found.scene, found.report
     from mjcf.read import read as read_mjcf
 
-    reading = read_mjcf(path, texts.get("key"), root=texts.get("root"), **numbers)
+    reading = read_mjcf(path, **given)
     return reading.scene, reading.report
-
-
-def _options(path: str, options: Mapping[str, str | int]) -> tuple[dict[str, float], dict[str, str]]:
-    """Those that are numbers, and those that are texts."""
-    names = URDF_TEXTS if is_urdf(path) else MJCF_TEXTS
-    numbers, texts = {}, {}
-    for name, value in options.items():
-        if name in names:
-            texts[name] = str(value)
-        elif name not in NUMBERS:
-            known = ", ".join((*NUMBERS, *names))
-            raise CrosscheckError(f"{path} has no option {name!r}; choose from: {known}")
-        else:
-            try:
-                numbers[name] = float(value)
-            except ValueError as error:
-                raise CrosscheckError(f"{name} is {value!r}; needed: a number of seconds") from error
-    return numbers, texts
 
 
 def report_lines(report: MappingReport) -> Iterator[str]:

@@ -186,6 +186,8 @@ def _orientation_plots(mechanism: Mechanism, trajectories: dict[str, Trajectory]
 
 def _agreement_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
     """Each engine against the first, largest over the bodies; and how far joints drift apart."""
+    if not trajectories:  # of two models both of whose runs stopped
+        return
     (reference, first), *others = trajectories.items()
     distances = {
         engine: np.max(np.linalg.norm(run.position - first.position, axis=2), axis=1)

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.regress.baseline import Baseline, Figure, Plan, Record, StoredState
+from crosscheck.regress.baseline import Baseline, Carried, Figure, Plan, Record, StoredState
 from crosscheck.regress.measure import (
     GROUPS,
     MAIN,
@@ -29,6 +29,7 @@ from crosscheck.regress.values import Value
 from newton_euler import compile_scene
 from newton_euler.compiled import FORMULATIONS
 from newton_euler.errors import NewtonEulerError
+from newton_euler.mapping import Mapping
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import State
@@ -59,7 +60,12 @@ Progress = Callable[[str], None]
 
 
 def make(
-    scene: Scene, options: dict[str, str], reason: str, history: list[Record], progress: Progress
+    scene: Scene,
+    options: dict[str, str],
+    reason: str,
+    history: list[Record],
+    progress: Progress,
+    mapping: Mapping | None = None,
 ) -> Baseline:
     """Measure a scene's figures and their bands.
 
@@ -69,6 +75,7 @@ def make(
         reason: why, for the history.
         history: of the baseline that this one replaces.
         progress: is told each stage.
+        mapping: what became of the elements of a model file; None for a scene of this package's own.
 
     Raises:
         CrosscheckError: for a scene that newton_euler cannot run at any tolerance.
@@ -88,6 +95,7 @@ def make(
     return Baseline(
         scene=scene.name,
         options=options,
+        carried=None if mapping is None else Carried.of(mapping),
         history=[*history, Record.now(reason)],
         plan=plan,
         left_out=left_out,

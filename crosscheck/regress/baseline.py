@@ -5,9 +5,11 @@ A file is JSON, one figure a line, so that a change of a baseline can be read li
 
 from __future__ import annotations
 
+import itertools
 import json
 import platform
 import reprlib
+from collections.abc import Collection
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -18,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes.file_entries import Number
+from newton_euler.mapping import Fate, Mapping
 from newton_euler.scalars import Array
 from newton_euler.state import State
 
@@ -91,6 +94,41 @@ class StoredState(_Strict):
         return State(**{name: np.array(getattr(self, name), dtype=float) for name in type(self).model_fields})
 
 
+class Carried(_Strict):
+    """A part of what a model file holds and its scene does not hold as it is, and that moves something.
+
+    Attributes:
+        name: its element and topic, with a number where several have the same.
+        fate, how: see `newton_euler.mapping.Mapped`.
+        values: see `newton_euler.mapping.Part`, with the joints and bodies that it is about.
+    """
+
+    name: str
+    fate: Fate
+    how: str
+    values: dict[str, list[Annotated[float, Field(allow_inf_nan=False)] | str]]
+
+    @classmethod
+    def of(cls, mapping: Mapping) -> list[Carried]:
+        """In the order of a mapping report."""
+        found: dict[str, Carried] = {}
+        for entry in mapping.entries:
+            for part in entry.parts if not entry.inert else ():
+                about = f"{part.element}, {entry.topic}" if entry.topic else part.element
+                values = {key: list(value) for key, value in part.values.items()}
+                values["joints"] = [f"{joint} {coordinate}" for joint, coordinate in part.joints]
+                values["bodies"] = list(part.bodies)
+                name = _numbered(about, found)
+                found[name] = cls(name=name, fate=entry.fate, how=entry.how, values=values)
+        return list(found.values())
+
+
+def _numbered(name: str, taken: Collection[str]) -> str:
+    """A name with a number if it is taken."""
+    names = (f"{name}, {number}" if number > 1 else name for number in itertools.count(1))
+    return next(each for each in names if each not in taken)
+
+
 class Plan(_Strict):
     """How a scene's figures are measured; chosen when the baseline is made, the same ever after.
 
@@ -126,6 +164,7 @@ class Baseline(_Strict):
         format: of the file; another number is another meaning of its fields.
         scene: its name.
         options: of the scene, as they were set.
+        carried: what of a model file is in no figure; None for a scene of this package's own.
         history: every time that the file was made; the last made what is in it.
         left_out: groups that have no figures here, and why.
     """
@@ -133,6 +172,7 @@ class Baseline(_Strict):
     format: Literal[1] = 1
     scene: str
     options: dict[str, str]
+    carried: list[Carried] | None = None
     history: Annotated[list[Record], Field(min_length=1)]
     plan: Plan
     left_out: dict[str, str]
@@ -163,11 +203,22 @@ class Baseline(_Strict):
     def text(self) -> str:
         """The content of the file."""
         content = self.model_dump(mode="json")
-        figures = ",\n".join(f"  {json.dumps(figure, allow_nan=False)}" for figure in content.pop("figures"))
+        in_lines = ("carried", "figures")
         parts = [
-            f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in content.items()
+            f" {json.dumps(key)}: {_in_lines(value) if key in in_lines and value else _json(value)}"
+            for key, value in content.items()
         ]
-        return "{\n" + ",\n".join(parts) + f',\n "figures": [\n{figures}\n ]\n}}\n'
+        return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, allow_nan=False)
+
+
+def _in_lines(entries: list[object]) -> str:
+    """A list with an entry a line."""
+    lines = ",\n".join(f"  {_json(entry)}" for entry in entries)
+    return f"[\n{lines}\n ]"
 
 
 def versions() -> dict[str, str]:

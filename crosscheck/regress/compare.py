@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.regress.baseline import Baseline, Figure, Record, versions
+from crosscheck.regress.baseline import Baseline, Carried, Figure, Record, versions
 from crosscheck.regress.measure import MAIN, SPEED, measure_group, regress_scene
 from crosscheck.regress.values import Value
+from newton_euler.mapping import Mapping, differing, room
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
+
+MODEL_FILE = "model file"
+"""In place of the group of a figure: what a file holds and no scene does."""
 
 Progress = Callable[[str], None]
 
@@ -125,7 +129,12 @@ class Comparison:
 
 
 def compare(
-    scene: Scene, baseline: Baseline, speed: bool, progress: Progress, clock: Callable[[], float]
+    scene: Scene,
+    baseline: Baseline,
+    speed: bool,
+    progress: Progress,
+    clock: Callable[[], float],
+    mapping: Mapping | None = None,
 ) -> Comparison:
     """Measure a scene's figures as its baseline says and compare them.
 
@@ -134,6 +143,7 @@ def compare(
         speed: whether ratios of speeds are figures too.
         progress: is told each stage.
         clock: s, for the wall time.
+        mapping: what became of the elements of a model file; None for a scene of this package's own.
 
     Raises:
         CrosscheckError: for a baseline without speeds where they are wanted.
@@ -143,7 +153,8 @@ def compare(
         raise CrosscheckError(f"the baseline of {scene.name!r} has no speeds: {reason}")
     start = clock()
     measured = regress_scene(scene)
-    checked: list[Checked] = []
+    now = [] if mapping is None else Carried.of(mapping)
+    checked = check_carried(baseline.carried or [], now)
     diverges = None
     for group in baseline.groups:
         if group == SPEED and not speed:
@@ -155,6 +166,44 @@ def compare(
         if group == MAIN and not isinstance(found, str):
             diverges = divergence(figures, found, measured.times)
     return Comparison(scene.name, tuple(checked), baseline.made, versions(), diverges, clock() - start)
+
+
+def check_carried(stored: Iterable[Carried], found: Iterable[Carried]) -> list[Checked]:
+    """What of a model file is in no figure, against what the baseline has of it."""
+    before, now = ({each.name: each for each in side} for side in (stored, found))
+    checked = [
+        _check_carried(each, now[name])
+        if name in now
+        else _missing_carried(each, f"no longer {each.fate}: {each.how}")
+        for name, each in before.items()
+    ]
+    return checked + [
+        _missing_carried(each, f"{each.fate} now: {each.how}")
+        for name, each in now.items()
+        if name not in before
+    ]
+
+
+def _missing_carried(carried: Carried, problem: str) -> Checked:
+    return Checked(MODEL_FILE, carried.name, "", "", None, None, 0.0, problem)
+
+
+def _check_carried(stored: Carried, found: Carried) -> Checked:
+    """The first value that is not the same."""
+    if stored.fate != found.fate:
+        return _missing_carried(stored, f"{found.fate} now: {found.how}; was {stored.fate}: {stored.how}")
+    one, two = ({name: tuple(value) for name, value in each.values.items()} for each in (stored, found))
+    name = next(differing(one, two), None)
+    if name is None:
+        return Checked(MODEL_FILE, stored.name, "", "", 0.0, 0.0, 0.0)
+    was, now = one.get(name, ()), two.get(name, ())
+    for k, (x, y) in enumerate(zip(was, now, strict=False)):
+        allowed = room(was, now)
+        if isinstance(x, float) and isinstance(y, float) and abs(x - y) > allowed and len(was) == len(now):
+            where = f"{name}, number {k + 1}" if len(was) > 1 else name
+            return Checked(MODEL_FILE, stored.name, "", where, x, y, allowed)
+    told = (" ".join(map(str, value)) or "nothing" for value in (was, now))
+    return _missing_carried(stored, "{}: was {}, is {}".format(name, *told))
 
 
 def check(figures: Iterable[Figure], found: list[Value] | str) -> list[Checked]:

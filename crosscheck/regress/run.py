@@ -18,6 +18,7 @@ from crosscheck.regress.baseline import Baseline, read
 from crosscheck.regress.compare import Comparison, compare
 from crosscheck.regress.report import as_json, junit, markdown
 from crosscheck.scenes import SCENES
+from newton_euler.mapping import Mapping
 from newton_euler.scene import Scene
 from newton_euler.trajectory import atomic_file
 
@@ -36,12 +37,14 @@ class Guarded:
         options: of the scene, as they were set.
         scene: as loaded.
         path: of the baseline.
+        mapping: what became of the elements of a model file; None for a scene of this package's own.
     """
 
     source: str
     options: dict[str, str]
     scene: Scene
     path: Path
+    mapping: Mapping | None = None
 
     @property
     def command(self) -> str:
@@ -54,6 +57,17 @@ class Guarded:
         return f"{shlex.join(words)} --update --reason TEXT"
 
     def baseline(self) -> Baseline:
+        """The stored baseline, to compare with; raises `CrosscheckError` as `earlier` does, and if it does
+        not hold what of a model file is in no figure."""
+        found = self.earlier()
+        if self.mapping is not None and found.carried is None:
+            raise CrosscheckError(
+                f"{self.path}: carried: missing, what of {self.source} is in no figure; make it with: "
+                f"{self.command}"
+            )
+        return found
+
+    def earlier(self) -> Baseline:
         """The stored baseline; raises `CrosscheckError` if there is none, or if it is of something else."""
         found = read(self.path, self.command)
         if found.scene != self.scene.name:
@@ -83,8 +97,8 @@ def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[
     check_writable(*(each.path for each in guarded))
     made = []
     for each in guarded:
-        history = each.baseline().history if each.path.exists() else []
-        made.append(bands.make(each.scene, each.options, reason, history, progress))
+        history = each.earlier().history if each.path.exists() else []
+        made.append(bands.make(each.scene, each.options, reason, history, progress, each.mapping))
     with tidied_up(), ExitStack() as stack:
         for each, baseline in zip(guarded, made, strict=True):
             try:
@@ -117,7 +131,7 @@ def check(
     check_writable(*reports)
     found, recordings = [], {}
     for each, baseline in zip(guarded, baselines, strict=True):
-        comparison = compare(each.scene, baseline, speed, progress, time.perf_counter)
+        comparison = compare(each.scene, baseline, speed, progress, time.perf_counter, each.mapping)
         found.append(comparison)
         if comparison.moved:
             progress(f"{each.scene.name}: recording")

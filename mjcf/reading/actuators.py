@@ -6,8 +6,8 @@ joint coordinate and x = q less its value at the start, the force on the joint i
     u = g (gain ctrl + b_0) + g^2 b_1 (q_start + x) + g^2 b_2 dx/dt,
 
 a PD law of stiffness -g^2 b_1, damping -g^2 b_2 and target 0, and the rest as its feedforward. Where l is
-a sum of coordinates that gears tie to each other, l - l_start = s x for each of them, and g s takes the
-place of g^2.
+a sum of coordinates that gears tie to each other, l - l_start = s x for each of them: a law on the first of
+them with s in the place of g does the same work.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ import numpy as np
 
 from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.forces import Forces, reduced_inertia
-from mjcf.reading.joints import Joints
+from mjcf.reading.held import Held
+from mjcf.reading.joints import FREE, Joints
 from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
 from newton_euler.control import PD
 from newton_euler.forces import Wrench
-from newton_euler.mapping import Mapping
+from newton_euler.mapping import CONTROL, FORCE, ROTOR, Mapping
 from newton_euler.measured import Key
 from newton_euler.scalars import Array
 
@@ -76,21 +77,24 @@ class Actuators:
     ) -> None:
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._ties = bodies, joints, ties
-        self._forces, self._report = forces, report
+        self._forces, self._report, self._held = forces, report, Held(start, bodies, joints)
         self._laws: dict[Key, PD] = {}
         self.armatures: dict[Key, float] = {}
-        self._told: list[tuple[str, str, str, tuple[int, ...]]] = []
+        self._told: list[tuple[int, str, str, str, tuple[int, ...]]] = []
         mujoco.mj_fwdActuation(self._model, self._data)
         for actuator in range(self._model.nactuator):
             self._add(actuator)
         limited = [int(joint) for joint in np.flatnonzero(self._model.jnt_actfrclimited)]
         held = [joint for joint in limited if self._limit(joint)]
-        for element, how, limit, driven in self._told:
+        for actuator, how, became, limit, driven in self._told:
+            part = self._held.actuator(actuator)
             limits = [limit, *(f"the limit of {joints.element(k)} holds it" for k in driven if k in held)]
             if any(limits):
-                report.approximated(element, "; ".join([how, *filter(None, limits)]))
+                report.approximated(
+                    part.element, "; ".join([how, *filter(None, limits)]), part, became=became
+                )
             else:
-                report.exactly(element, how)
+                report.exactly(part.element, how, became)
 
     @property
     def laws(self) -> tuple[PD, ...]:
@@ -106,7 +110,7 @@ class Actuators:
         kind = TRANSMISSION(model.actuator_trntype[actuator])
         moments = self._moments(actuator, kind)
         if why := self._disabled(actuator):
-            self._report.left_out(element, why)
+            self._report.left_out(element, why, inert=True)
             self._add_rotor(actuator, element, moments)
             return
         law = self._affine(actuator, element)
@@ -117,12 +121,11 @@ class Actuators:
         if moments is not None:
             self._add_to_joints(actuator, element, law, limited, moments)
         elif law == Affine(0.0, 0.0, 0.0) and not model.actuator_armature[actuator]:
-            self._tell(element, "no force at the controls of the start", limited)
+            self._tell(actuator, "no force at the controls of the start", CONTROL, limited)
         elif kind == TRANSMISSION.mjTRN_SITE:
             self._add_wrench(actuator, element, law, limited, model.actuator_gear[actuator])
         else:
-            what = kind.name.removeprefix("mjTRN_").lower()
-            self._leave(actuator, element, f"no control law acts through its transmission, {what}")
+            self._leave(actuator, element, f"no control law acts {self._through(actuator, kind)}")
 
     def _moments(self, actuator: int, kind: mujoco.mjtTrn) -> dict[int, float] | None:
         """What it makes of its force on each joint; None if it acts on others than hinges and slides."""
@@ -135,6 +138,14 @@ class Actuators:
         if weights is None or any(joint not in self._joints.keys for joint in weights):
             return None
         return {joint: weight * float(gear) for joint, weight in weights.items()}
+
+    def _through(self, actuator: int, kind: mujoco.mjtTrn) -> str:
+        """What a transmission that no control law has is."""
+        if kind not in TO_JOINTS:
+            return f"through its transmission, {kind.name.removeprefix('mjTRN_').lower()}"
+        joint = int(self._model.actuator_trnid[actuator, 0])
+        what = "free" if self._model.jnt_type[joint] == FREE else "ball"
+        return f"on a {what} joint, as {self._joints.element(joint)} is"
 
     def _disabled(self, actuator: int) -> str:
         """Why the file itself switches its force off, if it does."""
@@ -179,12 +190,12 @@ class Actuators:
             gain = gain + bias
         return Affine(*(float(x) for x in gain))
 
-    def _tell(self, element: str, how: str, limit: str, driven: tuple[int, ...] = ()) -> None:
+    def _tell(self, actuator: int, how: str, became: str, limit: str, driven: tuple[int, ...] = ()) -> None:
         """To report once it is known which of the joints that it drives are held at their limits."""
-        self._told.append((element, how, limit, driven))
+        self._told.append((actuator, how, became, limit, driven))
 
     def _leave(self, actuator: int, element: str, why: str) -> None:
-        self._report.left_out(element, why)
+        self._report.left_out(element, why, self._held.actuator(actuator))
         self._start.differ(self._model.actuator_gear, actuator)
 
     def _limited(self, actuator: int, element: str, law: Affine) -> tuple[Affine, str]:
@@ -196,7 +207,9 @@ class Actuators:
             low, high = (float(x) for x in model.actuator_forcerange[actuator])
             held = min(max(force, low), high)
             if held == force:
-                self._report.left_out(element, f"its limit of the force, {low:g} to {high:g}")
+                part = self._held.actuator(actuator, "forcerange gear")
+                why = f"its limit of the force, {low:g} to {high:g}"
+                self._report.left_out(element, why, part, topic="limit of the force")
                 self._start.differ(model.actuator_forcelimited, actuator)
         held = self._limited_by_tendon(actuator, element, held)
         if held == force:
@@ -219,7 +232,9 @@ class Actuators:
         outputs = model.actuator_outadr[on_tendons & (model.actuator_trnid[:, 0] == tendon)]
         total = float(np.sum(data.actuator_force[outputs]))
         if not np.any(np.isclose(total, [low, high], rtol=AT_LIMIT, atol=0.0)):
-            self._report.left_out(element, f"its tendon's limit of actuator forces, {low:g} to {high:g}")
+            why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
+            part = self._held.tendon(tendon, "actfrcrange")
+            self._report.left_out(element, why, part, topic="limit of its tendon")
             return force
         return float(data.actuator_force[model.actuator_outadr[actuator]])
 
@@ -233,7 +248,9 @@ class Actuators:
         held = min(max(force, low), high)
         if key is None or law is None or held == force:
             if law is not None or data.qfrc_actuator[dof]:
-                self._report.left_out(element, f"its limit of actuator forces, {low:g} to {high:g}")
+                part = self._held.joint(joint, "actfrcrange")
+                why = f"its limit of actuator forces, {low:g} to {high:g}"
+                self._report.left_out(element, why, part, topic="limit of actuator forces")
                 self._start.differ(model.jnt_actfrclimited, joint)
             return False
         self._laws[key] = PD(key[0], 0.0, 0.0, 0.0, key[1], held)
@@ -241,13 +258,15 @@ class Actuators:
         why = (
             f"its actuators' force would be {force:.4g} at the start and is held at its limit there, {held:g}"
         )
-        self._report.approximated(element, why)
+        part = self._held.joint(joint, "actfrcrange")
+        self._report.approximated(element, why, part, became=CONTROL, topic="limit of actuator forces")
         return True
 
     def _report_damping(self, actuator: int, element: str) -> None:
         model = self._model
         if np.any(model.actuator_damping[actuator]) or np.any(model.actuator_dampingpoly[actuator]):
-            self._report.left_out(element, "damping of its own")
+            part = self._held.actuator(actuator, "damping dampingpoly gear")
+            self._report.left_out(element, "damping of its own", part, topic="damping")
 
     def _add_to_joints(
         self, actuator: int, element: str, law: Affine, limited: str, moments: dict[int, float]
@@ -260,21 +279,29 @@ class Actuators:
             return
         constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
         self._add_rotor(actuator, element, moments)
-        for joint, moment in moments.items():
-            key = keys[joint]
-            slope = 0.0 if slopes is None else slopes[key]
+        shares = {keys[joint]: moment for joint, moment in moments.items()}
+        rates = slopes or dict.fromkeys(shares, 0.0)
+        # gains of shares are moments times slopes, negative for some; joints with limits need theirs
+        if (law.by_length or law.by_rate) and not any(self._model.jnt_actfrclimited[k] for k in moments):
+            key, slope = next(iter(rates.items()))
+            if slope == 0.0:
+                why = "equalities keep its length, so that it does no work"
+                self._report.left_out(element, why, inert=True)
+                return
+            shares = {key: slope}
+        for key, share in shares.items():
             before = self._laws.get(key, PD(key[0], 0.0, 0.0, 0.0, key[1]))
             self._laws[key] = PD(
                 key[0],
-                before.stiffness - moment * slope * law.by_length,
-                before.damping - moment * slope * law.by_rate,
+                before.stiffness - share * rates[key] * law.by_length,
+                before.damping - share * rates[key] * law.by_rate,
                 0.0,
                 key[1],
-                before.feedforward + moment * constant,
+                before.feedforward + share * constant,
             )
-        names = ", ".join(repr(self._joints.of[joint]) for joint in moments)
+        names = ", ".join(repr(joint) for joint, _ in shares)
         how = f"control law of joint {names}, its control held at {self._control(actuator):g}"
-        self._tell(element, how, limited, tuple(moments))
+        self._tell(actuator, how, CONTROL, limited, tuple(moments))
 
     def _add_rotor(self, actuator: int, element: str, moments: dict[int, float] | None) -> None:
         """Its armature, which MuJoCo has of disabled actuators too."""
@@ -287,7 +314,7 @@ class Actuators:
             self._leave(actuator, element, why)
             return
         self.armatures[rotor[0]] = self.armatures.get(rotor[0], 0.0) + rotor[1]
-        self._report.exactly(element, f"its armature {inertia:g} at joint {rotor[0][0]!r}")
+        self._report.exactly(element, f"its armature {inertia:g} at joint {rotor[0][0]!r}", ROTOR)
 
     def _add_wrench(self, actuator: int, element: str, law: Affine, limited: str, gear: Array) -> None:
         """A constant force and torque at a site, in the site's frame or in that of a fixed one."""
@@ -307,4 +334,4 @@ class Actuators:
         name = self._forces.name(own, f"actuator_{actuator}")
         frame: Any = "body" if turning else "world"
         self._forces.forces.append(Wrench(name, body, data.site_xpos[site].copy(), force, torque, frame))
-        self._tell(element, f"wrench {name!r}, constant in the {frame}", limited)
+        self._tell(actuator, f"wrench {name!r}, constant in the {frame}", FORCE, limited)

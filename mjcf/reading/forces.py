@@ -9,12 +9,13 @@ import mujoco
 import numpy as np
 
 from mjcf.reading.bodies import GROUND, Bodies
+from mjcf.reading.held import SPRING, Held
 from mjcf.reading.joints import BALL, FREE, Joints
 from mjcf.reading.loops import fixed, straight
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
 from newton_euler.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
-from newton_euler.mapping import Mapping, unique_name
+from newton_euler.mapping import FORCE, ROTOR, Mapping, Part, unique_name
 from newton_euler.measured import Key
 from newton_euler.scalars import Array
 
@@ -33,6 +34,7 @@ class Forces:
     ) -> None:
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._ties, self._report = bodies, joints, ties, report
+        self._held = Held(start, bodies, joints)
         self.forces: list[Force] = []
         self._springs, self._dampers = not start.disabled("SPRING"), not start.disabled("DAMPER")
         for number in range(self._model.njnt):
@@ -54,7 +56,7 @@ class Forces:
         damping = float(model.dof_damping[dof]) if self._dampers else 0.0
         bent = self._springs and np.any(model.jnt_stiffnesspoly[number])
         if bent or (self._dampers and np.any(model.dof_dampingpoly[dof])):
-            self._report.left_out(element, NOT_LINEAR)
+            self._report.left_out(element, NOT_LINEAR, self._held.spring(number), topic="not linear")
             self._start.differ(model.jnt_stiffnesspoly, number)
         if stiffness == 0.0 and damping == 0.0:
             return
@@ -63,7 +65,7 @@ class Forces:
             joint, coordinate = self._joints.keys[number]
             rest = float(self._reference(number)[0] - self._data.qpos[place])
             self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
-            self._report.exactly(element, f"{what} as a spring")
+            self._report.exactly(element, f"{what} as a spring", FORCE if stiffness else "")
             return
         joint = self._joints.of[number]
         if model.jnt_type[number] == FREE:
@@ -72,7 +74,7 @@ class Forces:
                 self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
             place += 3
         self.forces.append(BallSpring(joint, stiffness, damping, self._rest(number, place)))
-        self._report.exactly(element, f"{what} as a spring of all its motions")
+        self._report.exactly(element, f"{what} as a spring of all its motions", FORCE)
 
     def _add_spring(self, spring: JointSpring) -> None:
         """Add a spring to what is on its coordinate already: two of them are one between where they rest."""
@@ -96,12 +98,12 @@ class Forces:
             return np.asarray(model.qpos_spring[place : place + size])
         limit = float(model.jnt_springyield[number])
         if limit < np.pi or model.jnt_type[number] != BALL:
-            self._report_yield(self._joints.element(number), limit)
+            self._report_yield(self._held.spring(number), limit)
         return np.asarray(self._data.plastic[plastic : plastic + size])
 
-    def _report_yield(self, element: str, limit: float) -> None:
+    def _report_yield(self, part: Part, limit: float) -> None:
         why = f"that its spring yields beyond {limit:g}: springs here are elastic"
-        self._report.left_out(element, why)
+        self._report.left_out(part.element, why, part, topic="yield")
 
     def _rest(self, number: int, place: int) -> Array:
         """(3,) where the spring of a ball rests, as of `BallSpring`; its quaternion is at `place` of qpos."""
@@ -120,7 +122,8 @@ class Forces:
         damping = float(model.tendon_damping[tendon]) if self._dampers else 0.0
         bent = self._springs and np.any(model.tendon_stiffnesspoly[tendon])
         if bent or (self._dampers and np.any(model.tendon_dampingpoly[tendon])):
-            self._report.left_out(element, NOT_LINEAR)
+            part = self._held.tendon(tendon, SPRING)
+            self._report.left_out(element, NOT_LINEAR, part, topic="not linear")
             self._start.differ(model.tendon_stiffnesspoly, tendon)
         if stiffness == 0.0 and damping == 0.0:
             return
@@ -129,7 +132,7 @@ class Forces:
         plastic = int(model.tendon_plasticadr[tendon])
         if plastic >= 0:
             low, high = (float(x) for x in self._data.plastic[plastic : plastic + 2])
-            self._report_yield(element, float(model.tendon_springyield[tendon]))
+            self._report_yield(self._held.tendon(tendon, SPRING), float(model.tendon_springyield[tendon]))
         ends = straight(self._start, tendon)
         weights = fixed(self._start, tendon)
         if low != high and stiffness:
@@ -142,7 +145,7 @@ class Forces:
             self._add_straight(tendon, element, what, ends, (stiffness, damping, max(low, 0.0)))
 
     def _leave_tendon(self, tendon: int, element: str, why: str) -> None:
-        self._report.left_out(element, why)
+        self._report.left_out(element, why, self._held.tendon(tendon, SPRING))
         self._start.differ(self._model.tendon_stiffness, tendon)
 
     def _add_sum(
@@ -156,12 +159,14 @@ class Forces:
             return
         (joint, coordinate), slope = next(iter(slopes.items()))
         if slope == 0.0:
-            self._report.left_out(element, f"{what}: equalities keep its length, so that it does no work")
+            why = f"{what}: equalities keep its length, so that it does no work"
+            self._report.left_out(element, why, inert=True)
             return
         rest = (along.rest - float(self._data.ten_length[tendon])) / slope
         stiffness, damping = along.stiffness * slope * slope, along.damping * slope * slope
         self._add_spring(JointSpring(joint, stiffness, damping, rest, coordinate))
-        self._report.exactly(element, f"{what} as a spring of joint {joint!r}, which tells its length")
+        how = f"{what} as a spring of joint {joint!r}, which tells its length"
+        self._report.exactly(element, how, FORCE if stiffness else "")
 
     def _add_straight(
         self,
@@ -175,14 +180,14 @@ class Forces:
         (first, p), (second, q) = ends
         names = self._bodies.names[first], self._bodies.names[second]
         if names[0] == names[1]:
-            self._report.left_out(element, f"{what}: both its ends are parts of {names[0]!r}")
+            self._report.left_out(element, f"{what}: both its ends are parts of {names[0]!r}", inert=True)
             return
         stiffness, damping, rest = values
         name = self._model.tendon(tendon).name
         own = self.name(name.removeprefix("spring "), f"tendon_{tendon}")
         spring = PointSpring(own, *names, p, q, stiffness=stiffness, rest_length=rest, damping=damping)
         self.forces.append(spring)
-        self._report.exactly(element, f"{what} as point spring {spring.name!r}")
+        self._report.exactly(element, f"{what} as point spring {spring.name!r}", FORCE)
 
     def _add_compensation(self, body: int, gravity: Array) -> None:
         name = self._bodies.names[body]
@@ -193,15 +198,15 @@ class Forces:
             return
         if not (self._springs or self._dampers):
             why = "MuJoCo has none of it in a file that disables springs and dampers"
-            self._report.left_out(element, f"gravity compensation {share:g}: {why}")
+            self._report.left_out(element, f"gravity compensation {share:g}: {why}", inert=True)
             return
         wrench = self.name(f"{self._model.body(body).name}_gravcomp", f"gravcomp_{body}")
         self.forces.append(Wrench(wrench, name, self._data.xipos[body].copy(), force))
-        self._report.exactly(element, f"gravity compensation {share:g} as wrench {wrench!r}")
+        self._report.exactly(element, f"gravity compensation {share:g} as wrench {wrench!r}", FORCE)
 
 
 def armatures(
-    start: Start, joints: Joints, ties: Ties, report: Mapping
+    start: Start, bodies: Bodies, joints: Joints, ties: Ties, report: Mapping
 ) -> tuple[dict[Key, float], dict[str, float]]:
     """Rotor inertias (kg m^2 or kg) by joint and coordinate, and those of balls by joint."""
     model: Any = start.model
@@ -219,19 +224,22 @@ def armatures(
             balls[joints.of[number]] = inertia
             if model.jnt_type[number] == FREE:
                 found |= {(joints.of[number], coordinate): inertia for coordinate in range(3)}
-        report.exactly(element, f"its armature {inertia:g}")
+        report.exactly(element, f"its armature {inertia:g}", ROTOR)
     for tendon in np.flatnonzero(model.tendon_armature):
         element = f"tendon {model.tendon(tendon).name or int(tendon)!r}"
         inertia = float(model.tendon_armature[tendon])
         weights = fixed(start, int(tendon)) or {}
         rotor = reduced_inertia(start, joints, ties, weights, inertia)
         if rotor is None:
-            report.left_out(element, f"its armature {inertia:g}: no single joint coordinate tells its length")
+            part = Held(start, bodies, joints).tendon(int(tendon), "armature")
+            why = f"its armature {inertia:g}: no single joint coordinate tells its length"
+            report.left_out(element, why, part, topic="armature")
             start.differ(model.tendon_armature, tendon)
             continue
         key, reduced = rotor
         found[key] = found.get(key, 0.0) + reduced
-        report.exactly(element, f"its armature {inertia:g} at joint {key[0]!r}, which tells its length")
+        how = f"its armature {inertia:g} at joint {key[0]!r}, which tells its length"
+        report.exactly(element, how, ROTOR)
     return found, balls
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 
+from mjcf.reading.bodies import Bodies
+from mjcf.reading.held import Held, summed
 from mjcf.reading.joints import Joints
 from mjcf.reading.start import Start
-from newton_euler.mapping import Mapping
+from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, Part, value
 
 UNSEEN = {
     "sensor": "sensors",
@@ -20,51 +23,89 @@ UNSEEN = {
 """Elements that do not move anything."""
 
 
-def report_leftovers(start: Start, joints: Joints, report: Mapping) -> None:
+NO_CONTACTS = "contacts are no bilateral constraints"
+
+FLEX = (
+    "stiffness bending edgestiffness damping edgedamping yield vert0 node0 radius size margin gap friction "
+    "solref solimp solmix contype conaffinity condim"
+)
+"""Arrays of flexes, all of them together."""
+
+
+def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Mapping) -> None:
     """Tell of everything else in the model."""
-    model = start.model
-    colliding = int(np.sum((model.geom_contype != 0) | (model.geom_conaffinity != 0)))
-    if colliding:
-        report.left_out(f"{colliding} geoms that can touch", "contacts are no bilateral constraints")
-    if model.npair:
-        report.left_out(f"{model.npair} contact pairs", "contacts are no bilateral constraints")
+    model, held = start.model, Held(start, bodies, joints)
+    _report_contacts(start, held, report)
     meshes = int(np.sum(model.geom_dataid >= 0))
     if meshes:
         report.exactly(f"{meshes} geoms of meshes", "drawn where visible; their masses are in the bodies")
     for number in range(model.njnt):
-        _report_joint(start, joints, number, report)
+        _report_joint(start, joints, held, number, report)
     for tendon in range(model.ntendon):
         element = f"tendon {model.tendon(tendon).name or tendon!r}"
         if model.tendon_limited[tendon]:
-            report.left_out(element, "its limits: limits are no bilateral constraints")
+            part = held.tendon(tendon, "range margin solref_lim solimp_lim")
+            why, off = "its limits: limits are no bilateral constraints", start.disabled("LIMIT")
+            report.left_out(element, why, part, topic=LIMITS, inert=off)
         if model.tendon_frictionloss[tendon]:
-            report.left_out(element, f"its dry friction {model.tendon_frictionloss[tendon]:g}")
+            part = held.tendon(tendon, "frictionloss solref_fri solimp_fri")
+            why, off = (
+                f"its dry friction {model.tendon_frictionloss[tendon]:g}",
+                start.disabled("FRICTIONLOSS"),
+            )
+            report.left_out(element, why, part, topic=FRICTION, inert=off)
     option = model.opt
-    for name, value in (("density", option.density), ("viscosity", option.viscosity)):
-        if value:
-            report.left_out(f"option {name}", f"{value:g}: nothing here moves in a fluid")
+    shapes = [held.geom(int(k), "fluid") for k in np.flatnonzero(model.geom_fluid[:, 0])]
+    for name, number in (("density", option.density), ("viscosity", option.viscosity)):
+        if number:
+            part, why = Part(f"option {name}", {name: value(number)}), "nothing here moves in a fluid"
+            report.left_out(part.element, f"{number:g}: {why}", part, *shapes, topic=name)
     if np.any(option.wind):
-        report.left_out("option wind", "nothing here moves in a fluid")
+        part = Part("option wind", {"wind": value(option.wind)})
+        report.left_out("option wind", "nothing here moves in a fluid", part)
         start.differ(option.wind, slice(None))
     if model.nflex:
-        report.left_out(
-            f"{model.nflex} flexes", "bodies are rigid: what holds their points together is missing"
-        )
+        why = "bodies are rigid: what holds their points together is missing"
+        part = Part("flexes", {})
+        for name in FLEX.split():
+            part.values.update(summed(name, getattr(model, f"flex_{name}")))
+        report.left_out(f"{model.nflex} flexes", why, part)
         for array in (model.flex_stiffness, model.flex_bending, model.flex_edgestiffness):
             start.differ(array, slice(None))
     if model.nplugin:
-        report.left_out(f"{model.nplugin} plugins", "what they do is not known")
+        part = Part("plugins", {f"plugin {k}": held.plugin(k) for k in range(model.nplugin)})
+        report.left_out(f"{model.nplugin} plugins", "what they do is not known", part)
     if model.nkey > 1:
         names = ", ".join(repr(model.key(k).name or str(k)) for k in range(model.nkey))
-        report.left_out("other keyframes", f"one is the start; --set key=NAME for another of {names}")
+        why = f"one is the start; --set key=NAME for another of {names}"
+        report.left_out("other keyframes", why, inert=True)
     for prefix, what in UNSEEN.items():
         count = int(getattr(model, f"n{prefix}"))
         if count:
-            report.left_out(f"{count} {what}", "they move nothing")
-    report.left_out("options of solver and integrator", "every engine has its own")
+            report.left_out(f"{count} {what}", "they move nothing", inert=True)
+    report.left_out("options of solver and integrator", "every engine has its own", inert=True)
 
 
-def _report_joint(start: Start, joints: Joints, number: int, report: Mapping) -> None:
+def _report_contacts(start: Start, held: Held, report: Mapping) -> None:
+    model, off = start.model, start.disabled("CONTACT")
+    touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    options = Part("option", {"cone": value(model.opt.cone), "impratio": value(model.opt.impratio)})
+    if model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_OVERRIDE):
+        for name in ("o_margin", "o_solref", "o_solimp", "o_friction"):
+            options.values[name] = value(getattr(model.opt, name))
+    if np.any(touching):
+        parts = [held.geom(int(k)) for k in np.flatnonzero(touching)]
+        parts += [held.exclude(k) for k in range(model.nexclude)]
+        element = f"{len(parts) - model.nexclude} geoms that can touch"
+        report.left_out(element, NO_CONTACTS, options, *parts, topic=CONTACTS, inert=off)
+    if model.npair:
+        paired = {int(k) for k in (*model.pair_geom1, *model.pair_geom2) if not touching[k]}
+        parts = [held.pair(k) for k in range(model.npair)] + [held.geom(k) for k in sorted(paired)]
+        element = f"{model.npair} contact pairs"
+        report.left_out(element, NO_CONTACTS, options, *parts, topic=CONTACTS, inert=off)
+
+
+def _report_joint(start: Start, joints: Joints, held: Held, number: int, report: Mapping) -> None:
     model, element = start.model, joints.element(number)
     if model.jnt_limited[number]:
         low, high = model.jnt_range[number]
@@ -73,7 +114,8 @@ def _report_joint(start: Start, joints: Joints, number: int, report: Mapping) ->
             x = float(start.data.qpos[model.jnt_qposadr[number]])
             where = "" if low <= x <= high else f"; the start is outside of them, at {x:.4g}"
         why = f"its limits {low:.4g} to {high:.4g}{where}: limits are no bilateral constraints"
-        report.left_out(element, why)
+        report.left_out(element, why, held.limits(number), topic=LIMITS, inert=start.disabled("LIMIT"))
     dof = int(model.jnt_dofadr[number])
-    if model.dof_frictionloss[dof]:
-        report.left_out(element, f"its dry friction {model.dof_frictionloss[dof]:g}")
+    if friction := float(model.dof_frictionloss[dof]):
+        part, off = held.friction(number), start.disabled("FRICTIONLOSS")
+        report.left_out(element, f"its dry friction {friction:g}", part, topic=FRICTION, inert=off)

@@ -6,8 +6,9 @@ import mujoco
 import numpy as np
 
 from mjcf.reading.bodies import Bodies, site_point
+from mjcf.reading.held import Held
 from mjcf.reading.joints import Joints
-from mjcf.reading.start import Start
+from mjcf.reading.start import TORQUE_SCALE, Start
 from newton_euler.couplings import Gear
 from newton_euler.joints import Fixed, Joint, Rod, Spherical
 from newton_euler.mapping import Mapping, unique_name
@@ -30,6 +31,7 @@ class Loops:
     def __init__(self, start: Start, bodies: Bodies, joints: Joints, report: Mapping) -> None:
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._report = bodies, joints, report
+        self._held = Held(start, bodies, joints)
         self.joints: list[Joint] = []
         self.gears: list[Gear] = []
         self.held: list[PrescribedMotion] = []
@@ -37,7 +39,7 @@ class Loops:
         off = start.disabled("EQUALITY") or start.disabled("CONSTRAINT")
         for index in range(self._model.neq):
             if off or not self._model.eq_active0[index]:
-                report.left_out(start.equality(index), "is not active")
+                report.left_out(start.equality(index), "is not active", inert=True)
                 continue
             self._add(index)
 
@@ -47,8 +49,8 @@ class Loops:
         self._taken.append(name)
         return name
 
-    def _leave(self, index: int, why: str) -> None:
-        self._report.left_out(self._start.equality(index), why)
+    def _leave(self, index: int, why: str, inert: bool = False) -> None:
+        self._report.left_out(self._start.equality(index), why, self._held.equality(index), inert=inert)
         self._start.differ(self._data.eq_active, index)
 
     def _add(self, index: int) -> None:
@@ -82,9 +84,10 @@ class Loops:
         numbers, (p, q) = self._ends(index)
         first, second = (self._bodies.names[k] for k in numbers)
         if first == second:
-            self._leave(index, f"both its bodies are parts of {first!r}")
+            self._leave(index, f"both its bodies are parts of {first!r}", inert=True)
             return
-        weld = self._model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD and self._model.eq_data[index][10] != 0.0
+        turns = self._model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD
+        weld = turns and self._model.eq_data[index, TORQUE_SCALE] != 0.0
         kind = Fixed if weld else Spherical
         name = self._name(index)
         self.joints.append(kind(name, first, second, p, point_on_second=q))
@@ -114,14 +117,17 @@ class Loops:
     def _couple(
         self, index: int, follower: Key, driver: Key | None, ratio: float, how: str, exactly: bool = True
     ) -> None:
-        tell = self._report.exactly if exactly else self._report.approximated
         if driver is None or ratio == 0.0:
             self.held.append(PrescribedMotion(follower[0], Polynomial((0.0,)), follower[1]))
-            tell(self._start.equality(index), f"joint {follower[0]!r} held, {how}")
-            return
-        name = self._name(index)
-        self.gears.append(Gear(name, driver[0], follower[0], ratio, driver[1], follower[1]))
-        tell(self._start.equality(index), f"gear {name!r} of ratio {ratio:.6g}, {how}")
+            told = f"joint {follower[0]!r} held, {how}"
+        else:
+            name = self._name(index)
+            self.gears.append(Gear(name, driver[0], follower[0], ratio, driver[1], follower[1]))
+            told = f"gear {name!r} of ratio {ratio:.6g}, {how}"
+        if exactly:
+            self._report.exactly(self._start.equality(index), told)
+        else:
+            self._report.approximated(self._start.equality(index), told, self._held.equality(index))
 
     def _add_tendon(self, index: int) -> None:
         """A rod, if it is straight and keeps its length; a gear, if it is a sum of two joint coordinates."""
@@ -133,7 +139,7 @@ class Loops:
             (first, p), (second, q) = ends
             names = self._bodies.names[first], self._bodies.names[second]
             if names[0] == names[1]:
-                self._leave(index, f"both its ends are parts of {names[0]!r}")
+                self._leave(index, f"both its ends are parts of {names[0]!r}", inert=True)
                 return
             name = self._name(index)
             self.joints.append(Rod(name, *names, p, point_on_second=q))

@@ -1,10 +1,9 @@
-"""What a file sets that no scene holds: how MuJoCo steps it, how soft equalities are, their polynomials."""
+"""What a file sets that no scene holds: how MuJoCo steps it, how soft equalities are."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from newton_euler.scalars import Array
@@ -17,16 +16,6 @@ def running(model: Any) -> dict[str, Array]:
         found[f"solref of equality {_name(model, k)!r}"] = model.eq_solref[k]
         found[f"solimp of equality {_name(model, k)!r}"] = model.eq_solimp[k]
     return found
-
-
-def polynomials(model: Any) -> dict[str, Array]:
-    """Coefficients (5,) of the equalities of joints and tendons that are not linear, by their names."""
-    kinds = (int(mujoco.mjtEq.mjEQ_JOINT), int(mujoco.mjtEq.mjEQ_TENDON))
-    return {
-        _name(model, k): model.eq_data[k][:5]
-        for k in range(model.neq)
-        if int(model.eq_type[k]) in kinds and np.any(model.eq_data[k][2:5])
-    }
 
 
 def _name(model: Any, equality: int) -> str:

@@ -7,14 +7,11 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from mjcf.reading.start import Start
+from mjcf.reading.start import TORQUE_SCALE, Start
 from newton_euler.scalars import Array
 
 MOST_STEPS = 1_000
 """Of the file's own step; longer runs are looked at so far."""
-
-TORQUE_SCALE = 10
-"""Where `eq_data` of a weld has the factor on its last three residuals, the vector part of a quaternion."""
 
 
 class Sag(NamedTuple):
@@ -106,7 +103,7 @@ def _widest(model: Any, data: Any) -> tuple[int, float]:
 def _gap(model: Any, index: int, residual: Array) -> float:
     """Distance, m, or angle, rad, of an equality with residuals (1,), (3,) or (6,); of a weld the larger."""
     distance = float(np.linalg.norm(residual[:3]))
-    scale = float(model.eq_data[index, TORQUE_SCALE])
+    scale = abs(float(model.eq_data[index, TORQUE_SCALE]))
     if model.eq_type[index] != mujoco.mjtEq.mjEQ_WELD or scale == 0.0:
         return distance
     half_angle = np.arcsin(min(1.0, float(np.linalg.norm(residual[3:])) / scale))

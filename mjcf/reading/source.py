@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import hashlib
 import os
 import subprocess
 import sys
@@ -21,7 +23,14 @@ MAXIMUM_FILES = 100
 """That may be included."""
 
 WALL_TIME = 60.0
-"""s, for a compiler that waits for something; its processor time is limited in `mjcf.reading.compile`."""
+"""s, for a compiler that waits for something."""
+
+PROCESSOR_TIME, PER_ASSET_BYTE = 2.0, 2e-7
+"""s of the compiler, and s for each byte of the assets. On a quiet machine it takes 0.4 s, with its imports,
+and 0.04 s for a megabyte of meshes. What is small and expands without end is given up after the former."""
+
+KEPT = 200_000_000
+"""Bytes of models compiled last, which are not compiled again while their files stay as they are."""
 
 FOLDERS = ("meshdir", "texturedir", "assetdir")
 """Attributes of compiler elements that say where assets are."""
@@ -48,6 +57,13 @@ UNCHECKED = ("solref", "solimp", "range", "user", "invweight0", "acc0", "M0", "l
 """Ends of names of what no scene has, or of what MuJoCo works out of the others."""
 
 
+_Content = str | tuple[int, int]
+"""What tells that a file is as it was: the digest of an XML file, size and time (ns) of another."""
+
+_kept: dict[tuple[tuple[str, _Content], ...], Any] = {}
+"""`MjModel`s by all files that they were compiled from, the last one at the end."""
+
+
 class SourceError(source_file.SourceError, MjcfError):
     """A file that is no usable model: names the file and what is wrong where."""
 
@@ -64,14 +80,29 @@ def compiled(path: str, root: str | None = None) -> Any:
         SourceError: for a file that cannot be read, that is no MJCF, that reaches outside, or that MuJoCo
             refuses, with MuJoCo's reason.
     """
-    _Scan(path, root).run()
+    scan = _Scan(path, root)
+    scan.run()
     import mujoco
 
+    files = tuple(scan.files.items())
+    model = _kept.pop(files, None) or _compiled(path, scan.asset_bytes)
+    _kept[files] = model
+    while sum(mujoco.mj_sizeModel(each) for each in _kept.values()) > KEPT:
+        del _kept[next(iter(_kept))]
+    return copy.copy(model) if files in _kept else model  # who asked for it may change it
+
+
+def _compiled(path: str, asset_bytes: int) -> Any:
+    """The model of a file that may be compiled."""
+    import mujoco
+
+    seconds = PROCESSOR_TIME + PER_ASSET_BYTE * min(asset_bytes, MAXIMUM_ASSET_BYTES)
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "model.mjb"
         # by its path, without the packages around it: nothing but MuJoCo has to be imported
         script = Path(__file__).with_name("compile.py")
-        command = [sys.executable, "-P", str(script), str(Path(path).resolve()), str(result)]
+        limit = str(int(seconds))
+        command = [sys.executable, "-P", str(script), str(Path(path).resolve()), str(result), limit]
         try:
             done = subprocess.run(
                 command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, timeout=WALL_TIME
@@ -120,13 +151,19 @@ class _Reference:
         path = os.path.realpath(os.path.join(folder, self.target))
         outside = os.path.commonpath((root, path)) != root
         if outside or "\\" in self.target or os.path.isabs(self.target):
-            problem = f"leads outside of {root!r}; a model of several folders needs the option root"
+            how = "a model of several folders needs the option root, --set root=FOLDER"
+            problem = f"leads outside of {root!r}; {how}"
             raise self.refused(problem)
         return path
 
 
 class _Scan:
-    """One pass over a file and what it includes, without building anything."""
+    """One pass over a file and what it includes, without building anything.
+
+    Attributes:
+        files: all that MuJoCo may read, the file itself first, by their paths.
+        asset_bytes: of those that are no XML.
+    """
 
     def __init__(self, path: str, root: str | None) -> None:
         self._top = path
@@ -139,7 +176,8 @@ class _Scan:
         self._homes = [self._home]
         self._folders: dict[str, list[str]] = {name: [] for name in FOLDERS}
         self._assets: list[_Reference] = []
-        self._files = self._bytes = 0
+        self._files = self._bytes = self.asset_bytes = 0
+        self.files: dict[str, _Content] = {}
 
     def run(self) -> None:
         self._read(self._top, ())
@@ -171,6 +209,7 @@ class _Scan:
 
         text = read_text(path, MAXIMUM_BYTES - self._bytes, SourceError)
         self._bytes += len(text)
+        self.files[own] = hashlib.sha256(text.encode()).hexdigest()
         scan(path, text, None if including else "mujoco", begin, SourceError)
         for reference in inner:
             self._read(self._found(reference, os.path.dirname(own)), (*including, own))
@@ -203,8 +242,12 @@ class _Scan:
         for path in found:
             if not os.path.isfile(path):  # a pipe would keep MuJoCo waiting
                 raise reference.refused("is not a regular file")
-            if os.path.getsize(path) > MAXIMUM_ASSET_BYTES:
+            status = os.stat(path)
+            if status.st_size > MAXIMUM_ASSET_BYTES:
                 raise reference.refused(f"is larger than {MAXIMUM_ASSET_BYTES} bytes")
+            if path not in self.files:
+                self.asset_bytes += status.st_size
+            self.files[path] = status.st_size, status.st_mtime_ns
 
 
 def _check_numbers(path: str, model: Any) -> None:

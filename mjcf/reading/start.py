@@ -24,6 +24,9 @@ NEWTON_STEPS = 60
 LONGEST_STEP = 0.2
 """rad or m, of one step of assembly, so that it stays on the branch it starts on."""
 
+TORQUE_SCALE = 10
+"""Where `eq_data` of a weld has the factor on its last three residuals, the vector part of a quaternion."""
+
 MOST_KEYFRAMES = 20
 """That are looked at."""
 
@@ -38,7 +41,7 @@ class Start:
         path: of the file, for errors.
         model: without contacts, limits and dry friction.
         data: at the start, positions and velocities worked out.
-        key: name of the keyframe, or "qpos0".
+        key: what reports call the keyframe, or "qpos0".
         differences: arrays of MuJoCo's model or data, their rows, and what those have to hold for the model
             to be without what was left out of the scene or approximated. Of what acts at rest.
     """
@@ -88,13 +91,16 @@ class Start:
         self.differences.append((array, rows, values))
 
     def _place(self, key: str | None) -> str:
+        """Go to a keyframe or qpos0; what reports call it."""
         model, data = self.model, self.data
         names = [model.key(k).name or f"{k}" for k in range(model.nkey)]
         if key is None:
             key = names[0] if names else "qpos0"
         if key in names:
-            mujoco.mj_resetDataKeyframe(model, data, names.index(key))
-        elif key == "qpos0":
+            number = names.index(key)
+            mujoco.mj_resetDataKeyframe(model, data, number)
+            return key if model.key(number).name else f"keyframe {number}"
+        if key == "qpos0":
             mujoco.mj_resetData(model, data)
         else:
             raise SourceError(self.path, f"no keyframe {key!r}; choose from: {', '.join(['qpos0', *names])}")
@@ -105,12 +111,25 @@ class Start:
         mujoco.mj_fwdPosition(self.model, self.data)
         rows = self._rows()
         gaps: dict[int, float] = {}
-        for index, gap in zip(self.data.efc_id[rows], np.abs(self.data.efc_pos[rows]), strict=True):
+        for index, gap in zip(self.data.efc_id[rows], np.abs(self._residuals()), strict=True):
             gaps[int(index)] = max(gaps.get(int(index), 0.0), float(gap))
         return gaps
 
     def _rows(self) -> Array:
         return np.flatnonzero(self.data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+
+    def _scales(self) -> Array:
+        """(k, 1) what MuJoCo has multiplied the equalities' rows with: angles of welds with `torquescale`."""
+        model, numbers = self.model, self.data.efc_id[self._rows()]
+        scales = np.ones((len(numbers), 1))
+        for weld in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_WELD):
+            turning = np.flatnonzero(numbers == weld)[3:]
+            scales[turning] = model.eq_data[weld, TORQUE_SCALE] or 1.0  # rows of zeros are none
+        return scales
+
+    def _residuals(self) -> Array:
+        """(k,) m or rad, of the equalities' rows, after `gaps`."""
+        return np.asarray(self.data.efc_pos[self._rows()] / self._scales()[:, 0])
 
     def jacobian(self) -> Array:
         """(k, nv) of the equalities' rows, after `gaps`."""
@@ -118,7 +137,7 @@ class Start:
         columns = np.zeros((model.nv, data.nefc))
         for column, unit in zip(columns, np.eye(model.nv), strict=True):
             mujoco.mj_mulJacVec(model, data, column, unit)
-        return columns.T[self._rows()]
+        return np.asarray(columns.T[self._rows()] / self._scales())
 
     def _close(self, report: Mapping) -> None:
         model, data = self.model, self.data
@@ -134,7 +153,7 @@ class Start:
         best, least = first, worst
         for _ in range(NEWTON_STEPS):
             rows = self.jacobian()
-            step = minimum_norm(rows, data.efc_pos[self._rows()], np.ones(len(rows)), np.ones(model.nv))
+            step = minimum_norm(rows, self._residuals(), np.ones(len(rows)), np.ones(model.nv))
             step *= min(1.0, LONGEST_STEP / max(np.max(np.abs(step)), 1e-300))
             mujoco.mj_integratePos(model, data.qpos, -step, 1.0)
             after = self.gaps()

@@ -45,7 +45,8 @@ class Tree:
                 waiting[index] = chain
         for chain in waiting.values():
             for index in chain:
-                report.left_out(f"joint {self._model.names[index]!r}", "it moves no mass: held where it is")
+                element = f"joint {self._model.names[index]!r}"
+                report.left_out(element, "it moves no mass: held where it is", inert=True)
         if not self.joints:
             raise SourceError(path, "no joint moves any mass")
         self._report_links(report)

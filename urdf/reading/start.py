@@ -1,4 +1,4 @@
-"""The configuration that a URDF starts from: zero, its loops and couplings closed."""
+"""The configuration that a URDF starts from: zero, followers of mimics where that puts them, loops closed."""
 
 from __future__ import annotations
 
@@ -61,16 +61,45 @@ class Start:
         self.closed, self.model = closed, closed.model
         self.data: Any = self.model.createData()
         self._closures = Closures(closed, _Plain(), 1.0)  # type: ignore[arg-type]
-        self._zero = pin.neutral(self.model)
-        self.q = self._zero.copy()
         names = [" and ".join(p) for p, t in zip(loops.closed_loop, loops.type, strict=True) if t != "rod"]
         rows = [3 if kind == "3d" else 6 for kind in loops.type if kind != "rod"]
         self._owners = [f"loop of {n}" for n, count in zip(names, rows, strict=True) for _ in range(count)]
         self._owners += ["a coupling"] * len(closed.couplings) + [f"mimic of {m.follower}" for m in mimics]
         self._linear = np.array([*closed.couplings, *(self._row(path, m) for m in mimics)])
         self._linear = self._linear.reshape(-1, self.model.nv)
-        self._offsets = np.array([0.0] * len(closed.couplings) + [m.offset for m in mimics])
+        moved = self._mimicked(mimics)
+        if not np.all(np.isfinite(moved)):
+            raise SourceError(path, "its mimics put joints out of the range of floating-point numbers")
+        self._first = pin.integrate(self.model, pin.neutral(self.model), moved)
+        offsets = np.array([0.0] * len(closed.couplings) + [m.offset for m in mimics])
+        self._open = self._linear @ moved - offsets
+        self.q = self._first.copy()
+        self._called = "coordinates 0"
+        if followers := [f"{m.follower!r} {x:.6g}" for m in mimics if (x := moved[self.place(m.follower)])]:
+            self._called += " and mimics at their offsets"
+            report.start.append(
+                "joints start where their mimics' offsets put them with their drivers at 0, m or rad: "
+                + ", ".join(followers)
+            )
         self._close(path, report)
+
+    def _mimicked(self, mimics: list[Mimic]) -> Array:
+        """(nv,) by which followers of mimics move, m or rad, while joints that follow none stay.
+
+        A joint whose drivers lead back to it stays too: it is for assembly to find where they agree.
+        """
+        by_follower = {mimic.follower: mimic for mimic in mimics}
+        moved = np.zeros(self.model.nv)
+        for name in by_follower:
+            drivers = [name]
+            while drivers[-1] in by_follower and len(drivers) <= len(mimics):
+                drivers.append(by_follower[drivers[-1]].driver)
+            if drivers[-1] not in by_follower:
+                for follower in reversed(drivers[:-1]):
+                    mimic = by_follower[follower]
+                    driven = moved[self.place(mimic.driver)]
+                    moved[self.place(follower)] = mimic.multiplier * driven + mimic.offset
+        return moved
 
     def place(self, name: str) -> int | None:
         """Where the velocity of a joint of one motion is; None if there is no such joint."""
@@ -93,8 +122,8 @@ class Start:
     def _residual(self) -> tuple[Array, Array]:
         pin.computeJointJacobians(self.model, self.data, self.q)
         pin.updateFramePlacements(self.model, self.data)
-        x = pin.difference(self.model, self._zero, self.q)
-        phi = np.concatenate([self._closures.phi(self.data), self._linear @ x - self._offsets])
+        x = pin.difference(self.model, self._first, self.q)
+        phi = np.concatenate([self._closures.phi(self.data), self._linear @ x + self._open])
         return phi, np.vstack([self._closures.jacobian(self.data), self._linear])
 
     def _close(self, path: str, report: Mapping) -> None:
@@ -102,7 +131,7 @@ class Start:
         before, best, least = phi, self.q, float(np.max(np.abs(phi), initial=0.0))
         if least <= CLOSED:
             found = f"all loops closed, to {least:.1e}" if len(phi) else "no loops"
-            report.start.append(f"starts from coordinates 0: {found}")
+            report.start.append(f"starts from {self._called}: {found}")
             return
         places, rows_there = self._places(), jacobian
         for _ in range(NEWTON_STEPS):
@@ -121,19 +150,19 @@ class Start:
         if least > MUST_CLOSE:
             raise SourceError(
                 path,
-                f"{self._owners[worst]} cannot be closed from coordinates 0: open by "
+                f"{self._owners[worst]} cannot be closed from {self._called}: open by "
                 f"{abs(before[worst]):.3g} there, and by {least:.3g} (m or rad) at best",
             )
         gaps: dict[str, float] = {}
         for owner, gap in zip(self._owners, np.abs(before), strict=True):
             gaps[owner] = max(gaps.get(owner, 0.0), float(gap))
         lines = "; ".join(f"{owner} {gap:.3g}" for owner, gap in gaps.items() if gap > CLOSED)
-        moved = pin.difference(self.model, self._zero, self.q)
+        moved = pin.difference(self.model, self._first, self.q)
         side = branch(rows_there, jacobian)
         apart = float(np.max(np.linalg.norm(self._places() - places, axis=1)))
-        report.start.append(f"coordinates 0 are open, in m or rad: {lines}")
+        report.start.append(f"{self._called} are open, in m or rad: {lines}")
         joints = [self._joint(dof) for dof in range(self.model.nv)]
-        report.start.extend(assembled("coordinates 0", side, joints, least, moved, apart))
+        report.start.extend(assembled(self._called, side, joints, least, moved, apart))
 
     def _joint(self, dof: int) -> str:
         """Name of the joint that a velocity belongs to."""

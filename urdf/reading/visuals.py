@@ -64,13 +64,14 @@ def dressed(path: str, root: ET.Element, start: Start, tree: Tree, report: Mappi
             else:
                 shapes.append((visual, shape))
         except (_Unusable, NewtonEulerError) as error:
-            report.left_out(element, str(error))
+            report.left_out(element, str(error), inert=True)
     files = _loaded(list(dict.fromkeys(file for _, file, _ in meshes)))
     drawn: list[tuple[_Visual, Mesh]] = []
     for visual, file, scale in meshes:
         mesh = files[file]
         if mesh is None:
-            report.left_out(f"visual of link {visual.link!r}", f"no mesh can be read from {file.name!r}")
+            element, why = f"visual of link {visual.link!r}", f"no mesh can be read from {file.name!r}"
+            report.left_out(element, why, inert=True)
         else:
             drawn.append((visual, _placed(visual, mesh, scale)))
     if shapes or drawn:
@@ -100,7 +101,7 @@ def _visuals(root: ET.Element, start: Start, tree: Tree) -> list[_Visual]:
         for element in link.findall("visual"):
             material = element.find("material")
             color = None if material is None else _rgba(material) or colors.get(material.get("name"))
-            pose = start.data.oMf[frame] * _origin(element.find("origin"))
+            pose = start.data.oMf[frame] * origin(element.find("origin"))
             found.append(_Visual(bodies[body], name, element, pose, color))
     return found
 
@@ -116,7 +117,7 @@ def _rgba(material: ET.Element) -> Color | None:
     return red, green, blue, opacity
 
 
-def _origin(element: ET.Element | None) -> Any:
+def origin(element: ET.Element | None) -> Any:
     """The pose that an <origin> gives, whose numbers have been checked."""
     if element is None:
         return pin.SE3.Identity()
