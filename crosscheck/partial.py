@@ -42,7 +42,7 @@ def partial_runs_saved(folder: Path, names: Collection[str] = ()) -> Iterator[No
     Raises:
         CrosscheckError: with the error and the files that were written.
     """
-    known = {*ENGINES, *names}
+    known = tuple(dict.fromkeys([*ENGINES, *names]))
     partial = [partial_path(folder, name) for name in known]
     check_writable(*partial)
     for path in partial:
@@ -54,12 +54,12 @@ def partial_runs_saved(folder: Path, names: Collection[str] = ()) -> Iterator[No
         raise CrosscheckError("; ".join([str(unfinished), *_saved(unfinished, folder, known)])) from error
 
 
-def _saved(error: UnfinishedError, folder: Path, known: set[str]) -> Iterator[str]:
+def _saved(error: UnfinishedError, folder: Path, known: tuple[str, ...]) -> Iterator[str]:
     """Write the runs and say so; of a path that cannot be written too, and then no more."""
     complete = {folder / f"{name}.npz": run for name, run in error.runs.items()}
     stopped = {partial_path(folder, name): run for name, run in error.partial.items()}
     summary = path = folder / "summary.json"
-    earlier = [folder / f"{name}.npz" for name in known - error.runs.keys()]
+    earlier = [folder / f"{name}.npz" for name in known if name not in error.runs]
     try:
         for path in (summary, *_recording(summary), *earlier):
             path.unlink(missing_ok=True)

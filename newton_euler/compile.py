@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -81,6 +82,7 @@ class NativeModule:
             hurry: leave it to `improve` to make code that runs fast, where the cache has none.
         """
         start = time.perf_counter()
+        self._improving = Lock()
         llvm = llvm_binding()
         processor, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
         made_by = Path(__file__).read_text(encoding="utf-8")
@@ -120,6 +122,10 @@ class NativeModule:
 
     def improve(self) -> None:
         """Have calls from now on, of any thread, go to code that runs fast, and keep that in the cache."""
+        with self._improving:
+            self._improve()
+
+    def _improve(self) -> None:
         if self.quick:
             better = self._better = NativeModule(*self._sources)
             del self._sources

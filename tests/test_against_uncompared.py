@@ -261,3 +261,15 @@ def test_a_difference_in_a_value_is_the_verdict(capsys, tmp_path) -> None:
     assert status == 1
     told = "DIFFERENT in what is not compared: joint 'a', limits: effort 5 here, 50 there; "
     assert out.splitlines()[-1].startswith(told)
+
+
+def test_limits_of_what_moves_no_mass_are_compared_too(tmp_path: Path) -> None:
+    """A flange on a hinge that no body hangs on."""
+    tip = (
+        '<link name="tip"/><joint name="t" type="revolute"><parent link="rod"/><child link="tip"/>'
+        '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    first = loaded(tmp_path, "one.urdf", LIMITED.replace("</robot>", tip))
+    wider = tip.replace('upper="1"', 'upper="2"')
+    ((text, _),) = apart(first, loaded(tmp_path, "two.urdf", LIMITED.replace("</robot>", wider)))
+    assert text.startswith("joint 't', limits: range")

@@ -18,7 +18,7 @@ from newton_euler import compile_scene
 from newton_euler.cache import CACHE_VARIABLE
 from newton_euler.compile import NativeFunction
 from newton_euler.compiled import FORMULATIONS, Code
-from newton_euler.improve import _Improver
+from newton_euler.improve import MOST_WAITING, _Improver
 from newton_euler.steppers.outputs import loops
 from newton_euler.steppers.run import MARCHES, stepper
 
@@ -171,3 +171,14 @@ def test_what_is_in_a_hurry_goes_first():
         assert not module.improved
     improver.finish()
     assert module.improved
+
+
+def test_a_sweep_leaves_no_long_wait_behind():
+    """The newest modules wait; without the others a run goes on with what it has."""
+    improver, modules = _Improver(), [Module(fails=False) for _ in range(MOST_WAITING + 5)]
+    with improver.give_way():
+        improver.add(modules[:5])
+        improver.add(modules[5:])
+        improver.add(modules[5:])  # once is enough
+    improver.finish()
+    assert [module.improved for module in modules] == [False] * 5 + [True] * MOST_WAITING

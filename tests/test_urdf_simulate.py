@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from elements import ELEMENTS, MOTIONS
-from mechanisms import all_universal_loop, planar_four_bar, spinning_top
+from mechanisms import all_universal_loop, pendulum, planar_four_bar, spinning_top
 
 import newton_euler
 import urdf
@@ -16,6 +16,7 @@ from crosscheck.scenes import load
 from newton_euler.assemble import random_states
 from newton_euler.errors import NewtonEulerError, OptionError, UnknownNameError
 from newton_euler.euler_parameters import angle_between
+from newton_euler.forces import JointSpring
 from newton_euler.system import at_time
 from urdf.tight import equations_of, fixed
 
@@ -134,9 +135,13 @@ def test_drift_of_couplings_is_that_of_newton_euler(name):
     assert name != "motions of a tree" or missed.max() > 1e-7
 
 
-@pytest.mark.parametrize("name", ELEMENTS)
-def test_tight_equations_are_those_of_runs(name):
-    scene = replace(ELEMENTS[name], outputs=frozenset())
+SPRUNG = replace(pendulum(), forces=(JointSpring("pivot", 10.0, 0.5, 0.2),))
+"""Nothing but a spring drives it."""
+
+
+@pytest.mark.parametrize("scene", [*ELEMENTS.values(), SPRUNG], ids=[*ELEMENTS, "sprung"])
+def test_tight_equations_are_those_of_runs(scene):
+    scene = replace(scene, outputs=frozenset())
     equations = equations_of(scene, 0.0, None)
     system = at_time(equations.system, 0.1)
     for state in (scene.initial_state, *(() if scene.motions else random_states(scene, 2))):

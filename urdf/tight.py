@@ -103,7 +103,7 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
     balls = [(joint.idx_q, joint.idx_v) for joint in joints if joint.nq == 4]
     plain_q = [joint.idx_q for joint in joints if joint.nq == 1]
     plain_v = [joint.idx_v for joint in joints if joint.nq == 1]
-    actuated = bool(scene.control)
+    actuated = bool(scene.joint_forces)
     dot, add = np.dot, np.add
 
     def rates_at(t: float, y: Array) -> Array:

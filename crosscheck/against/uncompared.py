@@ -96,7 +96,7 @@ def _told(model: Model, aligned: Aligned, is_second: bool) -> list[_Told]:
     def named(part: Part) -> Part:
         found = [keys.get((name, k), ((joints.get(name, name), k), 1.0)) for name, k in part.joints]
         values = dict(part.values)
-        if RANGE in values and found[0][1] < 0.0:
+        if RANGE in values and found and found[0][1] < 0.0:  # a joint that moves no mass has none
             low, high = (float(x) for x in values[RANGE])
             values[RANGE] = value([-high, -low])
         own = (owner.get(name, name) for name in part.bodies)

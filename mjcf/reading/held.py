@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
 import mujoco
@@ -218,6 +219,7 @@ class Held:
 
 
 def summed(name: str, array: Array) -> dict[str, Value]:
-    """A long array by its length, the sum of its numbers and that of each times its place."""
+    """A long array by its length and a digest of its numbers to six digits, which is what files have."""
     numbers = np.asarray(array, dtype=float).ravel()
-    return {name: value([numbers.size, numbers.sum(), numbers @ np.arange(numbers.size)])}
+    digits = " ".join(f"{number:.6g}" for number in numbers)
+    return {name: (float(numbers.size), hashlib.sha256(digits.encode()).hexdigest()[:16])}

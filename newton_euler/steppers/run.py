@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.compile import llvm_binding
+from newton_euler.compile import NativeModule, llvm_binding
 from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import IntegrationError, OptionError
 from newton_euler.improve import giving_way, improve
@@ -66,9 +66,21 @@ def load(code: Code, integrator: str) -> None:
     if missing:
         with giving_way():
             _compile_beside(code, integrator, missing)
-    # what fails in the thread fails here once more
-    functions = [code.function(name).module for name in missing]
-    improve([stepper(integrator).module, loops().module, *functions])
+    for name in missing:
+        code.function(name)  # what has failed in the thread fails once more
+    improve(_modules(code, integrator))
+
+
+def improve_now(code: Code, integrator: str) -> None:
+    """Wait until all that a run needs is code that runs fast."""
+    for module in _modules(code, integrator):
+        module.improve()
+
+
+def _modules(code: Code, integrator: str) -> list[NativeModule]:
+    """What a run needs."""
+    functions = [code.function(name).module for name in code.needed(integrator)]
+    return [*functions, stepper(integrator).module, loops().module]
 
 
 def _compile_beside(code: Code, integrator: str, names: Sequence[str]) -> None:
