@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
-from newton_euler.balls import check_ball
 from newton_euler.control import check_key, is_finite_number
 from newton_euler.errors import MechanismError, check_texts
+from newton_euler.forces import check_ball, check_coordinate, check_known
 from newton_euler.mechanism import Mechanism
 
 if TYPE_CHECKING:
@@ -38,8 +38,6 @@ class Armature:
     joint: str
     inertia: float
     coordinate: int = 0
-
-    parameters: ClassVar[tuple[str, ...]] = ("inertia",)
 
     def __post_init__(self) -> None:
         _set_inertia(self)
@@ -74,8 +72,6 @@ class BallArmature:
     joint: str
     inertia: float
 
-    parameters: ClassVar[tuple[str, ...]] = ("inertia",)
-
     def __post_init__(self) -> None:
         _set_inertia(self)
         check_texts(self.element, self, "joint")
@@ -99,20 +95,12 @@ def check_armatures(armatures: Sequence[Armature | BallArmature], mechanism: Mec
         if isinstance(armature, BallArmature):
             check_ball(armature.element, armature.joint, mechanism)
         else:
-            _check_coordinate(armature, mechanism)
+            check_known(armature.element, "is on an unknown joint", armature.joint, mechanism.joint_names)
+            joint = mechanism.joints[mechanism.joint_index(armature.joint)]
+            check_coordinate(armature.element, joint, armature.coordinate)
     for element, count in Counter(map(_identity, armatures)).items():
         if count > 1:
             raise MechanismError(element, f"{count} for one coordinate", "one a coordinate or ball")
-
-
-def _check_coordinate(armature: Armature, mechanism: Mechanism) -> None:
-    if armature.joint not in mechanism.joint_names:
-        known = ", ".join(mechanism.joint_names)
-        raise MechanismError(armature.element, "is on an unknown joint", f"one of {known}")
-    count = len(mechanism.joints[mechanism.joint_index(armature.joint)].coordinate_kinds)
-    if not 0 <= armature.coordinate < count:
-        needed = f"an index below {count}" if count else "a joint with a hinge or a slide"
-        raise MechanismError(armature.element, f"coordinate is {armature.coordinate}", needed)
 
 
 def _identity(armature: Armature | BallArmature) -> str:

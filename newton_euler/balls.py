@@ -16,7 +16,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from newton_euler.constraints import Frame, Jacobian
-from newton_euler.errors import MechanismError
 from newton_euler.euler_parameters import rotation
 from newton_euler.joints import Pose
 from newton_euler.mechanism import Mechanism
@@ -27,17 +26,6 @@ TINY = 1e-300
 
 SPIN = Jacobian(np.zeros((3, 3)), -np.eye(3), np.zeros((3, 3)), np.eye(3))
 """Of omega, world frame."""
-
-
-def check_ball(element: str, joint: str, mechanism: Mechanism) -> None:
-    """Raise `MechanismError` unless the mechanism has a joint of that name, and that a ball."""
-    if joint not in mechanism.joint_names:
-        known = ", ".join(mechanism.joint_names)
-        raise MechanismError(element, f"is on an unknown joint {joint!r:.100}", f"one of {known}")
-    found = mechanism.joints[mechanism.joint_index(joint)]
-    if not any(motion.kind == "ball" for motion in found.motions):
-        needed = "a joint with a ball: spherical, free, or compound with one"
-        raise MechanismError(element, f"is on a {found.kind} joint", needed)
 
 
 def ends(mechanism: Mechanism, joint: str) -> tuple[int, int]:

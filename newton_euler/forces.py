@@ -15,11 +15,10 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from newton_euler.balls import check_ball
 from newton_euler.constraints import Frame
 from newton_euler.control import check_key, is_finite_number
 from newton_euler.errors import MechanismError, check_texts
-from newton_euler.joints import Pose
+from newton_euler.joints import Joint, Pose
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism, check_name
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
@@ -61,12 +60,9 @@ class JointSpring:
 
     def check(self, mechanism: Mechanism) -> None:
         """Raise `MechanismError` unless the mechanism has its joint coordinate."""
-        _check_known(self.element, "joint", self.joint, mechanism.joint_names)
+        check_known(self.element, "acts on an unknown joint", self.joint, mechanism.joint_names)
         joint = mechanism.joints[mechanism.joint_index(self.joint)]
-        count = sum(motion.kind != "ball" for motion in joint.motions)
-        if not 0 <= self.coordinate < count:
-            needed = f"an index below {count}" if count else "a joint with a hinge or a slide"
-            raise MechanismError(self.element, f"coordinate is {self.coordinate}", needed)
+        check_coordinate(self.element, joint, self.coordinate)
 
     def force(self, x: Scalar, x_rate: Scalar) -> Scalar:
         """The generalized force (N or N m) at coordinate x (m or rad) and its rate."""
@@ -176,7 +172,7 @@ class PointSpring:
     def check(self, mechanism: Mechanism) -> None:
         """Raise `MechanismError` unless the mechanism has its two bodies."""
         for body in (self.first, self.second):
-            _check_known(self.element, "body", body, mechanism.body_names)
+            check_known(self.element, "acts on an unknown body", body, mechanism.body_names)
         if self.first == self.second:
             raise MechanismError(self.element, f"connects {self.first!r} to itself", "two bodies")
 
@@ -237,7 +233,7 @@ class Wrench:
 
     def check(self, mechanism: Mechanism) -> None:
         """Raise `MechanismError` unless the mechanism has its body, a moving one."""
-        _check_known(self.element, "body", self.body, mechanism.body_names)
+        check_known(self.element, "acts on an unknown body", self.body, mechanism.body_names)
         if mechanism.body_index(self.body) == 0:
             raise MechanismError(self.element, f"acts on the ground {self.body!r}", "a body that moves")
 
@@ -245,10 +241,27 @@ class Wrench:
 Force = JointSpring | BallSpring | PointSpring | Wrench
 
 
-def _check_known(element: str, what: str, name: object, known: tuple[str, ...]) -> None:
+def check_known(element: str, problem: str, name: str, known: Sequence[str]) -> None:
+    """Raise `MechanismError` with a problem, and the name, unless that is among the known ones."""
     if name not in known:
-        problem = f"acts on an unknown {what} {name!r:.100}"
-        raise MechanismError(element, problem, f"one of {', '.join(known)}")
+        raise MechanismError(element, f"{problem} {name!r:.100}", f"one of {', '.join(known)}")
+
+
+def check_coordinate(element: str, joint: Joint, coordinate: int) -> None:
+    """Raise `MechanismError` unless the joint has that hinge or slide."""
+    count = len(joint.coordinate_kinds)
+    if not 0 <= coordinate < count:
+        needed = f"an index below {count}" if count else "a joint with a hinge or a slide"
+        raise MechanismError(element, f"coordinate is {coordinate}", needed)
+
+
+def check_ball(element: str, joint: str, mechanism: Mechanism) -> None:
+    """Raise `MechanismError` unless the mechanism has a joint of that name, and that a ball."""
+    check_known(element, "is on an unknown joint", joint, mechanism.joint_names)
+    found = mechanism.joints[mechanism.joint_index(joint)]
+    if not any(motion.kind == "ball" for motion in found.motions):
+        needed = "a joint with a ball: spherical, free, or compound with one"
+        raise MechanismError(element, f"is on a {found.kind} joint", needed)
 
 
 def _set_numbers(thing: Force, element: str, names: Sequence[str], least: float = -np.inf) -> None:

@@ -133,6 +133,19 @@ def apart(first: Model, second: Model) -> list[tuple[str, bool]]:
     return [(other.text, other.moves) for other in found]
 
 
+def check_told(folder: Path, format: str, text: str, old: str, new: str, told: str) -> None:
+    """A value changed in a model is the one difference, at the same place from either side."""
+    assert text.count(old) == 1
+    first = loaded(folder, f"one.{format}", text)
+    second = loaded(folder, f"two.{format}", text.replace(old, new))
+    assert not apart(first, first)
+    ((found, moves),) = apart(first, second)
+    assert found.startswith(told)
+    assert moves
+    ((found, _),) = apart(second, first)
+    assert found.split(":")[0] == told.split(":")[0]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
@@ -152,17 +165,7 @@ def apart(first: Model, second: Model) -> list[tuple[str, bool]]:
     ],
 )  # fmt: skip
 def test_values_that_differ_are_a_difference(tmp_path: Path, old: str, new: str, told: str) -> None:
-    assert old in HOLDING
-    first, second = (
-        loaded(tmp_path, name, text)
-        for name, text in (("one.xml", HOLDING), ("two.xml", HOLDING.replace(old, new)))
-    )
-    assert not apart(first, first)
-    ((text, moves),) = apart(first, second)
-    assert text.startswith(told)
-    assert moves
-    ((text, moves),) = apart(second, first)
-    assert text.split(":")[0] == told.split(":")[0]
+    check_told(tmp_path, "xml", HOLDING, old, new, told)
 
 
 @pytest.mark.parametrize(
@@ -176,12 +179,8 @@ def test_values_that_differ_are_a_difference(tmp_path: Path, old: str, new: str,
         ('k_velocity="4"', 'k_velocity="6"', "joint 'a', safety controller: k_velocity 4 here, 6 there"),
     ],
 )  # fmt: skip
-def test_values_of_a_urdf_that_differ_are_a_difference(tmp_path, old, new, told) -> None:
-    first = loaded(tmp_path, "one.urdf", LIMITED)
-    assert LIMITED.count(old) == 1
-    ((text, moves),) = apart(first, loaded(tmp_path, "two.urdf", LIMITED.replace(old, new)))
-    assert text.startswith(told)
-    assert moves
+def test_values_of_a_urdf_that_differ_are_a_difference(tmp_path: Path, old: str, new: str, told: str) -> None:
+    check_told(tmp_path, "urdf", LIMITED, old, new, told)
 
 
 @pytest.mark.parametrize(

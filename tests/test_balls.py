@@ -7,27 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ball_scenes import AXIS, SCENES, sphere, twisted_loop
+from equations_of_motion import ACCELERATIONS, REACTIONS, check_arrays, evaluations
 from finite_difference import derivative, jacobian
 from mechanisms import ball_loop, inertia, pendulum
 
 import mjcf
 import newton_euler
 import urdf
-from mjcf.rigid import RigidMuJoCo
 from newton_euler import Armature, BallArmature, BallSpring, Body, JointSpring, Mechanism, Scene
 from newton_euler.assemble import random_states
 from newton_euler.balls import rotation_by, rotation_vector, spin, spin_rate
-from newton_euler.cartesian import Cartesian
 from newton_euler.compiled import FORMULATIONS, formulate
 from newton_euler.errors import MechanismError
 from newton_euler.euler_parameters import from_rotation_vector, rotation
 from newton_euler.expression import Graph, differentiate
 from newton_euler.joints import Free, Spherical
-from newton_euler.redundancy import rows_in_use
 from newton_euler.relative import Relative
 from newton_euler.simulate import compile_scene
 from newton_euler.tree import SpanningTree, weld_loops
-from urdf.dynamics import PinocchioSystem
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)
 
@@ -42,22 +39,10 @@ ROUND_OFF = 1e-11
 def test_all_equations_of_motion_agree(name: str) -> None:
     scene = SCENES[name]
     assert scene.loaded_balls
-    for state in random_states(scene, 2):
-        found = {}
-        for system in (Relative(scene), Cartesian(scene), RigidMuJoCo(scene), PinocchioSystem(scene)):
-            q, v = system.coordinates(state)
-            found[system.name] = system.evaluate(q, v)
-            if isinstance(system, Relative | Cartesian):
-                rows, _ = rows_in_use(system)
-                found[f"sparse {system.name}"] = system.sparse_evaluation(q, v, rows)[0]
-        wanted = found.pop("relative")
-        for other, evaluation in found.items():
-            for array in ("linear_acceleration", "angular_acceleration", "reaction_force", "reaction_torque"):
-                x, y = getattr(evaluation, array), getattr(wanted, array)
-                # joints that transmit nothing are held to the weight of 1 kg at 0.1 m
-                assert np.max(np.abs(x - y)) < ROUND_OFF * max(np.max(np.abs(y)), 1.0), (other, array)
-            for energy in ("kinetic_energy", "potential_energy"):
-                assert getattr(evaluation, energy) == pytest.approx(getattr(wanted, energy), rel=1e-12), other
+    for other, found, wanted in evaluations(scene):
+        check_arrays(other, found, wanted, (*ACCELERATIONS, *REACTIONS), ROUND_OFF)
+        for energy in ("kinetic_energy", "potential_energy"):
+            assert getattr(found, energy) == pytest.approx(getattr(wanted, energy), rel=1e-12), other
 
 
 @both
