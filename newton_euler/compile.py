@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import sys
-import time
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -57,9 +56,9 @@ class NativeModule:
     """Functions compiled together, alive as long as this object is.
 
     Attributes:
-        from_cache: whether the machine code was there already.
+        from_cache: whether the machine code was on disk when this was made; who shares it, see
+            `NativeFunction`, is told the same.
         quick: whether it was made in a hurry, see `improve`.
-        time: s that it took to compile or load it.
         size: bytes of the object code.
         addresses: of the functions, by name.
     """
@@ -81,7 +80,6 @@ class NativeModule:
             optimise: for code with variables, which are to live in registers; a program has none.
             hurry: leave it to `improve` to make code that runs fast, where the cache has none.
         """
-        start = time.perf_counter()
         self._improving = Lock()
         llvm = llvm_binding()
         processor, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
@@ -118,7 +116,6 @@ class NativeModule:
             name: int(self._engine.get_function_address(_ENTRY.format(name) if self.quick else name))
             for name in functions
         }
-        self.time = time.perf_counter() - start
 
     def improve(self) -> None:
         """Have calls from now on, of any thread, go to code that runs fast, and keep that in the cache."""
@@ -166,7 +163,7 @@ class NativeFunction:
         inputs, outputs: lengths of x and y.
         lanes: how many x are taken at once, values of all of them side by side, and so many y made.
         address: of `void f(double *x, double *y)`, for native callers.
-        module: what it was compiled in.
+        module: what it was compiled in; another function of the same program may share it.
     """
 
     def __init__(
@@ -199,11 +196,12 @@ class NativeFunction:
         self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
 
     def __call__(self, x: Array) -> Array:
-        """(outputs,) for x (inputs,), or with several lanes (outputs, lanes) for x (inputs, lanes)."""
-        lanes = (self.lanes,) if self.lanes > 1 else ()
-        x = np.ascontiguousarray(x, dtype=float)
-        if x.shape != (self.inputs, *lanes):
-            raise ValueError(f"got inputs of shape {x.shape}; needed: {(self.inputs, *lanes)}")
-        y = np.empty((self.outputs, *lanes))
-        self._call(x.ctypes.data, y.ctypes.data)
-        return y
+        """y (outputs,) for x (inputs,), which all lanes get, or y (outputs, lanes) for x (inputs, lanes)."""
+        x = np.asarray(x, dtype=float)
+        if x.shape not in ((self.inputs,), (self.inputs, self.lanes)):
+            needed = f"{(self.inputs,)} or {(self.inputs, self.lanes)}"
+            raise ValueError(f"got inputs of shape {x.shape}; needed: {needed}")
+        given = np.repeat(x, self.lanes) if x.ndim == 1 else np.ascontiguousarray(x)
+        y = np.empty((self.outputs, self.lanes))
+        self._call(given.ctypes.data, y.ctypes.data)
+        return y[:, 0].copy() if x.ndim == 1 else y

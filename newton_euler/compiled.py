@@ -10,13 +10,13 @@ import pickle
 import time
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from newton_euler.cache import cache_directory, cache_key, read_cache, write_cache
 from newton_euler.cartesian import Cartesian
-from newton_euler.compile import NativeFunction
+from newton_euler.compile import LARGE, NativeFunction
 from newton_euler.errors import UnknownNameError
 from newton_euler.expression import Graph, Program, differentiate
 from newton_euler.fingerprint import fingerprint
@@ -30,7 +30,14 @@ from newton_euler.stabilize import PAPER_ALPHA, baumgarte_alpha
 from newton_euler.steppers.march import ANGLE, QUATERNION, QUATERNION_WITH_RATES
 from newton_euler.system import at_time
 
+if TYPE_CHECKING:
+    from newton_euler.integrate import Options
+    from newton_euler.steppers.run import March
+
 T = TypeVar("T")
+
+SIDE_BY_SIDE = (("output",), ("position", "velocity"))
+"""Programs that take several states at once, the same number in each group: outputs are many."""
 
 Formulation = Relative | Cartesian
 
@@ -62,6 +69,7 @@ class Code:
         layouts: where a program has its results: the arrays of `output` by name, as (slice, shape); the
             rows and columns of what `surface` gives of matrices.
         functions: the same in native code.
+        idle: a march that no run is using, by its options.
         trace_time, compile_time: s that it took so far; loading from the cache counts as compiling.
     """
 
@@ -84,6 +92,7 @@ class Code:
         self.programs: dict[str, Program] = {}
         self.layouts: dict[str, Any] = {}
         self.functions: dict[str, NativeFunction] = {}
+        self.idle: dict[Options, March] = {}
         self.trace_time = self.compile_time = 0.0
 
     @property
@@ -137,9 +146,11 @@ class Code:
         """One of the functions, traced and compiled if it has not been; `hurry` as of `NativeFunction`."""
         if name not in self.functions:
             program = self.program(name)
+            group = next((group for group in SIDE_BY_SIDE if name in group), ())
+            many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
             identity = self._identity and f"{self._identity} {name}"
             start = time.perf_counter()
-            self.functions[name] = NativeFunction(program, name == "output", identity, hurry)
+            self.functions[name] = NativeFunction(program, many, identity, hurry)
             self.compile_time += time.perf_counter() - start
         return self.functions[name]
 

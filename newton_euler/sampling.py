@@ -24,6 +24,11 @@ SAME = 1e-9
 periods meet only up to round-off."""
 
 
+MOST_IDLE = 100_000
+"""Numbers in the table of a march that is kept for the next run. Making one ready takes a tenth of a short
+run; beside one with more outputs it is nothing."""
+
+
 class Interval(NamedTuple):
     """A part of a run in which forces are held.
 
@@ -130,8 +135,10 @@ def march_sampled(code: Code, x: Array, options: Options) -> Marched:
     from newton_euler.steppers.run import March
 
     if not code.scene.sampled:
-        march = March(code, code.scene.times, options)
+        march = code.idle.pop(options, None) or March(code, code.scene.times, options)
         arrays, stopped = march.attempt(x)
+        if march.table.size <= MOST_IDLE:
+            code.idle = {options: march}
         return Marched(arrays, march.counted, stopped)
     parts: list[dict[str, Array]] = []
     total: Counter[str] = Counter()

@@ -115,7 +115,8 @@ class CompiledScene(Code):
         from newton_euler.sampling import march_sampled
         from newton_euler.steppers.run import load
 
-        load(self, options.integrator)
+        if options not in self.idle:
+            load(self, options.integrator)
         x = self.start.copy()
         start = time.perf_counter()
         arrays, counts, stopped = march_sampled(self, x, options)

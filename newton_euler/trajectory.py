@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import io
 import os
-import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -86,6 +84,8 @@ def check_finite(times: Array, arrays: Mapping[str, Array]) -> None:
 
 def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
     """Read the arrays of a saved trajectory by name; raises `NewtonEulerError` for a bad file."""
+    from zipfile import BadZipFile
+
     try:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
@@ -101,7 +101,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.parent / f".{target.stem}-{secrets.token_hex(4)}{target.suffix}"
+    temporary = target.parent / f".{target.stem}-{os.urandom(4).hex()}{target.suffix}"
     try:
         temporary.touch(exist_ok=False)
         yield temporary

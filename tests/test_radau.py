@@ -17,39 +17,60 @@ from newton_euler.mechanism import Body, Mechanism
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.scene import Scene
 from newton_euler.steppers.collocation import ALPHA, BETA, GAMMA
-from newton_euler.steppers.linear import factor_complex, factor_real, solve_complex, solve_real
+from newton_euler.steppers.linear import (
+    factor_complex,
+    factor_real,
+    solve_complex,
+    solve_real,
+    zero_block,
+)
 from newton_euler.steppers.march import COUNTS, DONE
 from newton_euler.steppers.radau import march_radau
 
 
 @pytest.fixture(scope="module")
 def linear():
-    return NativeFunctions([factor_real, solve_real, factor_complex, solve_complex])
+    return NativeFunctions([factor_real, solve_real, factor_complex, solve_complex, zero_block])
 
 
-def test_linear_systems_are_those_of_numpy(linear):
-    rng = np.random.default_rng(0)
-    for n in (1, 2, 7, 20):
-        a = rng.standard_normal((n, n))
-        a[0, 0] = 0.0 if n > 1 else 1.0  # needs an exchange of rows
-        x, pivots = rng.standard_normal(n), np.zeros(n)
-        expected, work = np.linalg.solve(a, x), a.copy()
-        assert linear(factor_real, n, work, pivots) == 0
-        linear(solve_real, n, work, pivots, x)
-        assert x == pytest.approx(expected, rel=1e-10)  # condition below 1e4
-        b = a + 1j * rng.standard_normal((n, n))
-        y = rng.standard_normal(n) + 1j * rng.standard_normal(n)
-        expected = np.linalg.solve(b, y)
-        re, im, y_re, y_im = (np.ascontiguousarray(part) for part in (b.real, b.imag, y.real, y.imag))
-        assert linear(factor_complex, n, re, im, pivots) == 0
-        linear(solve_complex, n, re, im, pivots, y_re, y_im)
-        assert y_re + 1j * y_im == pytest.approx(expected, rel=1e-10)
+@pytest.mark.parametrize(("n", "m"), [(1, 0), (1, 1), (2, 0), (7, 0), (7, 3), (20, 0), (20, 10), (20, 19)])
+def test_linear_systems_are_those_of_numpy(linear, n, m):
+    """With and without a leading block that is a number times the identity."""
+    rng = np.random.default_rng(n)
+    a = rng.standard_normal((n, n))
+    if n > m + 1:
+        a[m, m] = 0.0  # needs an exchange of rows
+    a[:m, :m] = 3.0 * np.eye(m)
+    x, pivots = rng.standard_normal(n), np.zeros(n)
+    expected, work = np.linalg.solve(a, x), a.T.copy()
+    assert linear(factor_real, n, m, work, pivots) == 0
+    linear(solve_real, n, m, work, pivots, x)
+    assert x == pytest.approx(expected, rel=1e-10)  # condition below 1e4
+    b = a + 1j * rng.standard_normal((n, n))
+    b[:m, :m] = (3.0 + 4.0j) * np.eye(m)
+    y = rng.standard_normal(n) + 1j * rng.standard_normal(n)
+    expected = np.linalg.solve(b, y)
+    re, im, y_re, y_im = (np.ascontiguousarray(part) for part in (b.T.real, b.T.imag, y.real, y.imag))
+    assert linear(factor_complex, n, m, re, im, pivots) == 0
+    linear(solve_complex, n, m, re, im, pivots, y_re, y_im)
+    assert y_re + 1j * y_im == pytest.approx(expected, rel=1e-10)
+
+
+def test_the_block_of_zeros_ends_where_its_row_or_its_column_has_an_entry(linear):
+    a = np.zeros((4, 4))
+    assert linear(zero_block, 4, a) == 4
+    a[3, 0] = 1.0
+    assert linear(zero_block, 4, a) == 3
+    a[1, 2] = 1.0
+    assert linear(zero_block, 4, a) == 2
+    a[0, 0] = 1.0
+    assert linear(zero_block, 4, a) == 0
 
 
 def test_singular_matrices_are_reported(linear):
     a = np.array([[1.0, 2.0], [2.0, 4.0]])
-    assert linear(factor_real, 2, a.copy(), np.zeros(2)) == 1
-    assert linear(factor_complex, 2, a.copy(), np.zeros((2, 2)), np.zeros(2)) == 1
+    assert linear(factor_real, 2, 0, a.copy(), np.zeros(2)) == 1
+    assert linear(factor_complex, 2, 0, a.copy(), np.zeros((2, 2)), np.zeros(2)) == 1
 
 
 def test_eigenvalues_are_the_published_ones():
@@ -160,7 +181,21 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         np.empty(size) for size in (n + 2, 3 * n, 4 * n, 3 * n + 3, 3 * n + 2, 3 * n, 4 * n * n, 2 * n)
     ]
     for rtol in (1e-3, 1e-6, 1e-9):
-        system = (jacobian, derivative, derivative, 0, 1e-12, None, None, None, pause, np.zeros(n))
+        system = (
+            jacobian,
+            derivative,
+            derivative,
+            0,
+            1e-12,
+            n + 1,
+            1,
+            None,
+            None,
+            None,
+            None,
+            pause,
+            np.zeros(n),
+        )
         states = (np.zeros(2), np.zeros(2))
         status = march_radau(
             n, len(times), times, rtol, 1e-2 * rtol, 10**6, 0, n, *system, *states, *scratch, table, counts

@@ -222,7 +222,7 @@ def test_what_the_last_newton_step_leaves_counts(steps, status):
 
     x = np.array([march.OPEN_TOLERANCE**2 * 5.0**steps, 0.0])
     begun = x[0]
-    assert march.project(1, 1e-16, 0, position, None, None, x, np.zeros(3)) == status
+    assert march.project(1, 1e-16, 0, 2, 1, position, None, None, np.zeros(5), x) == status
     assert x[0] == pytest.approx(begun * 0.2**10)
 
 

@@ -41,7 +41,7 @@ from newton_euler.steppers.march import (
     leave,
     project,
     project_densely,
-    record,
+    record_rows,
     unwind,
 )
 
@@ -199,9 +199,12 @@ def march_dop853(
     dense: Callback,
     projecting: int,
     tolerance: float,
+    inputs: int,
+    lanes: int,
     position: Callback,
     velocity: Callback,
     closing: Callback,
+    beside: Vector,
     pause: Callback,
     turning: Vector,
     now: Vector,
@@ -217,7 +220,9 @@ def march_dop853(
     Of these states only the first `kept` elements, nq or n, are what outputs need; the others are anything.
     `now`, `at` and `end` are states with time and parameters; k (16, n + 1) and terms (7, n) are scratch.
     """
-    status = begin(n, projecting, tolerance, position, velocity, closing, now, k, table, counts)
+    status = begin(
+        n, projecting, tolerance, inputs, lanes, position, velocity, closing, beside, now, table, counts
+    )
     if status == DONE:
         status = evaluate(n, derivative, dense, now, k, counts)
     stop = times[outputs - 1]
@@ -285,19 +290,18 @@ def march_dop853(
                 if status != DONE:
                     return status
             prepare_dense(n, h, now, end, k, terms)
+            first = due
             while due < outputs and times[due] <= now[n] + h:
-                interpolate(n if near == 1 else kept, n, (times[due] - now[n]) / h, now, terms, at)
-                at[n] = times[due]
-                keep_norms(nq, turning, at, at)
-                if near == 1:
-                    status = project_densely(n, closing, at, k[(n + 1) * 13 :])
-                elif projecting == 1:
-                    scratch = k[(n + 1) * 13 :]
-                    status = project(n, tolerance, whole, position, velocity, closing, at, scratch)
-                if status != DONE:
-                    return status
-                record(n, due, at, table, counts)
+                state = table[n * due :]
+                interpolate(n if near == 1 else kept, n, (times[due] - now[n]) / h, now, terms, state)
+                keep_norms(nq, turning, state, state)
                 due += 1
+            status = record_rows(
+                n, first, due, projecting, near, tolerance, whole, inputs, lanes, position, velocity, closing,
+                beside, times, at, table, counts,
+            )  # fmt: skip
+            if status != DONE:
+                return status
         for i in range(n):
             now[i] = end[i]
         now[n] = now[n] + h
@@ -307,7 +311,7 @@ def march_dop853(
             if near == 1:
                 status = project_densely(n, closing, now, k[(n + 1) * 13 :])
             else:
-                status = project(n, tolerance, 1, position, velocity, closing, now, k[(n + 1) * 13 :])
+                status = project(n, tolerance, 1, inputs, lanes, position, velocity, closing, beside, now)
             if status == DONE:
                 status = evaluate(n, derivative, dense, now, k, counts)
             if status != DONE:

@@ -66,19 +66,25 @@ forces magnify: shorter steps would not have less of it."""
 
 
 @native
-def prepare(n: int, h: float, jacobian: Vector, real: Vector, re: Vector, im: Vector, pivots: Vector) -> int:
-    """Factors of gamma/h - J and (alpha + i beta)/h - J; pivots (2, n); 1 if one is singular, else 0."""
-    for i in range(n * n):
-        real[i] = -jacobian[i]
-        re[i] = -jacobian[i]
-        im[i] = 0.0
+def prepare(
+    n: int, m: int, h: float, jacobian: Vector, real: Vector, re: Vector, im: Vector, pivots: Vector
+) -> int:
+    """Factors of gamma/h - J and (alpha + i beta)/h - J; pivots (2, n); 1 if one is singular, else 0.
+
+    J begins with a block of zeros of m rows.
+    """
+    for i in range(n):
+        for j in range(n):
+            real[n * j + i] = -jacobian[n * i + j]
+            re[n * j + i] = -jacobian[n * i + j]
+            im[n * j + i] = 0.0
     for i in range(n):
         real[(n + 1) * i] += GAMMA / h
         re[(n + 1) * i] += ALPHA / h
         im[(n + 1) * i] += BETA / h
-    if factor_real(n, real, pivots) == 1:
+    if factor_real(n, m, real, pivots) == 1:
         return 1
-    return factor_complex(n, re, im, pivots[n:])
+    return factor_complex(n, m, re, im, pivots[n:])
 
 
 @native
@@ -96,6 +102,7 @@ def scaled_norm(n: int, x: Vector, now: Vector, rtol: float, atol: float) -> flo
 @native
 def iterate(
     n: int,
+    m: int,
     h: float,
     rtol: float,
     atol: float,
@@ -148,8 +155,8 @@ def iterate(
             change[2 * n + i] = -(
                 FROM_STAGES[6] * f0 + FROM_STAGES[7] * f1 + FROM_STAGES[8] * f2 - (ALPHA * w2 - BETA * w1) / h
             )
-        solve_real(n, real, pivots, change)
-        solve_complex(n, re, im, pivots[n:], change[n:], change[2 * n :])
+        solve_real(n, m, real, pivots, change)
+        solve_complex(n, m, re, im, pivots[n:], change[n:], change[2 * n :])
         size = 0.0
         for s in range(3):
             part = scaled_norm(n, change[n * s :], now, rtol, atol)

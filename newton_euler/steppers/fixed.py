@@ -72,9 +72,12 @@ def march_rk4(
     dense: Callback,
     projecting: int,
     tolerance: float,
+    inputs: int,
+    lanes: int,
     position: Callback,
     velocity: Callback,
     closing: Callback,
+    beside: Vector,
     pause: Callback,
     turning: Vector,
     now: Vector,
@@ -89,7 +92,9 @@ def march_rk4(
     `now` and `at` are states with time and parameters; k (4, n + 1) and total (n + 2) are scratch.
     """
     row = n + 1
-    status = begin(n, projecting, tolerance, position, velocity, closing, now, total, table, counts)
+    status = begin(
+        n, projecting, tolerance, inputs, lanes, position, velocity, closing, beside, now, table, counts
+    )
     if status != DONE:
         return status
     for due in range(1, outputs):
@@ -129,7 +134,7 @@ def march_rk4(
             keep_norms(nq, turning, now, now)
             counts[STEPS] += 1.0
             if projecting == 1:
-                status = project(n, tolerance, 1, position, velocity, closing, now, total)
+                status = project(n, tolerance, 1, inputs, lanes, position, velocity, closing, beside, now)
                 if status != DONE:
                     return status
         record(n, due, now, table, counts)
@@ -149,9 +154,12 @@ def march_euler(
     dense: Callback,
     projecting: int,
     tolerance: float,
+    inputs: int,
+    lanes: int,
     position: Callback,
     velocity: Callback,
     closing: Callback,
+    beside: Vector,
     pause: Callback,
     turning: Vector,
     now: Vector,
@@ -170,7 +178,9 @@ def march_euler(
 
     k (n + 2) and last (n,) are scratch.
     """
-    status = begin(n, projecting, tolerance, position, velocity, closing, now, k, table, counts)
+    status = begin(
+        n, projecting, tolerance, inputs, lanes, position, velocity, closing, beside, now, table, counts
+    )
     if status != DONE:
         return status
     for due in range(1, outputs):
@@ -199,7 +209,7 @@ def march_euler(
             unwind(n, turning, now, k)
             counts[STEPS] += 1.0
             if projecting == 1:
-                status = project(n, tolerance, 1, position, velocity, closing, now, k)
+                status = project(n, tolerance, 1, inputs, lanes, position, velocity, closing, beside, now)
                 if status != DONE:
                     return status
         record(n, due, now, table, counts)

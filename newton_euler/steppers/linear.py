@@ -1,8 +1,13 @@
 """Dense LU with partial pivoting, real and complex, for Newton's iterations of implicit steppers.
 
+Matrices are shifted Jacobians, lambda - J. Of a system of second order the rates of coordinates are
+velocities alone, so J begins with a block of zeros, the matrix with lambda times the identity of `m` rows:
+eliminated as it stands, it leaves the velocities to be pivoted and solved (E. Hairer, G. Wanner, Solving
+Ordinary Differential Equations II, second edition, Springer 1996, section IV.8).
+
 Written for native code, see `newton_euler.native`; it runs as plain Python as well. Matrices are stored
-row by row; a complex one as its real and its imaginary parts in two matrices (Golub and Van Loan, Matrix
-Computations, fourth edition, 2013, section 3.4).
+column by column; a complex one as its real and its imaginary parts in two matrices (Golub and Van Loan,
+Matrix Computations, fourth edition, 2013, section 3.4).
 """
 
 from __future__ import annotations
@@ -11,93 +16,109 @@ from newton_euler.native import Vector, native
 
 
 @native
-def factor_real(n: int, a: Vector, pivots: Vector) -> int:
-    """LU of a (n, n) in place, rows exchanged as `pivots` (n,) says; 1 if it is singular, else 0."""
+def zero_block(n: int, a: Vector) -> int:
+    """The number of rows of the block of zeros with which a (n, n) begins."""
+    for m in range(n):
+        for k in range(m + 1):
+            if a[n * m + k] != 0.0 or a[n * k + m] != 0.0:
+                return m
+    return n
+
+
+@native
+def factor_real(n: int, m: int, a: Vector, pivots: Vector) -> int:
+    """LU of a (n, n) in place, rows from m on exchanged as `pivots` (n,) says; 1 if singular, else 0."""
     for k in range(n):
         best = k
-        for i in range(k + 1, n):
-            if abs(a[n * i + k]) > abs(a[n * best + k]):
-                best = i
+        if k >= m:
+            for i in range(k + 1, n):
+                if abs(a[n * k + i]) > abs(a[n * k + best]):
+                    best = i
         pivots[k] = float(best)
-        if not abs(a[n * best + k]) > 0.0:
+        if not abs(a[n * k + best]) > 0.0:
             return 1
         if best != k:
             for j in range(n):
-                kept = a[n * k + j]
-                a[n * k + j] = a[n * best + j]
-                a[n * best + j] = kept
+                kept = a[n * j + k]
+                a[n * j + k] = a[n * j + best]
+                a[n * j + best] = kept
         inverse = 1.0 / a[n * k + k]
-        for i in range(k + 1, n):
-            if a[n * i + k] != 0.0:
-                share = a[n * i + k] * inverse
-                a[n * i + k] = share
-                for j in range(k + 1, n):
-                    a[n * i + j] -= share * a[n * k + j]
+        below = m if k < m else k + 1
+        for i in range(below, n):
+            a[n * k + i] *= inverse
+        for j in range(below, n):
+            above = a[n * j + k]
+            if above != 0.0:
+                for i in range(below, n):
+                    a[n * j + i] -= a[n * k + i] * above
     return 0
 
 
 @native
-def solve_real(n: int, a: Vector, pivots: Vector, x: Vector) -> None:
+def solve_real(n: int, m: int, a: Vector, pivots: Vector, x: Vector) -> None:
     """x (n,) = A^-1 x by the factors of `factor_real`."""
-    for k in range(n):
+    for k in range(m, n):
         place = int(pivots[k])
         kept = x[k]
         x[k] = x[place]
         x[place] = kept
-    for i in range(n):
-        total = x[i]
-        for j in range(i):
-            total -= a[n * i + j] * x[j]
-        x[i] = total
+    for k in range(n):
+        share = x[k]
+        for i in range(m if k < m else k + 1, n):
+            x[i] -= a[n * k + i] * share
     for back in range(n):
-        i = n - 1 - back
-        total = x[i]
-        for j in range(i + 1, n):
-            total -= a[n * i + j] * x[j]
-        x[i] = total / a[n * i + i]
+        k = n - 1 - back
+        x[k] = x[k] / a[n * k + k]
+        share = x[k]
+        for i in range(k if k >= m else 0):
+            x[i] -= a[n * k + i] * share
 
 
 @native
-def factor_complex(n: int, a: Vector, b: Vector, pivots: Vector) -> int:
+def factor_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector) -> int:
     """LU of a + ib (n, n) in place; 1 if it is singular, else 0."""
     for k in range(n):
         best = k
-        size = 0.0
-        for i in range(k, n):
-            here = abs(a[n * i + k]) + abs(b[n * i + k])
-            if here > size:
-                size = here
-                best = i
+        if k >= m:
+            size = 0.0
+            for i in range(k, n):
+                here = abs(a[n * k + i]) + abs(b[n * k + i])
+                if here > size:
+                    size = here
+                    best = i
         pivots[k] = float(best)
-        if not size > 0.0:
+        if not abs(a[n * k + best]) + abs(b[n * k + best]) > 0.0:
             return 1
         if best != k:
             for j in range(n):
-                kept = a[n * k + j]
-                a[n * k + j] = a[n * best + j]
-                a[n * best + j] = kept
-                kept = b[n * k + j]
-                b[n * k + j] = b[n * best + j]
-                b[n * best + j] = kept
+                kept = a[n * j + k]
+                a[n * j + k] = a[n * j + best]
+                a[n * j + best] = kept
+                kept = b[n * j + k]
+                b[n * j + k] = b[n * j + best]
+                b[n * j + best] = kept
         square = a[n * k + k] * a[n * k + k] + b[n * k + k] * b[n * k + k]
         re = a[n * k + k] / square
         im = -b[n * k + k] / square
-        for i in range(k + 1, n):
-            if a[n * i + k] != 0.0 or b[n * i + k] != 0.0:
-                share_re = a[n * i + k] * re - b[n * i + k] * im
-                share_im = a[n * i + k] * im + b[n * i + k] * re
-                a[n * i + k] = share_re
-                b[n * i + k] = share_im
-                for j in range(k + 1, n):
-                    a[n * i + j] -= share_re * a[n * k + j] - share_im * b[n * k + j]
-                    b[n * i + j] -= share_re * b[n * k + j] + share_im * a[n * k + j]
+        below = m if k < m else k + 1
+        for i in range(below, n):
+            share = a[n * k + i]
+            a[n * k + i] = share * re - b[n * k + i] * im
+            b[n * k + i] = share * im + b[n * k + i] * re
+        for j in range(below, n):
+            above_re = a[n * j + k]
+            above_im = b[n * j + k]
+            if above_re != 0.0 or above_im != 0.0:
+                for i in range(below, n):
+                    a[n * j + i] -= a[n * k + i] * above_re - b[n * k + i] * above_im
+                    b[n * j + i] -= a[n * k + i] * above_im + b[n * k + i] * above_re
     return 0
 
 
 @native
-def solve_complex(n: int, a: Vector, b: Vector, pivots: Vector, x: Vector, y: Vector) -> None:
+def solve_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector, x: Vector, y: Vector) -> None:
     """x + iy (n,) = (A + iB)^-1 (x + iy) by the factors of `factor_complex`."""
-    for k in range(n):
+    for k in range(m, n):
         place = int(pivots[k])
         kept = x[k]
         x[k] = x[place]
@@ -105,21 +126,19 @@ def solve_complex(n: int, a: Vector, b: Vector, pivots: Vector, x: Vector, y: Ve
         kept = y[k]
         y[k] = y[place]
         y[place] = kept
-    for i in range(n):
-        re = x[i]
-        im = y[i]
-        for j in range(i):
-            re -= a[n * i + j] * x[j] - b[n * i + j] * y[j]
-            im -= a[n * i + j] * y[j] + b[n * i + j] * x[j]
-        x[i] = re
-        y[i] = im
+    for k in range(n):
+        re = x[k]
+        im = y[k]
+        for i in range(m if k < m else k + 1, n):
+            x[i] -= a[n * k + i] * re - b[n * k + i] * im
+            y[i] -= a[n * k + i] * im + b[n * k + i] * re
     for back in range(n):
-        i = n - 1 - back
-        re = x[i]
-        im = y[i]
-        for j in range(i + 1, n):
-            re -= a[n * i + j] * x[j] - b[n * i + j] * y[j]
-            im -= a[n * i + j] * y[j] + b[n * i + j] * x[j]
-        square = a[n * i + i] * a[n * i + i] + b[n * i + i] * b[n * i + i]
-        x[i] = (re * a[n * i + i] + im * b[n * i + i]) / square
-        y[i] = (im * a[n * i + i] - re * b[n * i + i]) / square
+        k = n - 1 - back
+        square = a[n * k + k] * a[n * k + k] + b[n * k + k] * b[n * k + k]
+        re = (x[k] * a[n * k + k] + y[k] * b[n * k + k]) / square
+        im = (y[k] * a[n * k + k] - x[k] * b[n * k + k]) / square
+        x[k] = re
+        y[k] = im
+        for i in range(k if k >= m else 0):
+            x[i] -= a[n * k + i] * re - b[n * k + i] * im
+            y[i] -= a[n * k + i] * im + b[n * k + i] * re

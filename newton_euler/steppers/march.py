@@ -41,6 +41,9 @@ of four Euler parameters, whose velocities are an angular velocity or their own 
 
 NEWTON_STEPS = 10
 
+FEW_STEPS = 3
+"""Of Newton's method for several states side by side, from where dense output has put them."""
+
 NEAR = 1e-3
 """Health below which a configuration is near a singular one. Health falls with the square of the distance
 there, and round-off in accelerations grows with the cube of its inverse."""
@@ -104,50 +107,174 @@ def project_densely(n: int, closing: Callback, x: Vector, scratch: Vector) -> in
 
 
 @native
+def spread(inputs: int, lanes: int, x: Vector, given: Vector) -> None:
+    """The same x (inputs,) in all lanes of `given` (inputs, lanes)."""
+    for i in range(inputs):
+        for lane in range(lanes):
+            given[lanes * i + lane] = x[i]
+
+
+@native
 def project(
     n: int,
     tolerance: float,
     with_velocities: int,
+    inputs: int,
+    lanes: int,
     position: Callback,
     velocity: Callback,
     closing: Callback,
+    beside: Vector,
     x: Vector,
-    scratch: Vector,
 ) -> int:
     """Put a state on the constraints, positions first, velocities if wanted (1 or 0); returns a status.
 
     `position` writes the state after one Newton step, `velocity` the state with its velocities
-    projected; both write the residual they found, squared, in place n and their health after it.
+    projected; both write the residual they found, squared, in place n and their health after it, and take
+    several states side by side, here the same in all `lanes`.
     `closing` does all of it where they are not healthy enough; it writes a number above 0 in place n if it
     could. After `NEWTON_STEPS` the residual is found once more, for what the last one left is what counts.
+
+    x (inputs,) is a state with time and parameters; `beside` (inputs + n + 2, lanes) is scratch.
     """
+    found = beside[lanes * inputs :]
     left = HUGE
     for step in range(NEWTON_STEPS + 1):
-        position(x, scratch)
-        if not scratch[n + 1] > SURE:
-            return project_densely(n, closing, x, scratch)
+        spread(inputs, lanes, x, beside)
+        position(beside, found)
+        if not found[lanes * (n + 1)] > SURE:
+            return project_densely(n, closing, x, found)
         before = left
-        left = scratch[n]
+        left = found[lanes * n]
         # at round-off, or at an end
         if left < tolerance * tolerance or left >= 0.25 * before or step == NEWTON_STEPS:
             break
         for i in range(n):
-            x[i] = scratch[i]
-        if left * left < SQUARING * scratch[n + 1] * tolerance * tolerance:  # so the next one would find
-            left = 0.0
+            x[i] = found[lanes * i]
+        if left * left < SQUARING * found[lanes * (n + 1)] * tolerance * tolerance:
+            left = 0.0  # so the next one would find
             break
     if with_velocities == 1:
-        velocity(x, scratch)
-        left = scratch[n]
-        if left < HUGE and not scratch[n + 1] > SURE:
-            return project_densely(n, closing, x, scratch)
+        spread(inputs, lanes, x, beside)
+        velocity(beside, found)
+        left = found[lanes * n]
+        if left < HUGE and not found[lanes * (n + 1)] > SURE:
+            return project_densely(n, closing, x, found)
     if not left < HUGE:
         return NOT_FINITE
     if left > OPEN_TOLERANCE * OPEN_TOLERANCE:
         return OPEN
     if with_velocities == 1:
         for i in range(n):
-            x[i] = scratch[i]
+            x[i] = found[lanes * i]
+    return DONE
+
+
+@native
+def project_side_by_side(
+    n: int,
+    tolerance: float,
+    with_velocities: int,
+    inputs: int,
+    lanes: int,
+    position: Callback,
+    velocity: Callback,
+    beside: Vector,
+) -> int:
+    """`project` of a state in each lane of `beside`; 1 if a few steps did for all of them, else 0."""
+    found = beside[lanes * inputs :]
+    settled = 0
+    for _step in range(FEW_STEPS):
+        settled = 0
+        position(beside, found)
+        for lane in range(lanes):
+            left = found[lanes * n + lane]
+            health = found[lanes * (n + 1) + lane]
+            if not health > SURE:
+                return 0
+            if left < tolerance * tolerance:
+                settled += 1
+            else:
+                for i in range(n):
+                    beside[lanes * i + lane] = found[lanes * i + lane]
+                if left * left < SQUARING * health * tolerance * tolerance:
+                    settled += 1
+        if settled == lanes:
+            break
+    if settled < lanes:
+        return 0
+    if with_velocities == 1:
+        velocity(beside, found)
+        for lane in range(lanes):
+            left = found[lanes * n + lane]
+            if not left <= OPEN_TOLERANCE * OPEN_TOLERANCE or not found[lanes * (n + 1) + lane] > SURE:
+                return 0
+        for i in range(lanes * n):
+            beside[i] = found[i]
+    return 1
+
+
+@native
+def record_rows(
+    n: int,
+    first: int,
+    end: int,
+    projecting: int,
+    near: int,
+    tolerance: float,
+    with_velocities: int,
+    inputs: int,
+    lanes: int,
+    position: Callback,
+    velocity: Callback,
+    closing: Callback,
+    beside: Vector,
+    times: Vector,
+    x: Vector,
+    table: Vector,
+    counts: Vector,
+) -> int:
+    """Put rows `first` to `end` of a table of states on the constraints, if wanted; returns a status.
+
+    Near a singular configuration (`near` is 1) they are by the dense path. x has the parameters.
+    """
+    row = first
+    while projecting == 1 and row < end:
+        together = 0
+        if near == 0 and lanes > 1:
+            for lane in range(lanes):
+                source = row + lane if row + lane < end else end - 1
+                for i in range(n):
+                    beside[lanes * i + lane] = table[n * source + i]
+                beside[lanes * n + lane] = times[source]
+                for i in range(n + 1, inputs):
+                    beside[lanes * i + lane] = x[i]
+            together = project_side_by_side(
+                n, tolerance, with_velocities, inputs, lanes, position, velocity, beside
+            )
+        for lane in range(lanes if row + lanes < end else end - row):
+            state = table[n * row :]
+            if together == 1:
+                for i in range(n):
+                    state[i] = beside[lanes * i + lane]
+            else:
+                for i in range(n):
+                    x[i] = state[i]
+                x[n] = times[row]
+                status = DONE
+                if near == 1:
+                    status = project_densely(n, closing, x, beside)
+                else:
+                    status = project(
+                        n, tolerance, with_velocities, inputs, lanes, position, velocity, closing, beside, x
+                    )
+                if status != DONE:
+                    return status
+                for i in range(n):
+                    state[i] = x[i]
+            row += 1
+            counts[WRITTEN] = float(row)
+    counts[WRITTEN] = float(end)
     return DONE
 
 
@@ -215,17 +342,19 @@ def begin(
     n: int,
     projecting: int,
     tolerance: float,
+    inputs: int,
+    lanes: int,
     position: Callback,
     velocity: Callback,
     closing: Callback,
+    beside: Vector,
     now: Vector,
-    scratch: Vector,
     table: Vector,
     counts: Vector,
 ) -> int:
     """Put the first state on the constraints if wanted, and into the table; returns a status."""
     if projecting == 1:
-        status = project(n, tolerance, 1, position, velocity, closing, now, scratch)
+        status = project(n, tolerance, 1, inputs, lanes, position, velocity, closing, beside, now)
         if status != DONE:
             return status
     record(n, 0, now, table, counts)

@@ -19,7 +19,7 @@ from newton_euler.steppers.collocation import (
     prepare_dense,
     scaled_norm,
 )
-from newton_euler.steppers.linear import solve_real
+from newton_euler.steppers.linear import solve_real, zero_block
 from newton_euler.steppers.march import (
     DENSE_HEALTH,
     DONE,
@@ -41,7 +41,7 @@ from newton_euler.steppers.march import (
     keep_norms,
     leave,
     project,
-    record,
+    record_rows,
     unwind,
 )
 
@@ -64,9 +64,12 @@ def march_radau(
     dense: Callback,
     projecting: int,
     tolerance: float,
+    inputs: int,
+    lanes: int,
     position: Callback,
     velocity: Callback,
     closing: Callback,
+    beside: Vector,
     pause: Callback,
     turning: Vector,
     now: Vector,
@@ -88,7 +91,9 @@ def march_radau(
     `now` and `at` are states with time and parameters. Scratch: slope (n + 2), z and terms (3, n),
     w (4, n), f (3, n + 1), change (3 n + 2), matrices (4, n, n), pivots (2, n).
     """
-    status = begin(n, projecting, tolerance, position, velocity, closing, now, f, table, counts)
+    status = begin(
+        n, projecting, tolerance, inputs, lanes, position, velocity, closing, beside, now, table, counts
+    )
     if status == DONE:
         status = evaluate(n, derivative, dense, now, slope, counts)
     stop = times[outputs - 1]
@@ -108,6 +113,7 @@ def march_radau(
     before_h = 0.0
     before_error = 0.0
     rejected = 0
+    m = 0
     for i in range(3 * n):
         z[i] = 0.0
     while due < outputs:
@@ -123,8 +129,9 @@ def march_radau(
             h = stop - now[n]
             factored = 0
         if factored == 0:
+            m = zero_block(n, matrices)
             singular = prepare(
-                n, h, matrices, matrices[n * n :], matrices[2 * n * n :], matrices[3 * n * n :], pivots
+                n, m, h, matrices, matrices[n * n :], matrices[2 * n * n :], matrices[3 * n * n :], pivots
             )
             if singular == 1:
                 counts[REJECTED] += 1.0
@@ -140,7 +147,7 @@ def march_radau(
             for i in range(3 * n):
                 z[i] = 0.0
         taken = iterate(
-            n, h, rtol, atol, derivative, dense, now, at, z, w, f, change,
+            n, m, h, rtol, atol, derivative, dense, now, at, z, w, f, change,
             matrices[n * n :], matrices[2 * n * n :], matrices[3 * n * n :], pivots, counts,
         )  # fmt: skip
         health = min(min(f[n], f[2 * n + 1]), f[3 * n + 2])
@@ -160,7 +167,7 @@ def march_radau(
             continue
         for i in range(n):
             change[i] = slope[i] + (ERROR[0] * z[i] + ERROR[1] * z[n + i] + ERROR[2] * z[2 * n + i]) / h
-        solve_real(n, matrices[n * n :], pivots, change)
+        solve_real(n, m, matrices[n * n :], pivots, change)
         convergence = change[3 * n]
         for i in range(n):
             at[i] = max(abs(now[i]), abs(now[i] + z[2 * n + i]))
@@ -172,7 +179,7 @@ def march_radau(
             if evaluate(n, derivative, dense, at, f, counts) == DONE:
                 for i in range(n):
                     change[i] = f[i] + (ERROR[0] * z[i] + ERROR[1] * z[n + i] + ERROR[2] * z[2 * n + i]) / h
-                solve_real(n, matrices[n * n :], pivots, change)
+                solve_real(n, m, matrices[n * n :], pivots, change)
                 for i in range(n):
                     at[i] = max(abs(now[i]), abs(now[i] + z[2 * n + i]))
                 error = scaled_norm(n, change, at, rtol, atol)
@@ -194,16 +201,18 @@ def march_radau(
         rejected = 0
         factor = min(FASTEST, max(SMALLEST, safety * factor))
         prepare_dense(n, z, terms)
+        first = due
         while due < outputs and times[due] <= now[n] + h:
-            position_in(kept, n, (times[due] - now[n]) / h, now, terms, at)
-            at[n] = times[due]
-            keep_norms(nq, turning, at, at)
-            if projecting == 1:
-                status = project(n, tolerance, whole, position, velocity, closing, at, f)
-                if status != DONE:
-                    return status
-            record(n, due, at, table, counts)
+            state = table[n * due :]
+            position_in(kept, n, (times[due] - now[n]) / h, now, terms, state)
+            keep_norms(nq, turning, state, state)
             due += 1
+        status = record_rows(
+            n, first, due, projecting, 0, tolerance, whole, inputs, lanes, position, velocity, closing,
+            beside, times, at, table, counts,
+        )  # fmt: skip
+        if status != DONE:
+            return status
         for i in range(n):
             w[3 * n + i] = now[i]
             now[i] += z[2 * n + i]
@@ -211,7 +220,7 @@ def march_radau(
         unwind(n, turning, now, w[3 * n :])
         keep_norms(nq, turning, now, now)
         if projecting == 1:
-            status = project(n, tolerance, 1, position, velocity, closing, now, f)
+            status = project(n, tolerance, 1, inputs, lanes, position, velocity, closing, beside, now)
             if status != DONE:
                 return status
         status = evaluate(n, derivative, dense, now, slope, counts)

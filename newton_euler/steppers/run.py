@@ -197,7 +197,7 @@ class March:
         self._code, self._python, self._integrator = code, Fallback(code, stopped), options.integrator
         self._times = times
         n, outputs, empty = code.size, len(times), np.empty
-        self.x, self.table, self.counts = np.zeros(code.inputs), empty((outputs, n)), np.zeros(m.COUNTS)
+        self.x, self.table, self.counts = np.zeros(code.inputs), np.zeros((outputs, n)), np.zeros(m.COUNTS)
         at, end = np.zeros(code.inputs), np.zeros(code.inputs)
         self._copies = (at, end)  # of the parameters
         self._most = options.most_steps or MOST_STEPS
@@ -283,8 +283,16 @@ class March:
 def _projection(code: Code, python: Fallback) -> tuple[Any, ...]:
     """What marches need to keep a state on the constraints."""
     if not code.projects:
-        return 0, ROUND_OFF, 0, 0, 0
-    return 1, ROUND_OFF, code.function("position"), code.function("velocity"), python.closing
+        return 0, ROUND_OFF, code.inputs, 1, 0, 0, 0, np.zeros(0)
+    return 1, ROUND_OFF, *_projecting(code, python)
+
+
+def _projecting(code: Code, python: Fallback) -> tuple[Any, ...]:
+    """What `project` needs beside a state."""
+    position, velocity = code.function("position"), code.function("velocity")
+    lanes = position.lanes
+    beside = np.zeros((code.inputs + code.size + 2, lanes))
+    return code.inputs, lanes, position, velocity, python.closing, beside
 
 
 class Projection:
@@ -293,9 +301,8 @@ class Projection:
     def __init__(self, code: Code) -> None:
         self._python = Fallback(code)
         self.x = np.zeros(code.inputs)
-        functions = (code.function("position"), code.function("velocity"), self._python.closing)
-        scratch = np.zeros(code.size + 2)
-        self._run = projector().bind(m.project, code.size, ROUND_OFF, 1, *functions, self.x, scratch)
+        arguments = _projecting(code, self._python)
+        self._run = projector().bind(m.project, code.size, ROUND_OFF, 1, *arguments, self.x)
 
     def __call__(self, x: Array) -> bool:
         """Change x (inputs,) by the least that meets the constraints; whether that could be done."""
