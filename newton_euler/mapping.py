@@ -117,24 +117,24 @@ class Mapping:
         return ", ".join(found)
 
 
-def differing(one: dict[str, Value], two: dict[str, Value]) -> Iterator[str]:
-    """Names of values that are not the same to round-off, or that only one of two has."""
+def differing(one: dict[str, Value], two: dict[str, Value], close: float = CLOSE) -> Iterator[str]:
+    """Names of values that are not the same to `close` of each, or that only one of two has."""
     for name in {**one, **two}:
-        if name not in one or name not in two or not _close(one[name], two[name]):
+        if name not in one or name not in two or not _close(one[name], two[name], close):
             yield name
 
 
-def room(one: Value, two: Value) -> float:
+def room(one: Value, two: Value, close: float = CLOSE) -> float:
     """By how much two numbers of these values may differ and be the same."""
-    return TINY + CLOSE * max((abs(x) for x in (*one, *two) if isinstance(x, float)), default=0.0)
+    return TINY + close * max((abs(x) for x in (*one, *two) if isinstance(x, float)), default=0.0)
 
 
-def _close(one: Value, two: Value) -> bool:
+def _close(one: Value, two: Value, close: float) -> bool:
     if one == two:
         return True
     if len(one) != len(two):
         return False
-    allowed = room(one, two)
+    allowed = room(one, two, close)
     return all(
         abs(x - y) <= allowed if isinstance(x, float) and isinstance(y, float) else x == y
         for x, y in zip(one, two, strict=True)

@@ -366,9 +366,9 @@ def test_a_model_file_is_guarded_with_what_is_in_no_figure(capsys, tmp_path, mon
     model.write_text(text)
     assert run(capsys, "regress", model, "--update", "--reason", "first")[0] == 0
     content = json.loads(stored.read_text())
-    names = [each["name"] for each in content["carried"]]
-    assert names[0] == "actuator 'm'"
-    assert "geom 'foot', contacts" in names
+    names = [(each["element"], each["topic"]) for each in content["carried"]]
+    assert names[0] == ("actuator 'm'", "")
+    assert ("geom 'foot'", "contacts") in names
 
     model.write_text(
         text.replace('dynprm="0.1"', 'dynprm="0.2"').replace('name="foot"', 'name="foot" friction="2"')

@@ -192,6 +192,9 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
     same_file = os.path.realpath(first.source) == os.path.realpath(second.source)
     if same_file and first.options == second.options:
         notes.insert(0, f"both are {first.title}: one model against itself")
+    notes = [*aligned.notes, *notes, *map(str, others)]
+    if stopped:
+        notes.insert(0, f"{TO_THE_END}: {stopped}")
     scene = replace(
         aligned.first, name=together((first, second)), description="newton_euler's equations of each"
     )
@@ -210,12 +213,7 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
         uncompared=others,
         stopped=stopped,
         partial=partial,
-        notes=(
-            *(f"{TO_THE_END}: {why}" for why in [stopped] if why),
-            *aligned.notes,
-            *notes,
-            *map(str, others),
-        ),
+        notes=tuple(notes),
     )
 
 

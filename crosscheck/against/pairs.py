@@ -1,10 +1,10 @@
-"""Which body and joint of one model is which of another."""
+"""Which body, joint and part of a file of one model is which of another."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from newton_euler.scalars import Array
 
 Members = Mapping[str, tuple[str, ...]]
 """For each body the names of those that it is made of, see `rigid.rigid`."""
+
+Held = TypeVar("Held")
+"""What a file says of something."""
 
 
 class Other(NamedTuple):
@@ -136,3 +139,31 @@ def _local(mechanism: Mechanism, joint: Joint, like: Joint) -> Iterator[tuple[st
 def _cosine(one: tuple[Array, Array], two: tuple[Array, Array]) -> float:
     """Of the angle between axes, in the body in which they are nearer to one line."""
     return max((float(a @ b) for a, b in zip(one, two, strict=True)), key=abs)
+
+
+def pair_parts(
+    here: list[Held],
+    there: list[Held],
+    same: Callable[[Held, Held], bool],
+    name: Callable[[Held], str],
+    place: Callable[[Held], Sequence[object]],
+) -> Iterator[tuple[Held, Held]]:
+    """Take pairs out of both lists, each with the first that is left for it.
+
+    What is the same goes before what has one name, for numbers stand for names that files leave out; last
+    comes what is in one place.
+    """
+
+    def same_name(one: Held, two: Held) -> bool:
+        return name(one) == name(two)
+
+    def same_place(one: Held, two: Held) -> bool:
+        return any(place(one)) and place(one) == place(two)
+
+    for alike in (lambda one, two: same_name(one, two) and same(one, two), same, same_name, same_place):
+        for one in list(here):
+            two = next((two for two in there if alike(one, two)), None)
+            if two is not None:
+                here.remove(one)
+                there.remove(two)
+                yield one, two

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from crosscheck.against.align import Aligned
+from crosscheck.against.pairs import pair_parts
 from crosscheck.against.rigid import rigid
 from crosscheck.model_files.read import is_model, is_urdf
 from newton_euler.mapping import CONTACTS, LIMITS, RANGE, Mapped, Part, Value, differing, value
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 NOT_COMPARED = "not compared, and not the same"
 
 RUNNING = "differs in softness or stepping only"
+
+DIGITS = 1e-5
+"""Relative: what files of six digits hold, where one of them has degrees and the other radians."""
 
 
 class Uncompared(NamedTuple):
@@ -131,24 +135,17 @@ def _apart(here: list[_Told], there: list[_Told], alike: bool) -> Iterator[Uncom
     """Parts on one topic that differ; those that are the same are, whatever they are called."""
 
     def values(one: _Told, two: _Told) -> list[str]:
-        names = differing(one.part.values, two.part.values)
+        names = differing(one.part.values, two.part.values, DIGITS)
         return [n for n in names if alike or (n in one.part.values and n in two.part.values)]
 
     def same(one: _Told, two: _Told) -> bool:
         judged = one.entry.fate == two.entry.fate and one.entry.inert == two.entry.inert
         return one.place == two.place and judged and not values(one, two)
 
-    def same_name(one: _Told, two: _Told) -> bool:
-        return one.part.element == two.part.element
-
-    def same_place(one: _Told, two: _Told) -> bool:
-        return any(one.place) and one.place == two.place
-
     pairs: list[tuple[_Told, _Told]] = []
     # what one format says of all of an element another says in other words
     if alike or any(told.entry.topic for told in here):
-        for alike_in in (lambda a, b: same_name(a, b) and same(a, b), same, same_name, same_place):
-            pairs += _pair(here, there, alike_in)
+        pairs += pair_parts(here, there, same, lambda told: told.part.element, lambda told: told.place)
     for one, two in pairs:
         if not same(one, two):
             moves = not (one.entry.inert and two.entry.inert)
@@ -157,18 +154,6 @@ def _apart(here: list[_Told], there: list[_Told], alike: bool) -> Iterator[Uncom
     for where, alone in (("here", here), ("there", there)):
         for text, entry in {_alone(told, id(told.entry) in paired): told.entry for told in alone}.items():
             yield Uncompared(NOT_COMPARED, f"only {where}: {text}", not entry.inert)
-
-
-def _pair(
-    here: list[_Told], there: list[_Told], alike_in: Callable[[_Told, _Told], bool]
-) -> Iterator[tuple[_Told, _Told]]:
-    """Take pairs out of both lists, each with the first that is left for it."""
-    for one in list(here):
-        two = next((two for two in there if alike_in(one, two)), None)
-        if two is not None:
-            here.remove(one)
-            there.remove(two)
-            yield one, two
 
 
 def _difference(one: _Told, two: _Told, names: Sequence[str]) -> str:

@@ -5,11 +5,9 @@ A file is JSON, one figure a line, so that a change of a baseline can be read li
 
 from __future__ import annotations
 
-import itertools
 import json
 import platform
 import reprlib
-from collections.abc import Collection
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -98,12 +96,12 @@ class Carried(_Strict):
     """A part of what a model file holds and its scene does not hold as it is, and that moves something.
 
     Attributes:
-        name: its element and topic, with a number where several have the same.
-        fate, how: see `newton_euler.mapping.Mapped`.
-        values: see `newton_euler.mapping.Part`, with the joints and bodies that it is about.
+        element, values: see `newton_euler.mapping.Part`; with the joints and bodies that it is about.
+        topic, fate, how: see `newton_euler.mapping.Mapped`.
     """
 
-    name: str
+    element: str
+    topic: str
     fate: Fate
     how: str
     values: dict[str, list[Annotated[float, Field(allow_inf_nan=False)] | str]]
@@ -111,22 +109,28 @@ class Carried(_Strict):
     @classmethod
     def of(cls, mapping: Mapping) -> list[Carried]:
         """In the order of a mapping report."""
-        found: dict[str, Carried] = {}
+        found = []
         for entry in mapping.entries:
             for part in entry.parts if not entry.inert else ():
-                about = f"{part.element}, {entry.topic}" if entry.topic else part.element
                 values = {key: list(value) for key, value in part.values.items()}
                 values["joints"] = [f"{joint} {coordinate}" for joint, coordinate in part.joints]
                 values["bodies"] = list(part.bodies)
-                name = _numbered(about, found)
-                found[name] = cls(name=name, fate=entry.fate, how=entry.how, values=values)
-        return list(found.values())
+                found.append(
+                    cls(
+                        element=part.element, topic=entry.topic, fate=entry.fate, how=entry.how, values=values
+                    )
+                )
+        return found
 
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"{self.element}, {self.topic}" if self.topic else self.element
 
-def _numbered(name: str, taken: Collection[str]) -> str:
-    """A name with a number if it is taken."""
-    names = (f"{name}, {number}" if number > 1 else name for number in itertools.count(1))
-    return next(each for each in names if each not in taken)
+    @property
+    def place(self) -> tuple[object, ...]:
+        """What it is on."""
+        return self.values["joints"], self.values["bodies"]
 
 
 class Plan(_Strict):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from crosscheck.against.pairs import pair_parts
 from crosscheck.errors import CrosscheckError
 from crosscheck.regress.baseline import Baseline, Carried, Figure, Record, versions
 from crosscheck.regress.measure import MAIN, SPEED, measure_group, regress_scene
@@ -78,7 +79,7 @@ class Comparison:
 
     Attributes:
         scene: its name.
-        checked: all figures, in the baseline's order.
+        checked: what of a model file is in no figure, then all figures in the baseline's order.
         made: when, why and with which versions the baseline was made.
         now: versions of this run.
         diverges: s, first output time at which a pose is out of its band; None if none is.
@@ -168,20 +169,27 @@ def compare(
     return Comparison(scene.name, tuple(checked), baseline.made, versions(), diverges, clock() - start)
 
 
-def check_carried(stored: Iterable[Carried], found: Iterable[Carried]) -> list[Checked]:
+def check_carried(stored: Sequence[Carried], found: Sequence[Carried]) -> list[Checked]:
     """What of a model file is in no figure, against what the baseline has of it."""
-    before, now = ({each.name: each for each in side} for side in (stored, found))
-    checked = [
-        _check_carried(each, now[name])
-        if name in now
-        else _missing_carried(each, f"no longer {each.fate}: {each.how}")
-        for name, each in before.items()
+    pairs: list[tuple[Carried, Carried]] = []
+    gone, new = list[Carried](), list[Carried]()
+    for topic in dict.fromkeys(each.topic for each in (*stored, *found)):
+        before, now = ([each for each in side if each.topic == topic] for side in (stored, found))
+        pairs += pair_parts(before, now, _same_carried, lambda each: each.element, lambda each: each.place)
+        gone, new = [*gone, *before], [*new, *now]
+    return [
+        *(_check_carried(one, two) for one, two in pairs),
+        *(_missing_carried(each, f"no longer {each.fate}: {each.how}") for each in gone),
+        *(_missing_carried(each, f"{each.fate} now: {each.how}") for each in new),
     ]
-    return checked + [
-        _missing_carried(each, f"{each.fate} now: {each.how}")
-        for name, each in now.items()
-        if name not in before
-    ]
+
+
+def _same_carried(one: Carried, two: Carried) -> bool:
+    return one.fate == two.fate and not any(differing(_values(one), _values(two)))
+
+
+def _values(carried: Carried) -> dict[str, tuple[float | str, ...]]:
+    return {name: tuple(value) for name, value in carried.values.items()}
 
 
 def _missing_carried(carried: Carried, problem: str) -> Checked:
@@ -192,7 +200,7 @@ def _check_carried(stored: Carried, found: Carried) -> Checked:
     """The first value that is not the same."""
     if stored.fate != found.fate:
         return _missing_carried(stored, f"{found.fate} now: {found.how}; was {stored.fate}: {stored.how}")
-    one, two = ({name: tuple(value) for name, value in each.values.items()} for each in (stored, found))
+    one, two = _values(stored), _values(found)
     name = next(differing(one, two), None)
     if name is None:
         return Checked(MODEL_FILE, stored.name, "", "", 0.0, 0.0, 0.0)

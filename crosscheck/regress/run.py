@@ -56,10 +56,10 @@ class Guarded:
             words += ["--baseline", str(self.path)]
         return f"{shlex.join(words)} --update --reason TEXT"
 
-    def baseline(self) -> Baseline:
-        """The stored baseline, to compare with; raises `CrosscheckError` as `earlier` does, and if it does
-        not hold what of a model file is in no figure."""
-        found = self.earlier()
+    def complete_baseline(self) -> Baseline:
+        """The stored baseline; raises `CrosscheckError` as `baseline` does, and if it does not hold what of a
+        model file is in no figure."""
+        found = self.baseline()
         if self.mapping is not None and found.carried is None:
             raise CrosscheckError(
                 f"{self.path}: carried: missing, what of {self.source} is in no figure; make it with: "
@@ -67,7 +67,7 @@ class Guarded:
             )
         return found
 
-    def earlier(self) -> Baseline:
+    def baseline(self) -> Baseline:
         """The stored baseline; raises `CrosscheckError` if there is none, or if it is of something else."""
         found = read(self.path, self.command)
         if found.scene != self.scene.name:
@@ -97,7 +97,7 @@ def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[
     check_writable(*(each.path for each in guarded))
     made = []
     for each in guarded:
-        history = each.earlier().history if each.path.exists() else []
+        history = each.baseline().history if each.path.exists() else []
         made.append(bands.make(each.scene, each.options, reason, history, progress, each.mapping))
     with tidied_up(), ExitStack() as stack:
         for each, baseline in zip(guarded, made, strict=True):
@@ -127,7 +127,7 @@ def check(
         CrosscheckError: for a baseline that is missing or cannot be read, and a file that could not be
             written.
     """
-    baselines = [each.baseline() for each in guarded]
+    baselines = [each.complete_baseline() for each in guarded]
     check_writable(*reports)
     found, recordings = [], {}
     for each, baseline in zip(guarded, baselines, strict=True):
