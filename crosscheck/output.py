@@ -7,15 +7,21 @@ import os
 import signal
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from crosscheck.against.compare import Against
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
-from crosscheck.partial import partial_path
+from crosscheck.partial import PARTIAL_SUMMARY, partial_path
 from crosscheck.run import Crosscheck
 from newton_euler.trajectory import atomic_file
+
+TOLD = {
+    "crosscheck": ("summary.json", PARTIAL_SUMMARY),
+    "benchmark": ("bench.json", "rhs.json", "batch.json", "scaling.json"),
+}
+"""Files that tell whose results a folder has."""
 
 
 @contextmanager
@@ -84,25 +90,43 @@ def write(result: Crosscheck, folder: Path, recording: Path | None, verdict: str
             if recording != usual:
                 path = usual
                 usual.unlink(missing_ok=True)
+        path = folder / PARTIAL_SUMMARY
+        path.unlink(missing_ok=True)
     except OSError as error:
         raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
     return [*runs, summary, *([] if recording is None else [recording])]
 
 
-def check_own(folder: Path, sources: Sequence[str]) -> None:
-    """Raise `CrosscheckError` if a folder has a crosscheck of others than these models, in this order.
+def check_own(folder: Path, sources: Sequence[str], results: str = "crosscheck") -> None:
+    """Raise `CrosscheckError` if a folder has results of others than these models, in this order.
 
-    Paths of an earlier crosscheck are taken as seen from here.
+    Paths of earlier results are taken as seen from here. Trajectories beside nothing that says whose they
+    are may be anybody's.
+
+    Args:
+        results: a key of `TOLD`.
     """
-    earlier: list[str] = []
-    with suppress(OSError, ValueError, KeyError, TypeError):  # no summary of a crosscheck is no other's
-        found = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-        earlier = [str(model["source"]) for model in found.get("models") or [found]]
-    if earlier and list(map(os.path.realpath, earlier)) != list(map(os.path.realpath, sources)):
-        raise CrosscheckError(
-            f"{folder} holds a crosscheck of {' against '.join(earlier)}, not of "
-            f"{' against '.join(sources)}; name another folder (--output), or this one to overwrite it"
-        )
+    elsewhere = "name another folder (--output), or this one to overwrite it"
+    told = [found for name in TOLD[results] if (found := _sources(folder / name))]
+    # what begins with a dot was never ended
+    runs = [path for path in folder.glob("*.npz") if not path.name.startswith(".")]
+    if results == "crosscheck" and runs and not told:
+        raise CrosscheckError(f"{folder} holds trajectories of an unknown model; {elsewhere}")
+    for earlier in told:
+        if list(map(os.path.realpath, earlier)) != list(map(os.path.realpath, sources)):
+            raise CrosscheckError(
+                f"{folder} holds a {results} of {' against '.join(earlier)}, not of "
+                f"{' against '.join(sources)}; {elsewhere}"
+            )
+
+
+def _sources(path: Path) -> list[str]:
+    """The models that results are of; none if the file is none of results."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        return [str(model["source"]) for model in found.get("models") or [found]]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return []
 
 
 def recording_path(result: Crosscheck, folder: Path) -> Path:

@@ -103,7 +103,7 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # results are checked where they are used
-            with partial_runs_saved(folder):
+            with partial_runs_saved(folder, [name]):
                 result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
             write(result, folder, folder / f"{name}.rrd", markdown(result))
     except Exception as error:  # what goes wrong with one scene is a line, like the others' results

@@ -8,10 +8,9 @@ import resource
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from command_line import check_refused, command, run, scene_file, short_example
+from command_line import check_refused, command, run, scene_file
 
 from crosscheck.comparison.levels import LEVELS
 from crosscheck.errors import CrosscheckError
@@ -184,39 +183,6 @@ def test_a_user_sees_no_traceback_from_a_broken_file(tmp_path):
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_results_of_other_models_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path):
-    """Models of one name, and scenes of the library beside files of their names."""
-    monkeypatch.chdir(tmp_path)
-    for folder in ("one", "other"):
-        (tmp_path / folder).mkdir()
-        scene_file(tmp_path / folder, short_example() | {"name": "mine"}, "pendulum.yaml")
-    quick = ("--engines", "newton_euler")
-    assert run(capsys, "run", "one/pendulum.yaml", *quick)[0] == 0
-    folder = Path("output", "pendulum")
-    files = {path: path.read_bytes() for path in folder.iterdir()}
-    assert {path.name for path in files} == {"newton_euler.npz", "summary.json", "mine.rrd"}
-    for source in ("other/pendulum.yaml", "pendulum"):
-        status, out, err = run(capsys, "run", source, *quick)
-        assert (status, out) == (2, "")
-        assert f"{folder} holds a crosscheck of one/pendulum.yaml, not of {source}; name another fo" in err
-    assert "crosscheck of one/pendulum.yaml, not of pendulum" in run(capsys, "run", "--all")[2]
-    assert {path: path.read_bytes() for path in folder.iterdir()} == files
-    assert run(capsys, "run", tmp_path / "one" / "pendulum.yaml", *quick)[0] == 0
-    assert run(capsys, "run", "other/pendulum.yaml", *quick, "--output", folder)[0] == 0
-    assert json.loads((folder / "summary.json").read_text())["source"] == "other/pendulum.yaml"
-
-
-def test_results_of_other_pairs_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    for name in ("one.yaml", "two.yaml", "one.json"):
-        scene_file(tmp_path, json.dumps(short_example()), name)
-    assert run(capsys, "run", "one.yaml", "--against", "two.yaml")[0] == 0
-    assert run(capsys, "run", "one.yaml", "--against", "two.yaml")[0] == 0
-    status, _, err = run(capsys, "run", "one.json", "--against", "two.yaml")
-    assert status == 2
-    assert "holds a crosscheck of one.yaml against two.yaml, not of one.json against two.yaml; name" in err
-
-
 @pytest.mark.parametrize("arguments", [["run", "scene.yaml", "--engines", "pinocchio"], ["list"], ["--help"]])
 def test_output_that_cannot_be_written(tmp_path, good, arguments):
     scene_file(tmp_path, good)
@@ -266,7 +232,7 @@ def test_what_nobody_foresaw_is_one_line_too(tmp_path, capsys, good, monkeypatch
     status, _, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
     assert (status, err.count("\n")) == (2, 1)
     assert err.startswith("crosscheck: error: internal error: ZeroDivisionError: division by zero; wrote ")
-    assert {path.name for path in out.iterdir()} == {"newton_euler.npz", "mujoco.npz"}
+    assert {path.name for path in out.iterdir()} == {"newton_euler.npz", "mujoco.npz", "summary.partial.json"}
 
 
 def test_a_figure_that_is_not_a_number_is_refused(tmp_path, capsys, good, monkeypatch):
@@ -278,7 +244,7 @@ def test_a_figure_that_is_not_a_number_is_refused(tmp_path, capsys, good, monkey
     status, _, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
     assert (status, err.count("\n")) == (2, 1)
     assert "no figure for open joints at level 'drift' between mujoco: nan at elbow; wrote " in err
-    assert {path.name for path in out.iterdir()} == {"newton_euler.npz", "mujoco.npz"}
+    assert {path.name for path in out.iterdir()} == {"newton_euler.npz", "mujoco.npz", "summary.partial.json"}
 
 
 def test_markup_in_texts_is_text(tmp_path, capsys, good):

@@ -17,7 +17,7 @@ from crosscheck import limit, run_all
 from crosscheck.engines import ENGINES as ENGINES_BY_NAME
 from crosscheck.errors import CrosscheckError
 from crosscheck.faults import plant
-from crosscheck.partial import partial_runs_saved
+from crosscheck.partial import PARTIAL_SUMMARY, partial_runs_saved
 from crosscheck.run_all import outcome
 from crosscheck.scenes import load
 from crosscheck.scenes.write_file import write_scene
@@ -160,7 +160,7 @@ def test_crosscheck_run_saves_what_each_engine_computed(capsys, tmp_path):
     assert "mujoco: MuJoCo diverged at t = " in err
     partial = [folder / "newton_euler.partial.npz", folder / "mujoco.partial.npz"]
     assert all(f"wrote {path}, up to t = " in err for path in partial)
-    assert set(folder.iterdir()) == set(partial)
+    assert set(folder.iterdir()) == {*partial, folder / PARTIAL_SUMMARY}
     arrays, others = map(load_arrays, partial)
     assert arrays["linear_velocity"][:, 1, 0] == pytest.approx(np.cosh(GROWTH * arrays["time"]), rel=1e-4)
     assert len(others["time"]) > 1
@@ -205,7 +205,7 @@ def test_the_other_engines_run_when_one_stops(capsys, monkeypatch, tmp_path):
     assert "newton_euler: integration stopped at t = 5 s: by joint 'crank'; all " in err
     assert "figures that need no run agree, up to level 'accelerations and reactions'; wrote " in err
     assert f"wrote {tmp_path / 'newton_euler.partial.npz'}, up to t = 5 s" in err
-    assert files == {"newton_euler.partial.npz", "mujoco.npz"}
+    assert files == {"newton_euler.partial.npz", "mujoco.npz", PARTIAL_SUMMARY}
     time = load_arrays(tmp_path / "mujoco.npz")["time"]
     assert time[-1] == load("pendulum").duration
 
@@ -228,7 +228,7 @@ def test_the_other_engines_run_when_one_does_not_end(capsys, monkeypatch, tmp_pa
     status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, simulate=endless)
     assert status == 2
     assert "newton_euler: 10 s of pendulum: given up after 1 s of processor time" in err
-    assert files == {"mujoco.npz"}
+    assert files == {"mujoco.npz", PARTIAL_SUMMARY}
 
 
 def test_runs_that_cannot_be_compared_are_kept(capsys, monkeypatch, tmp_path):
@@ -238,7 +238,7 @@ def test_runs_that_cannot_be_compared_are_kept(capsys, monkeypatch, tmp_path):
     status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, refined=stopping)
     assert status == 2
     assert "newton_euler, in a finer run for comparison: integration stopped at t = 5 s" in err
-    assert files == {"newton_euler.npz", "mujoco.npz"}
+    assert files == {"newton_euler.npz", "mujoco.npz", PARTIAL_SUMMARY}
 
 
 def test_the_other_engines_run_when_one_breaks(capsys, monkeypatch, tmp_path):
@@ -247,7 +247,7 @@ def test_the_other_engines_run_when_one_breaks(capsys, monkeypatch, tmp_path):
     assert status == 2
     assert "error: newton_euler: internal error: LinAlgError: SVD did not converge; all " in err
     assert f"wrote {tmp_path / 'mujoco.npz'}" in err
-    assert files == {"mujoco.npz", "mine.rrd"}
+    assert files == {"mujoco.npz", "mine.rrd", PARTIAL_SUMMARY}
 
 
 def test_runs_are_kept_when_their_comparison_breaks(capsys, monkeypatch, tmp_path):
@@ -257,7 +257,7 @@ def test_runs_are_kept_when_their_comparison_breaks(capsys, monkeypatch, tmp_pat
     status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, refined=breaking)
     assert status == 2
     assert "newton_euler, in a finer run for comparison: internal error: LinAlgError: SVD did not conv" in err
-    assert files == {"newton_euler.npz", "mujoco.npz", "mine.rrd"}
+    assert files == {"newton_euler.npz", "mujoco.npz", "mine.rrd", PARTIAL_SUMMARY}
     assert len(load_arrays(tmp_path / "newton_euler.npz")["time"]) == len(load("pendulum").times)
 
 
@@ -275,9 +275,9 @@ def test_what_comes_before_numbers_that_are_not_finite_is_kept(capsys, monkeypat
     assert status == 2
     assert f"newton_euler: integration stopped at t = {times[first]:.6g} s: reaction_force is not" in err
     if rows is None:
-        assert files == {"mujoco.npz"}
+        assert files == {"mujoco.npz", PARTIAL_SUMMARY}
         return
-    assert files == {"newton_euler.partial.npz", "mujoco.npz"}
+    assert files == {"newton_euler.partial.npz", "mujoco.npz", PARTIAL_SUMMARY}
     arrays = load_arrays(tmp_path / "newton_euler.partial.npz")
     assert np.array_equal(arrays["time"], times[:rows])
     assert {len(array) for name, array in arrays.items() if "names" not in name} == {rows}
@@ -292,7 +292,7 @@ def test_no_file_elsewhere_is_taken_for_the_earlier_recording(tmp_path, scene):
     (folder / "summary.json").write_text(f'{{"scene": {scene}}}')
     with (
         pytest.raises(CrosscheckError, match="internal error: ZeroDivisionError: nothing"),
-        partial_runs_saved(folder),
+        partial_runs_saved(folder, ["pendulum"]),
     ):
         raise ZeroDivisionError("nothing")
     assert list(folder.iterdir()) == []
@@ -317,7 +317,8 @@ def test_run_all_keeps_what_each_scene_computed(monkeypatch, tmp_path):
     found = outcome("pendulum", ("newton_euler", "mujoco"), tmp_path)
     assert not found.agrees
     assert "newton_euler: integration stopped at t = 5 s" in found.verdict
-    assert {path.name for path in tmp_path.iterdir()} == {"newton_euler.partial.npz", "mujoco.npz"}
+    names = {"newton_euler.partial.npz", "mujoco.npz", PARTIAL_SUMMARY}
+    assert {path.name for path in tmp_path.iterdir()} == names
 
 
 def test_pinocchio_stops_before_the_first_output():

@@ -39,7 +39,7 @@ def bench(
     from crosscheck.benchmark.report import answer, preamble, terminal_tables
 
     _check_error(error)
-    folder = _folder(scene, output)
+    folder = _folder(scene, source, output)
     check_writable(*(folder / name for name in FILES))
     result = benchmark(scene, source, options, repeats, progress)
     progress("writing")
@@ -53,7 +53,7 @@ def bench_rhs(
     """Lines for the terminal and the file of a benchmark of right-hand sides; errors as of `bench`."""
     from crosscheck.benchmark.rhs import rhs_json, rhs_table, rhs_words, time_right_hand_sides
 
-    path = _folder(scene, output) / "rhs.json"
+    path = _folder(scene, source, output) / "rhs.json"
     check_writable(path)
     timings = time_right_hand_sides(source, options, progress)
     _write(path, rhs_json(source, options, timings).encode())
@@ -73,7 +73,7 @@ def bench_batch(
     from crosscheck.benchmark.batch import batch_json, batch_table, batch_words, benchmark_batch
 
     _check_error(error)
-    path = _folder(scene, output) / "batch.json"
+    path = _folder(scene, source, output) / "batch.json"
     check_writable(path)
     result = benchmark_batch(source, options, runs, error, progress)
     _write(path, batch_json(result).encode())
@@ -94,7 +94,7 @@ def bench_scaling(
     )
 
     check_sizable(source, options)
-    folder = _folder(scene, output)
+    folder = _folder(scene, source, output)
     files = {"scaling.json": scaling_json, "scaling.png": scaling_picture}
     check_writable(*(folder / name for name in files))
     result = measure_sizes(source, options, progress)
@@ -108,9 +108,15 @@ def _check_error(error: float) -> None:
         raise CrosscheckError(f"--error is {error:g}; needed: a positive number (m and rad)")
 
 
-def _folder(scene: Scene, output: Path | None) -> Path:
-    """Where files go."""
-    return output or Path("output") / "bench" / scene.name
+def _folder(scene: Scene, source: str, output: Path | None) -> Path:
+    """Where files go; raises `CrosscheckError` if another model's are there, unless it was asked for."""
+    if output is not None:
+        return output
+    from crosscheck.output import check_own
+
+    folder = Path("output") / "bench" / scene.name
+    check_own(folder, [source], "benchmark")
+    return folder
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -126,7 +126,7 @@ def _run(
     def work(progress: Progress) -> Crosscheck:
         return crosscheck(loaded, chosen, progress, scene, options, mapping)
 
-    return _carry_out(work, loaded.name, [engine.name for engine in chosen], folder, destination)
+    return _carry_out(work, loaded.name, [scene], [engine.name for engine in chosen], folder, destination)
 
 
 def _own_folder(name: str, sources: Sequence[str]) -> Path:
@@ -169,19 +169,20 @@ def _run_against(models: tuple[Model, Model], output: Path | None, destination: 
     def work(progress: Progress) -> Crosscheck:
         return against(*models, progress)
 
-    name = together(models)
-    folder = output or _own_folder(name, [model.source for model in models])
-    return _carry_out(work, name, [model.name for model in models], folder, destination)
+    name, sources = together(models), [model.source for model in models]
+    folder = output or _own_folder(name, sources)
+    return _carry_out(work, name, sources, [model.name for model in models], folder, destination)
 
 
 def _carry_out(
     work: Callable[[Progress], Crosscheck],
     name: str,
+    sources: Sequence[str],
     runs: Sequence[str],
     folder: Path,
     destination: Destination,
 ) -> int:
-    """Do what was asked for, with `runs` of these names, write and send it and tell of it."""
+    """Do what was asked for of the models, with `runs` of these names, write and send it and tell of it."""
     from crosscheck.against.compare import Against
     from crosscheck.files import check_writable
     from crosscheck.output import write
@@ -192,7 +193,7 @@ def _carry_out(
     arrays = [folder / f"{run}.npz" for run in runs]
     check_writable(*arrays, folder / "summary.json", *([recording] if recording else []))
     with progress_shown() as progress:
-        with partial_runs_saved(folder, runs):
+        with partial_runs_saved(folder, sources, runs):
             result = work(progress)
         progress("writing")
         notes = result.notes if isinstance(result, Against) else ()

@@ -1,0 +1,84 @@
+"""Results of one model are not overwritten by those of another unless the folder is named."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import run, scene_file, short_example
+
+
+def test_results_of_other_models_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path):
+    """Models of one name, and scenes of the library beside files of their names."""
+    monkeypatch.chdir(tmp_path)
+    for folder in ("one", "other"):
+        (tmp_path / folder).mkdir()
+        scene_file(tmp_path / folder, short_example() | {"name": "mine"}, "pendulum.yaml")
+    quick = ("--engines", "newton_euler")
+    assert run(capsys, "run", "one/pendulum.yaml", *quick)[0] == 0
+    folder = Path("output", "pendulum")
+    files = {path: path.read_bytes() for path in folder.iterdir()}
+    assert {path.name for path in files} == {"newton_euler.npz", "summary.json", "mine.rrd"}
+    for source in ("other/pendulum.yaml", "pendulum"):
+        status, out, err = run(capsys, "run", source, *quick)
+        assert (status, out) == (2, "")
+        assert f"{folder} holds a crosscheck of one/pendulum.yaml, not of {source}; name another fo" in err
+    assert "crosscheck of one/pendulum.yaml, not of pendulum" in run(capsys, "run", "--all")[2]
+    assert {path: path.read_bytes() for path in folder.iterdir()} == files
+    assert run(capsys, "run", tmp_path / "one" / "pendulum.yaml", *quick)[0] == 0
+    assert run(capsys, "run", "other/pendulum.yaml", *quick, "--output", folder)[0] == 0
+    assert json.loads((folder / "summary.json").read_text())["source"] == "other/pendulum.yaml"
+
+
+def test_results_of_other_pairs_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for name in ("one.yaml", "two.yaml", "one.json"):
+        scene_file(tmp_path, json.dumps(short_example()), name)
+    assert run(capsys, "run", "one.yaml", "--against", "two.yaml")[0] == 0
+    assert run(capsys, "run", "one.yaml", "--against", "two.yaml")[0] == 0
+    status, _, err = run(capsys, "run", "one.json", "--against", "two.yaml")
+    assert status == 2
+    assert "holds a crosscheck of one.yaml against two.yaml, not of one.json against two.yaml; name" in err
+
+
+def test_runs_of_other_models_that_were_not_ended_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("one", "other"):
+        (tmp_path / folder).mkdir()
+        scene_file(tmp_path / folder, short_example(), "pendulum.yaml")
+    quick, folder = ("--engines", "newton_euler"), Path("output", "pendulum")
+    with monkeypatch.context() as broken:
+        broken.setattr("crosscheck.run.compare", lambda *_: 1 / 0)
+        for _ in range(2):
+            assert (
+                "wrote output/pendulum/newton_euler.npz" in run(capsys, "run", "one/pendulum.yaml", *quick)[2]
+            )
+    refused = (
+        f"crosscheck: error: {folder} holds {{}}; name another folder (--output), or this one to overwrite"
+    )
+    status, _, err = run(capsys, "run", "other/pendulum.yaml", *quick)
+    told = "a crosscheck of one/pendulum.yaml, not of other/pendulum.yaml"
+    assert (status, err) == (2, refused.format(told) + " it\n")
+    (folder / "summary.partial.json").unlink()
+    status, _, err = run(capsys, "run", "one/pendulum.yaml", *quick)
+    assert (status, err) == (2, refused.format("trajectories of an unknown model") + " it\n")
+    assert {path.name for path in folder.iterdir()} == {"newton_euler.npz"}
+    assert run(capsys, "run", "other/pendulum.yaml", *quick, "--output", folder)[0] == 0
+    assert run(capsys, "run", "other/pendulum.yaml", *quick)[0] == 0
+
+
+@pytest.mark.parametrize("earlier", ["bench.json", "rhs.json", "batch.json", "scaling.json"])
+def test_benchmarks_of_other_models_are_not_overwritten_unasked(capsys, monkeypatch, tmp_path, earlier):
+    monkeypatch.chdir(tmp_path)
+    scene_file(tmp_path, short_example() | {"name": "mine"}, "scene.yaml")
+    folder = Path("output", "bench", "mine")
+    folder.mkdir(parents=True)
+    (folder / earlier).write_text('{"source": "other.yaml"}')
+    refused = (
+        f"{folder} holds a benchmark of other.yaml, not of scene.yaml; name another folder (--output), or"
+    )
+    for arguments in ((), ("--rhs",), ("--batch", 2)):
+        status, _, err = run(capsys, "bench", "scene.yaml", *arguments)
+        assert status == 2
+        assert err.startswith(f"crosscheck: error: {refused}")
