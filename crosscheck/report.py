@@ -13,6 +13,7 @@ from crosscheck.advice.measured import distance
 from crosscheck.comparison.known_figures import Measured
 from crosscheck.comparison.levels import Row, not_compared
 from crosscheck.comparison.reactions import undetermined_joints
+from crosscheck.comparison.rows import NOT_NEARER
 from crosscheck.comparison.runs import displacements
 from crosscheck.comparison.samples import admissible_basis, body_units
 from crosscheck.model_files.read import report_lines
@@ -180,7 +181,7 @@ def markdown(result: Crosscheck) -> str:
             ]
         verdict = "for information" if row.informs else "holds" if row.agrees else "**FAILS**"
         if row.unsettled:
-            verdict = f"not judged: {row.unsettled} does not converge"
+            verdict = f"not judged: {row.unsettled} is {NOT_NEARER}"
         lines.append(
             f"| {row.quantity} | {', '.join(row.between)} | {row.value:.1e} | {row.tolerance:.0e} "
             f"| {verdict} | {row.where} |"

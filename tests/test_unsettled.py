@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from io import StringIO
 
@@ -17,6 +18,7 @@ from crosscheck.html.report import write_report
 from crosscheck.output import write
 from crosscheck.report import markdown, terminal_tables
 from crosscheck.run import crosscheck as run_crosscheck
+from newton_euler.errors import IntegrationError
 
 
 def test_refinement_excuses_no_more_than_a_hundredth():
@@ -71,7 +73,7 @@ def test_an_error_that_does_not_fall_excuses_nothing(far, finer, settled):
     assert row.unsettled == ("mujoco" if settled is False else "")
     others = [row for row in rows if row.unsettled and row.quantity != "positions, m"]
     assert others == []
-    more = "; 1 more is not judged: mujoco does not converge there" if settled is False else ""
+    more = "; 1 more is not judged: mujoco is not much nearer when refined" if settled is False else ""
     assert not_judged(rows) == more
 
 
@@ -91,13 +93,50 @@ def test_a_run_that_does_not_converge_is_told_from_the_one_it_is_compared_with()
     }
 
 
+def test_engines_that_are_not_judged_with_one_are_with_another():
+    """Two that come to one place, neither much nearer to a third."""
+    scene = replace(pendulum(), duration=0.1)
+    rows = verdicts(
+        scene, [off("newton_euler", -2e-4, -2.4e-4), off("mujoco", 8e-5, 2e-5), off("pinocchio", 7e-5, 2e-5)]
+    )
+    positions = [row for row in rows if (row.level, row.quantity) == ("trajectories", "positions, m")]
+    assert {row.between: row.unsettled for row in positions} == {
+        ("newton_euler", "mujoco"): "mujoco",
+        ("newton_euler", "pinocchio"): "pinocchio",
+        ("mujoco", "pinocchio"): "",
+    }
+
+
+def test_runs_are_refined_once_whatever_figures_need_them():
+    """And one that stops is not tried again."""
+    scene, calls = replace(pendulum(), duration=0.1), Counter()
+
+    def counted(engine):
+        def simulate(scene):
+            # the quickest engine's error is asked for first, and is enough
+            return replace(engine.simulate(scene), wall_time=0.0 if engine.name == "mujoco" else 1.0)
+
+        def refined(scene):
+            calls[engine.name] += 1
+            if engine.name == "newton_euler":
+                raise IntegrationError(0.05, "too many steps")
+            return engine.refined(scene)
+
+        return replace(engine, simulate=simulate, refined=refined)
+
+    engines = [off("newton_euler", 0, 0), off("mujoco", -1e-5, 1e-5), off("pinocchio", 0, 0)]
+    rows = verdicts(scene, [counted(engine) for engine in engines])
+    assert [row.unsettled for row in rows if row.unsettled] == ["mujoco", "mujoco"]
+    assert calls == {"newton_euler": 1, "mujoco": 1, "pinocchio": 1}
+
+
 def test_what_is_not_judged_is_said_in_the_verdict_tables_and_pages(tmp_path):
     scene = replace(pendulum(), duration=0.1)
     engines = [ENGINES["newton_euler"], off("pinocchio", 1e-5, -1e-5)]
     result = run_crosscheck(scene, engines, lambda _: None, "pendulum.yaml", {})
     assert result.verdict.startswith("AGREE: newton_euler, pinocchio agree on pendulum in all ")
-    assert "figures; 1 more is not judged: pinocchio does not converge there" in result.verdict
-    assert "| not judged: pinocchio does not converge |" in markdown(result)
+    assert "figures; 1 more is not judged: pinocchio is not much nearer when refined" in result.verdict
+    assert "| not judged: pinocchio is not much nearer when refined |" in markdown(result)
     write(result, tmp_path, None, "")
     page = write_report(tmp_path, lambda _: None)
     assert "1.0e-05 not judged" in page.read_text()

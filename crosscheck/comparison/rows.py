@@ -34,6 +34,9 @@ UNRESOLVED = 1e-2
 
 EPSILON = float(np.finfo(float).eps)
 
+NOT_NEARER = "not much nearer when refined"
+"""What an unsettled engine is: nearer to the other, or to zero, by less than its own error would be."""
+
 ROUND_OFF = 1e-12
 """Relative: numbers written with 17 digits and rotated a few times, and some hundred operations in a row,
 each to 1e-16. Engines lose a fiftieth of it in the scenes of the library."""
@@ -75,12 +78,12 @@ class Row:
 
 
 def not_judged(rows: Sequence[Row]) -> str:
-    """What a verdict says of figures whose engines do not converge; empty if there are none."""
+    """What a verdict says of figures that are not judged; empty if there are none."""
     found = [row.unsettled for row in rows if row.unsettled]
     names = list(dict.fromkeys(found))
     count = "1 more is" if len(found) == 1 else f"{len(found)} more are"
-    converge = "does not converge" if len(names) == 1 else "do not converge"
-    return f"; {count} not judged: {' and '.join(names)} {converge} there" if found else ""
+    are = "is" if len(names) == 1 else "are"
+    return f"; {count} not judged: {' and '.join(names)} {are} {NOT_NEARER}" if found else ""
 
 
 def not_compared(rows: Sequence[Row]) -> Iterator[str]:

@@ -6,7 +6,6 @@ What an engine's run may be off is measured by refining its step or tolerance.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
 from functools import partial
 from itertools import combinations
 
@@ -90,12 +89,12 @@ def compare_runs(
     ones. Energies are relative to the larger of the run's own and `energy`, J.
 
     What that shows holds of a run whose error falls then. Where it does not, and is not down to what engines
-    may be off anyway or to round-off, the engine does not converge and the figure is not judged.
+    may be off anyway or to round-off, the figure is not judged.
     """
     bodies, joints, times = scene.mechanism.body_names, scene.mechanism.joint_names, scene.times
     length = max(1.0, *(reach(scene, run.position) for run in runs.values()))
     finer: dict[str, Trajectory] = {}
-    unsettled: set[str] = set()
+    unable: set[str] = set()
 
     def own_change(engine: Engine, apart: Gap) -> float:
         """How far an engine's run is from its finer one."""
@@ -107,7 +106,8 @@ def compare_runs(
         """The engine whose finer run excuses a figure without being nearer to the others'; empty if none.
 
         Nearer to their runs as they are, which costs nothing, or to their finer ones, in which their own
-        errors hide nothing; or at `least`.
+        errors hide nothing; or at `least`. Each figure is asked by itself: an engine may be no nearer to one
+        and nearer to another, or in one quantity only.
         """
         used = [engine for engine in between if engine.name in finer]
         name = max(used, key=lambda engine: own_change(engine, apart)).name
@@ -118,14 +118,13 @@ def compare_runs(
 
         if falls(runs):
             return ""
-        if name not in unsettled:
-            for engine in between:
-                with suppress(NewtonEulerError, CrosscheckError):
-                    finer.setdefault(engine.name, engine.refined(scene))
-            if falls(runs | finer):
-                return ""
-            unsettled.add(name)
-        return name
+        for engine in between:
+            if engine.name not in finer and engine.name not in unable:
+                try:
+                    finer[engine.name] = engine.refined(scene)
+                except (NewtonEulerError, CrosscheckError):
+                    unable.add(engine.name)
+        return "" if falls(runs | finer) else name
 
     def row(
         level: str,

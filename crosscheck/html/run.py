@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from crosscheck.comparison.rows import NOT_NEARER
 from crosscheck.errors import CrosscheckError
 from crosscheck.html import drawing, page, plots
 from crosscheck.html.page import Cell, Markup, Progress
@@ -88,7 +89,7 @@ def _figures(summary: Summary) -> Iterator[Markup]:
 def _cell(figure: Figure) -> Cell:
     about = f"worst at {figure.where}"
     if figure.unsettled:
-        return Cell(f"{figure.value:.1e} not judged", "", f"{figure.unsettled} does not converge, {about}")
+        return Cell(f"{figure.value:.1e} not judged", "", f"{figure.unsettled} is {NOT_NEARER}, {about}")
     if figure.informs:
         return Cell(f"{figure.value:.1e}", "", about)
     return _judged(figure.value, figure.tolerance, figure.agrees, about)
