@@ -74,7 +74,7 @@ def motion_names(joint: Joint, forward: bool = True) -> list[str]:
 class SpanningTree:
     """The tree of `mechanism` that cuts the joints with the fewest equations: balls first.
 
-    Of joints with as many it rather keeps those that are actuated or `loaded`.
+    Of joints with as many it rather keeps those that are actuated or have `loaded` balls.
 
     Rods are always cut. A body that only they reach floats: the tree has a free joint for it, after
     the joints of the mechanism, at its centre of mass.
@@ -91,7 +91,7 @@ class SpanningTree:
     ) -> None:
         """Grow from the ground; joints named in `never` are cut whatever their kind.
 
-        `loaded` are names of joints that something acts on.
+        `loaded` are names of joints whose balls something acts on, see `Scene.loaded_balls`.
         """
         self.mechanism = mechanism
         kept: list[TreeJoint] = []
@@ -285,7 +285,7 @@ def weld_loops(
         mechanism: of any loops.
         keep_bodies: whether to cut loops at their own welds. To an engine a weld in the tree is the better
             one, it costs no equations; but readers of a file make one body of the two that it holds.
-        loaded: names of balls that something acts on, which engines have in the tree only.
+        loaded: names of joints whose balls something acts on, which engines have in the tree only.
     """
     bodies, joints = list(mechanism.bodies), list(mechanism.joints)
     origin = list(range(len(bodies)))

@@ -14,7 +14,7 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -106,8 +106,9 @@ def read(
         tree = Tree(where, start, set(closing.name_mot), report)
         _report_held(closing, report)
         tree.bodies = dressed(where, root, start, tree, report)
-        scene = _scene(where, root, closed, closing, start, tree, mimics, report, duration, output_period)
-        scene = replace(scene, gravity=np.array(gravity))
+        scene = _scene(
+            where, root, closed, closing, start, tree, mimics, report, duration, output_period, gravity
+        )
         root_link = "is the ground" if base == "fixed" else "floats"
         pull = " ".join(f"{g:g}" for g in gravity)
         report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")
@@ -162,6 +163,7 @@ def _scene(
     report: Mapping,
     duration: float,
     output_period: float,
+    gravity: Sequence[float],
 ) -> Scene:
     joints = [*tree.joints, *_closing(closed, loops, tree, report)]
     gears = list(_gears(start, loops, tree, mimics, [joint.name for joint in joints], report))
@@ -174,6 +176,7 @@ def _scene(
         unweld_loops(Mechanism(tree.bodies, joints, gears)),
         duration,
         output_period,
+        gravity=np.array(gravity),
         forces=springs,
         description=Path(path).name,
     )

@@ -27,7 +27,9 @@ WALL_TIME = 60.0
 
 PROCESSOR_TIME, PER_ASSET_BYTE = 2.0, 2e-7
 """s of the compiler, and s for each byte of the assets. On a quiet machine it takes 0.4 s, with its imports,
-and 0.04 s for a megabyte of meshes. What is small and expands without end is given up after the former."""
+and 0.04 s for a megabyte of meshes. What is small and expands without end is given up after the former.
+The bytes of the XML, `MAXIMUM_BYTES` at most, add none: 8.5 MB of vertices take 0.9 s, 1.2 MB of geoms 1 s; a
+file of twice as many geoms is given up."""
 
 KEPT = 200_000_000
 """Bytes of models compiled last, which are not compiled again while their files stay as they are."""
