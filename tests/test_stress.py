@@ -138,6 +138,43 @@ def test_cases_run_in_processes_with_a_time_limit_and_come_back_in_order():
     assert told[-1].startswith("5 of 5 cases")
 
 
+def own_process(seconds):
+    """A figure by which the process is known, after so many seconds."""
+    time.sleep(seconds)
+    return Measured(float(os.getpid()))
+
+
+def test_processes_are_at_topics_of_their_own():
+    """Six short cases of one topic take less time than one of another, so nobody comes to help."""
+    cases = [case(partial(own_process, 3.0))]
+    cases += [replace(case(partial(own_process, 0.01)), topic="b") for _ in range(6)]
+    rows = run_cases([*cases[1:4], *cases[:1], *cases[4:]], lambda line: None)
+    by_topic = {topic: {row.figure for row in rows if row.topic == topic} for topic in "ab"}
+    assert len(by_topic["b"]) == 1
+    assert by_topic["a"].isdisjoint(by_topic["b"])
+
+
+def test_only_the_first_case_of_a_process_has_time_for_its_start():
+    slow = case(partial(own_process, 2.0), limit=0.5)
+    rows = run_cases([slow, *[case(partial(own_process, 0.0))] * 2], lambda line: None)
+    assert [row.verdict for row in rows] == ["fails"] * 3
+    assert [row.reason for row in rows] == ["not done after 0.5 s", "", ""]
+
+
+def blas_threads():
+    return Measured(float(os.environ["OPENBLAS_NUM_THREADS"]))
+
+
+@pytest.mark.parametrize("chosen", [None, "7"])
+def test_processes_have_one_thread_each_for_matrices(monkeypatch, chosen):
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    if chosen:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", chosen)
+    monkeypatch.setattr("crosscheck.stress.topics.cases_of", lambda letter, full: [case(blas_threads)])
+    assert [row.figure for row in stress("a", False, lambda line: None)] == [float(chosen or 1)]
+    assert os.environ.get("OPENBLAS_NUM_THREADS") == chosen
+
+
 @pytest.mark.parametrize("wanted", [1, 2, 7, 31, 32, 1000])
 def test_bisection_finds_where_it_becomes_true(wanted):
     found = last_good(lambda n: n >= wanted, 1, 5000)

@@ -7,7 +7,7 @@ Differential Equations II, section IV.2).
 
 from __future__ import annotations
 
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from crosscheck.scenes import load
 from crosscheck.stress.runs import FORMULATIONS, TIGHT, distance, largest_drift, lasting
 from crosscheck.stress.topics import Bound, Case, Curve, Measured
 from newton_euler.errors import NewtonEulerError
+from newton_euler.scene import Scene
 from newton_euler.simulate import CompiledScene
 from newton_euler.stabilize import RK4_LIMIT
+from newton_euler.trajectory import Trajectory
 
 MOTION_LIMIT = 2e-2
 """s, the largest step of `STEPS` that the motion itself allows, whatever keeps it on its constraints."""
@@ -25,12 +27,16 @@ STEPS = (1e-1, 5e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4)
 """s."""
 
 DURATION = 5.0
-OUTPUTS = 50
+OUTPUT_PERIOD = 0.1
+
+SHORTER = 2.0
+"""s, if not in full."""
 
 
 def cases(full: bool) -> list[Case]:
     """All of (c)."""
     per_decade = 2 if full else 1
+    duration = DURATION if full else SHORTER
     alphas = [float(f"{10.0 ** (k / per_decade):.2g}") for k in range(-per_decade, 4 * per_decade + 1)]
     made = []
     for formulation in FORMULATIONS:
@@ -38,25 +44,25 @@ def cases(full: bool) -> list[Case]:
             made.append(
                 Case(
                     "c",
-                    f"tracker, {DURATION:g} s, alpha {alpha:g} 1/s",
+                    f"tracker, {duration:g} s, alpha {alpha:g} 1/s",
                     "newton_euler",
                     f"{formulation}, RK4, baumgarte",
                     "largest stable step",
                     "s",
                     border(alpha),
-                    partial(measure, formulation, alpha),
+                    partial(measure, formulation, alpha, duration),
                 )
             )
         made.append(
             Case(
                 "c",
-                f"tracker, {DURATION:g} s, smallest step {STEPS[-1]:g} s",
+                f"tracker, {duration:g} s, smallest step {STEPS[-1]:g} s",
                 "newton_euler",
                 f"{formulation}, RK4, projection",
                 "drift",
                 "m or rad",
                 Bound(1e-13, 1e-9, "projection leaves round-off open"),
-                partial(measure_projection, formulation),
+                partial(measure_projection, formulation, duration),
             )
         )
     return made
@@ -69,12 +75,20 @@ def border(alpha: float) -> Bound:
     return Bound(0.4 * theory, 0.1 * theory, reason, at_least=True)
 
 
+@lru_cache
+def _reference(duration: float) -> Trajectory:
+    return TIGHT.simulate(_scene(duration))
+
+
+def _scene(duration: float) -> Scene:
+    return lasting(load("tracker"), duration, round(duration / OUTPUT_PERIOD), "violation")
+
+
 def _sweep(
-    formulation: str, stabilization: str, alpha: float
+    formulation: str, stabilization: str, alpha: float, duration: float
 ) -> tuple[list[float], list[float], list[float]]:
     """The steps that are stable, with the errors of positions, m, and the drifts, m or rad."""
-    scene = lasting(load("tracker"), DURATION, OUTPUTS, "violation")
-    reference = TIGHT.simulate(scene)
+    scene, reference = _scene(duration), _reference(duration)
     compiled = CompiledScene(scene, formulation, stabilization, alpha)
     stable, errors, drifts = [], [], []
     for step in STEPS:
@@ -107,9 +121,9 @@ def _curves(formulation: str, label: str, sweep: tuple[list[float], ...]) -> tup
     )
 
 
-def measure(formulation: str, alpha: float) -> Measured:
+def measure(formulation: str, alpha: float, duration: float) -> Measured:
     """The largest step that is stable; in words where drift is least."""
-    sweep = _sweep(formulation, "baumgarte", alpha)
+    sweep = _sweep(formulation, "baumgarte", alpha, duration)
     if not sweep[0]:
         return Measured(float("nan"), f"no step down to {STEPS[-1]:g} s is stable")
     best = int(np.argmin(sweep[2]))
@@ -126,8 +140,8 @@ def measure(formulation: str, alpha: float) -> Measured:
     return Measured(sweep[0][0], note, curves)
 
 
-def measure_projection(formulation: str) -> Measured:
+def measure_projection(formulation: str, duration: float) -> Measured:
     """Drift at the smallest step."""
-    sweep = _sweep(formulation, "projection", 0.0)
+    sweep = _sweep(formulation, "projection", 0.0, duration)
     note = f"largest stable step {sweep[0][0]:g} s; position error {sweep[1][-1]:.1e} m"
     return Measured(sweep[2][-1], note, _curves(formulation, "projection", sweep))

@@ -58,8 +58,9 @@ def plots(rows: Sequence[Row]) -> list[Plot]:
 def png(plot: Plot) -> bytes:
     """The plot as a picture."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullLocator
 
-    drawn = Figure(figsize=(9.0, 5.0), layout="constrained")
+    drawn = Figure(figsize=(9.0, 5.0))
     ax = drawn.add_subplot()
     for k, (label, line) in enumerate(plot.lines.items()):
         dash = DASHES[k // len(COLORS) % len(DASHES)]
@@ -70,7 +71,14 @@ def png(plot: Plot) -> bytes:
     ax.set_xlabel(plot.x_label)
     ax.set_ylabel(plot.y_label)
     ax.grid(which="major", alpha=0.3)
-    drawn.legend(loc="outside right upper", fontsize="x-small")
+    points = np.concatenate(list(plot.lines.values()))
+    for axis, (low, high) in zip((ax.xaxis, ax.yaxis), np.sort(points, axis=0)[[0, -1]].T, strict=True):
+        axis.set_major_formatter(lambda value, _: f"{value:.0e}")
+        if high > 100.0 * low:  # two decades at least are labelled
+            axis.set_minor_locator(NullLocator())
+    legend = drawn.legend(loc="upper right", fontsize="x-small")
+    # a layout of matplotlib's own, and its formulas on ticks, take three times as long as all the rest
+    ax.set_position((0.09, 0.11, 0.88 - legend.get_window_extent().width / drawn.bbox.width, 0.81))
     picture = io.BytesIO()
     drawn.savefig(picture, dpi=110, format="png")
     return picture.getvalue()

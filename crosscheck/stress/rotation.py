@@ -63,11 +63,12 @@ def cases(full: bool) -> list[Case]:
     )
     if not full:
         tops = ONE_EACH[:2]
+    slow = 0.1 if full else 0.02
     made = []
     for speed in SPEEDS if full else SPEEDS[::3]:
         fast = mujoco("RK4", 0.1 / speed if speed > 100.0 else 1e-3)
         for setting in (*tops, mujoco(), *((fast,) if fast != mujoco() else ()), pinocchio()):
-            duration = 0.1 if setting.engine == "pinocchio" and speed > 1e3 else 1.0
+            duration = slow if setting.engine == "pinocchio" and speed > 1e3 else 1.0
             turns = speed * duration / (2.0 * np.pi)
             what = f"free symmetric top, {speed:g} rad/s, {turns:.3g} turns"
             run = partial(measure_top, speed, duration, setting)

@@ -66,7 +66,7 @@ def cases(full: bool) -> list[Case]:
             ):
                 what = name.format(windows)
                 run = partial(measure, windows, setting)
-                limit = 12.0 if full else 8.0
+                limit = 15.0 if full else 11.0
                 made.append(
                     Case(
                         "h", what, setting.engine, str(setting), "angle error", "rad", ANGLE, run, limit=limit

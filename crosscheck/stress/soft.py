@@ -39,7 +39,7 @@ FINEST = 20
 
 def cases(full: bool) -> list[Case]:
     """All of (d)."""
-    constants = TIME_CONSTANTS if full else TIME_CONSTANTS[1:-2]
+    constants = TIME_CONSTANTS if full else TIME_CONSTANTS[1:-3]
     made = [
         Case("d", f"tracker, {DURATION:g} s, time constant {constant:g} s", "mujoco", "step to zero",
              SOFTNESS, "m", SOFT, partial(measure_softness, constant), limit=60.0)

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 import multiprocessing
+import os
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Literal
@@ -227,15 +229,19 @@ class _Worker:
         self.process = context.Process(target=_serve, args=(other,), daemon=True)
         self.process.start()
         other.close()
+        self.topic = ""
+        """Of its last case: references and native code of that topic are at hand."""
 
     def begin(self, number: int, case: Case) -> None:
-        self.number, self.case, self.started = number, case, time.monotonic()
+        startup = 0.0 if self.topic else STARTUP
+        self.number, self.case, self.topic, self.started = number, case, case.topic, time.monotonic()
+        self.until = self.started + startup + case.limit
         self.connection.send(case)
 
     @property
     def left(self) -> float:
         """s until its case is given up."""
-        return self.started + self.case.limit + STARTUP - time.monotonic()
+        return self.until - time.monotonic()
 
     def finished(self) -> Row:
         """The row of its case; the process has ended if that has taken it along."""
@@ -266,20 +272,23 @@ def _serve(connection: Connection) -> None:
 
 @tidied_up()
 def run_cases(cases: Sequence[Case], progress: Progress) -> list[Row]:
-    """Rows of all cases in their order, by `PROCESSES` processes, the ones that may take longest first.
+    """Rows of all cases in their order, by `PROCESSES` processes, each at a topic of its own while it can be.
 
-    A case that is not done within its limit is a failure, and its process is ended.
+    Of a topic, and of topics, those that may take longest are first. A case that is not done within its limit
+    is a failure, and its process is ended.
     """
     rows: dict[int, Row] = {}
-    waiting = sorted(range(len(cases)), key=lambda k: -cases[k].limit)
+    waiting = list(range(len(cases)))
     busy: list[_Worker] = []
     idle = [_Worker() for _ in range(min(PROCESSES, len(cases)))]
     try:
         while waiting or busy:
             while waiting and idle:
-                k = waiting.pop(0)
-                busy.append(idle.pop())
-                busy[-1].begin(k, cases[k])
+                worker, taken = idle.pop(), {other.topic for other in busy}
+                k = min(waiting, key=lambda k: _order(cases[k], worker.topic, taken))
+                waiting.remove(k)
+                worker.begin(k, cases[k])
+                busy.append(worker)
             ready = wait([worker.connection for worker in busy], max(0.0, min(w.left for w in busy)))
             for worker in list(busy):
                 if worker.connection in ready:
@@ -300,6 +309,29 @@ def run_cases(cases: Sequence[Case], progress: Progress) -> list[Row]:
     return [rows[k] for k in range(len(cases))]
 
 
+def _order(case: Case, own: str, taken: set[str]) -> tuple[bool, bool, float]:
+    """What a process whose last topic was `own` sorts cases by, where others are at the topics `taken`."""
+    return case.topic != own, case.topic in taken, -case.limit
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Have processes that begin meanwhile leave each other their processors, unless the user says otherwise.
+
+    OpenBLAS reads this as it is loaded. Its threads would wait for each other in all of them, and gain
+    nothing with matrices as small as these.
+    """
+    if "OPENBLAS_NUM_THREADS" in os.environ:
+        yield
+        return
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    try:
+        yield
+    finally:
+        del os.environ["OPENBLAS_NUM_THREADS"]
+
+
+@_one_thread_each()
 def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
     """Rows of all cases of some topics.
 
@@ -319,7 +351,7 @@ def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
     if "j" in wanted:
         from crosscheck.random.mechanisms import stress_random
 
-        rows += stress_random(1000 if full else 50, 0, progress)
+        rows += stress_random(1000 if full else 40, 0, progress)
     return sorted(rows, key=lambda row: row.topic)
 
 
