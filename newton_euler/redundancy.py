@@ -1,12 +1,13 @@
 """Which constraint rows say all that all of them say, found before a scene is compiled.
 
 Redundant rows are so in every configuration; a row that is dependent in one configuration only is none.
-So several configurations are looked at, the initial one and, if that is not enough, others near it.
+So several configurations are looked at, the initial one and, if that is not enough, others.
 Everything is sparse: scenes may have thousands of rows.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,7 @@ from newton_euler.sparse import (
     pattern_order,
     sparse_vector,
 )
+from newton_euler.state import State
 
 if TYPE_CHECKING:
     from newton_euler.compiled import Formulation
@@ -56,8 +58,9 @@ def rows_in_use(system: Formulation) -> tuple[RowsInUse, list[int]]:
 
     Also which of the others are not zero everywhere: then multipliers are not unique.
     """
-    q, _ = system.coordinates(system.scene.initial_state)
-    rng = np.random.default_rng(0)
+    q, v = system.coordinates(system.scene.initial_state)
+    own, _ = system.coordinates(State.initial(system.scene.mechanism))
+    directions = _directions(system, v)
     best: list[int] = []
     alive: set[int] = set()  # rows that are not zero everywhere
     seen: list[tuple[Array, Rows, list[int]]] = []
@@ -71,7 +74,11 @@ def rows_in_use(system: Formulation) -> tuple[RowsInUse, list[int]]:
             best = max(best, found, key=len)
         if number > 0 and len(best) == len(alive):
             break  # all that can be
-        q = _neighbour(system, q, rng)
+        if number == 0 and not np.array_equal(own, q):
+            q = own
+        else:
+            regular, _, _ = max(seen, key=lambda each: len(each[2]))
+            q = _neighbour(system, regular, next(directions))
     rest = np.zeros(system.nv)
     solutions = [
         system.sparse_solution(q, rest, RowsInUse(best))
@@ -134,10 +141,24 @@ def _remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
     return _length(left) / _length(row)
 
 
-def _neighbour(system: Formulation, q: Array, rng: np.random.Generator) -> Array:
-    """Another configuration that meets the constraints, some way off in a random direction."""
+def _directions(system: Formulation, v: Array) -> Iterator[Array]:
+    """Where to look for other configurations: where velocities go, then anywhere.
+
+    From a singular configuration random steps lead off all of its branches, and what they come back to is too
+    near to it to tell; a velocity is that of a branch.
+    """
+    speed = np.max(np.abs(v / system.velocity_units), initial=0.0)
+    if speed > 0.0:
+        yield v / speed
+    rng = np.random.default_rng(0)
+    while True:
+        yield system.velocity_units * rng.uniform(-1.0, 1.0, system.nv)
+
+
+def _neighbour(system: Formulation, q: Array, direction: Array) -> Array:
+    """Another configuration that meets the constraints, some way off in a direction."""
     phi, jacobian = system.phi_and_jacobian(q)
-    step = REACH * system.velocity_units * rng.uniform(-1.0, 1.0, system.nv)
+    step = REACH * direction
     rate = np.array([sum(x * step[k] for k, x in row.items()) for row in jacobian])
     q = system.retract(q, step - _least(system, jacobian, rate))
     for _ in range(NEWTON_STEPS):

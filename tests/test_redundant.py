@@ -9,10 +9,13 @@ import pytest
 from mechanisms import REGULAR, ball_loop, bolted, pendulum, planar_four_bar, scaled
 
 import newton_euler
+from crosscheck.scenes import load
+from crosscheck.stress.singular import from_flat
 from newton_euler.assemble import random_states
 from newton_euler.cartesian import Cartesian
 from newton_euler.control import PD
 from newton_euler.errors import NewtonEulerError
+from newton_euler.euler_parameters import rotation
 from newton_euler.joints import Fixed, Revolute, Spherical
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.redundancy import rows_in_use
@@ -159,3 +162,34 @@ def test_a_flat_start_leaves_no_pivot_that_is_usually_zero(formulation):
     assert min(rows.scales) > 1e-9 * max(rows.scales)
     with pytest.raises(NewtonEulerError, match=r"at t = 0 s: the run starts at rest at a singular.*joint '"):
         newton_euler.simulate(scene, "relative" if formulation is Relative else "cartesian")
+
+
+@pytest.mark.parametrize("own", [False, True], ids=["a state of upright bars", "drawn flat"])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("windows", [2, 5])
+def test_from_flat_bars_the_rows_are_those_of_upright_ones(windows, formulation, own):
+    """Where bars lie flat a row a window is dependent that is not elsewhere."""
+    upright = load("four_bar", N=windows)
+    flat = from_flat(upright, windows)
+    if own:
+        flat = replace(flat, mechanism=drawn_at(flat.mechanism, flat.initial_state))
+    rows, redundant = rows_in_use(formulation(flat))
+    expected, also_redundant = rows_in_use(formulation(upright))
+    assert len(rows.numbers) == len(expected.numbers)
+    assert len(redundant) == len(also_redundant)
+
+
+def drawn_at(mechanism: Mechanism, state: State) -> Mechanism:
+    """The mechanism of hinges with another state's pose as its own."""
+    bodies = [
+        replace(body, center_of_mass=state.position[k], quaternion=state.quaternion[k])
+        for k, body in enumerate(mechanism.bodies)
+    ]
+    joints = []
+    for joint in mechanism.joints:
+        k = mechanism.body_index(joint.first)
+        body, turned = mechanism.bodies[k], rotation(state.quaternion[k])
+        arm = rotation(body.quaternion).T @ (joint.point - body.center_of_mass)
+        point = state.position[k] + turned @ arm
+        joints.append(replace(joint, point=point, point_on_second=point))
+    return Mechanism(bodies, joints)
