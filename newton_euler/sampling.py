@@ -25,8 +25,8 @@ periods meet only up to round-off."""
 
 
 MOST_IDLE = 100_000
-"""Numbers in the table of a march that is kept for the next run. Making one ready takes a tenth of a short
-run; beside one with more outputs it is nothing."""
+"""Numbers in the table and a matrix of a march that is kept for the next run. Making one ready takes a tenth
+of a short run; beside a longer one it is nothing."""
 
 
 class Interval(NamedTuple):
@@ -131,15 +131,16 @@ class Marched(NamedTuple):
 
 
 def march_sampled(code: Code, x: Array, options: Options) -> Marched:
-    """Run from x (inputs,), which ends up at the end."""
+    """Run from x (inputs,), which is changed."""
     from newton_euler.steppers.run import March
 
     if not code.scene.sampled:
         march = code.idle.pop(options, None) or March(code, code.scene.times, options)
         arrays, stopped = march.attempt(x)
-        if march.table.size <= MOST_IDLE:
-            code.idle = {options: march}
-        return Marched(arrays, march.counted, stopped)
+        counts = march.counted
+        if march.table.size + code.size**2 <= MOST_IDLE:
+            code.idle = {options: march}  # another thread may take it from here on
+        return Marched(arrays, counts, stopped)
     parts: list[dict[str, Array]] = []
     total: Counter[str] = Counter()
     for interval in intervals(code.scene):

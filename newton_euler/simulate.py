@@ -115,8 +115,7 @@ class CompiledScene(Code):
         from newton_euler.sampling import march_sampled
         from newton_euler.steppers.run import load
 
-        if options not in self.idle:
-            load(self, options.integrator)
+        load(self, options.integrator)
         x = self.start.copy()
         start = time.perf_counter()
         arrays, counts, stopped = march_sampled(self, x, options)

@@ -89,7 +89,7 @@ def march_rk4(
 ) -> int:
     """Integrate `now` from times[0] and write the states at all times into the table (outputs, n).
 
-    `now` and `at` are states with time and parameters; k (4, n + 1) and total (n + 2) are scratch.
+    `now` and `at` are states with time and parameters; k (4, n + 1) and total (n) are scratch.
     """
     row = n + 1
     status = begin(
@@ -176,7 +176,7 @@ def march_euler(
     point where they did, they would grow by half of their square times h^2 in a step. What gyroscopic
     torques add is the method's own, see `newton_euler.integrate.FIXED`.
 
-    k (n + 2) and last (n,) are scratch.
+    k (n + 1) and last (n,) are scratch.
     """
     status = begin(
         n, projecting, tolerance, inputs, lanes, position, velocity, closing, beside, now, table, counts

@@ -1,9 +1,9 @@
 """Dense LU with partial pivoting, real and complex, for Newton's iterations of implicit steppers.
 
-Matrices are shifted Jacobians, lambda - J. Of a system of second order the rates of coordinates are
-velocities alone, so J begins with a block of zeros, the matrix with lambda times the identity of `m` rows:
-eliminated as it stands, it leaves the velocities to be pivoted and solved (E. Hairer, G. Wanner, Solving
-Ordinary Differential Equations II, second edition, Springer 1996, section IV.8).
+Matrices are shifted Jacobians, lambda - J. Rates of hinges and slides are velocities alone, so J begins with
+a block of zeros, as far as the first Euler parameters, and the matrix with a diagonal block of `m` rows:
+eliminated as it stands, it leaves the rest to be pivoted and solved (E. Hairer, G. Wanner, Solving Ordinary
+Differential Equations II, second edition, Springer 1996, section IV.8).
 
 Written for native code, see `newton_euler.native`; it runs as plain Python as well. Matrices are stored
 column by column; a complex one as its real and its imaginary parts in two matrices (Golub and Van Loan,
@@ -17,7 +17,7 @@ from newton_euler.native import Vector, native
 
 @native
 def zero_block(n: int, a: Vector) -> int:
-    """The number of rows of the block of zeros with which a (n, n) begins."""
+    """The number of rows of the block of zeros with which a (n, n), by rows or by columns, begins."""
     for m in range(n):
         for k in range(m + 1):
             if a[n * m + k] != 0.0 or a[n * k + m] != 0.0:
@@ -27,7 +27,10 @@ def zero_block(n: int, a: Vector) -> int:
 
 @native
 def factor_real(n: int, m: int, a: Vector, pivots: Vector) -> int:
-    """LU of a (n, n) in place, rows from m on exchanged as `pivots` (n,) says; 1 if singular, else 0."""
+    """LU of a (n, n), which begins with a diagonal block of m rows, in place; 1 if it is singular, else 0.
+
+    Rows from m on are exchanged as `pivots` (n,) says.
+    """
     for k in range(n):
         best = k
         if k >= m:
@@ -76,7 +79,7 @@ def solve_real(n: int, m: int, a: Vector, pivots: Vector, x: Vector) -> None:
 
 @native
 def factor_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector) -> int:
-    """LU of a + ib (n, n) in place; 1 if it is singular, else 0."""
+    """LU of a + ib (n, n) as of `factor_real`; 1 if it is singular, else 0."""
     for k in range(n):
         best = k
         if k >= m:

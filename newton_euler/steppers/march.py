@@ -236,7 +236,8 @@ def record_rows(
 ) -> int:
     """Put rows `first` to `end` of a table of states on the constraints, if wanted; returns a status.
 
-    Near a singular configuration (`near` is 1) they are by the dense path. x has the parameters.
+    Near a singular configuration (`near` is 1) they are by the dense path. x has the parameters; the rest of
+    it and `beside` are scratch.
     """
     row = first
     while projecting == 1 and row < end:

@@ -222,9 +222,9 @@ class March:
                 empty(4 * n), empty(3 * n + 3), empty(3 * n + 2), empty(3 * n), empty(4 * n * n),
                 empty(2 * n), *result,
             ),
-            "RK4": lambda: (*fixed, *system, self.x, at, empty(4 * (n + 1)), empty(n + 2), *result),
+            "RK4": lambda: (*fixed, *system, self.x, at, empty(4 * (n + 1)), empty(n), *result),
             "Euler": lambda: (
-                *fixed, code.function("rate"), *system, self.x, empty(n + 2), empty(n), *result,
+                *fixed, code.function("rate"), *system, self.x, empty(n + 1), empty(n), *result,
             ),
         }  # fmt: skip
         self.outputs = Outputs(code, times, self.x, self.table)
