@@ -89,7 +89,7 @@ def march_rk4(
 ) -> int:
     """Integrate `now` from times[0] and write the states at all times into the table (outputs, n).
 
-    `now` and `at` are states with time and parameters; k (4, n + 1) and total (n) are scratch.
+    `now` and `at` are states with time and parameters; k (4, n + 1) and total (n,) are scratch.
     """
     row = n + 1
     status = begin(
@@ -104,9 +104,10 @@ def march_rk4(
             counts[REACHED] = now[n]
             if interrupted(pause, counts) == 1:
                 return INTERRUPTED
-            for i in range(n + 1):
+            for i in range(n):
                 at[i] = now[i]
                 total[i] = 0.0
+            at[n] = now[n]
             health = NEAR
             for s in range(4):
                 status = evaluate(n, derivative, dense, at, k[row * s :], counts)
