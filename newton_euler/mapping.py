@@ -66,7 +66,7 @@ class Mapped:
         became: `CONTROL`, `FORCE`, `ROTOR`, or "" for anything else.
         topic: which of the things that a file can say of the element it is about, "" for all that it says.
         inert: whether nothing would move otherwise with the element as the file has it.
-        parts: what the file says, of what was not carried over exactly.
+        parts: what the file says, of what was not carried over exactly or moves nothing.
     """
 
     element: str
@@ -93,8 +93,10 @@ class Mapping:
         self.entries: list[Mapped] = []
         self.start: list[str] = []
 
-    def exactly(self, element: str, how: str, became: str = "") -> None:
-        self.entries.append(Mapped(element, "exactly", how, became))
+    def exactly(self, element: str, how: str, became: str = "", unseen: Part | None = None) -> None:
+        """`unseen` is what the file says that moves nothing as it is, such as the gear of an idle motor."""
+        parts = () if unseen is None else (unseen,)
+        self.entries.append(Mapped(element, "exactly", how, became, inert=unseen is not None, parts=parts))
 
     def approximated(self, element: str, how: str, *parts: Part, became: str = "", topic: str = "") -> None:
         self.entries.append(Mapped(element, "approximated", how, became, topic, parts=parts))

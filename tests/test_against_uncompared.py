@@ -272,3 +272,24 @@ def test_limits_of_what_moves_no_mass_are_compared_too(tmp_path: Path) -> None:
     wider = tip.replace('upper="1"', 'upper="2"')
     ((text, _),) = apart(first, loaded(tmp_path, "two.urdf", LIMITED.replace("</robot>", wider)))
     assert text.startswith("joint 't', limits: range")
+
+
+MOTOR = '<motor name="m" joint="a" gear="2"/>'
+DRIVEN = SINGLE.replace("</mujoco>", f"<actuator>{MOTOR}</actuator></mujoco>")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('gear="2"', 'gear="3"', "actuator 'm': gear 2 0 0 here, 3 0 0 there"),
+        (MOTOR, "", "only here: actuator 'm': exactly: control law of joint"),
+    ],
+)
+def test_what_drives_nothing_is_told_of(tmp_path: Path, old: str, new: str, told: str) -> None:
+    """A motor whose control is 0: no figure sees its gear, and nothing would move otherwise."""
+    assert DRIVEN.count(old) == 1
+    first, second = loaded(tmp_path, "one.xml", DRIVEN), loaded(tmp_path, "two.xml", DRIVEN.replace(old, new))
+    assert not apart(first, first)
+    ((found, moves),) = apart(first, second)
+    assert found.startswith(told)
+    assert not moves

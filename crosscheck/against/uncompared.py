@@ -76,9 +76,9 @@ def _format(model: Model) -> str:
 
 
 def _entries(model: Model) -> list[Mapped]:
-    """What was not carried over exactly."""
+    """What was not carried over exactly, or moves nothing as the file has it."""
     entries = model.mapping.entries if model.mapping else ()
-    return [entry for entry in entries if entry.fate != "exactly"]
+    return [entry for entry in entries if entry.fate != "exactly" or entry.parts]
 
 
 def _texts_apart(here: list[Mapped], there: list[Mapped], alike: bool) -> Iterator[Uncompared]:

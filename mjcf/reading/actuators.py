@@ -94,7 +94,8 @@ class Actuators:
                     part.element, "; ".join([how, *filter(None, limits)]), part, became=became
                 )
             else:
-                report.exactly(part.element, how, became)
+                silent = self._control(actuator) == 0.0
+                report.exactly(part.element, how, became, part if silent else None)
 
     @property
     def laws(self) -> tuple[PD, ...]:
