@@ -77,6 +77,12 @@ def test_an_error_that_does_not_fall_excuses_nothing(far, finer, settled):
     assert not_judged(rows) == more
 
 
+def positions_unsettled(rows):
+    """The engine for which the positions of two runs are not judged, or "", by the names of the two."""
+    positions = [row for row in rows if (row.level, row.quantity) == ("trajectories", "positions, m")]
+    return {row.between: row.unsettled for row in positions}
+
+
 def test_a_run_that_does_not_converge_is_told_from_the_one_it_is_compared_with():
     """Three engines: errors of the second that hide what the first gains are not the first's."""
     scene = replace(pendulum(), duration=0.1)
@@ -85,8 +91,7 @@ def test_a_run_that_does_not_converge_is_told_from_the_one_it_is_compared_with()
     rows = verdicts(
         scene, [off("newton_euler", 1e-6, 1e-8), off("mujoco", -8e-6, 1e-5), off("pinocchio", 0, 0)]
     )
-    positions = [row for row in rows if (row.level, row.quantity) == ("trajectories", "positions, m")]
-    assert {row.between: row.unsettled for row in positions} == {
+    assert positions_unsettled(rows) == {
         ("newton_euler", "mujoco"): "mujoco",
         ("newton_euler", "pinocchio"): "",
         ("mujoco", "pinocchio"): "mujoco",
@@ -99,8 +104,7 @@ def test_engines_that_are_not_judged_with_one_are_with_another():
     rows = verdicts(
         scene, [off("newton_euler", -2e-4, -2.4e-4), off("mujoco", 8e-5, 2e-5), off("pinocchio", 7e-5, 2e-5)]
     )
-    positions = [row for row in rows if (row.level, row.quantity) == ("trajectories", "positions, m")]
-    assert {row.between: row.unsettled for row in positions} == {
+    assert positions_unsettled(rows) == {
         ("newton_euler", "mujoco"): "mujoco",
         ("newton_euler", "pinocchio"): "pinocchio",
         ("mujoco", "pinocchio"): "",
