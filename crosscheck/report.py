@@ -19,7 +19,9 @@ from crosscheck.comparison.samples import admissible_basis, body_units
 from crosscheck.model_files.read import report_lines
 from crosscheck.run import Crosscheck
 from crosscheck.stiffness import explicit_steps, fastest_decay
+from newton_euler.redundancy import mobility
 from newton_euler.relative import Relative
+from newton_euler.scene import Scene
 
 IMPLICIT = ("Radau", "implicitfast")
 """Integrators that engines take for stiff scenes by themselves."""
@@ -121,8 +123,22 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
     if count:
         rows = "a redundant row" if count == 1 else f"{count} redundant rows"
         yield f"reactions not unique: {rows} at joints {', '.join(joints)}; each engine has its own"
+    yield from redundancy_lines(result.scene)
     yield from not_compared(result.rows)
     yield from (f"advice, {advice}" for advice in result.advice)
+
+
+def redundancy_lines(scene: Scene) -> Iterator[str]:
+    """Constraints that are almost redundant, how they are taken, and what takes them otherwise."""
+    decided = mobility(scene)
+    for weak in decided.nearly:
+        if weak.taken == "redundant":
+            other = "redundancy_tolerance=0 takes it literally"
+        else:
+            other = f"redundancy_tolerance={2.0 * weak.singular_value:.0e} takes it as redundant"
+        yield f"nearly redundant, {weak}; {other}"
+    if decided.nearly and decided.degrees_of_freedom == 0:
+        yield "the mechanism has no degree of freedom"
 
 
 def _start_line(result: Crosscheck) -> str:

@@ -31,7 +31,7 @@ from newton_euler.assemble import assemble
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mapping import Mapping, unique_name
 from newton_euler.mechanism import Mechanism
-from newton_euler.scene import Scene
+from newton_euler.scene import REDUNDANCY_TOLERANCE, Scene
 from newton_euler.state import State
 from newton_euler.tree import unweld_loops
 
@@ -69,6 +69,7 @@ def read(
     duration: float = DURATION,
     output_period: float = OUTPUT_PERIOD,
     root: str | None = None,
+    redundancy_tolerance: float = REDUNDANCY_TOLERANCE,
 ) -> Reading:
     """Read an MJCF file.
 
@@ -77,22 +78,25 @@ def read(
         key: name of the keyframe to start from, or "qpos0"; the first keyframe if None, if there is one.
         duration, output_period: of the scene, s.
         root: folder that all files have to be in that it refers to, see `mjcf.reading.source`.
+        redundancy_tolerance: of the scene, see `newton_euler.Scene`.
 
     Raises:
         MjcfError: naming the file and the element at fault.
     """
     with heard_warnings() as warnings:
-        found = _reading(os.fspath(path), key, duration, output_period, root)
+        found = _reading(os.fspath(path), key, duration, output_period, root, redundancy_tolerance)
     found.report.start.extend(f"MuJoCo warns: {warning}" for warning in warnings)
     return found
 
 
-def _reading(where: str, key: str | None, duration: float, output_period: float, root: str | None) -> Reading:
+def _reading(
+    where: str, key: str | None, duration: float, output_period: float, root: str | None, tolerance: float
+) -> Reading:
     report = Mapping()
     start = Start(where, compiled(where, root), key, report)
     try:
         bodies = Bodies(start, report)
-        scene = _scene(where, start, bodies, report, duration, output_period)
+        scene = _scene(where, start, bodies, report, duration, output_period, tolerance)
     except SourceError:
         raise
     except NewtonEulerError as error:
@@ -104,7 +108,13 @@ def _reading(where: str, key: str | None, duration: float, output_period: float,
 
 
 def _scene(
-    path: str, start: Start, bodies: Bodies, report: Mapping, duration: float, output_period: float
+    path: str,
+    start: Start,
+    bodies: Bodies,
+    report: Mapping,
+    duration: float,
+    output_period: float,
+    tolerance: float,
 ) -> Scene:
     model: Any = start.model
     if len(bodies.bodies) < 2:
@@ -135,6 +145,7 @@ def _scene(
             *(BallArmature(joint, a) for joint, a in of_balls.items()),
         ),
         description=f"{Path(path).name} from {start.key}",
+        redundancy_tolerance=tolerance,
     )
     return _moving(scene, start, bodies, report)
 

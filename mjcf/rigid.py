@@ -18,6 +18,7 @@ import numpy as np
 from mjcf.evaluate import constraint_jacobian, evaluation, mass_and_force
 from mjcf.loops import loops
 from mjcf.model import CompiledScene
+from newton_euler.redundancy import constraint_rank
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.solve import solve_constrained
@@ -117,7 +118,9 @@ class RigidMuJoCo(CompiledScene):
         gamma = -self.velocity_product(q, v)
         gamma[self._coupled] += self.couplings.acceleration(self.time)
         mass, force = self.mass_and_force()
-        return solve_constrained(mass, force, self._jacobian(), gamma, self.phi_units, self.velocity_units)
+        return solve_constrained(
+            mass, force, self._jacobian(), gamma, self.phi_units, self.velocity_units, constraint_rank(self)
+        )
 
     def mass_and_force(self) -> tuple[Array, Array]:
         """M (nv, nv) and f (nv,) of M vdot = f + J^T lambda at the state that MuJoCo has, by MuJoCo."""

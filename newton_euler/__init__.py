@@ -5,7 +5,7 @@ from newton_euler.assemble import assemble
 from newton_euler.batch import simulate_batch
 from newton_euler.control import PD, Sampled
 from newton_euler.couplings import Gear
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.motions import Polynomial, PrescribedMotion, Sine, Sum
@@ -23,6 +23,7 @@ __all__ = [
     "Gear",
     "JointSpring",
     "Mechanism",
+    "NearlyRedundantWarning",
     "NewtonEulerError",
     "PointSpring",
     "Polynomial",

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from newton_euler.closure import MUST_CLOSE
 from newton_euler.scalars import Array
 from newton_euler.solve import RANK_TOLERANCE
 
@@ -55,10 +56,14 @@ def assembled(
     """
     dof = int(np.argmax(np.abs(moved)))
     bending = ", ".join(dict.fromkeys(repr(joints[k]) for k in side.columns[:MOST_NAMES]))
+    offset = [
+        f"loops keep an offset of {closed:.1e} (m or rad): the digits of the file do not close them better"
+    ]
     return [
         f"assembled next to {start}: closed to {closed:.1e}, joint {joints[dof]!r} moved most, "
         f"by {moved[dof]:.3g}, bodies by up to {apart:.3g} m",
         f"branch: {SIDES[side.same].format(start, bending)}",
+        *(offset if closed > MUST_CLOSE else []),
     ]
 
 

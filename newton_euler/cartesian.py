@@ -14,6 +14,8 @@ the Euler-parameter rows are stabilised like the others (erratum 11), and the gr
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from newton_euler.blame import fastest_joint
@@ -24,11 +26,13 @@ from newton_euler.euler_parameters import matrix_g, matrix_l
 from newton_euler.force_terms import power, rotors_energy, springs_energy
 from newton_euler.measured import carried_angles, carried_rates
 from newton_euler.reactions import at_joint_points, pushes
+from newton_euler.redundancy import constraint_rank
 from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros
 from newton_euler.solve import independent_rows, singular_values
 from newton_euler.sparse import Rows, RowsInUse, Solution, add, dense, factorise, sparse_vector
 from newton_euler.sparse import solve_constrained as sparse_solve
 from newton_euler.state import Evaluation, MassProperties, State, energies
+from newton_euler.tree import SpanningTree
 
 
 class Cartesian(CartesianTerms):
@@ -73,8 +77,12 @@ class Cartesian(CartesianTerms):
         """
         matrix, right = self.system(q, qdot)
         n = self.nv
+        used = np.ones(self.rows)
+        used[self.omitted] = 0.0
+        matrix[n:], right[n:] = used[:, None] * matrix[n:], used * right[n:]
         phi_q = matrix[n:, :n]
-        combine = independent_rows(phi_q, self.row_units, self.velocity_units)
+        rank = constraint_rank(self) - len(self.bodies)  # without the norms of p
+        combine = independent_rows(phi_q, self.row_units, self.velocity_units, rank)
         force_rows = np.concatenate([self.force_units, np.ones(len(self.bodies))])
         left = np.zeros((n + combine.shape[1],) * 2)
         left[:n, :n] = matrix[:n, :n] * self.velocity_units / force_rows[:, None]
@@ -206,6 +214,23 @@ class Cartesian(CartesianTerms):
         zero = np.zeros(self.nv)
         phi_q, _ = self.joint_jacobian(q, self.frames(q, zero))
         return self.phi(q), [*phi_q, *self.norm_terms(q, zero)[1]]
+
+    def rows_of(self, relative: Collection[int]) -> list[int]:
+        """Rows of `phi` that hold these of the joint-coordinate form, and all that its tree holds."""
+        cuts, used, number = SpanningTree(self.mechanism).cuts, set(relative), 0
+        numbers: list[int] = []
+        starts = np.cumsum([0, *(equations.count for equations in self.equations)])
+        for joint, start in enumerate(starts[:-1]):
+            if joint not in cuts:
+                numbers.extend(range(start, starts[joint + 1]))
+        for joint in cuts:
+            for row in range(starts[joint], starts[joint + 1]):
+                if number in used:
+                    numbers.append(int(row))
+                number += 1
+        coupled = range(starts[-1], self.rows)
+        numbers.extend(row for k, row in enumerate(coupled, start=number) if k in used)
+        return sorted([*map(int, numbers), *range(self.rows, self.rows + len(self.bodies))])
 
     def retract(self, q: Array, step: Array) -> Array:
         """q + step with Euler parameters of norm 1; carried angles follow."""

@@ -21,13 +21,13 @@ from newton_euler.errors import UnknownNameError
 from newton_euler.expression import Graph, Program, differentiate
 from newton_euler.fingerprint import fingerprint
 from newton_euler.parameters import parameter_values, place_of, with_values
-from newton_euler.redundancy import rows_in_use
+from newton_euler.redundancy import LOOSE, NearlyRedundant, mobility, rows_in_use
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array, Scalar, minimum
 from newton_euler.scene import Scene
 from newton_euler.sparse import RowsInUse, least_squares
 from newton_euler.stabilize import PAPER_ALPHA, baumgarte_alpha
-from newton_euler.steppers.march import ANGLE, QUATERNION, QUATERNION_WITH_RATES
+from newton_euler.steppers.march import ANGLE, OPEN_TOLERANCE, QUATERNION, QUATERNION_WITH_RATES
 from newton_euler.system import at_time
 
 if TYPE_CHECKING:
@@ -181,19 +181,40 @@ class Code:
         return made
 
     @cached_property
-    def _rows(self) -> tuple[RowsInUse, list[int]]:
+    def _decided(self) -> tuple[RowsInUse, bool, tuple[NearlyRedundant, ...]]:
+        """Rows in use, whether multipliers are not unique, and what is nearly redundant."""
+
+        def decide() -> tuple[RowsInUse, bool, tuple[NearlyRedundant, ...]]:
+            decided, rows = mobility(self.scene), rows_in_use(self.system)
+            unused = len(self.system.phi_units) - len(rows.numbers)
+            if isinstance(self.system, Relative):  # where rows may be zero everywhere
+                unused = len(decided.redundant)
+            return rows, unused > 0, decided.nearly
+
         with np.errstate(all="ignore"):  # forces that overflow are for the march to report
-            return self._remembered("rows", lambda: rows_in_use(self.system))
+            return self._remembered("rows", decide)
 
     @property
     def rows(self) -> RowsInUse:
         """Constraint rows that imply all others."""
-        return self._rows[0]
+        return self._decided[0]
 
     @property
     def redundant(self) -> bool:
         """Whether reactions are not unique."""
-        return len(self._rows[1]) > 0
+        return self._decided[1]
+
+    @property
+    def nearly_redundant(self) -> tuple[NearlyRedundant, ...]:
+        """Constraints that are almost redundant, and how they are taken."""
+        return self._decided[2]
+
+    @cached_property
+    def omitted(self) -> list[int]:
+        """Constraint rows that are taken as redundant and are not, quite: all but those in use."""
+        if all(weak.taken != "redundant" for weak in self.nearly_redundant):
+            return []
+        return sorted(set(range(len(self.system.phi_units))) - set(self.rows.numbers))
 
     @property
     def redundant_joints(self) -> tuple[str, ...]:
@@ -208,10 +229,12 @@ class Code:
 
     def float_system(self, x: Array) -> Formulation:
         """The float form at the time and the parameters in x (inputs,)."""
-        if not self.parameters:
-            return at_time(self.system, x[self.size])
-        scene = with_values(self.scene, self._values(x))
-        return at_time(formulate(scene, self.formulation, self._alpha), x[self.size])
+        system = self.system
+        if self.parameters:
+            scene = with_values(self.scene, self._values(x))
+            system = formulate(scene, self.formulation, self._alpha)
+        system.omitted = self.omitted
+        return at_time(system, x[self.size])
 
     def place(self, parameter: str) -> int:
         """Where a parameter begins in x (inputs,)."""
@@ -271,12 +294,20 @@ class Code:
         norms = [q[place] @ q[place] - 1.0 for place in system.quaternions]
         q = system.retract(q, np.zeros(system.nv))  # quaternions of norm 1
         phi, step, health = self._correction(system, q, None)
-        return [*system.retract(q, -step), *v, phi @ phi + sum(norm * norm for norm in norms), health]
+        return [*system.retract(q, -step), *v, self._open(phi) + sum(norm * norm for norm in norms), health]
+
+    def _open(self, phi: Array) -> Scalar:
+        """Square of dimensionless residuals (k,); rows that are omitted may open by more than the others."""
+        weights = np.ones(len(phi))
+        if self.omitted:
+            weights[self.omitted] = OPEN_TOLERANCE / (LOOSE * self.scene.redundancy_tolerance)
+        weighted = weights * phi
+        return weighted @ weighted
 
     def _trace_velocity(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """(q, v on the constraints, squared residual of positions, health)."""
         phi, step, health = self._correction(system, q, v)
-        return [*q, *(v - step), phi @ phi, health]
+        return [*q, *(v - step), self._open(phi), health]
 
     def _correction(self, system: Formulation, q: Array, v: Array | None) -> tuple[Array, Array, Scalar]:
         """Residuals, the least step (nv,) that removes them or their rate at v, and its health; all

@@ -90,6 +90,10 @@ class AssemblyError(NewtonEulerError):
         )
 
 
+class NearlyRedundantWarning(UserWarning):
+    """Constraints that noise in the numbers of a mechanism keeps from being redundant."""
+
+
 class StoppedError(NewtonEulerError):
     """Base of errors of runs, in any engine, that end before their time.
 

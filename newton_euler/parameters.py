@@ -30,6 +30,7 @@ from newton_euler.control import Law
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.mechanism import Body
+from newton_euler.redundancy import inherit_mobility
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 
@@ -118,7 +119,9 @@ def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
 
 def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """The scene with other values of some parameters, scalars of any kind, which are not checked."""
-    return _substitute(scene, values, _altered)
+    changed = _substitute(scene, values, _altered)
+    inherit_mobility(changed, scene)
+    return changed
 
 
 def _substitute(scene: Scene, values: Mapping[str, Any], change: Callable[..., Any]) -> Scene:

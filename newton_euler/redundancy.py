@@ -1,23 +1,39 @@
-"""Which constraint rows say all that all of them say, found before a scene is compiled.
+"""Redundant constraints and the degrees of freedom they leave, decided once for each scene.
 
-Redundant rows are so in every configuration; a row that is dependent in one configuration only is none.
-So several configurations are looked at, the initial one and, if that is not enough, others.
+A constraint row is redundant if it follows from the others in every configuration; a row that depends on
+the others in one configuration only, as in a dead center, is none. So several configurations are examined.
+
+Files are rarely exact: axes tilted by 1e-12 to 1e-7 rad and points rounded to 1e-6 m leave rows that add
+very little to the others, although the design is plainly redundant. Taken literally they would lock the
+mechanism. Rows whose independent part is smaller than `Scene.redundancy_tolerance` count as redundant
+where a gap sets them apart, and are named with their singular value (on such models see J. Garcia de Jalon
+and M. D. Gutierrez-Lopez, Multibody System Dynamics 30, 2013). The decision is made in joint coordinates,
+with each row in units of the motions that it is a difference of; all other forms of the equations, dense
+and sparse, of every engine, take the degrees of freedom from it.
+
 Everything is sparse: scenes may have thousands of rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from newton_euler.relative_terms import RelativeTerms
 from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.solve import singular_values
 from newton_euler.sparse import (
     Factor,
     Rows,
     RowsInUse,
+    Solution,
     add,
+    dense,
     dot,
     factorise,
     gram,
@@ -26,123 +42,289 @@ from newton_euler.sparse import (
 )
 from newton_euler.state import State
 
-if TYPE_CHECKING:
-    from newton_euler.compiled import Formulation
-
 CONFIGURATIONS = 4
-"""How many configurations decide."""
+"""Number of configurations that decide."""
 
 REACH = 0.1
-"""How far they lie apart: radians, and sizes of the mechanism."""
+"""Distance between them: radians, and sizes of the mechanism."""
 
-EMPTY = 1e-12
-"""Length of a dimensionless row below which it is round-off."""
+ROUND_OFF = 1e-10
+"""Independent part of a row below which it is round-off, whatever the scene's tolerance."""
+
+NAMED = 1e-13
+"""Singular value of a closed initial pose above which a redundant row is not exactly redundant."""
 
 CERTAIN = 1e-4
-"""Share of its diagonal element in the Gram matrix above which a pivot is no round-off; a pivot is the
-square of what its row adds to those before it, so that smaller ones leave doubt."""
+"""Pivot of the Gram matrix above which its row is independent: a pivot is the square of what the row adds to
+those before it, so that smaller ones leave doubt."""
 
-DEPENDENT = 1e-7
-"""Share of a row that it must add to the others at least; round-off is below that if all rows in use
-are certain, and a row that adds less is near singular anyway."""
+GAP = 10.0
+"""Least ratio of the weakest independent row to the strongest redundant one."""
+
+LOOSE = 10.0
+"""Residual of a nearly redundant constraint in units of the scene's tolerance: noise of that size times the
+largest angles, and sizes of the mechanism, that joints move by."""
+
+SUSPECT = 1e-2, 100.0
+"""Singular value below which, and distance to the next larger one from which, a row that is taken literally
+looks like one of a design that was meant to be redundant."""
+
+DENSE_LIMIT = 4_000_000
+"""Largest number of elements of a Jacobian whose singular values are computed to name them."""
 
 NEWTON_STEPS = 30
 """From a singular configuration Newton's steps converge slowly."""
 
 CLOSED = 1e-11
-"""Residual, dimensionless, of a configuration that is near enough to the constraints to be looked at."""
+"""Residual, dimensionless, of the independent rows of a configuration that is closed."""
 
 
-def rows_in_use(system: Formulation) -> tuple[RowsInUse, list[int]]:
-    """The rows of `system.phi_and_jacobian` that are independent and imply all others.
+class Equations(Protocol):
+    """Any form of the equations of a scene, with constraints that hold all of the scene's."""
 
-    Also which of the others are not zero everywhere: then multipliers are not unique.
+    scene: Scene
+    nv: int
+
+
+class Eliminated(Equations, Protocol):
+    """A form that sparse elimination solves."""
+
+    def coordinates(self, state: State) -> tuple[Array, Array]: ...
+
+    def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution: ...
+
+    def rows_of(self, relative: Collection[int]) -> list[int]:
+        """Rows of `phi` that hold these of the joint-coordinate form, and all that its tree holds."""
+
+
+class NearlyRedundant(NamedTuple):
+    """A constraint that is almost implied by the others."""
+
+    joint: str
+    """Name of the joint or gear with the largest share in it."""
+    singular_value: float
+    """Dimensionless, of the constraint Jacobian in joint coordinates."""
+    taken: Literal["redundant", "literally"]
+
+    def __str__(self) -> str:
+        return f"joint {self.joint!r}: singular value {self.singular_value:.1e}, taken {self.taken}"
+
+
+class Configuration(NamedTuple):
+    """Constraint rows at a closed configuration."""
+
+    q: Array
+    rows: Rows
+    """Dimensionless."""
+    independent: list[int]
+
+
+@dataclass(frozen=True, eq=False)
+class Mobility:
+    """Degrees of freedom of a scene.
+
+    Attributes:
+        degrees_of_freedom: number of independent velocities where no configuration is singular.
+        independent: rows of the joint-coordinate form that imply all others.
+        redundant: other rows that are not zero everywhere: with them multipliers are not unique.
+        nearly: constraints that are almost redundant, and how they are taken.
+        residual: largest singular value that is taken as redundant; 0 if all are exactly so.
+        states: configurations that were examined and are closed, at rest.
+        regular: whether the independent rows are so in each of them.
     """
-    q, v = system.coordinates(system.scene.initial_state)
+
+    degrees_of_freedom: int
+    independent: list[int]
+    redundant: list[int]
+    nearly: tuple[NearlyRedundant, ...]
+    states: list[State]
+    regular: list[bool]
+
+    @property
+    def residual(self) -> float:
+        return max((weak.singular_value for weak in self.nearly if weak.taken == "redundant"), default=0.0)
+
+
+_KNOWN: WeakKeyDictionary[Scene, Mobility] = WeakKeyDictionary()
+
+
+def mobility(scene: Scene) -> Mobility:
+    """Decide which constraints of a scene are redundant; asked again for the same scene, the same."""
+    if scene not in _KNOWN:
+        with np.errstate(all="ignore"):  # what overflows is reported by a run
+            _KNOWN[scene] = _mobility(RelativeTerms(scene))
+    return _KNOWN[scene]
+
+
+def constraint_rank(system: Equations) -> int:
+    """Number of independent constraints of any form of a scene's equations."""
+    return system.nv - mobility(system.scene).degrees_of_freedom
+
+
+def inherit_mobility(scene: Scene, of: Scene) -> None:
+    """Give a scene with the same geometry as another one what has been decided of that, if it has been."""
+    if of in _KNOWN:
+        _KNOWN[scene] = _KNOWN[of]
+
+
+def rows_in_use(system: Eliminated) -> RowsInUse:
+    """Select rows of a form of the equations that are independent and imply all others."""
+    decided = mobility(system.scene)
+    numbers = system.rows_of(decided.independent)
+    pivots = []
+    for state, regular in zip(decided.states, decided.regular, strict=True):
+        if regular:  # elsewhere, as where the four-bar is flat, pivots are zero or round-off
+            q, _ = system.coordinates(state)
+            solution = system.sparse_solution(q, np.zeros(system.nv), RowsInUse(numbers))
+            pivots.append((solution.pivots, solution.mass_pivots))
+    scales, mass_scales = (
+        [float(max(column)) for column in zip(*each, strict=True)] for each in zip(*pivots, strict=True)
+    )
+    return RowsInUse(numbers, scales, mass_scales)
+
+
+def _mobility(system: RelativeTerms) -> Mobility:
+    seen, alive = _examine(system)
+    best = max(seen, key=lambda at: len(at.independent))
+    independent, rest = best.independent, np.zeros(system.nv)
+    regular = [
+        at.independent == independent
+        or len(_independent([at.rows[i] for i in independent], 0.0).order) == len(independent)
+        for at in seen
+    ]
+    return Mobility(
+        system.nv - len(independent),
+        independent,
+        sorted(alive - set(independent)),
+        tuple(_nearly(system, best)),
+        [system.state(at.q, rest) for at in seen],
+        regular,
+    )
+
+
+def _nearly(system: RelativeTerms, at: Configuration) -> Iterator[NearlyRedundant]:
+    """Small singular values on both sides of the rank."""
+    if not 0 < len(at.rows) * system.nv <= DENSE_LIMIT:
+        return
+    u, s, _ = singular_values(dense(at.rows, system.nv))
+    smallest, apart = SUSPECT
     own, _ = system.coordinates(State.initial(system.scene.mechanism))
+    exact, rank = NAMED if np.array_equal(at.q, own) else CLOSED, len(at.independent)
+    for k, value in enumerate(s):
+        redundant = k >= rank and value > exact
+        literally = 0 < k < rank and value < smallest and value * apart < s[k - 1]
+        if redundant or literally:
+            weights: dict[str, float] = {}
+            for owner, share in zip(system.row_owners, u[:, k] ** 2, strict=True):
+                weights[owner] = weights.get(owner, 0.0) + share
+            joint = max(weights, key=lambda owner: weights[owner])
+            yield NearlyRedundant(joint, float(value), "redundant" if redundant else "literally")
+
+
+def _examine(system: RelativeTerms) -> tuple[list[Configuration], set[int]]:
+    """Examine closed configurations; also which rows are not zero in all of them."""
+    tolerance = system.scene.redundancy_tolerance
+    pose = State.initial(system.scene.mechanism)
+    q, v = system.coordinates(pose if system.scene.initial_state is None else system.scene.initial_state)
+    own, _ = system.coordinates(pose)
     directions = _directions(system, v)
-    best: list[int] = []
-    alive: set[int] = set()  # rows that are not zero everywhere
-    seen: list[tuple[Array, Rows, list[int]]] = []
+    alive: set[int] = set()
+    seen: list[Configuration] = []
     for number in range(CONFIGURATIONS):
-        phi, jacobian = system.phi_and_jacobian(q)
-        if number == 0 or np.max(np.abs(phi / system.phi_units), initial=0.0) < CLOSED:
-            rows = _dimensionless(system, jacobian)
-            alive.update(i for i, row in enumerate(rows) if _length(row) > EMPTY)
-            found = sorted(_independent(rows).order)
-            seen.append((q, rows, found))
-            best = max(best, found, key=len)
-        if number > 0 and len(best) == len(alive):
+        phi, rows = _scaled(system, q)
+        found = sorted(_independent(rows, tolerance).order)
+        others = np.delete(phi, found)
+        if number == 0 or (
+            _largest(phi[found]) < CLOSED and _largest(others) < max(CLOSED, LOOSE * tolerance)
+        ):
+            alive.update(i for i, row in enumerate(rows) if _length(row) > ROUND_OFF)
+            seen.append(Configuration(q, rows, found))
+        best = max(seen, key=lambda at: len(at.independent))
+        if number > 0 and len(best.independent) == len(alive):
             break  # all that can be
         if number == 0 and not np.array_equal(own, q):
             q = own
         else:
-            regular, _, _ = max(seen, key=lambda each: len(each[2]))
-            q = _neighbour(system, regular, next(directions))
-    rest = np.zeros(system.nv)
-    solutions = [
-        system.sparse_solution(q, rest, RowsInUse(best))
-        for q, rows, found in seen
-        # where the rows in use depend on each other, as on the flat four-bar, pivots are zero or round-off
-        if found == best or len(_independent([rows[i] for i in best]).order) == len(best)
-    ]
-    scales, mass_scales = (
-        [float(max(column)) for column in zip(*pivots, strict=True)]
-        for pivots in (
-            [solution.pivots for solution in solutions],
-            [solution.mass_pivots for solution in solutions],
-        )
-    )
-    return RowsInUse(best, scales, mass_scales), sorted(alive - set(best))
+            q = _neighbour(system, best.q, next(directions))
+    return seen, alive
 
 
-def _dimensionless(system: Formulation, jacobian: Rows) -> Rows:
-    units = system.velocity_units
-    return [
-        {k: x * units[k] / unit for k, x in row.items()}
-        for row, unit in zip(jacobian, system.phi_units, strict=True)
+def apparent_rank(values: Array, tolerance: float) -> int:
+    """Rank that the singular values (n,) of a matrix suggest, by the rule for the rows of a scene."""
+    largest = float(np.max(values, initial=0.0))
+    exact = int(np.sum(values > ROUND_OFF * max(1.0, largest)))
+    for rank in range(1, exact):
+        if values[rank] <= tolerance * largest and GAP * values[rank] <= values[rank - 1]:
+            return rank
+    return exact
+
+
+def _scaled(system: RelativeTerms, q: Array) -> tuple[Array, Rows]:
+    """Dimensionless residuals and Jacobian rows, each in units of its own motions."""
+    phi, jacobian = system.phi_and_jacobian(q)
+    units, scales = system.velocity_units, system.phi_units * system.row_scales(q)
+    rows = [
+        {k: x * units[k] / scale for k, x in row.items()} for row, scale in zip(jacobian, scales, strict=True)
     ]
+    return phi / scales, rows
+
+
+def _largest(residuals: Array) -> float:
+    return float(np.max(np.abs(residuals), initial=0.0))
 
 
 def _length(row: dict[int, float]) -> float:
     return float(np.sqrt(sum(x * x for x in row.values())))
 
 
-def _independent(rows: Rows) -> Factor:
-    """Factor of the Gram matrix of rows that imply all others; `Factor.order` are these rows."""
-    rows = [row if _length(row) > EMPTY else {} for row in rows]
+def _independent(rows: Rows, tolerance: float) -> Factor:
+    """Factor the Gram matrix of independent rows; `Factor.order` are these rows.
+
+    Rows are added by what is new in them, the most first, until less than `tolerance` is new and a gap
+    separates it; where there is none, until the rest is round-off.
+    """
+    rows = [row if _length(row) > ROUND_OFF else {} for row in rows]
     products = gram(rows, rows)
     order = [i for i in pattern_order(products) if rows[i]]
-    factor = factorise(products, order, drop=CERTAIN)
-    doubtful = [i for i in order if i not in set(factor.order)]
-    # a random combination of rows adds nothing only if none of them does: one look for all of them
-    weights = np.random.default_rng(1).uniform(1.0, 2.0, len(doubtful))
-    together: dict[int, float] = {}
-    for i, weight in zip(doubtful, weights, strict=True):
-        for k, x in rows[i].items():
-            add(together, k, weight * x)
-    while doubtful and _remainder(rows, factor, together) > DEPENDENT:
+    factor = factorise(products, order, scales=[1.0] * len(rows), drop=CERTAIN)
+    used = set(factor.order)
+    doubtful = [i for i in order if i not in used]
+    least = np.sqrt(CERTAIN)
+    while doubtful and _together(rows, factor, doubtful) > ROUND_OFF:
         shares = [_remainder(rows, factor, rows[i]) for i in doubtful]
-        if max(shares) <= DEPENDENT:
+        share = max(shares)
+        if share <= ROUND_OFF or (share <= tolerance and GAP * share <= least):
             break
+        least = min(least, share)
         found = doubtful.pop(int(np.argmax(shares)))
         factor = factorise(products, [*factor.order, found])
     return factor
 
 
+def _together(rows: Rows, factor: Factor, doubtful: list[int]) -> float:
+    """Length of what is new in a random combination of rows: round-off only if nothing is new in any."""
+    weights = np.random.default_rng(1).uniform(1.0, 2.0, len(doubtful))
+    together: dict[int, float] = {}
+    for i, weight in zip(doubtful, weights, strict=True):
+        for k, x in rows[i].items():
+            add(together, k, weight * x)
+    return _remainder(rows, factor, together)
+
+
 def _remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
-    """Share of a row that is new to those of a factor; solved twice, for the digits lost by squaring."""
+    """Length of the part of a row that is new to those of a factor; solved twice, for digits that squaring
+    loses."""
     left = dict(row)
     for _ in range(2):
         right = {j: dot(rows[j], left) for j in factor.order}
         for j, share in factor.solve({j: x for j, x in right.items() if x != 0.0}).items():
             for k, x in rows[j].items() if share != 0.0 else ():
                 left[k] = left.get(k, 0.0) - share * x
-    return _length(left) / _length(row)
+    return _length(left)
 
 
-def _directions(system: Formulation, v: Array) -> Iterator[Array]:
-    """Where to look for other configurations: where velocities go, then anywhere.
+def _directions(system: RelativeTerms, v: Array) -> Iterator[Array]:
+    """Yield directions to other configurations: the velocity's, then random ones.
 
     From a singular configuration random steps lead off all of its branches, and what they come back to is too
     near to it to tell; a velocity is that of a branch.
@@ -155,28 +337,28 @@ def _directions(system: Formulation, v: Array) -> Iterator[Array]:
         yield system.velocity_units * rng.uniform(-1.0, 1.0, system.nv)
 
 
-def _neighbour(system: Formulation, q: Array, direction: Array) -> Array:
-    """Another configuration that meets the constraints, some way off in a direction."""
-    phi, jacobian = system.phi_and_jacobian(q)
+def _neighbour(system: RelativeTerms, q: Array, direction: Array) -> Array:
+    """Find another configuration that meets the independent constraints, some way off in a direction."""
+    tolerance, unit = system.scene.redundancy_tolerance, system.velocity_units
     step = REACH * direction
-    rate = np.array([sum(x * step[k] for k, x in row.items()) for row in jacobian])
-    q = system.retract(q, step - _least(system, jacobian, rate))
+    _, rows = _scaled(system, q)
+    rate = np.array([sum(x * step[k] / unit[k] for k, x in row.items()) for row in rows])
+    q = system.retract(q, step - _least(rows, _independent(rows, tolerance), rate, unit))
     for _ in range(NEWTON_STEPS):
-        phi, jacobian = system.phi_and_jacobian(q)
-        if np.max(np.abs(phi / system.phi_units), initial=0.0) < 0.01 * CLOSED:
+        phi, rows = _scaled(system, q)
+        factor = _independent(rows, tolerance)
+        if _largest(phi[factor.order]) < 0.01 * CLOSED:
             break
-        q = system.retract(q, -_least(system, jacobian, phi))
+        q = system.retract(q, -_least(rows, factor, phi, unit))
     return q
 
 
-def _least(system: Formulation, jacobian: Rows, right: Array) -> Array:
-    """The shortest dimensionless step (nv,) with J step = right, dependent rows left out."""
-    rows = _dimensionless(system, jacobian)
-    factor = _independent(rows)
-    scaled = sparse_vector(right / system.phi_units)
-    weights = factor.solve({i: x for i, x in scaled.items() if i in set(factor.order)})
-    step = np.zeros(system.nv)
+def _least(rows: Rows, factor: Factor, right: Array, unit: Array) -> Array:
+    """The shortest step (nv,), in dimensionless terms, with rows @ (step / unit) = right."""
+    used = set(factor.order)
+    weights = factor.solve({i: x for i, x in sparse_vector(right).items() if i in used})
+    step = np.zeros(len(unit))
     for i in factor.order:
         for k, x in rows[i].items():
-            step[k] += x * weights.get(i, 0.0) * system.velocity_units[k]
+            step[k] += x * weights.get(i, 0.0) * unit[k]
     return step

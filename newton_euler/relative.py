@@ -24,20 +24,18 @@ import numpy as np
 
 from newton_euler.armature import BallArmature
 from newton_euler.balls import ends, spin_rate
-from newton_euler.constraints import Frame
-from newton_euler.couplings import turns
 from newton_euler.errors import SingularityError
-from newton_euler.euler_parameters import product
 from newton_euler.force_terms import power, rotors_energy, springs_energy
 from newton_euler.links import Link
-from newton_euler.measured import carried_angles, carried_rates
+from newton_euler.measured import carried_rates
 from newton_euler.reactions import tree_reactions
+from newton_euler.redundancy import constraint_rank
 from newton_euler.relative_terms import RelativeTerms
 from newton_euler.scalars import Array, Scalar
 from newton_euler.solve import solve_constrained
-from newton_euler.sparse import Rows, RowsInUse, Solution, dense, factorise, sparse_vector
+from newton_euler.sparse import RowsInUse, Solution, dense, factorise, sparse_vector
 from newton_euler.sparse import solve_constrained as sparse_solve
-from newton_euler.state import Evaluation, MassProperties, State, energies
+from newton_euler.state import Evaluation, MassProperties, energies
 
 
 class Relative(RelativeTerms):
@@ -65,9 +63,6 @@ class Relative(RelativeTerms):
         multipliers = self.sparse_solution(q, v, self.in_use).multipliers
         return total - sum(rate * multipliers.get(k, 0.0) for k, rate in enumerate(self.phi_t()))
 
-    def _frames(self, q: Array, v: Array) -> list[Frame]:
-        return [link.frame for link in self.links(q, v)]
-
     def acceleration(self, q: Array, v: Array) -> Array:
         """qddot (nv,)."""
         return self._solve(q, v, self.links(q, v))[0]
@@ -76,8 +71,11 @@ class Relative(RelativeTerms):
         mass, force = self.mass_and_force(q, v, links)
         _, rows, gamma = self.loop_terms(q, v, links)
         jacobian = dense(rows, self.nv)
+        jacobian[self.omitted], gamma[self.omitted] = 0.0, 0.0
         try:
-            return solve_constrained(mass, force, jacobian, gamma, self.phi_units, self.velocity_units)
+            return solve_constrained(
+                mass, force, jacobian, gamma, self.phi_units, self.velocity_units, constraint_rank(self)
+            )
         except np.linalg.LinAlgError as error:
             raise self._singularity(mass, force) from error
 
@@ -118,62 +116,11 @@ class Relative(RelativeTerms):
         solution = self.sparse_solution(q, v, rows)
         return np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)]), solution.health
 
-    def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
-        """Residuals (k,) of loop closures and couplings, and the nonzeros of their Jacobian (k, nv)."""
-        v = np.zeros(self.nv)
-        return self.loop_terms(q, v, self.links(q, v))[:2]
-
-    def phi(self, q: Array) -> Array:
-        """Residuals (k,) of loop closures and couplings."""
-        return self.phi_and_jacobian(q)[0]
-
-    def phi_jacobian(self, q: Array) -> Array:
-        """Derivative (k, nv) of `phi` along `retract`, and of `phi`'s rate by v."""
-        return dense(self.phi_and_jacobian(q)[1], self.nv)
-
-    def retract(self, q: Array, step: Array) -> Array:
-        """q moved by a small step (nv,); quaternions come out with norm 1."""
-        moved = self.tree.retract(q, step)
-        if self.nq == self.tree.nq:
-            return moved
-        angles = q[self.tree.nq : self.work.start] + carried_rates(self.between, self._frames(q, step))
-        return np.concatenate([moved, angles, q[self.work]])
-
     # Between this formulation's coordinates and what everybody understands
 
     def mass_properties(self) -> MassProperties:
         """What the bodies weigh: as the mechanism states."""
         return MassProperties.of(self.mechanism)
-
-    def coordinates(self, state: State) -> tuple[Array, Array]:
-        """q and v of a state; angles within half a turn or where couplings ask for, no work done."""
-        q, v = self.tree.coordinates(state)
-        if self.nq == self.tree.nq and not self.couplings:
-            return q, v
-        links = self.links(q, v)
-        work = np.zeros(self.nq - self.work.start)
-        q = np.concatenate([q, carried_angles(self.between, [link.frame for link in links]), work])
-        x = {key: seen.x for key, seen in self.measured(q, v, links).items()}
-        for key, turn in turns(self.couplings, x, self.angles, self.time).items():
-            q[self.angles[key]] += turn
-        return q, v
-
-    def state(self, q: Array, v: Array) -> State:
-        """Body poses and velocities."""
-        return self._state(self.links(q, v))
-
-    def _state(self, links: list[Link]) -> State:
-        frames = [link.frame for link in links]
-        quaternions = [
-            product(link.orientation, body.quaternion)
-            for link, body in zip(links, self.mechanism.bodies, strict=True)
-        ]
-        return State(
-            np.array([frame.position for frame in frames]),
-            np.array(quaternions),
-            np.array([frame.velocity for frame in frames]),
-            np.array([frame.angular_velocity for frame in frames]),
-        )
 
     def velocity_transformation(self, q: Array) -> Array:
         """(6 b, nv): v and omega of body 0, 1, ... for each joint velocity."""

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from newton_euler import balls
 from newton_euler.armature import Armature, BallArmature
-from newton_euler.constraints import Jacobian
-from newton_euler.couplings import couplings, row_owners, row_units
+from newton_euler.constraints import Frame, Jacobian
+from newton_euler.couplings import couplings, row_owners, row_units, turns
+from newton_euler.euler_parameters import product
 from newton_euler.force_terms import Surroundings, body_wrenches
 from newton_euler.links import Link, tree_links
-from newton_euler.measured import Key, coordinates, wanted
+from newton_euler.measured import Key, carried_angles, carried_rates, coordinates, wanted
 from newton_euler.scalars import Array, Scalar, cross, zeros
 from newton_euler.scene import Scene
-from newton_euler.sparse import Rows, RowsInUse, add
+from newton_euler.sparse import Rows, RowsInUse, add, dense
+from newton_euler.state import State
 from newton_euler.tree import SpanningTree
 
 
@@ -68,6 +70,7 @@ class RelativeTerms:
         self._last: tuple[Any, tuple[Array, Array], list[Link]] | None = None
         self.time: Scalar = 0.0
         self.in_use: RowsInUse | None = None
+        self.omitted: list[int] = []
         self.couplings = couplings(scene)
         counted = wanted(scene, self.couplings)
         rotors = (armature.key for armature in scene.armatures if isinstance(armature, Armature))
@@ -116,6 +119,39 @@ class RelativeTerms:
         if self._last is None or self._last[0] != state:
             self._last = state, (q.copy(), v.copy()), tree_links(self.mechanism, self.tree, q, v)
         return self._last[2]
+
+    def _frames(self, q: Array, v: Array) -> list[Frame]:
+        return [link.frame for link in self.links(q, v)]
+
+    def coordinates(self, state: State) -> tuple[Array, Array]:
+        """q and v of a state; angles within half a turn or where couplings ask for, no work done."""
+        q, v = self.tree.coordinates(state)
+        if self.nq == self.tree.nq and not self.couplings:
+            return q, v
+        links = self.links(q, v)
+        work = np.zeros(self.nq - self.work.start)
+        q = np.concatenate([q, carried_angles(self.between, [link.frame for link in links]), work])
+        x = {key: seen.x for key, seen in self.measured(q, v, links).items()}
+        for key, turn in turns(self.couplings, x, self.angles, self.time).items():
+            q[self.angles[key]] += turn
+        return q, v
+
+    def state(self, q: Array, v: Array) -> State:
+        """Body poses and velocities."""
+        return self._state(self.links(q, v))
+
+    def _state(self, links: list[Link]) -> State:
+        frames = [link.frame for link in links]
+        quaternions = [
+            product(link.orientation, body.quaternion)
+            for link, body in zip(links, self.mechanism.bodies, strict=True)
+        ]
+        return State(
+            np.array([frame.position for frame in frames]),
+            np.array(quaternions),
+            np.array([frame.velocity for frame in frames]),
+            np.array([frame.angular_velocity for frame in frames]),
+        )
 
     # Terms of the equations of motion
 
@@ -294,3 +330,58 @@ class RelativeTerms:
         """Partial derivative (k,) of `phi` by time."""
         scleronomic = np.zeros(len(self.phi_units) - len(self.couplings))
         return np.concatenate([scleronomic, [coupling.phi_t(self.time) for coupling in self.couplings]])
+
+    def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
+        """Residuals (k,) of loop closures and couplings, and the nonzeros of their Jacobian (k, nv)."""
+        v = np.zeros(self.nv)
+        return self.loop_terms(q, v, self.links(q, v))[:2]
+
+    def phi(self, q: Array) -> Array:
+        """Residuals (k,) of loop closures and couplings."""
+        return self.phi_and_jacobian(q)[0]
+
+    def phi_jacobian(self, q: Array) -> Array:
+        """Derivative (k, nv) of `phi` along `retract`, and of `phi`'s rate by v."""
+        return dense(self.phi_and_jacobian(q)[1], self.nv)
+
+    def retract(self, q: Array, step: Array) -> Array:
+        """q moved by a small step (nv,); quaternions come out with norm 1."""
+        moved = self.tree.retract(q, step)
+        if self.nq == self.tree.nq:
+            return moved
+        angles = q[self.tree.nq : self.work.start] + carried_rates(self.between, self._frames(q, step))
+        return np.concatenate([moved, angles, q[self.work]])
+
+    def rows_of(self, relative: Collection[int]) -> list[int]:
+        """Rows of `phi` that hold these of the joint-coordinate form: themselves."""
+        return sorted(relative)
+
+    def row_scales(self, q: Array) -> Array:
+        """(k,) natural magnitude of the dimensionless rows of the Jacobian, for decisions on their rank.
+
+        A row of a loop is the difference of what its two branches do to the bodies that it joins. Its
+        magnitude is the largest of these contributions, so that a row in which they cancel is seen to be
+        small; that of a coupling is its own length.
+        """
+        links = self.links(q, np.zeros(self.nv))
+        scales: list[float] = []
+        for closure in self.closures:
+            first, second = links[closure.first], links[closure.second]
+            r_i, theta_i, r_j, theta_j = (
+                np.linalg.norm(block, axis=1) for block in closure.jacobian(first.frame, second.frame)
+            )
+            largest = np.zeros(closure.count)
+            for link, other, r, theta in ((first, second, r_i, theta_i), (second, first, r_j, theta_j)):
+                own = [n for n, k in enumerate(link.path) if k not in other.path]
+                units = self.velocity_units[[link.path[n] for n in own]]
+                linear = np.linalg.norm(link.linear[:, own], axis=0) * units
+                angular = np.linalg.norm(link.angular[:, own], axis=0) * units
+                share = np.outer(r, linear) + np.outer(theta, angular)
+                largest = np.maximum(largest, np.max(share, axis=1, initial=0.0))
+            scales.extend(largest / closure.units(self.mechanism.size))
+        rows = self.coupling_terms(self.measured(q, np.zeros(self.nv), links))[1]
+        for row, unit in zip(rows, self.phi_units[len(scales) :], strict=True):
+            scales.append(
+                float(np.sqrt(sum((x * self.velocity_units[k] / unit) ** 2 for k, x in row.items())))
+            )
+        return np.array([scale or 1.0 for scale in scales])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,7 +11,14 @@ import numpy as np
 
 from newton_euler.compiled import FORMULATIONS, Code
 from newton_euler.couplings import couplings
-from newton_euler.errors import IntegrationError, NewtonEulerError, OptionError, StoppedError, check_choice
+from newton_euler.errors import (
+    IntegrationError,
+    NearlyRedundantWarning,
+    NewtonEulerError,
+    OptionError,
+    StoppedError,
+    check_choice,
+)
 from newton_euler.euler_parameters import continuous
 from newton_euler.integrate import Options, integrate
 from newton_euler.sampling import holding, intervals, sample
@@ -116,6 +124,8 @@ class CompiledScene(Code):
         from newton_euler.steppers.run import load
 
         load(self, options.integrator)
+        for weak in self.nearly_redundant:
+            warnings.warn(f"scene {self.scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=3)
         x = self.start.copy()
         start = time.perf_counter()
         arrays, counts, stopped = march_sampled(self, x, options)

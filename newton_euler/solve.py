@@ -1,8 +1,9 @@
 """Dense linear algebra of constrained dynamics, for floats.
 
-Ranks are decided on dimensionless matrices: rows in metres are divided by the mechanism's size and so
+Ranks are decided on dimensionless matrices: rows in meters are divided by the mechanism's size and so
 are velocities in m/s. Entries of a constraint Jacobian are then of order 1 whatever the size of the
-mechanism, and a row of round-off is told from a constraint.
+mechanism, and a row of round-off is told from a constraint. A rank is at most the one that
+`newton_euler.redundancy` decided for the scene; in a singular configuration it is less.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ def singular_values(matrix: Array, full: bool = False) -> tuple[Array, Array, Ar
     return u, s, vt
 
 
-def numerical_rank(singular_values: Array) -> int:
-    """How many singular values of a dimensionless matrix are not round-off."""
-    return int(np.sum(singular_values > RANK_TOLERANCE * max(1.0, np.max(singular_values, initial=0.0))))
+def numerical_rank(singular_values: Array, most: int | None = None) -> int:
+    """Number of singular values of a dimensionless matrix that are not round-off, `most` if that is less."""
+    found = int(np.sum(singular_values > RANK_TOLERANCE * max(1.0, np.max(singular_values, initial=0.0))))
+    return found if most is None else min(found, most)
 
 
 def rank(matrix: Array) -> int:
@@ -36,32 +38,43 @@ def rank(matrix: Array) -> int:
     return numerical_rank(singular_values(matrix)[1]) if matrix.size else 0
 
 
-def minimum_norm(matrix: Array, right: Array, row_units: Array, column_units: Array) -> Array:
-    """The x (n,) of least dimensionless length with matrix @ x = right in the least-squares sense.
+def minimum_norm(
+    matrix: Array, right: Array, row_units: Array, column_units: Array, most: int | None = None
+) -> Array:
+    """Compute the x (n,) of least dimensionless length with matrix @ x = right in the least-squares sense.
 
     Args:
         matrix: (k, n); right: (k,).
         row_units, column_units: (k,) and (n,) units of the rows and of x.
+        most: the largest rank that the matrix is taken to have.
     """
     if not matrix.size:
         return np.zeros(matrix.shape[1])
     u, s, vt = singular_values(matrix * column_units / row_units[:, None])
-    r = numerical_rank(s)
+    r = numerical_rank(s, most)
     return np.asarray(column_units * (vt[:r].T @ ((u[:, :r].T @ (right / row_units)) / s[:r])))
 
 
-def independent_rows(jacobian: Array, row_units: Array, column_units: Array) -> Array:
-    """(k, r) combinations of the rows of a Jacobian that hold all it says, without redundancy.
+def independent_rows(
+    jacobian: Array, row_units: Array, column_units: Array, most: int | None = None
+) -> Array:
+    """(k, r) combinations of the rows of a Jacobian that imply all of them, r at `most` so many.
 
     With them as C, constraints J a = gamma become C^T J a = C^T gamma, and multipliers mu of those are
     lambda = C mu: of all equivalent multipliers the smallest, in dimensionless terms.
     """
     u, s, _ = singular_values(jacobian * column_units / row_units[:, None])
-    return np.asarray(u[:, : numerical_rank(s)] / row_units[:, None])
+    return np.asarray(u[:, : numerical_rank(s, most)] / row_units[:, None])
 
 
 def solve_constrained(
-    mass: Array, force: Array, jacobian: Array, gamma: Array, row_units: Array, column_units: Array
+    mass: Array,
+    force: Array,
+    jacobian: Array,
+    gamma: Array,
+    row_units: Array,
+    column_units: Array,
+    most: int | None = None,
 ) -> tuple[Array, Array]:
     """Acceleration a (n,) and multipliers lambda (k,) of M a = f + J^T lambda, J a = gamma.
 
@@ -75,7 +88,7 @@ def solve_constrained(
     lower = np.linalg.cholesky(mass)
     if not jacobian.size:
         return np.linalg.solve(lower.T, np.linalg.solve(lower, force)), np.zeros(len(gamma))
-    combine = independent_rows(jacobian, row_units, column_units)
+    combine = independent_rows(jacobian, row_units, column_units, most)
     columns = np.linalg.solve(lower, np.column_stack([force, jacobian.T @ combine]))
     free = columns[:, 0]
     q, r = np.linalg.qr(columns[:, 1:])
@@ -89,9 +102,9 @@ def orthonormal_range(matrix: Array) -> Array:
     return np.asarray(u[:, : numerical_rank(s)])
 
 
-def orthonormal_null(matrix: Array) -> Array:
-    """Orthonormal columns that span the null space of a dimensionless matrix."""
+def orthonormal_null(matrix: Array, most: int | None = None) -> Array:
+    """Orthonormal columns that span the null space of a dimensionless matrix of at `most` this rank."""
     if not matrix.size:
         return np.eye(matrix.shape[1])
     _, s, vt = singular_values(matrix, full=True)
-    return np.asarray(vt[numerical_rank(s) :].T)
+    return np.asarray(vt[numerical_rank(s, most) :].T)

@@ -27,7 +27,7 @@ def evaluations(scene: Scene) -> Iterator[tuple[str, Evaluation, Evaluation]]:
             q, v = system.coordinates(state)
             found[system.name] = system.evaluate(q, v)
             if isinstance(system, Relative | Cartesian):
-                rows, _ = rows_in_use(system)
+                rows = rows_in_use(system)
                 found[f"sparse {system.name}"] = system.sparse_evaluation(q, v, rows)[0]
         wanted = found.pop("relative")
         for other, evaluation in found.items():

@@ -16,8 +16,10 @@ from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import from_rotation
 from newton_euler.forces import JointSpring
 from newton_euler.joints import Rod
+from newton_euler.redundancy import constraint_rank, mobility
 from newton_euler.scalars import Array, Scalar
 from newton_euler.scene import Scene
+from newton_euler.solve import rank
 from newton_euler.stabilize import joint_residuals
 from newton_euler.state import Evaluation, MassProperties, State
 from newton_euler.tree import weld_loops
@@ -27,7 +29,7 @@ from urdf.errors import UrdfError
 from urdf.forces import PointForces
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia
-from urdf.proximal import SHARE, beside, converged, plain, redundant_rows, regularised
+from urdf.proximal import SHARE, converged, plain, regularised
 from urdf.reactions import actuator, driven, external_forces, joint_wrenches, reactions
 from urdf.rotors import Rotors
 from urdf.rows import Rows, solve
@@ -133,12 +135,13 @@ class PinocchioSystem:
         """
         q, _ = self.coordinates(self.scene.initial_state)
         self._place(q)
-        self._redundant = redundant_rows(self._dimensionless())
+        jacobian = self._dimensionless()
+        closures = constraint_rank(self) - len(self._rows.units)  # the latter are independent as a rule
+        self._redundant = len(jacobian) - min(rank(jacobian), closures)
         if not self._redundant:
             return plain()
         settings = self._regularised(q)
-        self._place(beside(self, q))
-        self._redundant = min(self._redundant, redundant_rows(self._dimensionless()))
+        self._redundant = len(jacobian) - closures  # the start may be singular, where more are
         return settings
 
     def _dimensionless(self) -> Array:
@@ -154,7 +157,8 @@ class PinocchioSystem:
         )
         mass = self.map.v_from_pinocchio(self.map.v_from_pinocchio(upper + np.triu(upper, 1).T).T)
         # those of closed poses that are not singular: next to one, or drifted open, others would be counted
-        return regularised(self._dimensionless(), mass, self._redundant)
+        nearly = mobility(self.scene).residual > 0.0
+        return regularised(self._dimensionless(), mass, self._redundant, nearly)
 
     # What integrators, projection and assembly ask for
 

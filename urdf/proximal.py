@@ -12,14 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.errors import AssemblyError
 from newton_euler.scalars import Array
-from newton_euler.solve import rank
-from newton_euler.stabilize import project_position
-from newton_euler.system import System
-
-NEAR = 0.3
-"""rad, and sizes of the mechanism."""
 
 MU = 1e-6
 """Regularisation of redundant closures against the mean of the diagonal of J M^-1 J^T, in units of the
@@ -42,36 +35,26 @@ CONVERGED = 1e-6
 near a singular one, or redundant closures that contradict each other because they have drifted open."""
 
 
-def beside(system: System, q: Array) -> Array:
-    """A closed configuration near q, as a rule not singular where q is; q itself if none is found."""
-    step = system.velocity_units * np.random.default_rng(0).uniform(-NEAR, NEAR, system.nv)
-    try:
-        return project_position(system, system.retract(q, step))
-    except AssemblyError:
-        return q
-
-
-def redundant_rows(jacobian: Array) -> int:
-    """How many rows of a dimensionless Jacobian follow from the others."""
-    return len(jacobian) - rank(jacobian)
-
-
 def plain() -> Any:
     """Elimination without regularisation, for independent closures."""
     return pin.ProximalSettings(0.0, ACCURACY, 0.0, 1)
 
 
-def regularised(jacobian: Array, mass: Array, redundant: int | None = None) -> Any:
-    """Iterations, for a dimensionless Jacobian (k, nv) with redundant rows and a mass matrix (nv, nv).
+def regularised(jacobian: Array, mass: Array, redundant: int, nearly: bool) -> Any:
+    """Choose iterations for a dimensionless Jacobian (k, nv) and a mass matrix (nv, nv).
 
-    `redundant` is the number of these rows; they are counted if it is not given.
+    Args:
+        redundant: number of rows that follow from the others.
+        nearly: whether they do so but for noise of the file. Iterations would take the noise for constraints
+            in the end; regularized as much as the independent rows allow, they do not get that far.
     """
     response = jacobian @ np.linalg.solve(mass, jacobian.T)
     mean = float(np.mean(np.diag(response)))
-    redundant = redundant_rows(jacobian) if redundant is None else redundant
     nonzero = np.linalg.eigvalsh(response)[redundant:]
     weakest = float(nonzero[0]) if len(nonzero) else np.inf
-    mu = min(MU * max(mean, 1.0), max(SHARE * weakest, LEAST * mean))
+    mu = max(SHARE * weakest, LEAST * mean)
+    if not nearly:
+        mu = min(MU * max(mean, 1.0), mu)
     return pin.ProximalSettings(0.0, ACCURACY, mu, ITERATIONS)
 
 

@@ -14,7 +14,7 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from newton_euler.joints import Fixed, Joint, Rod, Spherical
 from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, Part, unique_name, value
 from newton_euler.measured import Key
 from newton_euler.mechanism import Mechanism
-from newton_euler.scene import Scene
+from newton_euler.scene import REDUNDANCY_TOLERANCE, Scene
 from newton_euler.tree import unweld_loops
 from urdf.errors import UrdfError
 from urdf.loops import Loops
@@ -54,7 +54,7 @@ PARTS = {
 }  # fmt: skip
 """What is known inside of links and joints."""
 
-CLOSURES: dict[str, type[Joint]] = {"3d": Spherical, "6d": Fixed, "rod": Rod}
+CLOSURES: dict[str, type[Joint]] = {"3d": Spherical, "6d": Fixed}
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +72,7 @@ def read(
     output_period: float = OUTPUT_PERIOD,
     base: str = "fixed",
     gravity: Sequence[float] = GRAVITY,
+    redundancy_tolerance: float = REDUNDANCY_TOLERANCE,
 ) -> Reading:
     """Read a URDF.
 
@@ -81,6 +82,7 @@ def read(
         duration, output_period: of the scene, s.
         base: "fixed" or "free", whether its root link is the ground or floats.
         gravity: (3,) of the scene, m/s^2.
+        redundancy_tolerance: of the scene, see `newton_euler.Scene`.
 
     Raises:
         UrdfError: naming the file and the element at fault.
@@ -106,8 +108,11 @@ def read(
         tree = Tree(where, start, set(closing.name_mot), report)
         _report_held(closing, report)
         tree.bodies = dressed(where, root, start, tree, report)
-        scene = _scene(
-            where, root, closed, closing, start, tree, mimics, report, duration, output_period, gravity
+        scene = replace(
+            _scene(
+                where, root, closed, closing, start, tree, mimics, report, duration, output_period, gravity
+            ),
+            redundancy_tolerance=redundancy_tolerance,
         )
         root_link = "is the ground" if base == "fixed" else "floats"
         pull = " ".join(f"{g:g}" for g in gravity)
@@ -195,8 +200,9 @@ def _closing(closed: ClosedLoopModel, loops: Loops, tree: Tree, report: Mapping)
             continue
         name = unique_name(_closure_name(pair) or f"closure_{number + 1}", "closure", taken)
         taken = [*taken, name]
-        yield CLOSURES[kind](name, a, b, p, point_on_second=q)
-        report.exactly(element, f"{CLOSURES[kind].kind} joint {name!r}")
+        # one point for both, so that the loop keeps what the file's digits leave it open by
+        yield Rod(name, a, b, p, point_on_second=q) if kind == "rod" else CLOSURES[kind](name, a, b, p)
+        report.exactly(element, f"{'rod' if kind == 'rod' else CLOSURES[kind].kind} joint {name!r}")
 
 
 def _closure_name(pair: tuple[str, str]) -> str:

@@ -29,7 +29,7 @@ LEVEL = "dynamics"
 def dynamics_rows(pair: tuple[str, str], aligned: Aligned, first: Samples, second: Samples) -> Iterator[Row]:
     """Gravity, rotors, what acts at joints and on bodies, each blamed on itself; energies, effective inertia
     and force after them. Tolerances are round-off times the condition of the constraints."""
-    share = round_off(max(first.condition, second.condition))
+    share = round_off(max(first.condition, second.condition), first.states.noise)
     scenes = (first.system.scene, second.system.scene)
     scales = Scales(first)
     failed: list[str] = []

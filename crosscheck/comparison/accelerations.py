@@ -36,7 +36,9 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
     states = first.states
     constraints, masses = max(first.condition, second.condition), states.mass_condition
     yield Row(LEVEL, "condition of masses", pair, masses, 1.0 / EPSILON, "", informs=True)
-    tolerance, looser = round_off(constraints * masses), round_off(constraints**2 * masses)
+    tolerance, looser = (
+        round_off(condition * masses, states.noise) for condition in (constraints, constraints**2)
+    )
     scales, mechanism = Scales(first), states.scene.mechanism
 
     @cache

@@ -34,7 +34,7 @@ def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Ite
         units = _actuator_units(first)
         gap = np.abs(first.stack("actuator_force") - second.stack("actuator_force")) / units
         joint = states.scene.control[int(np.argmax(gap.max(axis=0)))].joint
-        share = round_off(max(first.condition, second.condition))
+        share = round_off(max(first.condition, second.condition), states.noise)
         yield _row(pair, states, "actuator force, rel", gap, 1.0, share, lambda _: joint)
     yield from motion_rows(pair, first, second, cause)
 
@@ -43,7 +43,7 @@ def motion_rows(pair: tuple[str, str], first: Samples, second: Samples, cause: C
     """Energies, and the free motion's inertia and force, of two systems with the same bodies."""
     states = first.states
     condition = max(first.condition, second.condition)
-    share = round_off(condition)
+    share = round_off(condition, states.noise)
     for name in ("kinetic_energy", "potential_energy"):
         one, two = first.stack(name), second.stack(name)
         unit = max(states.energy, float(np.abs(one).max()))
@@ -53,7 +53,7 @@ def motion_rows(pair: tuple[str, str], first: Samples, second: Samples, cause: C
     inertia, other = ([mass for mass, _ in samples.free_motions] for samples in (first, second))
     force, push = ([force for _, force in samples.free_motions] for samples in (first, second))
     yield _row(pair, states, "effective inertia, rel", *_apart(inertia, other, 0.0), share, cause)
-    looser = round_off(condition * states.mass_condition)
+    looser = round_off(condition * states.mass_condition, states.noise)
     yield _row(pair, states, "effective force, rel", *_apart(force, push, states.energy), looser, cause)
 
 

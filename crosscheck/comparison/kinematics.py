@@ -23,7 +23,7 @@ def kinematics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> I
     scene = first.states.scene
     bodies = scene.mechanism.body_names
     condition = max(first.condition, second.condition)
-    share = round_off(condition)
+    share = round_off(condition, first.states.noise)
 
     @cache
     def cause() -> str | None:

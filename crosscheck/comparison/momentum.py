@@ -25,7 +25,8 @@ def momentum_row(name: str, samples: Samples) -> Row:
     gap = np.abs(momentum_residuals(samples)).max(axis=(0, 2))
     worst = int(np.argmax(gap))
     value = float(gap[worst]) / Scales(samples).force
-    tolerance = round_off(samples.condition**2 * samples.states.mass_condition)
+    states = samples.states
+    tolerance = round_off(samples.condition**2 * states.mass_condition, states.noise)
     body = samples.states.scene.mechanism.body_names[1 + worst]
     return Row("energy", "momentum balance, rel", (name,), value, tolerance, body)
 

@@ -15,6 +15,7 @@ import numpy as np
 from newton_euler.cartesian import Cartesian
 from newton_euler.constraints import Jacobian
 from newton_euler.couplings import couplings
+from newton_euler.redundancy import mobility
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.solve import RANK_TOLERANCE, orthonormal_null, orthonormal_range
@@ -37,7 +38,8 @@ def undetermined(scene: Scene, state: State) -> Array:
     point; world frame. What couplings and prescribed motions put on a joint's coordinates is among them.
     """
     places, size = _places(scene, state), scene.mechanism.size
-    return _acting_on_nothing([_columns(scene, state, places, len(places), size)], len(places))
+    rank = 6 * (len(scene.mechanism.bodies) - 1) - mobility(scene).degrees_of_freedom
+    return _acting_on_nothing([_columns(scene, state, places, len(places), size)], len(places), rank)
 
 
 def undetermined_in_both(first: Scene, second: Scene, joints: Mapping[str, str], state: State) -> Array:
@@ -75,9 +77,9 @@ class _Columns(NamedTuple):
     """(joints, 6, k)."""
 
 
-def _acting_on_nothing(columns: Sequence[_Columns], joints: int) -> Array:
-    """(6 j, r) of the first j joints."""
-    null = orthonormal_null(np.concatenate([part.rows for part in columns]).T)
+def _acting_on_nothing(columns: Sequence[_Columns], joints: int, rank: int | None = None) -> Array:
+    """(6 j, r) of the first j joints; `rank` is that of the rows at most."""
+    null = orthonormal_null(np.concatenate([part.rows for part in columns]).T, rank)
     wrenches = np.concatenate([part.wrenches[:joints].reshape(6 * joints, -1) for part in columns], axis=1)
     return orthonormal_range(wrenches @ null)
 

@@ -42,9 +42,17 @@ ROUND_OFF = 1e-12
 each to 1e-16. Engines lose a fiftieth of it in the scenes of the library."""
 
 
-def round_off(condition: float) -> float:
-    """Relative difference that double precision may make where a condition number magnifies it."""
-    return min(ROUND_OFF * condition, UNRESOLVED)
+NOISE = 10.0
+"""Difference that a nearly redundant constraint makes in units of its singular value: each form of the
+equations omits another combination of rows."""
+
+
+def round_off(condition: float, noise: float = 0.0) -> float:
+    """Relative difference that double precision may make where a condition number magnifies it.
+
+    Nor are motions determined better than the largest singular value that was taken as redundant, `noise`.
+    """
+    return min(max(ROUND_OFF, NOISE * noise) * condition, UNRESOLVED)
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,12 @@ from itertools import combinations
 import numpy as np
 
 from crosscheck.comparison.energy import energy_balance
-from crosscheck.comparison.rows import OWN_ERROR, ROUND_OFF, UNRESOLVED, Row, reach
+from crosscheck.comparison.rows import NOISE, OWN_ERROR, ROUND_OFF, UNRESOLVED, Row, reach
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
 from newton_euler.errors import NewtonEulerError
 from newton_euler.euler_parameters import angle_between
+from newton_euler.redundancy import mobility
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.trajectory import Trajectory
@@ -93,6 +94,7 @@ def compare_runs(
     """
     bodies, joints, times = scene.mechanism.body_names, scene.mechanism.joint_names, scene.times
     length = max(1.0, *(reach(scene, run.position) for run in runs.values()))
+    noise = NOISE * mobility(scene).residual
     finer: dict[str, Trajectory] = {}
     unable: set[str] = set()
 
@@ -178,7 +180,7 @@ def compare_runs(
                 (a, b),
                 between_two(a, b, apart),
                 apart,
-                a.trajectory_error + b.trajectory_error,
+                a.trajectory_error + b.trajectory_error + noise,
                 unit,
             )
             for quantity, apart, unit in (
@@ -193,19 +195,21 @@ def compare_runs(
         if runs[engine.name].constraint_violation is not None:
             violation = partial(_violation, engine.name)
             quantity = "open joints, m or rad"
-            yield row("drift", quantity, (engine,), violation, _violations_apart, engine.drift, length)
+            yield row(
+                "drift", quantity, (engine,), violation, _violations_apart, engine.drift + noise, length
+            )
     for a, b in still:
         kinetic = runs[a.name].kinetic_energy
         if kinetic is not None:
             unit = max(energy, float(np.max(kinetic)))
-            fixed, gap = a.energy_error + b.energy_error, between_two(a, b, _kinetic_energies_apart)
+            fixed, gap = a.energy_error + b.energy_error + noise, between_two(a, b, _kinetic_energies_apart)
             quantity = "kinetic energy, rel"
             yield row("energy", quantity, (a, b), gap, _kinetic_energies_apart, fixed, unit, unit)
     for engine in engines:
         balance = energy_balance(scene, runs[engine.name])
         if balance is not None:
             unit, apart = max(energy, balance.exchanged), _residuals_apart(scene)
-            gap, fixed = partial(_residual, scene, engine.name), engine.energy_error
+            gap, fixed = partial(_residual, scene, engine.name), engine.energy_error + noise
             yield row("energy", "energy less work, rel", (engine,), gap, apart, fixed, unit, unit)
 
 

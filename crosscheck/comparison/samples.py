@@ -15,6 +15,7 @@ from crosscheck.comparison.reactions import undetermined
 from crosscheck.comparison.terms import mass_and_force
 from crosscheck.errors import CrosscheckError
 from newton_euler.joint_geometry import JointGeometry
+from newton_euler.redundancy import constraint_rank, mobility
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -81,6 +82,11 @@ class States:
         """
         with solved(self._system, "the condition of the mass matrix"):
             return max(_equilibrated(mass_and_force(self._system, q, v)[0]) for q, v in self._coordinates)
+
+    @property
+    def noise(self) -> float:
+        """The largest singular value of the scene's constraints that was taken as redundant."""
+        return mobility(self.scene).residual
 
     @cached_property
     def undetermined(self) -> list[Array]:
@@ -199,9 +205,10 @@ def admissible_basis(system: System, q: Array, units: Array) -> tuple[Array, flo
     """
     jacobian = dimensionless_jacobian(system, q)
     transformation = system.velocity_transformation(q) * system.velocity_units
-    basis = orthonormal_range(transformation / units[:, None] @ orthonormal_null(jacobian))
+    most = constraint_rank(system)
+    basis = orthonormal_range(transformation / units[:, None] @ orthonormal_null(jacobian, most))
     values = singular_values(jacobian)[1] if jacobian.size else np.ones(1)
-    rank = numerical_rank(values)
+    rank = numerical_rank(values, most)
     return basis, float(values[0] / values[rank - 1]) if rank else 1.0
 
 

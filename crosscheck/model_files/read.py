@@ -15,11 +15,16 @@ from newton_euler.scene import Scene
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 
 
-def _number(name: str, value: str) -> float:
-    try:
-        return float(value)
-    except ValueError as error:
-        raise CrosscheckError(f"{name} is {value!r}; needed: a number of seconds") from error
+def _number(needed: str) -> Callable[[str, str], float]:
+    """A reader of numbers that says what is needed."""
+
+    def read(name: str, value: str) -> float:
+        try:
+            return float(value)
+        except ValueError as error:
+            raise CrosscheckError(f"{name} is {value!r}; needed: {needed}") from error
+
+    return read
 
 
 def _vector(name: str, value: str) -> tuple[float, float, float]:
@@ -49,14 +54,20 @@ class Option(NamedTuple):
     read: Callable[[str, str], Any]
 
 
-TIMES = {"duration": Option("SECONDS", "1", _number), "output_period": Option("SECONDS", "0.01", _number)}
+_SECONDS = _number("a number of seconds")
+
+COMMON = {
+    "duration": Option("SECONDS", "1", _SECONDS),
+    "output_period": Option("SECONDS", "0.01", _SECONDS),
+    "redundancy_tolerance": Option("NUMBER, 0 takes all constraints literally", "1e-4", _number("a number")),
+}
 """Options of all model files."""
 
-MJCF_OPTIONS = TIMES | {
+MJCF_OPTIONS = COMMON | {
     "key": Option("KEYFRAME to start from, or qpos0", "the first keyframe if there is one", _text),
     "root": Option("FOLDER that holds all files that it refers to", "its own folder", _text),
 }
-URDF_OPTIONS = TIMES | {
+URDF_OPTIONS = COMMON | {
     "loops": Option("FILE, its loop file, like --loops", "none", _text),
     "base": Option("fixed|free", "fixed", _text),
     "gravity": Option("X,Y,Z in m/s^2, or 0", "0,0,-9.81", _vector),

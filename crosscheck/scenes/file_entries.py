@@ -19,7 +19,7 @@ from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.joints import JOINT_KINDS, Compound, Joint, Screw
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
-from newton_euler.scene import OUTPUTS, Scene
+from newton_euler.scene import OUTPUTS, REDUNDANCY_TOLERANCE, Scene
 from newton_euler.shapes import Box, Capsule
 from newton_euler.state import State
 
@@ -327,6 +327,7 @@ class SceneEntry(_Strict):
     forces: list[ForceEntry] = []
     motions: list[MotionEntry] = []
     armatures: list[ArmatureEntry] = []
+    redundancy_tolerance: float = REDUNDANCY_TOLERANCE
     initial_state: dict[str, StateEntry] = {}
     outputs: list[str] = list(OUTPUTS)
 
@@ -347,6 +348,7 @@ class SceneEntry(_Strict):
             motions=tuple(motion.build() for motion in self.motions),
             armatures=tuple(armature.build() for armature in self.armatures),
             description=" ".join(self.description.split()),
+            redundancy_tolerance=self.redundancy_tolerance,
         )
 
     def _state(self, mechanism: Mechanism) -> State:

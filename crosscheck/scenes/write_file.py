@@ -17,7 +17,7 @@ from newton_euler.control import PD
 from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.joints import Compound, Joint, Screw
 from newton_euler.motions import Polynomial, Sine, TimeFunction
-from newton_euler.scene import Scene
+from newton_euler.scene import REDUNDANCY_TOLERANCE, Scene
 from newton_euler.shapes import Box, Shape
 from newton_euler.state import State
 from newton_euler.trajectory import atomic_file
@@ -89,6 +89,8 @@ def entries(scene: Scene) -> dict[str, Any]:
         "initial_state": _state(scene),
         "outputs": sorted(scene.outputs),
     }
+    if scene.redundancy_tolerance != REDUNDANCY_TOLERANCE:
+        content["redundancy_tolerance"] = scene.redundancy_tolerance
     return {key: value for key, value in content.items() if value not in ([], {}, "")}
 
 

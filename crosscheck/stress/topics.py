@@ -34,6 +34,7 @@ TOPICS = {
     "i": "many turns and high speeds",
     "j": "random mechanisms",
     "k": "floating-point traps",
+    "l": "noise in overconstrained loops",
 }
 """What is tried, by letter."""
 
@@ -361,6 +362,7 @@ def cases_of(letter: str, full: bool) -> list[Case]:
         baumgarte,
         long_runs,
         masses,
+        noise,
         rotation,
         singular,
         soft,
@@ -381,5 +383,6 @@ def cases_of(letter: str, full: bool) -> list[Case]:
         "h": singular.cases,
         "i": rotation.cases,
         "k": traps.cases,
+        "l": noise.cases,
     }
     return makers[letter](full) if letter in makers else []

@@ -81,7 +81,7 @@ class Loops:
         return numbers, (p, q)
 
     def _add_closure(self, index: int) -> None:
-        numbers, (p, q) = self._ends(index)
+        numbers, (p, _) = self._ends(index)
         first, second = (self._bodies.names[k] for k in numbers)
         if first == second:
             self._leave(index, f"both its bodies are parts of {first!r}", inert=True)
@@ -90,7 +90,8 @@ class Loops:
         weld = turns and self._model.eq_data[index, TORQUE_SCALE] != 0.0
         kind = Fixed if weld else Spherical
         name = self._name(index)
-        self.joints.append(kind(name, first, second, p, point_on_second=q))
+        # one point for both, so that the loop keeps what the file's digits leave it open by
+        self.joints.append(kind(name, first, second, p))
         self._report.exactly(self._start.equality(index), f"{kind.kind} joint {name!r}, {RIGID}")
 
     def _add_joint(self, index: int) -> None:

@@ -14,9 +14,10 @@ from mjcf.motion import body_acceleration
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.source import SourceError
 from mjcf.reading.start import Start
+from newton_euler.redundancy import apparent_rank
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
+from newton_euler.scene import REDUNDANCY_TOLERANCE, Scene
 from newton_euler.solve import solve_constrained
 from newton_euler.state import State
 
@@ -62,7 +63,8 @@ def rigid_accelerations(start: Start) -> Array:
     mass, force = mass_and_force(model, data)
     ones = np.ones(model.nv)
     gamma = np.zeros(len(rows))
-    data.qacc[:] = solve_constrained(mass, force, rows, gamma, np.ones(len(rows)), ones)[0]
+    rank = apparent_rank(np.linalg.svd(rows, compute_uv=False), REDUNDANCY_TOLERANCE) if rows.size else 0
+    data.qacc[:] = solve_constrained(mass, force, rows, gamma, np.ones(len(rows)), ones, rank)[0]
     mujoco.mj_rnePostConstraint(model, data)
     found = [np.concatenate(body_acceleration(model, data, k)) for k in range(model.nbody)]
     data.qvel[:] = velocity

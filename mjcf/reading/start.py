@@ -9,20 +9,9 @@ import numpy as np
 
 from mjcf.reading.source import SourceError
 from newton_euler.branch import assembled, branch
+from newton_euler.closure import CLOSED, close
 from newton_euler.mapping import Mapping
 from newton_euler.scalars import Array
-from newton_euler.solve import minimum_norm
-
-CLOSED = 1e-12
-"""m or rad, of what is closed as it stands: round-off of the file's own numbers."""
-
-MUST_CLOSE = 1e-9
-"""m or rad, after assembly."""
-
-NEWTON_STEPS = 60
-
-LONGEST_STEP = 0.2
-"""rad or m, of one step of assembly, so that it stays on the branch it starts on."""
 
 TORQUE_SCALE = 10
 """Where `eq_data` of a weld has the factor on its last three residuals, the vector part of a quaternion."""
@@ -142,30 +131,19 @@ class Start:
     def _close(self, report: Mapping) -> None:
         model, data = self.model, self.data
         first = data.qpos.copy()
-        before = after = self.gaps()
+        before = self.gaps()
         worst = max(before.values(), default=0.0)
         if worst <= CLOSED:
-            found = f"all {len(before)} equalities closed, to {worst:.1e}" if before else "no equalities"
-            report.start.append(f"starts from {self.key}: {found}")
+            state = f"all {len(before)} equalities closed, to {worst:.1e}" if before else "no equalities"
+            report.start.append(f"starts from {self.key}: {state}")
             self._finish()
             return
         places, rows_there = data.xipos.copy(), self.jacobian()
-        best, least = first, worst
-        for _ in range(NEWTON_STEPS):
-            rows = self.jacobian()
-            step = minimum_norm(rows, self._residuals(), np.ones(len(rows)), np.ones(model.nv))
-            step *= min(1.0, LONGEST_STEP / max(np.max(np.abs(step)), 1e-300))
-            mujoco.mj_integratePos(model, data.qpos, -step, 1.0)
-            after = self.gaps()
-            now = max(after.values())
-            if now < least:
-                best, least = data.qpos.copy(), now
-            elif least < MUST_CLOSE:
-                break
-        data.qpos[:] = best
+        found = close(first, self._at, self._moved)
+        data.qpos[:] = found.q
         after = self.gaps()
         lines = [f"{self.equality(i)} {gap:.3g}" for i, gap in before.items() if gap > CLOSED]
-        if least > MUST_CLOSE:
+        if not found.is_closed:
             index = max(after, key=lambda i: after[i])
             raise SourceError(
                 self.path,
@@ -178,8 +156,19 @@ class Start:
         apart = float(np.max(np.linalg.norm(data.xipos - places, axis=1)))
         report.start.append(f"{self.key} is open, in m or rad: {'; '.join(lines)}")
         joints = [self._joint(dof) for dof in range(model.nv)]
-        report.start.extend(assembled(self.key, side, joints, least, moved, apart))
+        report.start.extend(assembled(self.key, side, joints, found.offset, moved, apart))
         self._finish()
+
+    def _at(self, qpos: Array) -> tuple[Array, Array]:
+        """Residuals (k,) and Jacobian (k, nv) of the equalities at a configuration."""
+        self.data.qpos[:] = qpos
+        self.gaps()
+        return self._residuals(), self.jacobian()
+
+    def _moved(self, qpos: Array, step: Array) -> Array:
+        moved = qpos.copy()
+        mujoco.mj_integratePos(self.model, moved, step, 1.0)
+        return moved
 
     def _joint(self, dof: int) -> str:
         """Name of the joint that a velocity belongs to."""

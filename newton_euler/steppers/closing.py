@@ -10,9 +10,10 @@ import numpy as np
 from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import AssemblyError
 from newton_euler.mechanism import CLOSURE_TOLERANCE
+from newton_euler.redundancy import constraint_rank
 from newton_euler.scalars import Array
 from newton_euler.solve import singular_values
-from newton_euler.stabilize import largest, worst_joint
+from newton_euler.stabilize import is_closed, largest, worst_joint
 from newton_euler.system import System
 
 NEWTON_STEPS = 20
@@ -44,6 +45,8 @@ def surface(code: Code, x: Array) -> Surface:
     end = 2 * k + len(on_jacobian)
     jacobian[tuple(on_jacobian.T)] = values[2 * k : end]
     mass[tuple(on_mass.T)] = values[end:]
+    for omitted in (values[:k], values[k : 2 * k], jacobian):
+        omitted[code.omitted] = 0.0
     return Surface(values[:k], values[k : 2 * k], jacobian, mass)
 
 
@@ -74,7 +77,7 @@ def close_by(surface: Callable[[Array], Surface], system: System, x: Array) -> A
         if not largest(here.phi) < 0.5 * largest(found.phi):
             break
         found, best = here, x.copy()
-    if largest(found.phi) > CLOSURE_TOLERANCE:
+    if not is_closed(system, found.phi, found.jacobian):
         joint, gap = worst_joint(system, system.state(best[on_q], np.zeros(system.nv)))
         raise AssemblyError(joint, gap, CLOSURE_TOLERANCE)
     correct = _correction(system, found)
@@ -92,6 +95,7 @@ def _correction(system: System, found: Surface) -> Callable[[Array], Array]:
     lower = np.linalg.cholesky(mass / np.max(np.diag(mass)) + jacobian.T @ jacobian)
     u, s, vt = singular_values(np.linalg.solve(lower, jacobian.T).T)
     strong = s > WEAK * np.max(s, initial=0.0)
+    strong[constraint_rank(system) :] = False
     back = np.linalg.solve(lower.T, vt[strong].T) / s[strong]
 
     def correct(residual: Array) -> Array:

@@ -9,24 +9,13 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.branch import assembled, branch
+from newton_euler.closure import CLOSED, close
 from newton_euler.mapping import Mapping
 from newton_euler.scalars import Array
-from newton_euler.solve import minimum_norm
 from urdf.closures import Closures
 from urdf.loops import Loops
 from urdf.model import ClosedLoopModel
 from urdf.reading.source import SourceError
-
-CLOSED = 1e-12
-"""m or rad, of what is closed as it stands."""
-
-MUST_CLOSE = 1e-9
-"""m or rad, after assembly."""
-
-NEWTON_STEPS = 60
-
-LONGEST_STEP = 0.2
-"""rad or m, of one step of assembly, so that it stays on the branch it starts on."""
 
 
 class Mimic:
@@ -119,39 +108,30 @@ class Start:
             row[place] += factor
         return row
 
-    def _residual(self) -> tuple[Array, Array]:
-        pin.computeJointJacobians(self.model, self.data, self.q)
+    def _residual(self, q: Array) -> tuple[Array, Array]:
+        pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
-        x = pin.difference(self.model, self._first, self.q)
+        x = pin.difference(self.model, self._first, q)
         phi = np.concatenate([self._closures.phi(self.data), self._linear @ x + self._open])
         return phi, np.vstack([self._closures.jacobian(self.data), self._linear])
 
     def _close(self, path: str, report: Mapping) -> None:
-        phi, jacobian = self._residual()
-        before, best, least = phi, self.q, float(np.max(np.abs(phi), initial=0.0))
-        if least <= CLOSED:
-            found = f"all loops closed, to {least:.1e}" if len(phi) else "no loops"
-            report.start.append(f"starts from {self._called}: {found}")
+        before, jacobian = self._residual(self.q)
+        worst_gap = float(np.max(np.abs(before), initial=0.0))
+        if worst_gap <= CLOSED:
+            state = f"all loops closed, to {worst_gap:.1e}" if len(before) else "no loops"
+            report.start.append(f"starts from {self._called}: {state}")
             return
         places, rows_there = self._places(), jacobian
-        for _ in range(NEWTON_STEPS):
-            step = minimum_norm(jacobian, phi, np.ones(len(phi)), np.ones(self.model.nv))
-            step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), 1e-300))
-            self.q = pin.integrate(self.model, self.q, -step)
-            phi, jacobian = self._residual()
-            now = float(np.max(np.abs(phi)))
-            if now < least:
-                best, least = self.q, now
-            elif least < MUST_CLOSE:
-                break
-        self.q = best
-        phi, jacobian = self._residual()
+        found = close(self.q, self._residual, lambda q, step: pin.integrate(self.model, q, step))
+        self.q = found.q
+        phi, jacobian = self._residual(self.q)
         worst = int(np.argmax(np.abs(phi)))
-        if least > MUST_CLOSE:
+        if not found.is_closed:
             raise SourceError(
                 path,
                 f"{self._owners[worst]} cannot be closed from {self._called}: open by "
-                f"{abs(before[worst]):.3g} there, and by {least:.3g} (m or rad) at best",
+                f"{abs(before[worst]):.3g} there, and by {found.offset:.3g} (m or rad) at best",
             )
         gaps: dict[str, float] = {}
         for owner, gap in zip(self._owners, np.abs(before), strict=True):
@@ -162,7 +142,7 @@ class Start:
         apart = float(np.max(np.linalg.norm(self._places() - places, axis=1)))
         report.start.append(f"{self._called} are open, in m or rad: {lines}")
         joints = [self._joint(dof) for dof in range(self.model.nv)]
-        report.start.extend(assembled(self._called, side, joints, least, moved, apart))
+        report.start.extend(assembled(self._called, side, joints, found.offset, moved, apart))
 
     def _joint(self, dof: int) -> str:
         """Name of the joint that a velocity belongs to."""
