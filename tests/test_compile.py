@@ -8,7 +8,6 @@ import os
 import stat
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from newton_euler.cache import CACHE_VARIABLE, cache_key, read_cache, write_cach
 from newton_euler.compile import NativeFunction, NativeModule
 from newton_euler.compiled import Code
 from newton_euler.emit import LANES
-from newton_euler.errors import MechanismError
 from newton_euler.expression import Graph
 from newton_euler.native import Callback, NativeError, Signature, Vector, native
 from newton_euler.native_functions import NativeFunctions
@@ -213,42 +211,6 @@ def test_what_a_killed_run_left_is_removed_in_time(cache, monkeypatch):
     compiled(SOURCE + "; other")
     assert not old.exists()
     assert new.exists()  # its run may still be writing
-
-
-class Refused:
-    """Stands for the code of a scene whose third function cannot be traced while the first is compiled."""
-
-    def __init__(self, error: BaseException) -> None:
-        self.functions: dict[str, object] = {}
-        self.error, self.compiled = error, []
-        self.begun, self.go_on = threading.Event(), threading.Event()
-        self.compiler = threading.current_thread()
-
-    def needed(self, integrator: str) -> list[str]:
-        return ["first", "second", "third"]
-
-    def program(self, name: str) -> None:
-        if name == "third":
-            assert self.begun.wait(60.0)
-            raise self.error
-
-    def function(self, name: str, hurry: bool) -> None:
-        self.compiled.append(name)
-        self.compiler = threading.current_thread()
-        self.begun.set()
-        assert self.go_on.wait(60.0)
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), MechanismError("body 'a'", "is 1", "2")], ids=repr)
-def test_what_ends_tracing_ends_compilation(error):
-    code = Refused(error)
-    with pytest.raises(type(error)):
-        load(code, "Euler")
-    assert code.compiled == ["first"]  # still under way
-    code.go_on.set()
-    code.compiler.join(60.0)
-    assert not code.compiler.is_alive()
-    assert code.compiled == ["first"]
 
 
 def test_another_integrator_is_compiled_before_its_run():
