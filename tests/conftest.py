@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+import one_thread  # noqa: F401  # before NumPy
 import pytest
 from command_line import short_example
 

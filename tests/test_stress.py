@@ -179,20 +179,6 @@ def test_waiting_takes_no_time_of_a_case():
     assert row.verdict == "survives"
 
 
-def blas_threads():
-    return Measured(float(os.environ["OPENBLAS_NUM_THREADS"]))
-
-
-@pytest.mark.parametrize("chosen", [None, "7"])
-def test_processes_have_one_thread_each_for_matrices(monkeypatch, chosen):
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    if chosen:
-        monkeypatch.setenv("OPENBLAS_NUM_THREADS", chosen)
-    monkeypatch.setattr("crosscheck.stress.topics.cases_of", lambda letter, full: [case(blas_threads)])
-    assert [row.figure for row in stress("a", False, lambda line: None)] == [float(chosen or 1)]
-    assert os.environ.get("OPENBLAS_NUM_THREADS") == chosen
-
-
 @pytest.mark.parametrize("wanted", [1, 2, 7, 31, 32, 1000])
 def test_bisection_finds_where_it_becomes_true(wanted):
     found = last_good(lambda n: n >= wanted, 1, 5000)

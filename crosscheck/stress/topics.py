@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import os
 import signal
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Literal
@@ -303,24 +301,6 @@ def _order(case: Case, own: str, taken: set[str]) -> tuple[bool, bool, float]:
     return case.topic != own, case.topic in taken, -case.limit
 
 
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Have processes that begin meanwhile leave each other their processors, unless the user says otherwise.
-
-    OpenBLAS reads this as it is loaded. Its threads would wait for each other in all of them, and gain
-    nothing with matrices as small as these.
-    """
-    if "OPENBLAS_NUM_THREADS" in os.environ:
-        yield
-        return
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    try:
-        yield
-    finally:
-        del os.environ["OPENBLAS_NUM_THREADS"]
-
-
-@_one_thread_each()
 def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
     """Rows of all cases of some topics.
 
