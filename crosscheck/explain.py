@@ -14,7 +14,6 @@ from rich.text import Text
 
 from newton_euler.compiled import FORMULATIONS, Code, Formulation
 from newton_euler.expression import Expression, Graph, Node, operands
-from newton_euler.improve import finish_improving
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array, Scalar, minimum
 from newton_euler.scene import OUTPUTS, Scene
@@ -54,7 +53,6 @@ def explain(scene: Scene, progress: Progress) -> Iterator[Table | Text]:
         progress(f"compiling {name}")
         compiled[name] = Code(scene, name)
         load(compiled[name], "DOP853")
-    finish_improving()
     yield _heading(f"{scene.name}: {scene.description}")
     yield _table({name: structure(c) for name, c in compiled.items()})
     yield _heading("operations of a right-hand side, by term")
@@ -297,7 +295,6 @@ def features(scene: Scene) -> dict[str, Cells]:
 def _costs(scene: Scene, stabilization: str) -> Cells:
     compiled = Code(scene, stabilization=stabilization)
     load(compiled, "DOP853")
-    finish_improving()
     cells = {}
     for part, names in (
         ("derivative", ("derivative",)),

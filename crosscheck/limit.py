@@ -42,7 +42,9 @@ def heeding_interrupts() -> Iterator[None]:
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Give up what takes longer, as an interrupt from the keyboard would; in the main thread only.
+    """Give up what takes more s of processor time, as an interrupt from the keyboard would.
+
+    In the main thread only.
 
     Raises:
         CrosscheckError: if it does. Native code that looks at no interrupt runs on to its end first.
@@ -53,18 +55,18 @@ def time_limit(seconds: float) -> Iterator[None]:
         rung.append(number)
         signal.raise_signal(signal.SIGINT)
 
-    before = signal.signal(signal.SIGALRM, ring)
+    before = signal.signal(signal.SIGPROF, ring)
     try:
         with heeding_interrupts():
-            signal.setitimer(signal.ITIMER_REAL, seconds)
+            signal.setitimer(signal.ITIMER_PROF, seconds)
             try:
                 yield
             finally:
-                signal.setitimer(signal.ITIMER_REAL, 0.0)
-                signal.signal(signal.SIGALRM, before)
+                signal.setitimer(signal.ITIMER_PROF, 0.0)
+                signal.signal(signal.SIGPROF, before)
     except KeyboardInterrupt:
         if rung:
-            raise CrosscheckError(f"not finished after {seconds:g} s") from None
+            raise CrosscheckError(f"not finished after {seconds:g} s of processor time") from None
         raise
 
 

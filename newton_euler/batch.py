@@ -109,7 +109,7 @@ def simulate_batch(
     """
     from concurrent.futures import ThreadPoolExecutor
 
-    from newton_euler.steppers.run import March, improve_now, load
+    from newton_euler.steppers.run import March, load
 
     options = Options(integrator, rtol, atol, step, most_steps)
     if not isinstance(parameters, Mapping | None):
@@ -120,7 +120,6 @@ def simulate_batch(
     workers = _threads(threads)
     compiled = CompiledScene(scene, formulation, stabilization, alpha, tuple(parameters))
     load(compiled, integrator)
-    improve_now(compiled, integrator)  # many runs are worth waiting for
     starts = _starts(compiled, states, parameters)
     times = scene.times
     results = np.empty((len(starts), len(times), compiled.function("output").outputs))

@@ -12,26 +12,23 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from threading import Lock
 from typing import Any
-from weakref import WeakValueDictionary
 
 import numpy as np
 
 from newton_euler.cache import cache_key, read_cache, write_cache
 from newton_euler.emit import LANES, declarations, emit_straight
 from newton_euler.expression import Program
-from newton_euler.native import Signature, machine_type
+from newton_euler.native import Signature
 from newton_euler.rolled import emit_rolled
 from newton_euler.scalars import Array
 
 LARGE = 10_000
 """Operations from which on a program is rolled up into loops; see the table of scene sizes in README."""
 
-
-QUICK, GOOD = 0, 1
-"""LLVM's levels of code generation: the first is four times as fast, and its code takes twice as long to run.
-The second is all that programs gain from: its default makes the same code of them in a sixth more time."""
+LEVEL = 1
+"""LLVM's level of code generation: 2, its default, makes the same code of programs in a sixth more time; 0 is
+four times as fast, and its code takes twice as long to run."""
 
 PROGRAM = Signature({"x": "ptr", "y": "ptr"}, "void")
 """Of the function `f` that a program becomes."""
@@ -39,16 +36,11 @@ PROGRAM = Signature({"x": "ptr", "y": "ptr"}, "void")
 
 @lru_cache
 def llvm_binding() -> Any:
-    """LLVM's binding, told to round alike at all levels.
-
-    What selects instructions quickest does not contract products with sums as the usual selection does.
-    """
+    """LLVM's binding, ready to compile for this machine."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    for selection in ("fast-isel", "global-isel"):
-        llvm.set_option("", f"-{selection}=false")
     return llvm
 
 
@@ -56,9 +48,7 @@ class NativeModule:
     """Functions compiled together, alive as long as this object is.
 
     Attributes:
-        from_cache: whether the machine code was on disk when this was made; who shares it, see
-            `NativeFunction`, is told the same.
-        quick: whether it was made in a hurry, see `improve`.
+        from_cache: whether the machine code was on disk when this was made.
         size: bytes of the object code.
         addresses: of the functions, by name.
     """
@@ -69,7 +59,6 @@ class NativeModule:
         text: Callable[[], str],
         functions: Mapping[str, Signature],
         optimise: bool = False,
-        hurry: bool = False,
     ) -> None:
         """Compile LLVM text, or take its machine code from the cache.
 
@@ -78,9 +67,7 @@ class NativeModule:
             text: makes the text.
             functions: what others call of it.
             optimise: for code with variables, which are to live in registers; a program has none.
-            hurry: leave it to `improve` to make code that runs fast, where the cache has none.
         """
-        self._improving = Lock()
         llvm = llvm_binding()
         processor, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
         made_by = Path(__file__).read_text(encoding="utf-8")
@@ -88,14 +75,11 @@ class NativeModule:
         key = cache_key(identity, *versions)
         code = read_cache(key)
         self.from_cache = code is not None
-        self.quick = code is None and hurry
         machine = llvm.Target.from_default_triple().create_target_machine(
-            cpu=processor, features=features, opt=QUICK if self.quick else GOOD
+            cpu=processor, features=features, opt=LEVEL
         )
         if code is None:
-            plain = text()
-            entries = [_entry(*function) for function in functions.items()] if self.quick else []
-            module = llvm.parse_assembly("\n".join([plain, *entries]))
+            module = llvm.parse_assembly(text())
             if optimise:
                 # LLVM's own selection of passes takes ten times as long and gains nothing
                 passes = llvm.create_new_module_pass_manager()
@@ -104,56 +88,12 @@ class NativeModule:
                 passes.add_instruction_combine_pass()
                 passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
             code = machine.emit_object(module)
-            if self.quick:
-                self._sources = identity, lambda: plain, functions, optimise
-            else:
-                write_cache(key, code)
+            write_cache(key, code)
         self.size = len(code)
         self._engine: Any = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         self._engine.finalize_object()
-        self.addresses = {
-            name: int(self._engine.get_function_address(_ENTRY.format(name) if self.quick else name))
-            for name in functions
-        }
-
-    def improve(self) -> None:
-        """Have calls from now on, of any thread, go to code that runs fast, and keep that in the cache."""
-        with self._improving:
-            self._improve()
-
-    def _improve(self) -> None:
-        if self.quick:
-            better = self._better = NativeModule(*self._sources)
-            del self._sources
-            for name, address in better.addresses.items():
-                chosen = self._engine.get_global_value_address(_CHOSEN.format(name))
-                ctypes.c_void_p.from_address(chosen).value = address
-            self.quick, self.size = False, better.size
-
-
-_ENTRY, _CHOSEN = "{}.entry", "{}.chosen"
-"""Names of what leads to a function, and of the pointer to it."""
-
-
-def _entry(name: str, signature: Signature) -> str:
-    """A way into a function that can be led to another one while it is in use."""
-    result, types = signature.result, map(machine_type, signature.arguments.values())
-    arguments = ", ".join(f"{kind} %a{k}" for k, kind in enumerate(types))
-    found, given = ("", "void") if result == "void" else ("%result = ", f"{result} %result")
-    entry, chosen = _ENTRY.format(name), _CHOSEN.format(name)
-    return f"""
-@{chosen} = global ptr @{name}
-define {result} @{entry}({arguments}) {{
-  %function = load atomic ptr, ptr @{chosen} acquire, align 8
-  {found}tail call {result} %function({arguments})
-  ret {given}
-}}
-"""
-
-
-_HURRIED: WeakValueDictionary[str, NativeModule] = WeakValueDictionary()
-"""Modules of programs that somebody uses or that wait to be improved, which whoever asks next shares."""
+        self.addresses = {name: int(self._engine.get_function_address(name)) for name in functions}
 
 
 class NativeFunction:
@@ -163,19 +103,16 @@ class NativeFunction:
         inputs, outputs: lengths of x and y.
         lanes: how many x are taken at once, values of all of them side by side, and so many y made.
         address: of `void f(double *x, double *y)`, for native callers.
-        module: what it was compiled in; another function of the same program may share it.
+        module: what it was compiled in.
     """
 
-    def __init__(
-        self, program: Program, many: bool = False, identity: str | None = None, hurry: bool = False
-    ) -> None:
+    def __init__(self, program: Program, many: bool = False, identity: str | None = None) -> None:
         """Compile a program: straight-line code, or loops over repeated pieces if it is `LARGE`.
 
         Args:
             program: what to compile.
             many: make straight-line code for several x at once.
             identity: all that the program depends on, and this package; its text if None.
-            hurry: leave the best code to `module.improve`.
         """
         self.inputs, self.outputs = program.inputs, len(program.outputs)
         straight = program.operations < LARGE
@@ -186,12 +123,7 @@ class NativeFunction:
             return declarations(self.lanes) + body
 
         known = f"{identity}, {self.lanes} lanes, straight: {straight}" if identity else text()
-        module = _HURRIED.get(known) if hurry else None
-        if module is None:
-            module = NativeModule(known, text, {"f": PROGRAM}, hurry=hurry)
-            if hurry:
-                _HURRIED[known] = module
-        self.module = module
+        self.module = NativeModule(known, text, {"f": PROGRAM})
         self.address = self.module.addresses["f"]
         self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
 

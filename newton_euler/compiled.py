@@ -142,15 +142,15 @@ class Code:
         names += {"Euler": ["rate"], "Radau": ["jacobian"]}.get(integrator, [])
         return names + ["measured"] * bool(self.scene.sampled)
 
-    def function(self, name: str, hurry: bool = False) -> NativeFunction:
-        """One of the functions, traced and compiled if it has not been; `hurry` as of `NativeFunction`."""
+    def function(self, name: str) -> NativeFunction:
+        """One of the functions, traced and compiled if it has not been."""
         if name not in self.functions:
             program = self.program(name)
             group = next((group for group in SIDE_BY_SIDE if name in group), ())
             many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
             identity = self._identity and f"{self._identity} {name}"
             start = time.perf_counter()
-            self.functions[name] = NativeFunction(program, many, identity, hurry)
+            self.functions[name] = NativeFunction(program, many, identity)
             self.compile_time += time.perf_counter() - start
         return self.functions[name]
 

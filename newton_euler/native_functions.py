@@ -16,11 +16,11 @@ from newton_euler.translate import sources, text
 class NativeFunctions:
     """Native functions compiled together, to be called with numbers and arrays from Python."""
 
-    def __init__(self, functions: list[Callable[..., Any]], hurry: bool = False) -> None:
-        """Compile them, in a `hurry` if wanted, see `NativeModule`."""
+    def __init__(self, functions: list[Callable[..., Any]]) -> None:
+        """Compile them."""
         signatures = {function.__name__: signature_of(function) for function in functions}
         identity = " ".join(signatures) + sources(functions)
-        self.module = NativeModule(identity, lambda: text(functions), signatures, optimise=True, hurry=hurry)
+        self.module = NativeModule(identity, lambda: text(functions), signatures, optimise=True)
         self._calls = {
             name: _ctypes(signature)(self.module.addresses[name]) for name, signature in signatures.items()
         }

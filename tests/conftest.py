@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from typing import Any
 
+import one_thread  # noqa: F401  # before NumPy
 import pytest
 from command_line import short_example
+from compiler import Compiler
 
+import mjcf.reading.source
 import newton_euler
 from crosscheck.scenes import load
 from newton_euler.assemble import random_states
@@ -20,6 +23,16 @@ from newton_euler.trajectory import Trajectory
 # shells have what they start in the background ignore interrupts, which some tests send
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiler() -> Iterator[None]:
+    """MuJoCo's compiler without its imports for each file."""
+    forks = Compiler()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mjcf.reading.source, "subprocess", forks)
+        yield
+    forks.close()
 
 
 @pytest.fixture(scope="session")

@@ -8,12 +8,12 @@ import os
 import stat
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from llvmlite.binding import FeatureMap
 from mechanisms import pendulum
 from test_expression import everything, traced
 
@@ -22,7 +22,6 @@ from newton_euler.cache import CACHE_VARIABLE, cache_key, read_cache, write_cach
 from newton_euler.compile import NativeFunction, NativeModule
 from newton_euler.compiled import Code
 from newton_euler.emit import LANES
-from newton_euler.errors import MechanismError
 from newton_euler.expression import Graph
 from newton_euler.native import Callback, NativeError, Signature, Vector, native
 from newton_euler.native_functions import NativeFunctions
@@ -215,42 +214,6 @@ def test_what_a_killed_run_left_is_removed_in_time(cache, monkeypatch):
     assert new.exists()  # its run may still be writing
 
 
-class Refused:
-    """Stands for the code of a scene whose third function cannot be traced while the first is compiled."""
-
-    def __init__(self, error: BaseException) -> None:
-        self.functions: dict[str, object] = {}
-        self.error, self.compiled = error, []
-        self.begun, self.go_on = threading.Event(), threading.Event()
-        self.compiler = threading.current_thread()
-
-    def needed(self, integrator: str) -> list[str]:
-        return ["first", "second", "third"]
-
-    def program(self, name: str) -> None:
-        if name == "third":
-            assert self.begun.wait(60.0)
-            raise self.error
-
-    def function(self, name: str, hurry: bool) -> None:
-        self.compiled.append(name)
-        self.compiler = threading.current_thread()
-        self.begun.set()
-        assert self.go_on.wait(60.0)
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), MechanismError("body 'a'", "is 1", "2")], ids=repr)
-def test_what_ends_tracing_ends_compilation(error):
-    code = Refused(error)
-    with pytest.raises(type(error)):
-        load(code, "Euler")
-    assert code.compiled == ["first"]  # still under way
-    code.go_on.set()
-    code.compiler.join(60.0)
-    assert not code.compiler.is_alive()
-    assert code.compiled == ["first"]
-
-
 def test_another_integrator_is_compiled_before_its_run():
     stepper.cache_clear()
     code = Code(pendulum())
@@ -258,6 +221,21 @@ def test_another_integrator_is_compiled_before_its_run():
     assert stepper.cache_info().currsize == 1
     load(code, "RK4")  # which needs nothing else of this scene
     assert stepper.cache_info().currsize == 2
+
+
+def test_code_of_another_processor_is_another_and_says_the_same(cache, monkeypatch, tracker, tracker_states):
+    """The plainest of its kind, which rounds products and sums apart where others fuse them."""
+    codes = [Code(tracker)]
+    codes[0].function("derivative")
+    monkeypatch.setattr("llvmlite.binding.get_host_cpu_name", lambda: "generic")
+    monkeypatch.setattr("llvmlite.binding.get_host_cpu_features", FeatureMap)
+    codes.append(Code(tracker))
+    assert not codes[1].function("derivative").module.from_cache
+    for state in tracker_states[:5]:
+        x = codes[0].packed(*codes[0].system.coordinates(state))
+        here, there = (code.function("derivative")(x) for code in codes)
+        # condition numbers of 1e2, on round-off of 1e-16
+        assert np.abs(here - there).max() < 1e-13 * np.abs(here).max()
 
 
 def test_sine_and_cosine_are_the_librarys():

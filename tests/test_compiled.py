@@ -15,7 +15,7 @@ import newton_euler
 from crosscheck.scenes import SCENES, load
 from newton_euler import compile_scene
 from newton_euler.assemble import random_states
-from newton_euler.compiled import FORMULATIONS, formulate
+from newton_euler.compiled import FORMULATIONS, Code, formulate
 from newton_euler.errors import IntegrationError
 from newton_euler.euler_parameters import from_rotation_vector, rotation
 from newton_euler.integrate import Options
@@ -63,7 +63,7 @@ CONDITION = {"slider_tree": 10.0, "andrews": 10.0}
 def test_accelerations_are_the_float_forms(name, formulation, count):
     scene = BUILDS[name]()
     system = formulate(scene, formulation)
-    compiled = compile_scene(scene, formulation)
+    compiled = Code(scene, formulation)
     tolerance = 1e-12 * CONDITION.get(name, 1.0)
     for state in random_states(scene, count):
         q, v = system.coordinates(state)
@@ -94,19 +94,19 @@ def test_runs_are_the_float_forms(tracker, formulation):
 
 def test_operations_of_the_tracker(tracker):
     """No more than the limit study's 1,867; and 6,043, with a step of refinement on top."""
-    assert compile_scene(tracker).operations["derivative"] <= 1867
-    assert compile_scene(tracker, "cartesian").operations["derivative"] <= 7450
+    assert Code(tracker).program("derivative").operations <= 1867
+    assert Code(tracker, "cartesian").program("derivative").operations <= 7450
 
 
 def test_gravity_costs_nothing_when_there_is_none(tracker):
     heavy = replace(tracker, gravity=(0.0, 0.0, -9.81), initial_state=None)
-    light, with_gravity = (compile_scene(scene).operations["derivative"] for scene in (tracker, heavy))
+    light, with_gravity = (Code(scene).program("derivative").operations for scene in (tracker, heavy))
     assert light < with_gravity
 
 
 def test_outputs_that_are_not_asked_for_are_not_computed(tracker):
-    everything = compile_scene(tracker).operations["output"]
-    poses = compile_scene(replace(tracker, outputs=frozenset())).operations["output"]
+    everything = Code(tracker).program("output").operations
+    poses = Code(replace(tracker, outputs=frozenset())).program("output").operations
     assert poses < 0.25 * everything
 
 
@@ -127,7 +127,7 @@ def test_redundant_loops_run(formulation, stabilization):
 def test_a_singular_configuration_takes_the_dense_path():
     """Started flat, the planar loop has two freedoms in place of one; the float form knows how to go on."""
     scene = flat_four_bar()
-    compiled = compile_scene(scene)
+    compiled = Code(scene)
     system = compiled.system
     x = compiled.packed(*system.coordinates(scene.initial_state))
     assert compiled.function("derivative")(x)[-1] <= 0.0
@@ -199,7 +199,7 @@ def test_a_flat_loop_out_of_the_axes_moves_as_one_along_them(formulation, stabil
 def test_a_second_bolt_changes_no_compiled_acceleration(formulation, kind):
     accelerations = []
     for scene in (bolted(None), bolted(kind)):
-        compiled = compile_scene(scene, formulation)
+        compiled = Code(scene, formulation)
         rates = compiled.function("derivative")(compiled.start)
         accelerations.append(rates[compiled.system.nq : -1])
         assert rates[-1] > 0.0

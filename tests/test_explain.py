@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from command_line import run
+from command_line import EXAMPLE, run
 
 from crosscheck.explain import features, left_out, operations_by_output, operations_by_term, structure
 from crosscheck.scenes import load
@@ -79,8 +79,8 @@ def number(cells, column):
     return float(cells[column].replace(",", ""))
 
 
-def test_features_cost_where_they_act(tracker):
-    found = features(tracker)
+def test_features_cost_where_they_act():
+    found = features(load(str(EXAMPLE)))
     bare = found["poses only"]
     derivative, projection, output = (f"{k}\noperations" for k in ("derivative", "projection", "output"))
     for name in ("gravity", "control", "Baumgarte"):

@@ -34,6 +34,17 @@ COUNTS = {
 }
 
 
+@pytest.mark.parametrize("axis", [[0.0, 0.0, 1.0], [1.0, 1.0, 1.0], [1.0, -1.0, 0.0], [0.6, 0.6, 0.8]])
+@pytest.mark.parametrize("place", range(3))
+def test_the_last_digits_of_an_axis_choose_no_other_perpendiculars(axis, place):
+    """Processors round products of rotations differently."""
+    wanted = perpendicular_pair(np.array(axis) / np.linalg.norm(axis))
+    for change in (-2e-16, 2e-16):
+        other = np.array(axis) / np.linalg.norm(axis)
+        other[place] += change
+        assert np.abs(np.array(perpendicular_pair(other)) - wanted).max() < 1e-15
+
+
 def turn(vector):
     return rotation(from_rotation_vector(np.asarray(vector)))
 

@@ -7,7 +7,7 @@ import pytest
 
 from crosscheck.scenes import load
 from newton_euler.compile import NativeFunction
-from newton_euler.compiled import FORMULATIONS, Code
+from newton_euler.compiled import Code
 from newton_euler.integrate import Options
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.stabilize import STABILIZATIONS
@@ -35,8 +35,15 @@ def plain(argument, pause):
 
 
 @pytest.mark.parametrize("stabilization", STABILIZATIONS)
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize("scene", ["four_bar", "heavy_top"])
+@pytest.mark.parametrize(
+    ("scene", "formulation"),
+    [
+        ("four_bar", "relative"),
+        ("heavy_top", "relative"),
+        ("pendulum", "cartesian"),
+        ("heavy_top", "cartesian"),
+    ],
+)
 @pytest.mark.parametrize("integrator", MARCHES)
 def test_marches_stay_within_their_arrays(monkeypatch, integrator, scene, formulation, stabilization):
     """Ten outputs of a scene of hinges and of one with Euler parameters, the same as in native code."""

@@ -128,7 +128,7 @@ def test_repeated_runs_are_quiet(unbroken, busy):
     load = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(busy)]
     try:
         for _ in range(RUNS):
-            done = regress(unbroken, *SCENES, "--speed")
+            done = regress(unbroken, *SCENES)
             assert done.returncode == 0, done.stdout + done.stderr
     finally:
         for process in load:

@@ -181,13 +181,13 @@ def discrete_pd(law: PD, place: int, period: float) -> Sampled:
 
 def with_discrete_pd(scene: Scene, period: float) -> Scene:
     control = tuple(discrete_pd(law, k, period) for k, law in enumerate(scene.control))
-    return replace(scene, control=control, duration=0.5)
+    return replace(scene, control=control, duration=0.2)
 
 
 @pytest.mark.parametrize("period", [0.01, 0.007])
 def test_a_discrete_pd_moves_the_tracker_alike_in_all_engines(tracker, period):
     scene = with_discrete_pd(tracker, period)
-    continuous = newton_euler.simulate(replace(tracker, duration=0.5))
+    continuous = newton_euler.simulate(replace(tracker, duration=0.2))
     wanted = newton_euler.simulate(scene)
     # what holding changes: far above the tolerances below
     assert np.max(np.abs(wanted.position - continuous.position)) > 1e-4

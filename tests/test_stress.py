@@ -119,10 +119,15 @@ def test_an_error_of_no_kind_of_ours_fails(bound):
 # Running
 
 
+def without_end():
+    while True:
+        pass
+
+
 def test_cases_run_in_processes_with_a_time_limit_and_come_back_in_order():
     cases = [
         case(partial(Measured, 1e-9)),
-        case(partial(time.sleep, 600.0), limit=0.5),
+        case(without_end, limit=0.5),
         case(partial(os._exit, 3)),
         case(partial(Measured, 1.0)),
         case(partial(Measured, 0.0), REFUSAL),
@@ -131,48 +136,47 @@ def test_cases_run_in_processes_with_a_time_limit_and_come_back_in_order():
     rows = run_cases(cases, told.append)
     assert [row.verdict for row in rows] == ["survives", "fails", "fails", "fails", "fails"]
     assert [row.figure for row in rows] == [1e-9, None, None, 1.0, 0.0]
-    assert rows[1].reason == "not done after 0.5 s"
+    assert rows[1].reason == "not done after 0.5 s of processor time"
     assert rows[2].reason == "the process ended, 3"
     assert rows[4].bound == "refusal"
     assert len(told) == len(cases)
     assert told[-1].startswith("5 of 5 cases")
 
 
-def own_process(seconds):
-    """A figure by which the process is known, after so many seconds."""
-    time.sleep(seconds)
+def own_process(done=None):
+    """A figure by which the process is known, after another process has left a file if one is named."""
+    while done is not None and not done.exists():
+        time.sleep(0.01)
     return Measured(float(os.getpid()))
 
 
-def test_processes_are_at_topics_of_their_own():
-    """Six short cases of one topic take less time than one of another, so nobody comes to help."""
-    cases = [case(partial(own_process, 3.0))]
-    cases += [replace(case(partial(own_process, 0.01)), topic="b") for _ in range(6)]
+def last_of_six(folder):
+    """Of six cases the last one leaves the file `done`."""
+    (folder / str(len(list(folder.iterdir())))).touch()
+    if len(list(folder.iterdir())) == 6:
+        (folder / "done").touch()
+    return own_process()
+
+
+def test_processes_are_at_topics_of_their_own(tmp_path):
+    """Six cases of one topic are done before one of another, so nobody comes to help."""
+    cases = [case(partial(own_process, tmp_path / "done"))]
+    cases += [replace(case(partial(last_of_six, tmp_path)), topic="b") for _ in range(6)]
     rows = run_cases([*cases[1:4], *cases[:1], *cases[4:]], lambda line: None)
     by_topic = {topic: {row.figure for row in rows if row.topic == topic} for topic in "ab"}
     assert len(by_topic["b"]) == 1
     assert by_topic["a"].isdisjoint(by_topic["b"])
 
 
-def test_only_the_first_case_of_a_process_has_time_for_its_start():
-    slow = case(partial(own_process, 2.0), limit=0.5)
-    rows = run_cases([slow, *[case(partial(own_process, 0.0))] * 2], lambda line: None)
-    assert [row.verdict for row in rows] == ["fails"] * 3
-    assert [row.reason for row in rows] == ["not done after 0.5 s", "", ""]
+def slept():
+    time.sleep(0.3)
+    return Measured(1e-9)
 
 
-def blas_threads():
-    return Measured(float(os.environ["OPENBLAS_NUM_THREADS"]))
-
-
-@pytest.mark.parametrize("chosen", [None, "7"])
-def test_processes_have_one_thread_each_for_matrices(monkeypatch, chosen):
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    if chosen:
-        monkeypatch.setenv("OPENBLAS_NUM_THREADS", chosen)
-    monkeypatch.setattr("crosscheck.stress.topics.cases_of", lambda letter, full: [case(blas_threads)])
-    assert [row.figure for row in stress("a", False, lambda line: None)] == [float(chosen or 1)]
-    assert os.environ.get("OPENBLAS_NUM_THREADS") == chosen
+def test_waiting_takes_no_time_of_a_case():
+    """As where other processes have the processors, or one begins and imports."""
+    (row,) = run_cases([case(slept, limit=0.1)], lambda line: None)
+    assert row.verdict == "survives"
 
 
 @pytest.mark.parametrize("wanted", [1, 2, 7, 31, 32, 1000])
@@ -409,8 +413,7 @@ def test_softness_and_step_are_told_apart():
 
 
 @pytest.mark.slow
-def test_the_ci_form_takes_two_minutes_and_covers_all_topics(tmp_path):
-    start = time.monotonic()
+def test_the_ci_form_covers_all_topics(tmp_path):
     done = command(tmp_path, "stress", "--ci", "--output", "out", timeout=600)
     assert done.returncode == 0, done.stderr
     content = json.loads((tmp_path / "out" / "stress.json").read_text())
@@ -421,4 +424,3 @@ def test_the_ci_form_takes_two_minutes_and_covers_all_topics(tmp_path):
     default = [row for row in of_ours if row["setting"] == "relative, projection" and row["topic"] != "k"]
     assert len(default) > 10
     assert [row["name"] for row in default if not row["passes"]] == []
-    assert time.monotonic() - start < 120.0

@@ -22,7 +22,6 @@ from newton_euler import compile_scene
 from newton_euler.batch import Batch, simulate_batch
 from newton_euler.conversion import coordinates
 from newton_euler.errors import NewtonEulerError
-from newton_euler.improve import finish_improving
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.simulate import simulate
@@ -289,7 +288,6 @@ def bare(scene: Scene) -> Callable[[int], float]:
     Nothing is shared but the code: how much sooner two threads are done is what the machine allows.
     """
     compiled = compile_scene(scene)
-    finish_improving()
     q, v = compiled.start[: compiled.system.nq], compiled.start[compiled.system.nq : compiled.size]
 
     def run(threads: int) -> float:

@@ -5,14 +5,12 @@ The time of a run is `Trajectory.wall_time`: the march and the poses of all bodi
 
 from __future__ import annotations
 
-import time
 from functools import partial
 from typing import Any
 
 from crosscheck.benchmark.work_precision import Ladder, Model, Models, Run, Setting
 from newton_euler import compile_scene
 from newton_euler.compiled import FORMULATIONS
-from newton_euler.improve import finish_improving
 from newton_euler.scene import Scene
 from newton_euler.simulate import CompiledScene
 from newton_euler.stabilize import STABILIZATIONS
@@ -46,19 +44,15 @@ def _load(scene: Scene, formulation: str, stabilization: str) -> Model:
     stiff = (formulation, stabilization) == STIFF
     if stiff:
         load(compiled, "Radau")
-    start = time.perf_counter()
-    finish_improving()
-    improved = time.perf_counter() - start
     prefix = f"{formulation}, {stabilization}"
     ladders = [_adaptive(compiled, prefix, "DOP853", range(2, 14), share) for share in SHARES]
     if stiff:
         ladders.append(_adaptive(compiled, prefix, "Radau", range(2, 10), SHARES[1]))
     ladders += [_fixed(compiled, prefix, integrator) for integrator in ("RK4", "Euler")]
     source = "loaded from the cache" if compiled.from_cache else "compiled"
-    remark = f"traced {compiled.trace_time:.2f} s, {source} {compiled.compile_time:.2f} s"
-    if not compiled.from_cache:
-        remark += f", again for speed {improved:.2f} s"
-    return Model(tuple(ladders), remark)
+    return Model(
+        tuple(ladders), f"traced {compiled.trace_time:.2f} s, {source} {compiled.compile_time:.2f} s"
+    )
 
 
 def _adaptive(compiled: CompiledScene, prefix: str, integrator: str, powers: range, share: float) -> Ladder:

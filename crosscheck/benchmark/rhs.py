@@ -100,10 +100,8 @@ class Timing:
 
 def _newton_euler(scene: Scene, formulation: str) -> RightHandSide:
     from newton_euler import compile_scene
-    from newton_euler.improve import finish_improving
 
     compiled = compile_scene(scene, formulation=formulation, stabilization="none")
-    finish_improving()
     state = compiled.system.coordinates(scene.initial_state)
     return RightHandSide(lambda count: compiled.repeat(count, *state), compiled.operations["derivative"])
 

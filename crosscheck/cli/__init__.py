@@ -23,7 +23,13 @@ __all__ = ["faults", "main", "measure", "regress", "report", "run"]
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:
-    """Run the command line and exit; every failure is one line on stderr and status 2."""
+    """Run the command line and exit; every failure is one line on stderr and status 2.
+
+    Matrices are too small for threads of BLAS: where something else wants the processors, an SVD of 60 rows
+    takes 40 times as long with two of them, and they sum in another order. OpenBLAS reads their number as
+    NumPy is imported.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold what is no text
     try:

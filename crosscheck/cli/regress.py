@@ -30,7 +30,6 @@ _file = click.Path(path_type=Path)
 @click.argument("sources", nargs=-1, metavar="[SCENE]...")
 @setting_options
 @click.option("--baseline", type=_file, help="Baseline of one SCENE.  [default: of a file, beside it]")
-@click.option("--speed", is_flag=True, help="Compare ratios of speeds too.")
 @click.option("--update", "updates", is_flag=True, help="Make the baselines anew; needs --reason.")
 @click.option("--reason", metavar="TEXT", default=None, help="Why; kept with the baselines.")
 @click.option(
@@ -48,7 +47,6 @@ def regress_command(
     settings: tuple[str, ...],
     loops: str | None,
     baseline: Path | None,
-    speed: bool,
     updates: bool,
     reason: str | None,
     output: Path,
@@ -76,8 +74,8 @@ def regress_command(
     options = scene_options(sources[0], settings, loops) if len(sources) == 1 else {}
     guarded = _guarded(sources, options, baseline)
     if reason is not None:
-        if reports or speed:
-            raise CrosscheckError("--update compares nothing: no --speed, --junit, --json and --markdown")
+        if reports:
+            raise CrosscheckError("--update compares nothing: no --junit, --json and --markdown")
         with progress_shown() as progress:
             made = update(guarded, reason, progress)
         for each, found in zip(guarded, made, strict=True):
@@ -87,7 +85,7 @@ def regress_command(
                 click.echo(f"  {group} left out: {why}")
         return AGREE
     with progress_shown() as progress:
-        compared, recordings = check(guarded, speed, output, reports, progress)
+        compared, recordings = check(guarded, output, reports, progress)
         written = write_reports(compared, recordings, junit, json_path, markdown)
     click.echo(rendered(tables(compared)), nl=False)
     for comparison in compared:

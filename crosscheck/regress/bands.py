@@ -18,7 +18,6 @@ from crosscheck.regress.measure import (
     GROUPS,
     MAIN,
     PLAIN,
-    SPEED,
     Variant,
     main_run,
     measure_group,
@@ -43,9 +42,6 @@ ROUND_OFF = 1e-13
 
 COUNT_SHARE = 0.02
 """Of a count: libraries of other versions round constants differently, and a step more or less follows."""
-
-SPEED_BAND = 1.0
-"""Of a logarithm to base 2: twice as fast or slow. Processors differ by a third in such ratios."""
 
 NUDGED = Variant(nudge=1e-14)
 TIGHTER = Variant(tighten=0.1)
@@ -145,11 +141,6 @@ def _state(run: Trajectory, n: int) -> State:
 
 def _figures(group: str, scene: Scene, plan: Plan) -> list[Figure] | str:
     """The figures of a group with their bands, or why there are none."""
-    if group == SPEED:
-        speeds = measure_group(group, scene, plan)
-        if isinstance(speeds, str):
-            return speeds
-        return [_figure(group, value, np.full(1, SPEED_BAND)) for value in speeds]
     measured = []
     for variant in (PLAIN, NUDGED, TIGHTER):
         found = measure_group(group, scene, plan, variant)
@@ -179,7 +170,6 @@ def _figure(group: str, value: Value, widths: Array) -> Figure:
 def band(value: Value, siblings: list[Value]) -> Array:
     """(rows,): how far a figure may move, from what it is under the same code with other errors."""
     if value.is_count:
-        # tolerances a tenth as large take other steps on purpose
         nudged = siblings[0]
         changes = np.abs(nudged.array - value.array).max(axis=1)
         return np.asarray(FACTOR * changes + np.ceil(COUNT_SHARE * value.scale))

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from crosscheck.against.pairs import pair_parts
-from crosscheck.errors import CrosscheckError
 from crosscheck.regress.baseline import Baseline, Carried, Figure, Record, versions
-from crosscheck.regress.measure import MAIN, SPEED, measure_group, regress_scene
+from crosscheck.regress.measure import MAIN, measure_group, regress_scene
 from crosscheck.regress.values import Value
 from newton_euler.mapping import Mapping, differing, room
 from newton_euler.scalars import Array
@@ -132,7 +131,6 @@ class Comparison:
 def compare(
     scene: Scene,
     baseline: Baseline,
-    speed: bool,
     progress: Progress,
     clock: Callable[[], float],
     mapping: Mapping | None = None,
@@ -141,25 +139,16 @@ def compare(
 
     Args:
         scene: as loaded.
-        speed: whether ratios of speeds are figures too.
         progress: is told each stage.
         clock: s, for the wall time.
         mapping: what became of the elements of a model file; None for a scene of this package's own.
-
-    Raises:
-        CrosscheckError: for a baseline without speeds where they are wanted.
     """
-    if speed and SPEED not in baseline.groups:
-        reason = baseline.left_out.get(SPEED, "it was not measured")
-        raise CrosscheckError(f"the baseline of {scene.name!r} has no speeds: {reason}")
     start = clock()
     measured = regress_scene(scene)
     now = [] if mapping is None else Carried.of(mapping)
     checked = check_carried(baseline.carried or [], now)
     diverges = None
     for group in baseline.groups:
-        if group == SPEED and not speed:
-            continue
         progress(f"{scene.name}: {group}")
         found = measure_group(group, measured, baseline.plan)
         figures = [figure for figure in baseline.figures if figure.group == group]

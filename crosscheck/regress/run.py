@@ -110,12 +110,11 @@ def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[
 
 
 def check(
-    guarded: Sequence[Guarded], speed: bool, folder: Path, reports: Sequence[Path], progress: Progress
+    guarded: Sequence[Guarded], folder: Path, reports: Sequence[Path], progress: Progress
 ) -> tuple[list[Comparison], dict[str, Path]]:
     """Compare scenes with their baselines, and record those that moved.
 
     Args:
-        speed: whether ratios of speeds are compared too.
         folder: for the recordings, a file NAME.rrd for each scene that moved.
         reports: files that are to be written afterwards.
         progress: is told each stage.
@@ -131,7 +130,7 @@ def check(
     check_writable(*reports)
     found, recordings = [], {}
     for each, baseline in zip(guarded, baselines, strict=True):
-        comparison = compare(each.scene, baseline, speed, progress, time.perf_counter, each.mapping)
+        comparison = compare(each.scene, baseline, progress, time.perf_counter, each.mapping)
         found.append(comparison)
         if comparison.moved:
             progress(f"{each.scene.name}: recording")

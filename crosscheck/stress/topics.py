@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import os
+import signal
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Literal
@@ -39,9 +38,6 @@ TOPICS = {
 """What is tried, by letter."""
 
 PROCESSES = 2
-
-STARTUP = 3.0
-"""s that a new process may take to begin with its first case, beside the case's limit."""
 
 Verdict = Literal["survives", "degrades", "fails", "refuses"]
 
@@ -122,7 +118,7 @@ class Case:
         bound: what it has to be; `REFUSAL` if there is no answer.
         measure: a function of a module with its arguments, to be sent to another process.
         names: for cases without an answer: texts that a refusal has to hold, to be of use.
-        limit: s, after which its process is ended.
+        limit: s of processor time, after which its process is ended.
     """
 
     topic: str
@@ -234,15 +230,8 @@ class _Worker:
         """Of its last case: references and native code of that topic are at hand."""
 
     def begin(self, number: int, case: Case) -> None:
-        startup = 0.0 if self.topic else STARTUP
         self.number, self.case, self.topic, self.started = number, case, case.topic, time.monotonic()
-        self.until = self.started + startup + case.limit
         self.connection.send(case)
-
-    @property
-    def left(self) -> float:
-        """s until its case is given up."""
-        return self.until - time.monotonic()
 
     def finished(self) -> Row:
         """The row of its case; the process has ended if that has taken it along."""
@@ -250,8 +239,10 @@ class _Worker:
             row: Row = self.connection.recv()
         except EOFError:
             self.end()
-            wall_time = time.monotonic() - self.started
-            return row_of(self.case, "fails", f"the process ended, {self.process.exitcode}", wall_time)
+            reason = f"the process ended, {self.process.exitcode}"
+            if self.process.exitcode == -signal.SIGPROF:
+                reason = f"not done after {self.case.limit:g} s of processor time"
+            return row_of(self.case, "fails", reason, time.monotonic() - self.started)
         return row
 
     def end(self) -> None:
@@ -268,7 +259,10 @@ def _serve(connection: Connection) -> None:
             case: Case = connection.recv()
         except EOFError:
             return
-        connection.send(judge(case))
+        signal.setitimer(signal.ITIMER_PROF, case.limit)  # whose signal ends a process, native code or not
+        row = judge(case)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        connection.send(row)
 
 
 @tidied_up()
@@ -290,16 +284,9 @@ def run_cases(cases: Sequence[Case], progress: Progress) -> list[Row]:
                 waiting.remove(k)
                 worker.begin(k, cases[k])
                 busy.append(worker)
-            ready = wait([worker.connection for worker in busy], max(0.0, min(w.left for w in busy)))
-            for worker in list(busy):
-                if worker.connection in ready:
-                    rows[worker.number] = worker.finished()
-                elif worker.left <= 0.0:
-                    limit = worker.case.limit
-                    rows[worker.number] = row_of(worker.case, "fails", f"not done after {limit:g} s", limit)
-                    worker.end()
-                else:
-                    continue
+            ready = wait([worker.connection for worker in busy])
+            for worker in [worker for worker in busy if worker.connection in ready]:
+                rows[worker.number] = worker.finished()
                 busy.remove(worker)
                 idle.append(worker if worker.process.is_alive() else _Worker())
                 last = f"({worker.case.topic}) {worker.case.name}"
@@ -315,24 +302,6 @@ def _order(case: Case, own: str, taken: set[str]) -> tuple[bool, bool, float]:
     return case.topic != own, case.topic in taken, -case.limit
 
 
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Have processes that begin meanwhile leave each other their processors, unless the user says otherwise.
-
-    OpenBLAS reads this as it is loaded. Its threads would wait for each other in all of them, and gain
-    nothing with matrices as small as these.
-    """
-    if "OPENBLAS_NUM_THREADS" in os.environ:
-        yield
-        return
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    try:
-        yield
-    finally:
-        del os.environ["OPENBLAS_NUM_THREADS"]
-
-
-@_one_thread_each()
 def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
     """Rows of all cases of some topics.
 

@@ -95,7 +95,8 @@ class JointEquations:
 def perpendicular_pair(axis: Array) -> tuple[Array, Array]:
     """Unit vectors u and w that make (u, w, axis) right-handed and orthonormal; axis (3,) unit."""
     helper = np.zeros(3)
-    helper[int(np.argmin(np.abs(axis)))] = 1.0
+    # the first of the smallest components: their last digits, which processors differ in, choose nothing
+    helper[int(np.argmin(np.abs(axis).round(6)))] = 1.0
     w = cross(axis, helper)
     w /= np.linalg.norm(w)
     return cross(w, axis), w

@@ -21,7 +21,7 @@ from newton_euler.trajectory import check_finite
 @lru_cache
 def loops() -> NativeFunctions:
     """Loops over states."""
-    return NativeFunctions([m.map_rows, m.repeat], hurry=True)
+    return NativeFunctions([m.map_rows, m.repeat])
 
 
 class Outputs:

@@ -6,17 +6,14 @@ import ctypes
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from functools import lru_cache, partial
-from queue import SimpleQueue
+from contextlib import contextmanager
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from newton_euler.compile import NativeModule, llvm_binding
 from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import IntegrationError, OptionError
-from newton_euler.improve import giving_way, improve
 from newton_euler.integrate import Options
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.scalars import Array
@@ -46,7 +43,7 @@ MARCHES: dict[str, Callable[..., int]] = {
 @lru_cache
 def stepper(integrator: str) -> NativeFunctions:
     """An integrator, which no scene changes; compiled once."""
-    return NativeFunctions([MARCHES[integrator]], hurry=True)
+    return NativeFunctions([MARCHES[integrator]])
 
 
 @lru_cache
@@ -56,58 +53,11 @@ def projector() -> NativeFunctions:
 
 
 def load(code: Code, integrator: str) -> None:
-    """Have everything ready for a run.
-
-    LLVM works on one function while the next is traced: it lets go of the interpreter meanwhile. What ends
-    this early, an interrupt or a scene that is refused, leaves it to finish that one and begin no other.
-    What is new is compiled in a hurry, and improved while it runs.
-    """
-    missing = [name for name in code.needed(integrator) if name not in code.functions]
-    if missing:
-        with giving_way():
-            _compile_beside(code, integrator, missing)
-    for name in missing:
-        code.function(name)  # what has failed in the thread fails once more
-    improve(_modules(code, integrator))
-
-
-def improve_now(code: Code, integrator: str) -> None:
-    """Wait until all that a run needs is code that runs fast."""
-    for module in _modules(code, integrator):
-        module.improve()
-
-
-def _modules(code: Code, integrator: str) -> list[NativeModule]:
-    """What a run needs."""
-    functions = [code.function(name).module for name in code.needed(integrator)]
-    return [*functions, stepper(integrator).module, loops().module]
-
-
-def _compile_beside(code: Code, integrator: str, names: Sequence[str]) -> None:
-    """Trace these functions of a scene here, and compile them and the stepper in a thread meanwhile."""
-    llvm_binding()  # before there are two threads to wait for each other
-    wanted: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
-    given_up = threading.Event()
-
-    def compile_all() -> None:
-        with suppress(Exception):
-            while (make := wanted.get()) and not given_up.is_set():
-                make()
-
-    compiler = threading.Thread(target=compile_all)
-    try:
-        compiler.start()
-        wanted.put(partial(stepper, integrator))
-        wanted.put(loops)
-        for name in names:
-            code.program(name)
-            wanted.put(partial(code.function, name, hurry=True))
-        wanted.put(None)
-        compiler.join()
-    except BaseException:
-        given_up.set()
-        wanted.put(None)
-        raise
+    """Have everything ready for a run."""
+    stepper(integrator)
+    loops()
+    for name in code.needed(integrator):
+        code.function(name)
 
 
 class Fallback:

@@ -26,7 +26,7 @@ from urdf.reading.start import Start
 MAXIMUM_BYTES = 50_000_000
 """Of a mesh file."""
 
-WALL_TIME = 10.0
+WALL_TIME = 60.0
 """s for all meshes; they may use less of a processor, see `urdf.reading.load_meshes`."""
 
 Color = tuple[float, float, float, float]
