@@ -104,6 +104,7 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
     for name, run in result.runs.items():
         settings = ", ".join(f"{key} {_short(value)}" for key, value in run.settings.items())
         yield f"{name}: {settings}; {run.wall_time:.2g} s"
+    yield from (f"not finished, {stop}" for stop in result.unfinished)
     for name, reason in result.left_out.items():
         yield f"{name}: left out: {reason}"
     implicit = [name for name, run in result.runs.items() if run.settings.get("integrator") in IMPLICIT]
