@@ -8,7 +8,7 @@ known from elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -155,43 +155,47 @@ def diagnose(
         measured: figures that are known from elsewhere.
     """
     judged = [row for row in rows if not row.informs]
-    names, judged = _with_formulations(engines, judged)
+    names = [*engines, *([FILE] if any(FILE in row.between for row in judged) else [])]
     wrong = {known.engine for known in measured if not known.agrees}
-    if OWNER not in names and OWNER in wrong:
-        wrong = wrong - {OWNER} | {SYSTEMS[0]}
     found = []
     while (one := _first(names, judged, wrong)) is not None:
         found.append(one)
         if not one.odd:
             break
-        names = [name for name in names if name != one.odd]
+        names, judged = _without(one.odd, names, judged)
     if not found and wrong:
         found.append(_against_reference(names, judged, measured))
     return tuple(found)
 
 
-def _with_formulations(engines: Sequence[str], rows: list[Row]) -> tuple[list[str], list[Row]]:
-    """Participants and their figures: where its formulations part, these stand for `OWNER`.
+def _without(odd: str, names: Sequence[str], rows: Iterable[Row]) -> tuple[list[str], list[Row]]:
+    """Participants and figures without one; without a formulation the other stands for `OWNER`."""
+    if odd in SYSTEMS:
+        kept = [row for row in rows if odd not in row.between and _holds_of_systems(row)]
+        return list(names), [_renamed(row, dict.fromkeys(SYSTEMS, OWNER)) for row in kept]
+    gone = {odd, *(SYSTEMS if odd == OWNER else ())}
+    return [name for name in names if name != odd], [row for row in rows if not gone & set(row.between)]
 
-    At the levels of equations each has figures of its own then, and those of the engine are of the worse one.
-    """
-    files = [FILE] if any(FILE in row.between for row in rows) else []
-    if not any(set(row.between) == set(SYSTEMS) and not row.agrees for row in rows):
-        names = [*engines, *files]
-        return names, [row for row in rows if set(row.between) <= set(names)]
-    names = [n for name in engines for n in (SYSTEMS if name == OWNER else (name,))] + files
-    first = {OWNER: SYSTEMS[0]}
-    kept = [
-        replace(row, between=tuple(first.get(name, name) for name in row.between))
-        for row in rows
-        if OWNER not in row.between or row.level in RUNS or row.level == READING
-    ]
-    return names, [row for row in kept if set(row.between) <= set(names)]
+
+def _by_system(names: Sequence[str], rows: Iterable[Row]) -> tuple[list[str], list[Row]]:
+    """Participants and figures where the formulations stand for `OWNER`."""
+    systems = [n for name in names for n in (SYSTEMS if name == OWNER else (name,))]
+    return systems, [_renamed(row, {OWNER: SYSTEMS[0]}) for row in rows if _holds_of_systems(row)]
+
+
+def _holds_of_systems(row: Row) -> bool:
+    """Whether a figure is not one of the worse of the formulations under the name of `OWNER`."""
+    return OWNER not in row.between or row.level in (READING, *RUNS)
+
+
+def _renamed(row: Row, others: Mapping[str, str]) -> Row:
+    return replace(row, between=tuple(others.get(name, name) for name in row.between))
 
 
 def _first(names: Sequence[str], rows: Sequence[Row], wrong: Collection[str]) -> Diagnosis | None:
     """Who differs at the first level at which any of the participants does."""
-    rows = [row for row in rows if set(row.between) <= set(names)]
+    known = {*names, *(SYSTEMS if OWNER in names else ())}
+    rows = [row for row in rows if set(row.between) <= known]
     failed = [row for row in rows if not row.agrees]
     if not failed:
         return None
@@ -199,14 +203,18 @@ def _first(names: Sequence[str], rows: Sequence[Row], wrong: Collection[str]) ->
         return of_file
     between = [row for row in failed if FILE not in row.between] or failed
     level = min((row.level for row in between), key=ORDER.index)
-    parted = [row for row in between if row.level == level and len(row.between) == 2]
+    if any(row.level == level and set(row.between) == set(SYSTEMS) for row in between):
+        names, rows = _by_system(names, rows)
+        wrong = {SYSTEMS[0] if name == OWNER else name for name in wrong}
+    rows = [row for row in rows if set(row.between) <= set(names)]
+    at_level = [row for row in rows if row.level == level and not row.agrees and FILE not in row.between]
+    parted = [row for row in at_level if len(row.between) == 2]
     if parted:
         return _of_pairs(names, rows, parted, wrong)
-    alone = [row for row in between if row.level == level]
-    at_fault = _ordered(names, (row.between[0] for row in alone))
+    at_fault = _ordered(names, (row.between[0] for row in at_level))
     others = [name for name in names if name not in at_fault]
     odd = at_fault[0] if len(at_fault) == 1 and others else ""
-    return _diagnosis(odd, at_fault, others, alone[0], rows, alone[0].quantity if odd else "own")
+    return _diagnosis(odd, at_fault, others, at_level[0], rows, at_level[0].quantity if odd else "own")
 
 
 def _of_reading(names: Sequence[str], rows: Sequence[Row]) -> Diagnosis | None:
@@ -243,6 +251,8 @@ def _of_pairs(
     alone = [name for name in present if all(pair in bad for pair in pairs if name in pair)]
     rest = [name for name in present if name not in alone]
     if alone and len(rest) > 1 and not any(pair <= set(rest) for pair in bad):
+        if set(SYSTEMS) <= set(alone):  # neither is right
+            return replace(_odd(SYSTEMS[0], present, rest, rows, parted, "others"), odd=OWNER)
         return _odd(alone[0], present, rest, rows, parted, "others")
     at_fault = _ordered(names, (name for pair in bad for name in pair))
     between = [name for name in present if name not in at_fault]
