@@ -28,8 +28,11 @@ STEPS = 500
 rad/s after 50 of them."""
 
 HALVINGS = 4
-"""Of MuJoCo's step where its RK4 is unstable, as stiff dampers are explicit in it, or a run diverges. Then
-`IMPLICIT` is taken, of order 1."""
+"""Of MuJoCo's step where a run diverges. Then `IMPLICIT` is taken, of order 1, at the smallest of these."""
+
+RK4_STEPS = 100_000
+"""In MuJoCo, as few as the stability of its RK4 alone asks for, in which stiff dampers are explicit: with
+more `IMPLICIT` is taken instead. They take some seconds."""
 
 IMPLICIT = "implicitfast"
 
@@ -135,11 +138,12 @@ def _mujoco_run(scene: Scene) -> Trajectory:
     step = default_timestep(scene)
     step /= max(1.0, np.ceil(STEPS * step / scene.duration * (1.0 - 1e-9)))
     modes = modes_of_run(scene, _way(scene))
-    steps = [step * 0.5**halvings for halvings in range(HALVINGS + 1)]
-    for tried in [each for each in steps if is_stable_in_rk4(modes, each)]:
+    halvings = max(HALVINGS, int(np.log2(max(1.0, RK4_STEPS * step / scene.duration))))
+    steps = [step * 0.5**k for k in range(halvings + 1)]
+    for tried in [each for each in steps if is_stable_in_rk4(modes, each)][: HALVINGS + 1]:
         with suppress(DivergenceError):
             return mjcf.simulate(scene, timestep=tried)
-    return mjcf.simulate(scene, timestep=step, integrator=IMPLICIT)
+    return mjcf.simulate(scene, timestep=steps[HALVINGS], integrator=IMPLICIT)
 
 
 def _mujoco_refined(scene: Scene) -> Trajectory:
