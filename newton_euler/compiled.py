@@ -80,8 +80,11 @@ class Code:
         stabilization: str = "projection",
         alpha: float = PAPER_ALPHA,
         parameters: Sequence[str] = (),
+        rows: tuple[RowsInUse, list[int]] | None = None,
     ) -> None:
+        """`rows` are constraint rows to use and redundant ones, as `rows_in_use` gives them if None."""
         self.scene = scene
+        self._given_rows, self._named = rows, tuple(parameters)
         self.formulation, self.stabilization, self.alpha = formulation, stabilization, alpha
         self._alpha = baumgarte_alpha(stabilization, alpha)
         self.system = formulate(scene, formulation, self._alpha)
@@ -165,7 +168,9 @@ class Code:
     @cached_property
     def _identity(self) -> str | None:
         """What programs depend on, see `fingerprint`."""
-        chosen = (self.formulation, self.stabilization, self._alpha, tuple(self.parameters))
+        chosen: list[Any] = [self.formulation, self.stabilization, self._alpha, tuple(self.parameters)]
+        if self._given_rows is not None:
+            chosen.append(tuple(self._given_rows[0].numbers))
         return fingerprint(self.scene, *chosen)
 
     def _remembered(self, what: str, make: Callable[[], T]) -> T:
@@ -182,6 +187,8 @@ class Code:
 
     @cached_property
     def _rows(self) -> tuple[RowsInUse, list[int]]:
+        if self._given_rows is not None:
+            return self._given_rows
         with np.errstate(all="ignore"):  # forces that overflow are for the march to report
             return self._remembered("rows", lambda: rows_in_use(self.system))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,9 @@ from newton_euler.stabilize import PAPER_ALPHA
 from newton_euler.state import Evaluation, State
 from newton_euler.system import System, at_time
 from newton_euler.trajectory import Trajectory, check_finite
+
+ROW_CHOICES = 3
+"""How many times constraint rows are chosen anew, each time with all that a run has seen until it stopped."""
 
 
 def simulate(
@@ -81,6 +85,11 @@ def compile_scene(
 class CompiledScene(Code):
     """A scene in native code, to be run many times; see `compile_scene`."""
 
+    @cached_property
+    def _others(self) -> dict[tuple[int, ...], CompiledScene]:
+        """The same with other constraint rows, by these."""
+        return {}
+
     def simulate(
         self,
         integrator: str = "DOP853",
@@ -111,7 +120,8 @@ class CompiledScene(Code):
 
         return time_function(self.function("derivative"), self.packed(q, v), count)
 
-    def _run(self, options: Options) -> Trajectory:
+    def _run(self, options: Options, choices: int = ROW_CHOICES) -> Trajectory:
+        """Run the scene, again with other constraint rows where those in use degenerate on the way."""
         from newton_euler.sampling import march_sampled
         from newton_euler.steppers.run import load
 
@@ -127,9 +137,27 @@ class CompiledScene(Code):
         settings |= {"trace_time": self.trace_time, "compile_time": self.compile_time}
         if stopped is None:
             return native_trajectory(self.scene, settings, wall_time, arrays)
+        if choices and self.redundant and (other := self._with_other_rows(arrays)) is not None:
+            return other._run(options, choices - 1)
         if len(arrays.get("position", ())):
             stopped.partial = native_trajectory(self.scene, settings, wall_time, arrays)
         raise stopped
+
+    def _with_other_rows(self, arrays: dict[str, Array]) -> CompiledScene | None:
+        """The same scene with rows that stay independent at the poses of a run that stopped, if there are."""
+        from newton_euler.row_choice import other_rows
+
+        poses = zip(arrays.get("position", ()), arrays.get("quaternion", ()), strict=True)
+        still = np.zeros((len(self.scene.mechanism.bodies), 3))
+        configurations = [self.system.coordinates(State(*pose, still, still))[0] for pose in poses]
+        found = other_rows(self.system, *self._rows, configurations)
+        if found is None:
+            return None
+        key = tuple(found[0].numbers)
+        if key not in self._others:
+            arguments = (self.formulation, self.stabilization, self.alpha, self._named)
+            self._others[key] = CompiledScene(self.scene, *arguments, rows=found)
+        return self._others[key]
 
 
 def native_trajectory(
