@@ -200,7 +200,8 @@ def drawn_at(mechanism: Mechanism, state: State) -> Mechanism:
 @pytest.fixture(scope="module")
 def bricard():
     """Bricard's mechanism past 1.248 s, where a row of hinge_6 comes to depend on the others in use."""
-    scene = replace(load("bricard"), duration=1.3, output_period=0.02)
+    outputs = frozenset({"velocities"})
+    scene = replace(load("bricard"), duration=1.3, output_period=0.02, outputs=outputs)
     return scene, newton_euler.simulate(scene, rtol=1e-12, atol=1e-14)
 
 
@@ -219,7 +220,7 @@ def test_other_rows_are_independent_all_the_way(bricard):
     system = Cartesian(scene)
     still = np.zeros((len(scene.mechanism.bodies), 3))
     poses = [State(*pose, still, still) for pose in zip(run.position, run.quaternion, strict=True)]
-    way = [system.coordinates(pose)[0] for pose in poses]
+    way = [system.coordinates(pose)[0] for pose in poses[2::4]]  # the last before it stops is 1.24 s
     used, redundant = rows_in_use(system)
 
     def smallest(numbers):
@@ -230,5 +231,5 @@ def test_other_rows_are_independent_all_the_way(bricard):
     assert smallest(used.numbers) < 1e-2
     assert smallest(others.numbers) > 5.0 * smallest(used.numbers)
     assert other_rows(system, others, left_out, way) is None
-    assert other_rows(system, used, redundant, way[:10]) is None  # they are as good at first
+    assert other_rows(system, used, redundant, way[:5]) is None  # they are as good at first
     assert other_rows(system, used, [], way) is None
