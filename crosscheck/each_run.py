@@ -1,84 +1,85 @@
-"""The run of every engine, all of them tried whatever becomes of one."""
+"""The run of every engine, all of them tried whatever becomes of one, and what does not come to its end."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 
-from crosscheck.comparison.levels import Row
+from crosscheck.comparison.rows import Row
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, limited
-from crosscheck.partial import UnfinishedError
 from newton_euler.errors import IntegrationError, StoppedError
 from newton_euler.scene import Scene
 from newton_euler.trajectory import Trajectory, check_finite
 
+LEAST_OUTPUTS = 2
+"""Of a run that stopped: with its start alone there is nothing to compare."""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Part of a crosscheck that did not come to its end.
+
+    Attributes:
+        what: an engine, or a part of the comparison.
+        reason: why, in one line.
+        time: s, up to which there is a run; None without one.
+    """
+
+    what: str
+    reason: str
+    time: float | None = None
+
+    def __str__(self) -> str:
+        return f"{self.what}: {self.reason}"
+
 
 def each_run(
-    scene: Scene,
-    engines: Sequence[Engine],
-    progress: Callable[[str], None],
-    equations: Callable[[], Sequence[Row]],
-) -> dict[str, Trajectory]:
-    """The runs of a scene, by engine.
-
-    Args:
-        equations: gives what is known of the engines without a run, if one stops.
-
-    Raises:
-        UnfinishedError: if one cannot be had, after all others were tried; it says at which level the
-            equations part.
-    """
-    runs, partial, reasons = dict[str, Trajectory](), dict[str, Trajectory](), list[str]()
+    scene: Scene, engines: Sequence[Engine], progress: Callable[[str], None]
+) -> tuple[dict[str, Trajectory], list[Stop]]:
+    """The runs of a scene by engine, as far as they came, and those that did not come to their end."""
+    runs, stops = dict[str, Trajectory](), list[Stop]()
     for engine in engines:
         try:
             with limited(f"{engine.name}: {scene.duration:g} s of {scene.name}", SHORTER, progress):
                 run = engine.simulate(scene)
             _check_finite(scene, run)
             runs[engine.name] = run
-        except CrosscheckError as error:
-            reasons.append(str(error))
         except Exception as error:  # one that nobody foresaw stops no other engine either
-            reasons.append(f"{engine.name}: {reason_of(error)}")
-            if isinstance(error, StoppedError) and error.partial is not None:
-                partial[engine.name] = error.partial
-    if reasons:
-        reasons += _where_equations_part(equations, progress)
-        raise UnfinishedError("; ".join(reasons), runs, partial)
-    return runs
+            partial = error.partial if isinstance(error, StoppedError) else None
+            if partial is not None and len(partial.time) >= LEAST_OUTPUTS:
+                runs[engine.name] = partial
+            time = float(partial.time[-1]) if engine.name in runs and partial is not None else None
+            stops.append(Stop(engine.name, reason_of(error).removeprefix(f"{engine.name}: "), time))
+    return runs, stops
 
 
-def _where_equations_part(
-    equations: Callable[[], Sequence[Row]], progress: Callable[[str], None]
-) -> Iterator[str]:
-    """What can be said of engines without their runs, if there are several and it can be had."""
+@contextmanager
+def as_far_as_it_goes(what: str, stops: list[Stop]) -> Iterator[None]:
+    """A block whose error becomes one of the `stops`."""
     try:
-        with limited("comparing equations", SHORTER, progress):
-            pairs = [row for row in equations() if len(row.between) > 1 and not row.informs]
-            check_figures(pairs)
-    except Exception:  # the runs' own reasons are what is told
-        return
-    for row in [row for row in pairs if not row.agrees][:1]:
-        yield (
-            f"without runs {' and '.join(row.between)} part at level {row.level!r}: {row.quantity}: "
-            f"{row.value:.3g} > {row.tolerance:.3g}, worst at {row.where}"
-        )
-    if pairs and all(row.agrees for row in pairs):
-        yield f"all {len(pairs)} figures that need no run agree, up to level {pairs[-1].level!r}"
+        yield
+    except Exception as error:  # what was found before is kept whatever goes wrong
+        stops.append(Stop(what, reason_of(error).removeprefix(f"{what}: ")))
 
 
-def check_figures(rows: Sequence[Row]) -> None:
-    """Raise `CrosscheckError` for a figure that is not finite."""
+def finite(rows: Iterable[Row]) -> Iterator[Row]:
+    """The rows that are finite; then raises `CrosscheckError` for the first that is not."""
+    wrong = []
     for row in rows:
-        if not np.isfinite(row.value):
-            raise CrosscheckError(
-                f"no figure for {row.quantity} at level {row.level!r} between "
-                f"{' and '.join(row.between)}: {row.value:g} at {row.where}"
-            )
+        if np.isfinite(row.value):
+            yield row
+        else:
+            wrong.append(row)
+    for row in wrong:
+        raise CrosscheckError(
+            f"no figure for {row.quantity} at level {row.level!r} between "
+            f"{' and '.join(row.between)}: {row.value:g} at {row.where}"
+        )
 
 
 def _check_finite(scene: Scene, run: Trajectory) -> None:
@@ -88,7 +89,5 @@ def _check_finite(scene: Scene, run: Trajectory) -> None:
         check_finite(scene.times, arrays)
     except IntegrationError as error:
         rows = int(np.searchsorted(scene.times, error.time))
-        if rows:
-            before: dict[str, Any] = {name: values[:rows] for name, values in arrays.items()}
-            error.partial = replace(run, **before)
+        error.partial = run.first(rows) if rows else None
         raise

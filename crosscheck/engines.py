@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
+from newton_euler.errors import NewtonEulerError, StoppedError
 from newton_euler.scene import Scene
 from newton_euler.state import Evaluation
 from newton_euler.system import System
@@ -27,7 +28,11 @@ STEPS = 500
 rad/s after 50 of them."""
 
 HALVINGS = 4
-"""Of MuJoCo's step where it diverges; stiff dampers are explicit in its RK4. Then `IMPLICIT` is tried."""
+"""Of MuJoCo's step where a run diverges. Then `IMPLICIT` is taken, of order 1, at the smallest of these."""
+
+RK4_STEPS = 100_000
+"""In MuJoCo, as few as the stability of its RK4 alone asks for, in which stiff dampers are explicit: with
+more `IMPLICIT` is taken instead. They take some seconds."""
 
 IMPLICIT = "implicitfast"
 
@@ -87,6 +92,7 @@ def _adaptive(scene: Scene, steps: int, refined: bool) -> dict[str, Any]:
     return {"most_steps": most} | ({"rtol": REFINED_RTOL, "atol": REFINED_ATOL} if refined else {})
 
 
+@lru_cache(maxsize=1)
 def _newton_euler_run(scene: Scene) -> Trajectory:
     from newton_euler import simulate
 
@@ -111,19 +117,33 @@ def _newton_euler_systems(scene: Scene) -> tuple[System, ...]:
     return tuple(formulate(scene, name) for name in FORMULATIONS)
 
 
+def _way(scene: Scene) -> Trajectory | None:
+    """newton_euler's run as far as it comes: where other engines will come by."""
+    try:
+        return _newton_euler_run(scene)
+    except StoppedError as error:
+        return error.partial
+    except NewtonEulerError:
+        return None
+
+
 @lru_cache(maxsize=1)
 def _mujoco_run(scene: Scene) -> Trajectory:
-    """At the default step or a whole part of it: `STEPS` in all at least, and until it does not diverge."""
+    """At the default step or a whole part of it: `STEPS` in all at least, stable, and without divergence."""
     import mjcf
+    from crosscheck.stiffness import is_stable_in_rk4, modes_of_run
     from mjcf.errors import DivergenceError
     from mjcf.simulate import default_timestep
 
     step = default_timestep(scene)
     step /= max(1.0, np.ceil(STEPS * step / scene.duration * (1.0 - 1e-9)))
-    for halvings in range(HALVINGS + 1):
+    modes = modes_of_run(scene, _way(scene))
+    halvings = max(HALVINGS, int(np.log2(max(1.0, RK4_STEPS * step / scene.duration))))
+    steps = [step * 0.5**k for k in range(halvings + 1)]
+    for tried in [each for each in steps if is_stable_in_rk4(modes, each)][: HALVINGS + 1]:
         with suppress(DivergenceError):
-            return mjcf.simulate(scene, timestep=step * 0.5**halvings)
-    return mjcf.simulate(scene, timestep=step, integrator=IMPLICIT)
+            return mjcf.simulate(scene, timestep=tried)
+    return mjcf.simulate(scene, timestep=steps[HALVINGS], integrator=IMPLICIT)
 
 
 def _mujoco_refined(scene: Scene) -> Trajectory:

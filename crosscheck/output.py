@@ -10,15 +10,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from crosscheck.against.compare import Against
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
-from crosscheck.partial import PARTIAL_SUMMARY, partial_path
 from crosscheck.run import Crosscheck
 from newton_euler.trajectory import atomic_file
 
 TOLD = {
-    "crosscheck": ("summary.json", PARTIAL_SUMMARY),
+    "crosscheck": ("summary.json",),
     "benchmark": ("bench.json", "rhs.json", "batch.json", "scaling.json"),
 }
 """Files that tell whose results a folder has."""
@@ -45,9 +43,9 @@ def write(result: Crosscheck, folder: Path, recording: Path | None, verdict: str
     """Write the runs, the summary and the Rerun recording, all of them or none.
 
     The summary is removed first and comes back last, so that a folder that has one is complete wherever
-    a process that wrote to it was killed. Runs of two models that stopped are NAME.partial.npz. What an
-    earlier crosscheck left in the folder of other engines, or a recording if this one goes elsewhere, is
-    removed.
+    a process that wrote to it was killed. Nothing is removed before all that comes in its place is written
+    beside it; then what an earlier crosscheck left in the folder of other engines is, or a recording if this
+    one goes elsewhere.
 
     Args:
         recording: file that the recording goes to; no file if None.
@@ -59,7 +57,6 @@ def write(result: Crosscheck, folder: Path, recording: Path | None, verdict: str
     summary = folder / "summary.json"
     usual = recording_path(result, folder)
     path = folder
-    partial = result.partial if isinstance(result, Against) else {}
     try:
         content = b""
         if recording is not None:
@@ -77,8 +74,7 @@ def write(result: Crosscheck, folder: Path, recording: Path | None, verdict: str
             text = json.dumps(result.summary(), indent=1, allow_nan=False)
             temporary(summary).write_text(text + "\n", encoding="utf-8")
             runs = [folder / f"{name}.npz" for name in result.runs]
-            runs += [partial_path(folder, name) for name in partial]
-            for target, run in zip(runs, (*result.runs.values(), *partial.values()), strict=True):
+            for target, run in zip(runs, result.runs.values(), strict=True):
                 run.save(temporary(target))
             if recording is not None:
                 temporary(recording).write_bytes(content)
@@ -90,8 +86,6 @@ def write(result: Crosscheck, folder: Path, recording: Path | None, verdict: str
             if recording != usual:
                 path = usual
                 usual.unlink(missing_ok=True)
-        path = folder / PARTIAL_SUMMARY
-        path.unlink(missing_ok=True)
     except OSError as error:
         raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
     return [*runs, summary, *([] if recording is None else [recording])]

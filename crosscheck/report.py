@@ -22,6 +22,7 @@ from crosscheck.stiffness import explicit_steps, fastest_decay
 from newton_euler.redundancy import mobility
 from newton_euler.relative import Relative
 from newton_euler.scene import Scene
+from newton_euler.stabilize import RK4_LIMIT
 
 IMPLICIT = ("Radau", "implicitfast")
 """Integrators that engines take for stiff scenes by themselves."""
@@ -106,14 +107,16 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
     for name, run in result.runs.items():
         settings = ", ".join(f"{key} {_short(value)}" for key, value in run.settings.items())
         yield f"{name}: {settings}; {run.wall_time:.2g} s"
+    yield from (f"not finished, {stop}" for stop in result.unfinished)
     for name, reason in result.left_out.items():
         yield f"{name}: left out: {reason}"
     implicit = [name for name, run in result.runs.items() if run.settings.get("integrator") in IMPLICIT]
     if implicit:
         rate, steps = fastest_decay(result.scene), explicit_steps(result.scene)
+        fixed = f" and RK4 a step of {RK4_LIMIT / rate:.2g} s" if "mujoco" in implicit and rate else ""
         yield (
             f"stiff: motions die out at {rate:.2g} 1/s at the start, for which DOP853 would need {steps:.0f} "
-            f"steps to be stable; an implicit method in {', '.join(implicit)}"
+            f"steps{fixed} to be stable; an implicit method in {', '.join(implicit)}"
         )
     if result.mapping and result.runs:
         yield _start_line(result)

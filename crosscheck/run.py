@@ -7,20 +7,20 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib.metadata import version
 from typing import Any
 
 from crosscheck.advice import Advice, Found, advise
+from crosscheck.comparison.diagnosis import Diagnosis, diagnose
 from crosscheck.comparison.known_figures import Measured, known_of, measure
-from crosscheck.comparison.levels import Row, compare, without_runs
-from crosscheck.comparison.rows import not_judged
+from crosscheck.comparison.levels import in_order, stages
+from crosscheck.comparison.rows import Row, not_judged
 from crosscheck.comparison.runs import rests
-from crosscheck.each_run import check_figures, each_run
+from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, TooLongError, limited
-from crosscheck.partial import UnfinishedError
 from crosscheck.scenes.options import titled
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mapping import Mapping as Report
@@ -41,14 +41,15 @@ class Crosscheck:
         source: the name or the file that the scene was loaded from.
         options: of the scene, as they were set.
         scene: what was run.
-        engines: those that ran, in the order asked for.
+        engines: those that can express the scene, in the order asked for.
         left_out: engines that cannot express the scene, and why.
-        runs: by engine.
+        runs: by engine, as far as they came; none of an engine that came nowhere.
         rows: the compared figures.
         measured: figures that are known from elsewhere, as the engines give them.
         wall_time: s, of everything.
         mapping: what became of the elements of a model file; None for a scene of this package's own.
         advice: what to do about what was measured.
+        unfinished: engines that stopped, and parts of the comparison that did not come to their end.
     """
 
     source: str
@@ -62,6 +63,7 @@ class Crosscheck:
     wall_time: float
     mapping: Report | None = None
     advice: tuple[Advice, ...] = ()
+    unfinished: tuple[Stop, ...] = ()
 
     @property
     def title(self) -> str:
@@ -79,53 +81,84 @@ class Crosscheck:
         return len(self.engines) == 1 and bool(self.left_out)
 
     @property
+    def differs(self) -> bool:
+        """Whether any figure exceeds its tolerance."""
+        return not all(row.agrees for row in self.rows) or not all(known.agrees for known in self.measured)
+
+    @property
     def agrees(self) -> bool:
-        """Whether every figure is within its tolerance; never of a deserted engine."""
-        return (
-            not self.deserted
-            and all(row.agrees for row in self.rows)
-            and all(known.agrees for known in self.measured)
-        )
+        """Whether all came to an end and every figure is within its tolerance; never of a deserted engine."""
+        return not (self.deserted or self.unfinished or self.differs)
+
+    @cached_property
+    def diagnosis(self) -> tuple[Diagnosis, ...]:
+        """Who differs, at the first level at which any engine does, and then without it."""
+        return diagnose([engine.name for engine in self.engines], self.rows, self.measured)
 
     @property
     def verdict(self) -> str:
-        """One line: whether the engines agree, or the first level that does not, and where."""
+        """One line: whether the engines agree, or which one does not, where, and what did not end."""
+        word, found = self._judgment()
+        if self.unfinished:
+            return f"UNFINISHED: {'; '.join(map(str, self.unfinished))}; as far as compared {found}"
+        return f"{word}: {found}" if word else found
+
+    def _judgment(self) -> tuple[str, str]:
+        """A word and what the figures say."""
         names = ", ".join(engine.name for engine in self.engines)
-        judged = [row for row in self.rows if not row.informs]
-        failed = [row for row in judged if not row.agrees]
-        wrong = [measured for measured in self.measured if not measured.agrees]
-        alone = len(self.engines) == 1
-        subject = f"ran {names} alone on {self.title}: nothing to compare it with; its own figures"
-        if self.deserted:
-            subject = (
-                f"NOT COMPARED: nothing could be compared on {self.title}, ran {names} alone: "
-                f"{' and '.join(self.left_out)} cannot express it; its own figures"
-            )
+        if self.deserted and self._alone:
+            reason = f"ran {names} alone: {' and '.join(self.left_out)} cannot express it"
+            found = f"nothing could be compared on {self.title}, {reason}; its own figures"
+            return "NOT COMPARED", f"{found} {self._own_figures}"
+        if self._alone:
+            found = f"ran {names} alone on {self.title}: nothing to compare it with; its own figures"
+            return "", f"{found} {self._own_figures}"
+        if self.diagnosis:
+            first, *others = self.diagnosis
+            said = [f"{first.who}; on {self.title} {first.place}", first.blame]
+            said += [f"then {other.who}, {other.place}" for other in others]
+            return "DISAGREE", f"{'; '.join(filter(None, said))} ({self._failed})"
+        return "AGREE", f"{names} agree on {self.title} in all {self._judged} figures{self._beside}"
+
+    @property
+    def _alone(self) -> bool:
+        """Whether one engine has nothing to be compared with but its own figures."""
+        compared = any(len(row.between) > 1 for row in self.rows if not row.agrees)
+        return len(self.engines) == 1 and not compared and all(known.agrees for known in self.measured)
+
+    @property
+    def _own_figures(self) -> str:
+        """Those of a single engine."""
+        failed = next((row for row in self.rows if not row.agrees), None)
+        if failed is None:
+            return f"hold, all {self._judged}{self._beside}"
+        return (
+            f"fail at level '{failed.level}': {failed.quantity}: {failed.value:.3g} > "
+            f"{failed.tolerance:.3g}, worst at {failed.where} ({self._failed})"
+        )
+
+    @property
+    def _judged(self) -> int:
+        return sum(not row.informs for row in self.rows)
+
+    @property
+    def _failed(self) -> str:
+        """How many figures fail."""
+        failed = sum(not row.agrees for row in self.rows)
         if failed:
-            row = failed[0]
-            if not alone:
-                parting = "part" if len(row.between) > 1 else "fails"
-                subject = f"DISAGREE: {' and '.join(row.between)} {parting} on {self.title}"
-            return (
-                f"{subject}{' fail' if alone else ''} at level '{row.level}': {row.quantity}: "
-                f"{row.value:.3g} > {row.tolerance:.3g}, worst at {row.where} "
-                f"({len(failed)} of {len(judged)} figures fail)"
-            )
-        if wrong:
-            first = wrong[0]
-            return (
-                f"DISAGREE: {first.engine} and the reference part on {self.title}: {first.known.quantity} "
-                f"at {first.known.time:g} s: {first.difference:.3g} > {first.allowed:.3g} "
-                f"({len(wrong)} of {len(self.measured)} known figures fail)"
-            )
-        known = f", and the reference in all {len(self.measured)}" if self.measured else ""
-        known += not_judged(self.rows)
-        known += "; nothing moves" if self.rests else ""
+            return f"{failed} of {self._judged} figures fail"
+        wrong = sum(not measured.agrees for measured in self.measured)
+        return f"{wrong} of {len(self.measured)} known figures fail"
+
+    @property
+    def _beside(self) -> str:
+        """What there is to say of figures that hold."""
+        said = f", and the reference in all {len(self.measured)}" if self.measured else ""
+        said += not_judged(self.rows)
+        said += "; nothing moves" if self.rests else ""
         if self.mapping and (counts := self.mapping.counts()):
-            known += f"; of the file {counts}"
-        if alone:
-            return f"{subject} hold, all {len(judged)}{known}"
-        return f"AGREE: {names} agree on {self.title} in all {len(judged)} figures{known}"
+            said += f"; of the file {counts}"
+        return said
 
     def summary(self) -> dict[str, Any]:
         """All figures, versions, settings and wall times, for JSON."""
@@ -138,10 +171,9 @@ class Crosscheck:
             "verdict": self.verdict,
             "wall_time": self.wall_time,
             "versions": {"python": platform.python_version()} | {p: version(p) for p in packages},
-            "engines": {
-                name: {"settings": run.settings, "wall_time": run.wall_time}
-                for name, run in self.runs.items()
-            },
+            "diagnosis": [diagnosis.summary() for diagnosis in self.diagnosis],
+            "unfinished": [asdict(stop) for stop in self.unfinished],
+            "engines": {engine.name: self._ran(engine.name) for engine in self.engines},
             "left_out": self.left_out,
             "mapping": [asdict(entry) for entry in self.mapping.entries] if self.mapping else None,
             "start": self.mapping.start if self.mapping else None,
@@ -149,6 +181,12 @@ class Crosscheck:
             "known_figures": [measured.summary() for measured in self.measured],
             "advice": [asdict(advice) for advice in self.advice],
         }
+
+    def _ran(self, name: str) -> dict[str, Any]:
+        """How an engine ran, for JSON."""
+        if name not in self.runs:
+            return {"settings": {}, "wall_time": None}
+        return {"settings": self.runs[name].settings, "wall_time": self.runs[name].wall_time}
 
 
 def crosscheck(
@@ -161,10 +199,11 @@ def crosscheck(
 ) -> Crosscheck:
     """Run a scene through the engines and compare them; `progress` is told each stage.
 
+    What can be compared is compared, whatever stops or fails.
+
     Raises:
-        CrosscheckError: for a scene without the outputs that are compared. `UnfinishedError`, with all
-            runs, where an engine's fails, does not end or is not finite, after all others ran; and where
-            they cannot be compared.
+        CrosscheckError: for a scene without the outputs that are compared, and where nothing can be: no
+            engine runs and no figure is had.
         NewtonEulerError: for a scene that no engine can express.
     """
     for output in ("velocities", "reactions", "violation"):
@@ -172,21 +211,28 @@ def crosscheck(
             raise CrosscheckError(f"scene {scene.name!r} does not ask for the output {output!r}, needed here")
     start = time.perf_counter()
     able, left_out = _able(scene, engines)
-    runs = each_run(scene, able, progress, lambda: without_runs(scene, able, RANDOM_STATES))
-    try:
-        with limited("comparing equations and runs", SHORTER, progress):
-            rows = compare(scene, able, runs, RANDOM_STATES)
-        check_figures(rows)
-        measured: list[Measured] = []
-        known = known_of(source, options)
-        for engine in able if known else ():
-            progress(f"{engine.name}: known figures")
-            measured.extend(measure(source, scene, engine, runs[engine.name], known))
-        advice: tuple[Advice, ...] = ()
-        with suppress(TooLongError), limited("working out advice", "there is none", progress):
+    runs, stops = each_run(scene, able, progress)
+    stopped = {stop.what for stop in stops}
+    rows: list[Row] = []
+    for what, stage in stages(scene, able, runs, RANDOM_STATES).items():
+        with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
+            for row in finite(stage(tuple(rows))):
+                rows.append(row)  # not all at once: those before an error are kept
+    if not (rows or runs):
+        raise CrosscheckError("; ".join(map(str, stops)))
+    rows = in_order(rows)
+    measured: list[Measured] = []
+    known = known_of(source, options)
+    for engine in able if known else ():
+        if engine.name not in stopped:
+            what = f"{engine.name}: known figures"
+            with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
+                measured.extend(measure(source, scene, engine, runs[engine.name], known))
+    advice: tuple[Advice, ...] = ()
+    if not stops:
+        what = "working out advice"
+        with as_far_as_it_goes(what, stops), suppress(TooLongError), limited(what, "there is none", progress):
             advice = advise(Found(scene, source, able, runs, rows, options, mapping))
-    except Exception as error:  # runs are kept whatever goes wrong with their comparison
-        raise UnfinishedError(reason_of(error), runs) from error
     wall_time = time.perf_counter() - start
     return Crosscheck(
         source,
@@ -200,6 +246,7 @@ def crosscheck(
         wall_time,
         mapping,
         advice,
+        tuple(stops),
     )
 
 
@@ -229,10 +276,13 @@ def _named(engine: Engine) -> Callable[[Scene], Trajectory]:
     """The engine's finer run, with errors that name it."""
 
     def refined(scene: Scene) -> Trajectory:
+        name = f"{engine.name}, in a finer run for comparison"
         try:
             return engine.refined(scene)
+        except NewtonEulerError as error:
+            error.args = (f"{name}: {error}",)
+            raise
         except Exception as error:
-            kind = NewtonEulerError if isinstance(error, NewtonEulerError) else CrosscheckError
-            raise kind(f"{engine.name}, in a finer run for comparison: {reason_of(error)}") from error
+            raise CrosscheckError(f"{name}: {reason_of(error)}") from error
 
     return refined

@@ -20,7 +20,6 @@ from crosscheck.engines import choose
 from crosscheck.errors import reason_of
 from crosscheck.files import check_writable
 from crosscheck.output import tidied_up, write
-from crosscheck.partial import partial_runs_saved
 from crosscheck.report import judged, markdown
 from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
@@ -103,8 +102,7 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # results are checked where they are used
-            with partial_runs_saved(folder, [name]):
-                result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
+            result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
             write(result, folder, folder / f"{name}.rrd", markdown(result))
     except Exception as error:  # what goes wrong with one scene is a line, like the others' results
         return Outcome(name, time.perf_counter() - start, False, f"{name} did not run: {reason_of(error)}")

@@ -1,20 +1,25 @@
-"""Which adaptive method a scene is run with: DOP853, unless its stability would make it creep.
+"""Which method and step a scene is run with, by how fast its motions die out or swing.
 
 An explicit method is stable as long as its step times the fastest rate of decay stays below a number of its
 own, 6.3 for DOP853 (measured on models with damped joints of little inertia, whose runs take just as many
 steps as that says). Above some number of such steps the implicit Radau is quicker, though each of its steps
-needs a Jacobian: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 1996, section IV.2.
+needs a Jacobian. A fixed step cannot adapt: RK4's has to be stable everywhere on the way, by its stability
+function. E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 1996, section IV.2.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
+from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.simulate import compile_scene
+from newton_euler.state import State
 from newton_euler.steppers.march import NEAR
+from newton_euler.trajectory import Trajectory
 
 STABLE = 6.3
 """Largest product of DOP853's step and a rate of decay."""
@@ -26,29 +31,62 @@ LARGEST = 500
 """Coordinates and velocities; eigenvalues of more would take longer than they save."""
 
 
-@lru_cache(maxsize=1)
-def fastest_decay(scene: Scene) -> float:
-    """The fastest rate, 1/s, at which motions of a scene die out at its start; 0 where it cannot be told.
+LOOKS = 8
+"""States of a run, evenly spread, whose motions are looked at."""
 
-    From the eigenvalues of the derivative of (qdot, vdot) by (q, v), taken by central differences of the
-    compiled equations, which costs next to nothing.
+FEW = 150
+"""Coordinates and velocities of scenes in which that takes well below a second; of others one state is."""
+
+SLACK = 1e-6
+"""Growth in a step that is round-off: differences hold half of the digits."""
+
+
+def modes(scene: Scene, states: Sequence[tuple[float, State]]) -> Array:
+    """Eigenvalues, 1/s, of the motions of a scene linearized at times, s, and states; of all together.
+
+    Of the derivative of (qdot, vdot) by (q, v), taken by central differences of the compiled equations, which
+    costs next to nothing. None where it cannot be told: differences say nothing near a singularity.
     """
     compiled = compile_scene(scene)
     derivative, n = compiled.function("derivative"), compiled.size
-    x = compiled.packed(*compiled.system.coordinates(scene.initial_state))
-    health = derivative(x)[-1]
-    if n > LARGEST or not health > NEAR:  # near a singular configuration differences say nothing
-        return 0.0
-    jacobian = np.empty((n, n))
-    for k in range(n):
-        step = np.zeros(len(x))
-        step[k] = NUDGE * max(1.0, abs(x[k]))
-        jacobian[:, k] = (derivative(x + step)[:n] - derivative(x - step)[:n]) / (2.0 * step[k])
-    if not np.all(np.isfinite(jacobian)):
-        return 0.0
-    return max(0.0, -float(np.min(np.linalg.eigvals(jacobian).real)))
+    found: list[Array] = []
+    for time, state in states[: 0 if n > LARGEST else 1 if n > FEW else None]:
+        x = compiled.packed(*compiled.system.coordinates(state), time)
+        if not derivative(x)[-1] > NEAR:
+            continue
+        jacobian = np.empty((n, n))
+        for k in range(n):
+            step = np.zeros(len(x))
+            step[k] = NUDGE * max(1.0, abs(x[k]))
+            jacobian[:, k] = (derivative(x + step)[:n] - derivative(x - step)[:n]) / (2.0 * step[k])
+        if np.all(np.isfinite(jacobian)):
+            found.append(np.linalg.eigvals(jacobian))
+    return np.concatenate([np.zeros(0), *found])
+
+
+@lru_cache(maxsize=1)
+def fastest_decay(scene: Scene) -> float:
+    """The fastest rate, 1/s, at which motions of a scene die out at its start; 0 where it cannot be told."""
+    return max(0.0, -float(np.min(modes(scene, [(0.0, scene.initial_state)]).real, initial=0.0)))
 
 
 def explicit_steps(scene: Scene) -> float:
     """How many steps stability alone would cost DOP853 over a scene's duration."""
     return fastest_decay(scene) * scene.duration / STABLE
+
+
+def modes_of_run(scene: Scene, run: Trajectory | None) -> Array:
+    """Eigenvalues, 1/s, of the motions at the start and along a run, see `modes`."""
+    states = [(0.0, scene.initial_state)]
+    if run is not None and run.linear_velocity is not None and run.angular_velocity is not None:
+        arrays = run.position, run.quaternion, run.linear_velocity, run.angular_velocity
+        rows = np.unique(np.linspace(0, len(run.time) - 1, LOOKS).round().astype(int))
+        states += [(float(run.time[row]), State(*(array[row] for array in arrays))) for row in rows]
+    return modes(scene, states)
+
+
+def is_stable_in_rk4(modes: Array, step: float) -> bool:
+    """Whether RK4 lets all motions die out that do, or swing on, at a step, s."""
+    z = step * modes[modes.real <= 0.0]
+    growth = 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
+    return bool(np.all(np.abs(growth) <= 1.0 + SLACK))

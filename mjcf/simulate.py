@@ -41,7 +41,7 @@ def simulate(
     """Run a scene in MuJoCo, with soft constraints and native actuators, springs and tendons.
 
     Reactions at an output are those of MuJoCo's forward dynamics in that state. Work, if the scene tracks
-    it, is the integral of the power at all steps by Simpson's rule, which is of order 4 like RK4.
+    it, is that of the forces that the steps apply, see `mjcf.work`.
 
     Args:
         scene: what to run.
@@ -204,6 +204,8 @@ def _run(
     """The states at all outputs, or at those that were reached and what ended the run."""
     import mujoco
 
+    from mjcf import work as work_of
+
     model, data, layout = system.model, system.data, system.layout
     q, v = system.coordinates(system.scene.initial_state)
     system.place(q, v)
@@ -230,7 +232,7 @@ def _run(
                 if work is None:
                     mujoco.mj_step(model, data, number)
                 else:
-                    work += _stepped(system, number)
+                    work += work_of.step(system, number)
                 # a step checks the state that it starts from
                 mujoco.mj_checkPos(model, data)
                 mujoco.mj_checkVel(model, data)
@@ -247,18 +249,6 @@ def _divergence(time: float, warning: str, rows: Sequence[Output]) -> Divergence
     state = system.state(q, v)
     joint, force = fastest_joint(system.mechanism, state), strongest_force(system.scene, state)
     return DivergenceError(time, blamed(warning, joint, force))
-
-
-def _stepped(system: SoftMuJoCo, number: int) -> float:
-    """Make a number of steps; the work that is done in them, J."""
-    import mujoco
-    from scipy.integrate import simpson
-
-    powers = [system.power()]
-    for _ in range(number):
-        mujoco.mj_step(system.model, system.data)
-        powers.append(system.power())
-    return float(simpson(powers, dx=system.model.opt.timestep))
 
 
 @contextmanager

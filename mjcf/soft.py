@@ -17,7 +17,11 @@ from newton_euler.state import Evaluation
 
 
 class SoftMuJoCo(CompiledScene):
-    """What `mj_forward` says: accelerations and constraint forces of soft constraints."""
+    """What `mj_forward` says: accelerations and constraint forces of soft constraints.
+
+    Attributes:
+        moved: (m,) places in MuJoCo's velocities of the joint coordinates that follow prescribed motions.
+    """
 
     name = "mujoco"
 
@@ -25,7 +29,11 @@ class SoftMuJoCo(CompiledScene):
         """Compile; raises `ModelError` with MuJoCo's reason if it refuses."""
         super().__init__(scene)
         first = self.model.neq - len(self.couplings.couplings)
-        self._moved = np.arange(first, first + len(scene.motions))  # motions are the first of the couplings
+        self._motions = np.arange(first, first + len(scene.motions))  # the first of the couplings
+        self.moved = self.model.jnt_dofadr[self.model.eq_obj1id[self._motions]]
+        # of the evaluations in a step; shared by copies of this object, one of which MuJoCo calls
+        self._asked: list[tuple[Array, Array]] = []
+        self._stages: list[Array] = []
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Accelerations, reactions and energies at a state."""
@@ -48,7 +56,7 @@ class SoftMuJoCo(CompiledScene):
 
             a_ref = f'' - b (dx/dt - f') - k d (x - f).
         """
-        if not len(self._moved):
+        if not len(self.moved):
             yield
             return
         before = mujoco.get_mjcb_control()
@@ -60,7 +68,10 @@ class SoftMuJoCo(CompiledScene):
 
     def _follow(self, model: Any, data: Any) -> None:
         """Change a_ref of the rows of prescribed motions at MuJoCo's time."""
-        rows, functions = self._rows_of_motions(data), slice(len(self._moved))
+        rows, functions = self._rows_of_motions(data), slice(len(self.moved))
+        if self._asked:  # accelerations are still those of the stage before
+            asked, stiffness = self._asked.pop()
+            self._stages.append(stiffness * (asked - data.qacc[self.moved]))
         ahead = self.couplings.value(data.time)[functions] - self.couplings.value(0.0)[functions]
         k, b, impedance = data.efc_KBIP[rows, :3].T
         data.efc_aref[rows] += (
@@ -68,15 +79,26 @@ class SoftMuJoCo(CompiledScene):
             + b * self.couplings.rate(data.time)[functions]
             + k * impedance * ahead
         )
+        self._asked.append((np.array(data.efc_aref[rows]), np.array(data.efc_D[rows])))
+
+    def forget_stages(self) -> None:
+        """Have the next evaluation be the first whose multipliers are kept."""
+        self._asked.clear()
+        self._stages.clear()
+
+    def multipliers(self) -> Array:
+        """(stages, m) N or N m, of prescribed motions at the evaluations since `forget_stages`.
+
+        A soft constraint's force is D (a_ref - a) with the acceleration a that comes about.
+        """
+        return np.array([*self._stages, self.data.efc_force[self._rows_of_motions(self.data)]])
 
     def _rows_of_motions(self, data: Any) -> Array:
         """(m,) the rows of prescribed motions, which are never dropped: each moves a joint."""
-        return np.flatnonzero(np.isin(data.efc_id, self._moved))
+        return np.flatnonzero(np.isin(data.efc_id, self._motions))
 
     def power(self) -> float:
-        """Power, W, of what is not in the potential energy, at the state that `data` holds."""
+        """Power, W, of actuators and dampers at the state that `data` holds."""
         data = self.data
         mujoco.mj_forward(self.model, data)
-        power = data.actuator_force @ data.actuator_velocity + data.qfrc_damper @ data.qvel
-        rates = self.couplings.rate(data.time)[: len(self._moved)]
-        return float(power + data.efc_force[self._rows_of_motions(data)] @ rates)
+        return float(data.actuator_force @ data.actuator_velocity + data.qfrc_damper @ data.qvel)

@@ -80,8 +80,11 @@ class Code:
         stabilization: str = "projection",
         alpha: float = PAPER_ALPHA,
         parameters: Sequence[str] = (),
+        independent: Sequence[int] | None = None,
     ) -> None:
+        """`independent` are rows of closures to use; those that `redundancy` selects if None."""
         self.scene = scene
+        self._independent, self._named = independent, tuple(parameters)
         self.formulation, self.stabilization, self.alpha = formulation, stabilization, alpha
         self._alpha = baumgarte_alpha(stabilization, alpha)
         self.system = formulate(scene, formulation, self._alpha)
@@ -165,7 +168,9 @@ class Code:
     @cached_property
     def _identity(self) -> str | None:
         """What programs depend on, see `fingerprint`."""
-        chosen = (self.formulation, self.stabilization, self._alpha, tuple(self.parameters))
+        chosen: list[Any] = [self.formulation, self.stabilization, self._alpha, tuple(self.parameters)]
+        if self._independent is not None:
+            chosen.append(tuple(self._independent))
         return fingerprint(self.scene, *chosen)
 
     def _remembered(self, what: str, make: Callable[[], T]) -> T:
@@ -185,7 +190,7 @@ class Code:
         """Rows in use, whether multipliers are not unique, and what is nearly redundant."""
 
         def decide() -> tuple[RowsInUse, bool, tuple[NearlyRedundant, ...]]:
-            decided, rows = mobility(self.scene), rows_in_use(self.system)
+            decided, rows = mobility(self.scene), rows_in_use(self.system, self._independent)
             unused = len(self.system.phi_units) - len(rows.numbers)
             if isinstance(self.system, Relative):  # where rows may be zero everywhere
                 unused = len(decided.redundant)

@@ -16,7 +16,7 @@ Everything is sparse: scenes may have thousands of rows.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 from weakref import WeakKeyDictionary
@@ -129,16 +129,16 @@ class Mobility:
         redundant: other rows that are not zero everywhere: with them multipliers are not unique.
         nearly: constraints that are almost redundant, and how they are taken.
         residual: largest singular value that is taken as redundant; 0 if all are exactly so.
-        states: configurations that were examined and are closed, at rest.
-        regular: whether the independent rows are so in each of them.
+        configurations: those that were examined and are closed.
+        states: the same, at rest.
     """
 
     degrees_of_freedom: int
     independent: list[int]
     redundant: list[int]
     nearly: tuple[NearlyRedundant, ...]
+    configurations: list[Configuration]
     states: list[State]
-    regular: list[bool]
 
     @property
     def residual(self) -> float:
@@ -167,13 +167,18 @@ def inherit_mobility(scene: Scene, of: Scene) -> None:
         _KNOWN[scene] = _KNOWN[of]
 
 
-def rows_in_use(system: Eliminated) -> RowsInUse:
-    """Select rows of a form of the equations that are independent and imply all others."""
+def rows_in_use(system: Eliminated, independent: Sequence[int] | None = None) -> RowsInUse:
+    """Select rows of a form of the equations that are independent and imply all others.
+
+    They hold `independent` rows of the joint-coordinate form, those of its mobility if None.
+    """
     decided = mobility(system.scene)
-    numbers = system.rows_of(decided.independent)
+    independent = decided.independent if independent is None else list(independent)
+    numbers = system.rows_of(independent)
     pivots = []
-    for state, regular in zip(decided.states, decided.regular, strict=True):
-        if regular:  # elsewhere, as where the four-bar is flat, pivots are zero or round-off
+    for at, state in zip(decided.configurations, decided.states, strict=True):
+        # elsewhere, as where the four-bar is flat, pivots are zero or round-off
+        if len(_independent([at.rows[i] for i in independent], 0.0).order) == len(independent):
             q, _ = system.coordinates(state)
             solution = system.sparse_solution(q, np.zeros(system.nv), RowsInUse(numbers))
             pivots.append((solution.pivots, solution.mass_pivots))
@@ -187,18 +192,13 @@ def _mobility(system: RelativeTerms) -> Mobility:
     seen, alive = _examine(system)
     best = max(seen, key=lambda at: len(at.independent))
     independent, rest = best.independent, np.zeros(system.nv)
-    regular = [
-        at.independent == independent
-        or len(_independent([at.rows[i] for i in independent], 0.0).order) == len(independent)
-        for at in seen
-    ]
     return Mobility(
         system.nv - len(independent),
         independent,
         sorted(alive - set(independent)),
         tuple(_nearly(system, best)),
+        seen,
         [system.state(at.q, rest) for at in seen],
-        regular,
     )
 
 

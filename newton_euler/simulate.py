@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from newton_euler.errors import (
 )
 from newton_euler.euler_parameters import continuous
 from newton_euler.integrate import Options, integrate
+from newton_euler.redundancy import mobility
+from newton_euler.row_choice import other_rows
 from newton_euler.sampling import holding, intervals, sample
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -28,6 +31,9 @@ from newton_euler.stabilize import PAPER_ALPHA
 from newton_euler.state import Evaluation, State
 from newton_euler.system import System, at_time
 from newton_euler.trajectory import Trajectory, check_finite
+
+ROW_CHOICES = 3
+"""How many times constraint rows are chosen anew, each time with all that a run has seen until it stopped."""
 
 
 def simulate(
@@ -89,6 +95,11 @@ def compile_scene(
 class CompiledScene(Code):
     """A scene in native code, to be run many times; see `compile_scene`."""
 
+    @cached_property
+    def _others(self) -> dict[tuple[int, ...], CompiledScene]:
+        """The same with other constraint rows, by these."""
+        return {}
+
     def simulate(
         self,
         integrator: str = "DOP853",
@@ -119,7 +130,8 @@ class CompiledScene(Code):
 
         return time_function(self.function("derivative"), self.packed(q, v), count)
 
-    def _run(self, options: Options) -> Trajectory:
+    def _run(self, options: Options, choices: int = ROW_CHOICES) -> Trajectory:
+        """Run the scene, again with other constraint rows where those in use degenerate on the way."""
         from newton_euler.sampling import march_sampled
         from newton_euler.steppers.run import load
 
@@ -137,9 +149,24 @@ class CompiledScene(Code):
         settings |= {"trace_time": self.trace_time, "compile_time": self.compile_time}
         if stopped is None:
             return native_trajectory(self.scene, settings, wall_time, arrays)
+        if choices and self.redundant and (other := self._with_other_rows(arrays)) is not None:
+            return other._run(options, choices - 1)
         if len(arrays.get("position", ())):
             stopped.partial = native_trajectory(self.scene, settings, wall_time, arrays)
         raise stopped
+
+    def _with_other_rows(self, arrays: dict[str, Array]) -> CompiledScene | None:
+        """The same scene with rows that stay independent at the poses of a run that stopped, if there are."""
+        poses = zip(arrays.get("position", ()), arrays.get("quaternion", ()), strict=True)
+        still = np.zeros((len(self.scene.mechanism.bodies), 3))
+        used = mobility(self.scene).independent if self._independent is None else self._independent
+        found = other_rows(self.scene, used, [State(*pose, still, still) for pose in poses])
+        if found is None:
+            return None
+        if tuple(found) not in self._others:
+            arguments = (self.formulation, self.stabilization, self.alpha, self._named)
+            self._others[tuple(found)] = CompiledScene(self.scene, *arguments, independent=found)
+        return self._others[tuple(found)]
 
 
 def native_trajectory(

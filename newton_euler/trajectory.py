@@ -6,7 +6,7 @@ import io
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +63,15 @@ class Trajectory:
         skipped = ("engine", "settings", "wall_time")
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in skipped}
         return {name: np.asarray(value) for name, value in values.items() if value is not None}
+
+    def first(self, outputs: int) -> Trajectory:
+        """The run at its first outputs; itself if it has no more."""
+        if outputs >= len(self.time):
+            return self
+        cut: dict[str, Any] = {
+            name: values[:outputs] for name, values in self.arrays().items() if values.dtype.kind == "f"
+        }
+        return replace(self, **cut)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the arrays to an .npz; the file appears whole or not at all."""

@@ -152,6 +152,17 @@ def test_softness_is_told_apart_from_another_model(loop: Scene, runs: dict[str, 
     assert [advice.topic for advice in soft_advice(found(loop, runs))] == ["mujoco"]
 
 
+def test_nothing_is_soft_without_equalities() -> None:
+    scene = replace(pendulum(), duration=0.2)
+    runs = {name: ENGINES[name].simulate(scene) for name in ("newton_euler", "mujoco")}
+    off = replace(runs["mujoco"], position=runs["mujoco"].position + 1e-4)
+    advice = only(soft_advice(found(scene, runs | {"mujoco": off}, AGREED, RUNS_APART)))
+    assert advice.topic == "mujoco"
+    assert "solref" not in advice.text
+    text = only(soft_advice(found(scene, runs))).text
+    assert "solref" not in text
+
+
 def test_steps_can_be_written_down(loop: Scene) -> None:
     assert fitting(loop, 0.3) == 0.05
     assert fitting(loop, 0.05 / 6.5) == 0.05 / 8

@@ -23,7 +23,6 @@ from crosscheck.comparison.reactions import undetermined, undetermined_in_both
 from crosscheck.comparison.rows import LEVELS, START
 from crosscheck.faults import plant
 from crosscheck.faults.plant import Plant
-from crosscheck.partial import UnfinishedError
 from crosscheck.scenes.write_file import write_scene
 from newton_euler import Body, Mechanism, Scene
 from newton_euler.armature import Armature
@@ -389,23 +388,23 @@ def test_a_run_that_stops_does_not_hide_where_the_models_part(monkeypatch) -> No
     assert result.verdict.startswith("DIFFERENT: a and b part at level 'model': mass, rel: ")
     assert result.verdict.endswith("; not run to the end")
     assert result.notes[0] == f"not run to the end: b: {STOPPED}"
-    assert (list(result.runs), list(result.partial)) == (["a"], ["b"])
+    assert list(result.runs) == ["a", "b"]
+    assert [stop.what for stop in result.unfinished] == ["b"]
 
 
 def test_a_run_that_stops_of_models_that_agree_until_then_gives_no_verdict(monkeypatch) -> None:
     stopping_above(monkeypatch, 0.5)
-    with pytest.raises(UnfinishedError) as caught:
-        compared(pendulum(), pendulum())
-    one, other, agreed = str(caught.value).split("; ")
-    assert (one, other) == (f"a: {STOPPED}", f"b: {STOPPED}")
-    assert agreed.startswith("all ")
-    assert agreed.endswith(" agree, up to level 'accelerations and reactions'")
+    result = compared(pendulum(), pendulum())
+    assert not result.agrees
+    one, other, agreed = result.verdict.split("; ")[:3]
+    assert (one, other) == (f"UNFINISHED: a: {STOPPED}", f"b: {STOPPED}")
+    assert agreed.startswith("as far as compared a and b agree in all ")
+    assert {row.level for row in result.rows} >= {"model", "trajectories"}
 
 
-@pytest.mark.parametrize(("mass", "files"), [(1.0, {"one.npz", "other.partial.npz"}), (
-    0.5, {"one.partial.npz", "other.partial.npz"})])  # fmt: skip
+@pytest.mark.parametrize("mass", [1.0, 0.5])
 def test_models_that_part_are_different_on_the_command_line_whatever_stops(
-    capsys, monkeypatch, tmp_path, mass, files
+    capsys, monkeypatch, tmp_path, mass
 ) -> None:
     write_scene(pendulum(), tmp_path / "one.yaml")
     write_scene(plant.mass("rod", FAULT)(pendulum()), tmp_path / "other.yaml")
@@ -419,7 +418,7 @@ def test_models_that_part_are_different_on_the_command_line_whatever_stops(
     assert (status, err) == (1, "")
     assert f": {STOPPED}" in printed
     assert printed.splitlines()[-1].startswith("DIFFERENT: ")
-    assert {path.name for path in out.iterdir()} == {*files, "summary.json", recording}
+    assert {path.name for path in out.iterdir()} == {"one.npz", "other.npz", "summary.json", recording}
     assert run(capsys, "report", out)[0] == 0
     monkeypatch.undo()
     assert run(capsys, *arguments)[0] == 1

@@ -12,7 +12,7 @@ from dataclasses import replace
 import pytest
 from command_line import check_refused, command, run, scene_file
 
-from crosscheck.comparison.levels import LEVELS
+from crosscheck.comparison.levels import LEVELS, Row
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from newton_euler.trajectory import load_arrays
@@ -83,10 +83,9 @@ def test_a_disagreement_is_status_1_and_names_the_place(capsys, tmp_path, good, 
     status, out, _ = run(capsys, "run", path, "--output", tmp_path / "out")
     assert status == 1
     verdict = out.splitlines()[-1]
-    assert verdict.startswith(
-        "DISAGREE: newton_euler and mujoco part on four_bar at level 'model': mass, rel: 0.001"
-    )
-    assert "worst at coupler" in verdict
+    assert verdict.startswith("DISAGREE: mujoco differs; newton_euler and pinocchio agree to ")
+    assert "(all figures); on four_bar at level 'model': mass, rel: 0.001 > 1e-12, worst at coupl" in verdict
+    assert "; mujoco's model is wrong (" in verdict
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["agrees"] is False
 
 
@@ -231,32 +230,35 @@ def test_an_interrupt_is_one_line(tmp_path, capsys, good, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("crosscheck.run.compare", interrupted)
+    monkeypatch.setattr("crosscheck.run.stages", interrupted)
     check_refused(capsys, tmp_path, scene_file(tmp_path, good), message="interrupted")
 
 
-def test_what_nobody_foresaw_is_one_line_too(tmp_path, capsys, good, monkeypatch):
-    def broken(*_):
+def test_what_nobody_foresaw_is_one_line_and_what_there_is_is_kept(tmp_path, capsys, good, monkeypatch):
+    def broken(_):
         raise ZeroDivisionError("division\nby zero")
 
-    monkeypatch.setattr("crosscheck.run.compare", broken)
+    monkeypatch.setattr("crosscheck.run.stages", lambda *_: {"comparing": broken})
     path, out = scene_file(tmp_path, good), tmp_path / "out"
-    status, _, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
-    assert (status, err.count("\n")) == (2, 1)
-    assert err.startswith("crosscheck: error: internal error: ZeroDivisionError: division by zero; wrote ")
-    assert {path.name for path in out.iterdir()} == {"newton_euler.npz", "mujoco.npz", "summary.partial.json"}
+    status, said, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
+    assert (status, err) == (3, "")
+    reason = "comparing: internal error: ZeroDivisionError: division by zero"
+    assert said.splitlines()[-1].startswith(f"UNFINISHED: {reason}; ")
+    files = {"newton_euler.npz", "mujoco.npz", "summary.json", "four_bar.rrd"}
+    assert {path.name for path in out.iterdir()} == files
 
 
-def test_a_figure_that_is_not_a_number_is_refused(tmp_path, capsys, good, monkeypatch):
-    from crosscheck.comparison.levels import Row
-
+def test_a_figure_that_is_not_a_number_is_none(tmp_path, capsys, good, monkeypatch):
     row = Row("drift", "open joints", ("mujoco",), float("nan"), 1.0, "elbow")
-    monkeypatch.setattr("crosscheck.run.compare", lambda *_: [row])
+    monkeypatch.setattr(
+        "crosscheck.run.stages", lambda *_: {"comparing": lambda _: [row, replace(row, value=0.5)]}
+    )
     path, out = scene_file(tmp_path, good), tmp_path / "out"
-    status, _, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
-    assert (status, err.count("\n")) == (2, 1)
-    assert "no figure for open joints at level 'drift' between mujoco: nan at elbow; wrote " in err
-    assert {path.name for path in out.iterdir()} == {"newton_euler.npz", "mujoco.npz", "summary.partial.json"}
+    status, said, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
+    assert (status, err) == (3, "")
+    assert "no figure for open joints at level 'drift' between mujoco: nan at elbow; as far" in said
+    figures = json.loads((out / "summary.json").read_text())["figures"]
+    assert [figure["value"] for figure in figures] == [0.5]
 
 
 def test_markup_in_texts_is_text(tmp_path, capsys, good):
@@ -279,10 +281,8 @@ def test_one_engine_alone_agrees_with_nobody(tmp_path, capsys, good):
 
 
 def test_one_engine_alone_can_fail(tmp_path, capsys, good, monkeypatch):
-    from crosscheck.comparison.levels import Row
-
     row = Row("drift", "open joints, m or rad", ("mujoco",), 2.0, 1.0, "elbow at 0 s")
-    monkeypatch.setattr("crosscheck.run.compare", lambda *_: [row])
+    monkeypatch.setattr("crosscheck.run.stages", lambda *_: {"comparing": lambda _: [row]})
     path = scene_file(tmp_path, good)
     status, out, _ = run(capsys, "run", path, "--engines", "mujoco", "--output", tmp_path / "out")
     assert status == 1

@@ -20,10 +20,13 @@ from newton_euler.joints import Fixed, Revolute, Spherical
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.redundancy import mobility, rows_in_use
 from newton_euler.relative import Relative
+from newton_euler.row_choice import other_rows
 from newton_euler.scene import Scene
+from newton_euler.simulate import CompiledScene
 from newton_euler.solve import independent_rows, minimum_norm, rank
 from newton_euler.sparse import dense
 from newton_euler.state import State
+from newton_euler.system import dimensionless_jacobian
 
 FORMULATIONS = (Relative, Cartesian)
 
@@ -191,3 +194,43 @@ def drawn_at(mechanism: Mechanism, state: State) -> Mechanism:
         point = state.position[k] + turned @ arm
         joints.append(replace(joint, point=point, point_on_second=point))
     return Mechanism(bodies, joints)
+
+
+@pytest.fixture(scope="module")
+def bricard():
+    """Bricard's mechanism past 1.248 s, where one row of a hinge comes to depend on all others but one."""
+    outputs = frozenset({"velocities"})
+    scene = replace(load("bricard"), duration=1.3, output_period=0.02, outputs=outputs)
+    return scene, newton_euler.simulate(scene, rtol=1e-12, atol=1e-14)
+
+
+def test_other_rows_are_independent_all_the_way(bricard):
+    scene, run = bricard
+    system, decided = Relative(scene), mobility(scene)
+    still = np.zeros((len(scene.mechanism.bodies), 3))
+    way = [State(*pose, still, still) for pose in zip(run.position, run.quaternion, strict=True)]
+    jacobians = [dimensionless_jacobian(system, system.coordinates(state)[0]) for state in way]
+    alive = sorted({*decided.independent, *decided.redundant})
+    choices = [[row for row in alive if row != left_out] for left_out in alive]
+
+    def smallest(rows):
+        return min(np.linalg.svd(jacobian[rows])[1][-1] for jacobian in jacobians)
+
+    worst, best = min(choices, key=smallest), max(choices, key=smallest)
+    assert smallest(worst) < 1e-2
+    assert other_rows(scene, worst, way) == best
+    assert other_rows(scene, best, way) is None
+    assert other_rows(scene, worst, []) is None
+
+
+def test_a_run_stops_at_rows_that_degenerate_and_goes_on_with_others(bricard):
+    """Rows that a compiled scene is told to use, of which one comes to depend on the others."""
+    scene, wanted = bricard
+    decided = mobility(scene)
+    alive = sorted({*decided.independent, *decided.redundant})
+    for left_out in alive:
+        used = [row for row in alive if row != left_out]
+        code = CompiledScene(scene, "cartesian", independent=used)
+        found = code.simulate(rtol=1e-12, atol=1e-14)
+        # 30 steps to 1e-12 each
+        assert found.position == pytest.approx(wanted.position, abs=1e-10), left_out

@@ -167,7 +167,7 @@ def test_a_wrong_figure_is_status_1(capsys, tmp_path, monkeypatch):
     assert status == 1
     verdict = out.splitlines()[-1]
     assert verdict.startswith(
-        "DISAGREE: newton_euler and the reference part on pendulum: y at 0.5 s: 0.00092 >"
+        "DISAGREE: newton_euler and the reference part; on pendulum against the reference: y: 0.00092 > "
     )
     assert verdict.endswith("(2 of 10 known figures fail)")
 

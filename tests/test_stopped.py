@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import partial
 
@@ -13,11 +14,10 @@ from test_singular import STARTS, crank, parallelogram
 import mjcf
 import newton_euler
 import urdf
-from crosscheck import limit, run_all
+from crosscheck import limit
+from crosscheck.cli.shared import UNFINISHED
 from crosscheck.engines import ENGINES as ENGINES_BY_NAME
-from crosscheck.errors import CrosscheckError
 from crosscheck.faults import plant
-from crosscheck.partial import PARTIAL_SUMMARY, partial_runs_saved
 from crosscheck.run_all import outcome
 from crosscheck.scenes import load
 from crosscheck.scenes.write_file import write_scene
@@ -40,6 +40,8 @@ INTEGRATORS = {
     "RK4": {"integrator": "RK4", "step": 1e-3},
     "Euler": {"integrator": "Euler", "step": 1e-3},
 }
+
+FILES = {"newton_euler.npz", "mujoco.npz", "summary.json"}
 
 ENGINES = {
     **{
@@ -146,25 +148,26 @@ def test_the_joint_that_loses_rank_is_named(formulation):
     assert np.abs(found.position[:, 1] - crank(scene)[: len(found.time)]).max() < 1e-6
 
 
-def test_crosscheck_run_saves_what_each_engine_computed(capsys, tmp_path):
+def test_crosscheck_run_compares_what_each_engine_computed(capsys, tmp_path):
     path, folder = tmp_path / "runaway.yaml", tmp_path / "out"
     write_scene(runaway(("velocities", "reactions", "violation")), path)
-    folder.mkdir()
-    for name in ("mujoco.partial.npz", "mujoco.npz", "pinocchio.npz", "summary.json"):
-        (folder / name).write_text("of an earlier run")  # which a summary that cannot be read is too
-    status, _, err = command(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", folder)
-    assert status == 2
-    assert err.count("\n") == 1
-    assert "newton_euler: integration stopped at t = " in err
-    assert "'rail'" in err
-    assert "mujoco: MuJoCo diverged at t = " in err
-    partial = [folder / "newton_euler.partial.npz", folder / "mujoco.partial.npz"]
-    assert all(f"wrote {path}, up to t = " in err for path in partial)
-    assert set(folder.iterdir()) == {*partial, folder / PARTIAL_SUMMARY}
-    arrays, others = map(load_arrays, partial)
+    status, out, err = command(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", folder)
+    assert (status, err) == (UNFINISHED, "")
+    verdict = out.splitlines()[-1]
+    assert verdict.startswith("UNFINISHED: newton_euler: integration stopped at t = ")
+    assert "'rail'" in verdict
+    assert "mujoco: MuJoCo diverged at t = " in verdict
+    assert {found.name for found in folder.iterdir()} == {*FILES, "runaway.rrd"}
+    summary = json.loads((folder / "summary.json").read_text())
+    arrays, others = (load_arrays(folder / f"{name}.npz") for name in ("newton_euler", "mujoco"))
+    times = {stop["what"]: stop["time"] for stop in summary["unfinished"]}
+    assert times == {"newton_euler": arrays["time"][-1], "mujoco": others["time"][-1]}
     assert arrays["linear_velocity"][:, 1, 0] == pytest.approx(np.cosh(GROWTH * arrays["time"]), rel=1e-4)
     assert len(others["time"]) > 1
     assert np.isfinite(others["linear_velocity"]).all()
+    assert {"model", "trajectories", "drift"} <= {figure["level"] for figure in summary["figures"]}
+    assert command(capsys, "report", folder)[0] == 0
+    assert "integration stopped at t = " in (folder / "report.html").read_text()
 
 
 def stopping(scene: Scene) -> Trajectory:
@@ -183,41 +186,45 @@ def breaking(scene: Scene) -> Trajectory:
     raise np.linalg.LinAlgError("SVD did not\nconverge")
 
 
-def leave_earlier(folder) -> None:
-    """What a crosscheck of the pendulum left that agreed, and recordings of the user's own."""
-    for name in ("newton_euler.npz", "pinocchio.npz", "pendulum.rrd", "mine.rrd"):
-        (folder / name).write_text("of an earlier run")
-    (folder / "summary.json").write_text('{"scene": "pendulum", "agrees": true}')
-
-
-def pendulum_run(capsys, monkeypatch, folder, **changes) -> tuple[int, str, set[str]]:
-    """`crosscheck run` with a changed newton_euler, before MuJoCo: status, error and files."""
+def pendulum_run(capsys, monkeypatch, folder, **changes) -> tuple[int, str, dict]:
+    """`crosscheck run` with a changed newton_euler, before MuJoCo: status, verdict and summary."""
     monkeypatch.setitem(ENGINES_BY_NAME, "newton_euler", replace(ENGINES_BY_NAME["newton_euler"], **changes))
     names = "newton_euler,mujoco"
-    status, _, err = command(capsys, "run", "pendulum", "--engines", names, "--output", folder)
-    assert err.count("\n") == 1
-    return status, err, {path.name for path in folder.iterdir()}
+    status, out, err = command(capsys, "run", "pendulum", "--engines", names, "--output", folder)
+    assert err == ""
+    return status, out.splitlines()[-1], json.loads((folder / "summary.json").read_text())
 
 
-def test_the_other_engines_run_when_one_stops(capsys, monkeypatch, tmp_path):
-    status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, simulate=stopping)
-    assert status == 2
-    assert "newton_euler: integration stopped at t = 5 s: by joint 'crank'; all " in err
-    assert "figures that need no run agree, up to level 'accelerations and reactions'; wrote " in err
-    assert f"wrote {tmp_path / 'newton_euler.partial.npz'}, up to t = 5 s" in err
-    assert files == {"newton_euler.partial.npz", "mujoco.npz", PARTIAL_SUMMARY}
-    time = load_arrays(tmp_path / "mujoco.npz")["time"]
-    assert time[-1] == load("pendulum").duration
+def levels(summary, *between):
+    """The levels that some engines were compared at."""
+    return {figure["level"] for figure in summary["figures"] if figure["between"] == [*between]}
 
 
-def test_what_stops_on_other_equations_says_where_they_part(capsys, monkeypatch, tmp_path):
+def test_an_engine_that_stops_is_compared_until_then(capsys, monkeypatch, tmp_path):
+    status, verdict, summary = pendulum_run(capsys, monkeypatch, tmp_path, simulate=stopping)
+    assert status == UNFINISHED
+    assert verdict.startswith("UNFINISHED: newton_euler: integration stopped at t = 5 s: by joint 'crank'; ")
+    assert "as far as compared newton_euler, mujoco agree on pendulum in all " in verdict
+    (stop,) = summary["unfinished"]
+    assert (stop["what"], stop["time"]) == ("newton_euler", 5.0)
+    assert levels(summary, "newton_euler", "mujoco") >= {"model", "trajectories", "energy"}
+    assert {known["engine"] for known in summary["known_figures"]} == {"mujoco"}
+    assert {path.name for path in tmp_path.iterdir()} == {*FILES, "pendulum.rrd"}
+    ends = {name: load_arrays(tmp_path / f"{name}.npz")["time"][-1] for name in ("newton_euler", "mujoco")}
+    assert ends == {"newton_euler": 5.0, "mujoco": load("pendulum").duration}
+
+
+def test_what_stops_on_other_equations_is_the_odd_one(capsys, monkeypatch, tmp_path):
     def systems(scene):
         return real(plant.mass(scene.mechanism.bodies[1].name, 1e-3)(scene))
 
     real = ENGINES_BY_NAME["newton_euler"].systems
-    status, err, _ = pendulum_run(capsys, monkeypatch, tmp_path, simulate=stopping, systems=systems)
-    assert status == 2
-    assert "by joint 'crank'; without runs newton_euler and mujoco part at level 'model': mass, rel: " in err
+    status, verdict, summary = pendulum_run(capsys, monkeypatch, tmp_path, simulate=stopping, systems=systems)
+    assert status == UNFINISHED
+    assert "by joint 'crank'; as far as compared newton_euler differs; its own momentum balance" in verdict
+    assert "on pendulum at level 'model': mass, rel: 0.000999 > 1e-12, worst at dumbbell; " in verdict
+    (diagnosis,) = summary["diagnosis"]
+    assert (diagnosis["engine"], diagnosis["level"], diagnosis["fault"]) == ("newton_euler", "model", "model")
 
 
 def test_the_other_engines_run_when_one_does_not_end(capsys, monkeypatch, tmp_path):
@@ -225,40 +232,39 @@ def test_the_other_engines_run_when_one_does_not_end(capsys, monkeypatch, tmp_pa
     monkeypatch.setattr(limit, "PERIOD", 0.1)
     quick = replace(ENGINES_BY_NAME["mujoco"], simulate=ENGINES_BY_NAME["newton_euler"].simulate)
     monkeypatch.setitem(ENGINES_BY_NAME, "mujoco", quick)
-    status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, simulate=endless)
-    assert status == 2
-    assert "newton_euler: 10 s of pendulum: given up after 1 s of processor time" in err
-    assert files == {"mujoco.npz", PARTIAL_SUMMARY}
+    status, verdict, summary = pendulum_run(capsys, monkeypatch, tmp_path, simulate=endless)
+    assert status == UNFINISHED
+    assert verdict.startswith("UNFINISHED: newton_euler: 10 s of pendulum: given up after 1 s of processor t")
+    assert summary["unfinished"][0]["time"] is None
+    assert {path.name for path in tmp_path.iterdir()} == {"mujoco.npz", "summary.json", "pendulum.rrd"}
+    assert "accelerations and reactions" in levels(summary, "newton_euler", "mujoco")
+    assert "drift" in levels(summary, "mujoco")
+    assert command(capsys, "report", tmp_path)[0] == 0
 
 
-def test_runs_that_cannot_be_compared_are_kept(capsys, monkeypatch, tmp_path):
+@pytest.mark.parametrize(
+    ("refined", "reason"),
+    [
+        (stopping, "integration stopped at t = 5 s"),
+        (breaking, "internal error: LinAlgError: SVD did not converge"),
+    ],
+)
+def test_figures_that_need_no_finer_run_are_had_without_it(capsys, monkeypatch, tmp_path, refined, reason):
     """Where the finer run that errors are measured by stops."""
-    quick = replace(ENGINES_BY_NAME["newton_euler"], trajectory_error=0.0, drift=0.0, energy_error=0.0)
-    monkeypatch.setitem(ENGINES_BY_NAME, "newton_euler", quick)
-    status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, refined=stopping)
-    assert status == 2
-    assert "newton_euler, in a finer run for comparison: integration stopped at t = 5 s" in err
-    assert files == {"newton_euler.npz", "mujoco.npz", PARTIAL_SUMMARY}
+    exact = {"trajectory_error": 0.0, "drift": 0.0, "energy_error": 0.0}
+    status, verdict, summary = pendulum_run(capsys, monkeypatch, tmp_path, refined=refined, **exact)
+    assert status == UNFINISHED
+    assert f"newton_euler, in a finer run for comparison: {reason}" in verdict
+    assert summary["unfinished"][0]["what"] == "comparing runs"
+    assert levels(summary, "mujoco") >= {"drift", "energy"}
+    assert {path.name for path in tmp_path.iterdir()} == {*FILES, "pendulum.rrd"}
 
 
 def test_the_other_engines_run_when_one_breaks(capsys, monkeypatch, tmp_path):
-    leave_earlier(tmp_path)
-    status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, simulate=breaking)
-    assert status == 2
-    assert "error: newton_euler: internal error: LinAlgError: SVD did not converge; all " in err
-    assert f"wrote {tmp_path / 'mujoco.npz'}" in err
-    assert files == {"mujoco.npz", "mine.rrd", PARTIAL_SUMMARY}
-
-
-def test_runs_are_kept_when_their_comparison_breaks(capsys, monkeypatch, tmp_path):
-    leave_earlier(tmp_path)
-    quick = replace(ENGINES_BY_NAME["newton_euler"], trajectory_error=0.0, drift=0.0, energy_error=0.0)
-    monkeypatch.setitem(ENGINES_BY_NAME, "newton_euler", quick)
-    status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, refined=breaking)
-    assert status == 2
-    assert "newton_euler, in a finer run for comparison: internal error: LinAlgError: SVD did not conv" in err
-    assert files == {"newton_euler.npz", "mujoco.npz", "mine.rrd", PARTIAL_SUMMARY}
-    assert len(load_arrays(tmp_path / "newton_euler.npz")["time"]) == len(load("pendulum").times)
+    status, verdict, summary = pendulum_run(capsys, monkeypatch, tmp_path, simulate=breaking)
+    assert status == UNFINISHED
+    assert verdict.startswith("UNFINISHED: newton_euler: internal error: LinAlgError: SVD did not converge; ")
+    assert summary["engines"]["newton_euler"] == {"settings": {}, "wall_time": None}
 
 
 @pytest.mark.parametrize(("first", "rows"), [(400, 400), (0, None)])
@@ -271,54 +277,41 @@ def test_what_comes_before_numbers_that_are_not_finite_is_kept(capsys, monkeypat
         return replace(found, position=position, reaction_force=force)
 
     times = load("pendulum").times
-    status, err, files = pendulum_run(capsys, monkeypatch, tmp_path, simulate=overflowing)
-    assert status == 2
-    assert f"newton_euler: integration stopped at t = {times[first]:.6g} s: reaction_force is not" in err
+    status, verdict, _ = pendulum_run(capsys, monkeypatch, tmp_path, simulate=overflowing)
+    assert status == UNFINISHED
+    assert f"newton_euler: integration stopped at t = {times[first]:.6g} s: reaction_force is not" in verdict
+    assert (tmp_path / "newton_euler.npz").exists() == (rows is not None)
     if rows is None:
-        assert files == {"mujoco.npz", PARTIAL_SUMMARY}
         return
-    assert files == {"newton_euler.partial.npz", "mujoco.npz", PARTIAL_SUMMARY}
-    arrays = load_arrays(tmp_path / "newton_euler.partial.npz")
+    arrays = load_arrays(tmp_path / "newton_euler.npz")
     assert np.array_equal(arrays["time"], times[:rows])
     assert {len(array) for name, array in arrays.items() if "names" not in name} == {rows}
     assert all(np.isfinite(array).all() for name, array in arrays.items() if "names" not in name)
 
 
-@pytest.mark.parametrize("scene", ['"../outside"', "17", "null"])
-def test_no_file_elsewhere_is_taken_for_the_earlier_recording(tmp_path, scene):
-    outside, folder = tmp_path / "outside.rrd", tmp_path / "out"
-    folder.mkdir()
-    outside.write_text("the user's own")
-    (folder / "summary.json").write_text(f'{{"scene": {scene}}}')
-    with (
-        pytest.raises(CrosscheckError, match="internal error: ZeroDivisionError: nothing"),
-        partial_runs_saved(folder, ["pendulum"]),
-    ):
-        raise ZeroDivisionError("nothing")
-    assert list(folder.iterdir()) == []
-    assert outside.exists()
+def test_nothing_that_can_be_compared_leaves_an_earlier_run_as_it_is(capsys, monkeypatch, tmp_path):
+    earlier = {"newton_euler.npz": "of an earlier run", "summary.json": '{"scene": "pendulum"}'}
+    for name, content in earlier.items():
+        (tmp_path / name).write_text(content)
+    mechanism = ENGINES_BY_NAME["newton_euler"]
+    asked = iter([mechanism.systems, breaking])  # whether it can express the scene, then its equations
+    broken = replace(mechanism, simulate=breaking, systems=lambda scene: next(asked)(scene))
+    monkeypatch.setitem(ENGINES_BY_NAME, "newton_euler", broken)
+    arguments = ("pendulum", "--engines", "newton_euler", "--output", tmp_path)
+    status, out, err = command(capsys, "run", *arguments)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith("crosscheck: error: newton_euler: internal error: LinAlgError: SVD did not conver")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == earlier
 
 
-def test_run_all_leaves_no_earlier_verdict_where_a_scene_breaks(monkeypatch, tmp_path):
-    def breaks(*_):
-        raise ZeroDivisionError("nothing there")
-
-    leave_earlier(tmp_path)
-    monkeypatch.setattr(run_all, "crosscheck", breaks)
-    found = outcome("pendulum", ("newton_euler", "mujoco"), tmp_path)
-    assert found.verdict == "pendulum did not run: internal error: ZeroDivisionError: nothing there"
-    assert {path.name for path in tmp_path.iterdir()} == {"mine.rrd"}
-
-
-def test_run_all_keeps_what_each_scene_computed(monkeypatch, tmp_path):
+def test_run_all_tells_what_each_scene_computed(monkeypatch, tmp_path):
     monkeypatch.setitem(
         ENGINES_BY_NAME, "newton_euler", replace(ENGINES_BY_NAME["newton_euler"], simulate=stopping)
     )
     found = outcome("pendulum", ("newton_euler", "mujoco"), tmp_path)
     assert not found.agrees
-    assert "newton_euler: integration stopped at t = 5 s" in found.verdict
-    names = {"newton_euler.partial.npz", "mujoco.npz", PARTIAL_SUMMARY}
-    assert {path.name for path in tmp_path.iterdir()} == names
+    assert found.verdict.startswith("UNFINISHED: newton_euler: integration stopped at t = 5 s")
+    assert {path.name for path in tmp_path.iterdir()} == {*FILES, "pendulum.rrd"}
 
 
 def test_pinocchio_stops_before_the_first_output():

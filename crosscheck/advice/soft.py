@@ -7,8 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from crosscheck.advice.measured import WANTED, Advice, Found, distance
+from crosscheck.stiffness import is_stable_in_rk4, modes_of_run
+from newton_euler.couplings import couplings
 from newton_euler.errors import NewtonEulerError
 from newton_euler.scene import Scene
+from newton_euler.tree import SpanningTree
 
 NAME = "mujoco"
 
@@ -23,7 +26,10 @@ MARGIN = 0.9
 
 
 def soft_advice(found: Found) -> Iterator[Advice]:
-    """For runs of one model in which MuJoCo ran beside an engine whose constraints are rigid."""
+    """For runs of one model in which MuJoCo ran beside an engine whose constraints are rigid.
+
+    Softness is told of only where there is something soft.
+    """
     if NAME not in found.runs or len(found.runs) < 2 or not found.models_agree:
         return
     run, error = found.runs[NAME], found.errors[NAME]
@@ -34,7 +40,8 @@ def soft_advice(found: Found) -> Iterator[Advice]:
         return
     if min(error, finer) == 0.0:
         return
-    if any(row.level == "trajectories" and NAME in row.between and not row.agrees for row in found.rows):
+    apart = any(row.level == "trajectories" and NAME in row.between and not row.agrees for row in found.rows)
+    if apart and has_equalities(found.scene):
         yield Advice(
             "softness",
             "MuJoCo's constraints are soft, the model is the same: made rigid they agree in all that was "
@@ -53,13 +60,24 @@ def _step_advice(found: Found, error: float, finer: float) -> Advice:
         return Advice(NAME, f"its error does not follow its step, so that none can be advised: {measured}")
     wanted = MARGIN * step * (WANTED / error) ** (1.0 / order)
     wanted = fitting(found.scene, min(wanted, FARTHEST * step))
-    solimp = " ".join(f"{value:g}" for value in settings["solimp"])  # MuJoCo's default lets far more give way
+    if wanted > step and settings["integrator"] == "RK4":
+        modes = modes_of_run(found.scene, found.runs.get("newton_euler"))
+        wanted = wanted if is_stable_in_rk4(modes, wanted) else step
     relation = "is enough for" if wanted >= step else "is needed for"
+    held = ""
+    if has_equalities(found.scene):
+        solimp = " ".join(f"{value:g}" for value in settings["solimp"])  # MuJoCo's default gives way far more
+        held = f', solref "{2.0 * wanted:.12g} 1" and solimp "{solimp}" of all equalities'
     return Advice(
         NAME,
-        f'{settings["integrator"]} with timestep {wanted:.12g} s, solref "{2.0 * wanted:.12g} 1" and solimp '
-        f'"{solimp}" of all equalities {relation} an error of {WANTED:g} (m, rad): {measured}',
+        f"{settings['integrator']} with timestep {wanted:.12g} s{held} {relation} an error of {WANTED:g} "
+        f"(m, rad): {measured}",
     )
+
+
+def has_equalities(scene: Scene) -> bool:
+    """Whether MuJoCo has soft constraints in a scene: loops, gears, screws or prescribed motions."""
+    return bool(SpanningTree(scene.mechanism).cuts or couplings(scene))
 
 
 def fitting(scene: Scene, step: float) -> float:

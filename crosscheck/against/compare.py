@@ -18,13 +18,11 @@ from crosscheck.against.kinematics import kinematics_rows
 from crosscheck.against.model import beside_the_worst, bodies_row, differences, model_rows, start_rows
 from crosscheck.against.uncompared import Uncompared, uncompared
 from crosscheck.comparison.rows import Row, not_judged
-from crosscheck.comparison.runs import compare_runs, rests
+from crosscheck.comparison.runs import compare_runs
 from crosscheck.comparison.samples import Samples, States
-from crosscheck.each_run import check_figures, each_run
+from crosscheck.each_run import as_far_as_it_goes, each_run, finite
 from crosscheck.engines import ENGINES, Engine
-from crosscheck.errors import reason_of
 from crosscheck.limit import SHORTER, limited
-from crosscheck.partial import UnfinishedError
 from crosscheck.run import Crosscheck, Progress
 from crosscheck.scenes.options import titled
 from newton_euler.assemble import random_states
@@ -75,15 +73,11 @@ class Against(Crosscheck):
     Attributes:
         models: the two.
         uncompared: what differs and no figure is about.
-        stopped: why runs, or their comparison, did not come to their end; empty if they did.
-        partial: runs that stopped, as far as they came, by model.
         notes: what people should know beside the figures: what was taken for what, and all that differs.
     """
 
     models: tuple[Model, Model] = field(kw_only=True)
     uncompared: tuple[Uncompared, ...] = ()
-    stopped: str = ""
-    partial: Mapping[str, Trajectory] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
@@ -92,15 +86,9 @@ class Against(Crosscheck):
         return " against ".join(model.title for model in self.models)
 
     @property
-    def rests(self) -> bool:
-        """Whether nothing moves in the runs there are."""
-        ran = [engine for engine in self.engines if engine.name in self.runs]
-        return bool(ran) and rests(self.scene, ran, self.runs)
-
-    @property
-    def agrees(self) -> bool:
-        """Whether every figure is within its tolerance, and nothing else differs that moves the mechanism."""
-        return all(row.agrees for row in self.rows) and not any(other.moves for other in self.uncompared)
+    def differs(self) -> bool:
+        """Whether any figure exceeds its tolerance, or anything else differs that moves the mechanism."""
+        return super().differs or any(other.moves for other in self.uncompared)
 
     @property
     def verdict(self) -> str:
@@ -108,7 +96,7 @@ class Against(Crosscheck):
         judged = [row for row in self.rows if not row.informs]
         failed = [row for row in judged if not row.agrees]
         names = " and ".join(model.title for model in self.models)
-        ending = f"; {TO_THE_END}" if self.stopped else ""
+        ending = f"; {TO_THE_END}" if self.unfinished else ""
         if not failed:
             agree = f"{names} agree in all {len(judged)} figures{not_judged(self.rows)}"
             agree += "; nothing moves" if self.rests else ""
@@ -117,7 +105,9 @@ class Against(Crosscheck):
                 return f"DIFFERENT in what is not compared: {moving[0].text}{more}; {agree}{ending}"
             if others := self.uncompared:
                 count = "1 element" if len(others) == 1 else f"{len(others)} elements"
-                return f"SAME: {agree}; not compared and different: {count}, first {others[0].text}"
+                agree += f"; not compared and different: {count}, first {others[0].text}"
+            if self.unfinished:
+                return f"UNFINISHED: {'; '.join(map(str, self.unfinished))}; as far as compared {agree}"
             return f"SAME: {agree}"
         row = failed[0]
         return (
@@ -151,7 +141,6 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
     A run that cannot go on or is too long hides no difference that is known without it.
 
     Raises:
-        UnfinishedError: with the runs that came to their end, if one did not and no difference is known.
         CrosscheckError, NewtonEulerError: for models that cannot be compared.
     """
     begun = time.perf_counter()
@@ -164,37 +153,22 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
         others = tuple(uncompared(first, second, aligned))
     # bodies that have no partners cannot be laid over the first's
     able = engines[:1] if aligned.second is None else engines
-    runs, partial, stopped = dict[str, Trajectory](), dict[str, Trajectory](), ""
-
-    def different() -> bool:
-        return not all(row.agrees for row in rows) or any(other.moves for other in others)
-
-    try:
-        runs = each_run(aligned.first, able, progress, lambda: [] if different() else rows)
-    except UnfinishedError as error:
-        if not different():
-            raise
-        runs, partial, stopped = error.runs, error.partial, str(error)
-    if energy is not None and not stopped:
+    runs, stops = each_run(aligned.first, able, progress)
+    if energy is not None and len(runs) == len(engines):
         # of both together: what a run is off by itself is no difference between models
         pairs = {
             name: replace(run, constraint_violation=None, potential_energy=None) for name, run in runs.items()
         }
-        try:
-            with limited("comparing runs", SHORTER, progress):
-                rows += compare_runs(aligned.first, engines, pairs, energy)
-            check_figures(rows)
-        except Exception as error:  # runs are kept whatever goes wrong with their comparison
-            stopped = reason_of(error)
-            rows = [row for row in rows if np.isfinite(row.value)]
-            if not different():
-                raise UnfinishedError(stopped, runs) from error
+        what = "comparing runs"
+        with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
+            for row in finite(compare_runs(aligned.first, engines, pairs, energy)):
+                rows.append(row)  # not all at once: those before an error are kept
     same_file = os.path.realpath(first.source) == os.path.realpath(second.source)
     if same_file and first.options == second.options:
         notes.insert(0, f"both are {first.title}: one model against itself")
     notes = [*aligned.notes, *notes, *map(str, others)]
-    if stopped:
-        notes.insert(0, f"{TO_THE_END}: {stopped}")
+    if stops:
+        notes.insert(0, f"{TO_THE_END}: {'; '.join(map(str, stops))}")
     scene = replace(
         aligned.first, name=together((first, second)), description="newton_euler's equations of each"
     )
@@ -209,10 +183,9 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
         measured=(),
         wall_time=time.perf_counter() - begun,
         mapping=first.mapping,
+        unfinished=tuple(stops),
         models=(first, second),
         uncompared=others,
-        stopped=stopped,
-        partial=partial,
         notes=tuple(notes),
     )
 
@@ -284,8 +257,7 @@ def _equations_compared(pair: tuple[str, str], aligned: Aligned) -> tuple[list[R
 
     def parts(level: Iterable[Row]) -> bool:
         """Whether the models part at a level; the later ones are not worked out then."""
-        figures = list(level)
-        check_figures(figures)
+        figures = list(finite(level))
         rows.extend(figures)
         failed = [row for row in figures if not row.agrees]
         if len(failed) > 1:

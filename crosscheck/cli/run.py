@@ -13,6 +13,7 @@ import click
 from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
+    UNFINISHED,
     cli,
     load_scene,
     progress_shown,
@@ -126,7 +127,7 @@ def _run(
     def work(progress: Progress) -> Crosscheck:
         return crosscheck(loaded, chosen, progress, scene, options, mapping)
 
-    return _carry_out(work, loaded.name, [scene], [engine.name for engine in chosen], folder, destination)
+    return _carry_out(work, loaded.name, [engine.name for engine in chosen], folder, destination)
 
 
 def _own_folder(name: str, sources: Sequence[str]) -> Path:
@@ -169,15 +170,14 @@ def _run_against(models: tuple[Model, Model], output: Path | None, destination: 
     def work(progress: Progress) -> Crosscheck:
         return against(*models, progress)
 
-    name, sources = together(models), [model.source for model in models]
-    folder = output or _own_folder(name, sources)
-    return _carry_out(work, name, sources, [model.name for model in models], folder, destination)
+    name = together(models)
+    folder = output or _own_folder(name, [model.source for model in models])
+    return _carry_out(work, name, [model.name for model in models], folder, destination)
 
 
 def _carry_out(
     work: Callable[[Progress], Crosscheck],
     name: str,
-    sources: Sequence[str],
     runs: Sequence[str],
     folder: Path,
     destination: Destination,
@@ -186,15 +186,13 @@ def _carry_out(
     from crosscheck.against.compare import Against
     from crosscheck.files import check_writable
     from crosscheck.output import write
-    from crosscheck.partial import partial_runs_saved
     from crosscheck.report import markdown, settings_lines, terminal_tables
 
     recording = (destination.save or folder / f"{name}.rrd") if destination.to_file else None
     arrays = [folder / f"{run}.npz" for run in runs]
     check_writable(*arrays, folder / "summary.json", *([recording] if recording else []))
     with progress_shown() as progress:
-        with partial_runs_saved(folder, sources, runs):
-            result = work(progress)
+        result = work(progress)
         progress("writing")
         notes = result.notes if isinstance(result, Against) else ()
         verdict = "\n- ".join([markdown(result), *notes])
@@ -203,7 +201,10 @@ def _carry_out(
     for line in (*notes, *settings_lines(result)):
         click.echo(line)
     click.echo("wrote " + ", ".join(str(path) for path in written))
-    status = AGREE if result.agrees else DISAGREE
+    if result.unfinished and not (isinstance(result, Against) and result.differs):
+        status = UNFINISHED  # whatever was found until then; models that differ do so anyway
+    else:
+        status = AGREE if result.agrees else DISAGREE
     with destination.sent(result, verdict) as sent:
         for line in sent.lines:
             click.echo(line)

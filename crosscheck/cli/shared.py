@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 TABLE_WIDTH = 130
 """Columns that the tables of a run need; a narrower terminal wraps them itself."""
 
-AGREE, DISAGREE, BAD_INPUT = 0, 1, 2
+AGREE, DISAGREE, BAD_INPUT, UNFINISHED = 0, 1, 2, 3
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})

@@ -11,7 +11,8 @@ A pair is compared up to the first level at which it parts. Later ones would onl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache
 from itertools import combinations, product
 
 from crosscheck.comparison.accelerations import acceleration_rows, softness_row
@@ -19,15 +20,15 @@ from crosscheck.comparison.dynamics import dynamics_rows
 from crosscheck.comparison.kinematics import kinematics_rows
 from crosscheck.comparison.model import model_rows
 from crosscheck.comparison.momentum import momentum_row
-from crosscheck.comparison.rows import LEVELS, Row, not_compared
-from crosscheck.comparison.runs import compare_runs
+from crosscheck.comparison.rows import LEVELS, Row, in_full, not_compared
+from crosscheck.comparison.runs import Runs, compare_runs
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import Engine
 from newton_euler.assemble import random_states
+from newton_euler.errors import AssemblyError
 from newton_euler.scene import Scene
-from newton_euler.trajectory import Trajectory
 
-__all__ = ["LEVELS", "Row", "compare", "compare_equations", "not_compared", "without_runs"]
+__all__ = ["LEVELS", "Row", "compare", "compare_equations", "in_order", "not_compared", "stages"]
 
 Level = Callable[[tuple[str, str], Samples, Samples], Iterator[Row]]
 
@@ -64,17 +65,31 @@ def compare_pair(
 def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Row]:
     """Levels 1 to 4 of every pair of engines and of the systems of each engine.
 
-    An engine with soft constraints has a row for what they do to its reactions at the first state, which is
-    to be the initial one.
+    Systems of one engine that part are compared with every other engine too, and have momentum balances of
+    their own, which tells the one that is wrong. An engine with soft constraints has a row for what they do
+    to its reactions at the first state, which is to be the initial one.
     """
-    for a, b in combinations(engines, 2):
-        yield from compare_pair((a.name, b.name), samples[a.name], samples[b.name])
-    for engine in engines:
-        for one, two in combinations(samples[engine.name], 2):
-            yield from compare_pair((one.name, two.name), [one], [two])
-        if engine.soft_start is not None:
-            rigid = samples[engine.name][0]
-            yield softness_row(engine.name, engine.soft_start(rigid.states.scene), rigid)
+    pairs = (
+        compare_pair((a.name, b.name), samples[a.name], samples[b.name]) for a, b in combinations(engines, 2)
+    )
+    return in_full([*pairs, *(_within(engine, engines, samples) for engine in engines)])
+
+
+def _within(engine: Engine, engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Row]:
+    """The systems of one engine against each other, and what tells more of them if they part."""
+    parted = False
+    for one, two in combinations(samples[engine.name], 2):
+        for row in compare_pair((one.name, two.name), [one], [two]):
+            parted |= not row.agrees
+            yield row
+    for one in samples[engine.name] if parted else ():
+        yield momentum_row(one.name, one)
+        for other in engines:
+            if other is not engine:
+                yield from compare_pair((one.name, other.name), [one], samples[other.name])
+    if engine.soft_start is not None:
+        rigid = samples[engine.name][0]
+        yield softness_row(engine.name, engine.soft_start(rigid.states.scene), rigid)
 
 
 def sampled(engines: Sequence[Engine], states: States) -> EngineSamples:
@@ -82,23 +97,52 @@ def sampled(engines: Sequence[Engine], states: States) -> EngineSamples:
     return {e.name: [Samples(system, states) for system in e.systems(states.scene)] for e in engines}
 
 
-def compare(scene: Scene, engines: Sequence[Engine], runs: dict[str, Trajectory], states: int) -> list[Row]:
-    """All levels; `states` is the number of random consistent states for those that need no run."""
-    at = _states(scene, states)
-    samples = sampled(engines, at)
-    rows = list(compare_equations(engines, samples))
-    parted = {row.between for row in rows if not row.agrees}
-    rows += compare_runs(scene, engines, runs, at.energy, parted)
-    rows += [momentum_row(engine.name, samples[engine.name][0]) for engine in engines]
+def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) -> list[Row]:
+    """All levels in their order; arguments as of `stages`."""
+    rows: list[Row] = []
+    for stage in stages(scene, engines, runs, states).values():
+        rows += stage(rows)
+    return in_order(rows)
+
+
+def stages(
+    scene: Scene, engines: Sequence[Engine], runs: Runs, states: int
+) -> dict[str, Callable[[Sequence[Row]], Iterator[Row]]]:
+    """Parts of the comparison by what they do, one after the other; each is given the rows of those before.
+
+    Args:
+        scene: what is compared.
+        engines: those that can express it.
+        runs: by engine, as far as they came.
+        states: number of random consistent states for the levels that need no run.
+    """
+    start = States(scene, (scene.initial_state,))
+
+    @cache
+    def samples() -> EngineSamples:
+        return sampled(engines, States(scene, (*start.all, *random_states(scene, states))))
+
+    def equations(_: Sequence[Row]) -> Iterator[Row]:
+        yield from compare_equations(engines, samples())
+
+    def trajectories(rows: Sequence[Row]) -> Iterator[Row]:
+        ran = [engine for engine in engines if engine.name in runs]
+        try:
+            energy = samples()[engines[0].name][0].states.energy
+        except AssemblyError:
+            energy = start.energy  # runs may be compared where random states cannot be had
+        yield from compare_runs(scene, ran, runs, energy, {row.between for row in rows if not row.agrees})
+
+    def momentum(_: Sequence[Row]) -> Iterator[Row]:
+        yield from (momentum_row(engine.name, samples()[engine.name][0]) for engine in engines)
+
+    return {
+        "comparing equations": equations,
+        "comparing runs": trajectories,
+        "balancing momentum": momentum,
+    }
+
+
+def in_order(rows: Iterable[Row]) -> list[Row]:
+    """Rows by their levels."""
     return sorted(rows, key=lambda row: LEVELS.index(row.level))
-
-
-def without_runs(scene: Scene, engines: Sequence[Engine], states: int) -> list[Row]:
-    """Levels 1 to 4, which need no run; arguments as of `compare`."""
-    rows = compare_equations(engines, sampled(engines, _states(scene, states)))
-    return sorted(rows, key=lambda row: LEVELS.index(row.level))
-
-
-def _states(scene: Scene, states: int) -> States:
-    """The initial state and random consistent ones."""
-    return States(scene, (scene.initial_state, *random_states(scene, states)))

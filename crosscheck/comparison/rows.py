@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,6 +83,18 @@ class Row:
     def agrees(self) -> bool:
         """NaN does not agree with anything."""
         return self.informs or bool(self.value <= self.tolerance)
+
+
+def in_full(parts: Iterable[Iterator[Row]]) -> Iterator[Row]:
+    """The rows of all parts, each as far as it goes; then raises the first error that ended one."""
+    errors = []
+    for part in parts:
+        try:
+            yield from part
+        except Exception as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]
 
 
 def not_judged(rows: Sequence[Row]) -> str:

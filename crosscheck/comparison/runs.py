@@ -6,16 +6,16 @@ What an engine's run may be off is measured by refining its step or tolerance.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from functools import partial
+from functools import partial, wraps
 from itertools import combinations
 
 import numpy as np
 
 from crosscheck.comparison.energy import energy_balance
-from crosscheck.comparison.rows import NOISE, OWN_ERROR, ROUND_OFF, UNRESOLVED, Row, reach
+from crosscheck.comparison.rows import NOISE, OWN_ERROR, ROUND_OFF, UNRESOLVED, Row, in_full, reach
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NewtonEulerError, StoppedError
 from newton_euler.euler_parameters import angle_between
 from newton_euler.redundancy import mobility
 from newton_euler.scalars import Array
@@ -33,20 +33,35 @@ FALLS = 1.0 - 1.0 / OWN_ERROR
 the run changes by."""
 
 
+def _together(apart: Gap) -> Gap:
+    """A gap of two runs until the shorter one ends."""
+
+    @wraps(apart)
+    def gap(x: Trajectory, y: Trajectory) -> Array:
+        end = min(len(x.time), len(y.time))
+        return apart(x.first(end), y.first(end))
+
+    return gap
+
+
+@_together
 def _positions_apart(x: Trajectory, y: Trajectory) -> Array:
     return np.asarray(np.linalg.norm(x.position - y.position, axis=2))
 
 
+@_together
 def _orientations_apart(x: Trajectory, y: Trajectory) -> Array:
     return angle_between(x.quaternion, y.quaternion)
 
 
+@_together
 def _violations_apart(x: Trajectory, y: Trajectory) -> Array:
     assert x.constraint_violation is not None
     assert y.constraint_violation is not None
     return np.abs(x.constraint_violation - y.constraint_violation)
 
 
+@_together
 def _kinetic_energies_apart(x: Trajectory, y: Trajectory) -> Array:
     assert x.kinetic_energy is not None
     assert y.kinetic_energy is not None
@@ -68,20 +83,23 @@ def rests(scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory
 
     Soft constraints give way a little even so: engines that have them are asked if there are no others.
     """
-    asked = [engine for engine in engines if engine.soft_start is None] or engines
+    ran = [engine for engine in engines if engine.name in runs]
+    asked = [engine for engine in ran if engine.soft_start is None] or ran
     moved = displacements(runs)
     reaches = {engine.name: max(1.0, reach(scene, runs[engine.name].position)) for engine in asked}
-    return all(moved[name] <= ROUND_OFF * length for name, length in reaches.items())
+    return bool(asked) and all(moved[name] <= ROUND_OFF * length for name, length in reaches.items())
 
 
 def compare_runs(
     scene: Scene,
     engines: Sequence[Engine],
-    runs: dict[str, Trajectory],
+    runs: Runs,
     energy: float,
     parted: Collection[tuple[str, ...]] = (),
 ) -> Iterator[Row]:
     """Levels 5 to 7, those of pairs that part at an earlier level or have `parted` left out.
+
+    Runs that stopped are compared as far as they came, with finer ones as far as those come.
 
     An engine may be off by its fixed share. Where a figure exceeds that, the engine is run again, once,
     more finely, and may be off by what that shows as well: how far errors grow depends on the
@@ -93,15 +111,31 @@ def compare_runs(
     may be off anyway or to round-off, the figure is not judged.
     """
     bodies, joints, times = scene.mechanism.body_names, scene.mechanism.joint_names, scene.times
-    length = max(1.0, *(reach(scene, run.position) for run in runs.values()))
     noise = NOISE * mobility(scene).residual
     finer: dict[str, Trajectory] = {}
     unable: set[str] = set()
 
+    def length(between: Sequence[Engine]) -> float:
+        """The reach of the mechanism, m, until the shorter of some runs ends.
+
+        Of the run in which it is smallest: what flies off would excuse itself and all others.
+        """
+        end = min(len(runs[engine.name].time) for engine in between)
+        reaches = [reach(scene, run.first(end).position) for run in runs.values() if len(run.time) >= end]
+        return max(1.0, min(reaches))
+
+    def refine(engine: Engine) -> None:
+        try:
+            finer[engine.name] = engine.refined(scene)
+        except StoppedError as error:
+            if error.partial is None or len(runs[engine.name].time) == len(times):
+                raise
+            finer[engine.name] = error.partial
+
     def own_change(engine: Engine, apart: Gap) -> float:
         """How far an engine's run is from its finer one."""
         if engine.name not in finer:
-            finer[engine.name] = engine.refined(scene)
+            refine(engine)
         return float(np.max(apart(runs[engine.name], finer[engine.name])))
 
     def restless(between: Sequence[Engine], gap: Callable[[Runs], Array], apart: Gap, least: float) -> str:
@@ -123,10 +157,10 @@ def compare_runs(
         for engine in between:
             if engine.name not in finer and engine.name not in unable:
                 try:
-                    finer[engine.name] = engine.refined(scene)
+                    refine(engine)
                 except (NewtonEulerError, CrosscheckError):
                     unable.add(engine.name)
-        return "" if falls(runs | finer) else name
+        return "" if falls({**runs, **finer}) else name
 
     def row(
         level: str,
@@ -170,47 +204,49 @@ def compare_runs(
     def between_two(a: Engine, b: Engine, apart: Gap) -> Callable[[Runs], Array]:
         return lambda of: apart(of[a.name], of[b.name])
 
-    together = [(a, b) for a, b in combinations(engines, 2) if (a.name, b.name) not in parted]
-    still = []
-    for a, b in together:
-        found = [
-            row(
-                "trajectories",
-                quantity,
-                (a, b),
-                between_two(a, b, apart),
-                apart,
-                a.trajectory_error + b.trajectory_error + noise,
-                unit,
-            )
-            for quantity, apart, unit in (
-                ("positions, m", _positions_apart, length),
-                ("orientations, rad", _orientations_apart, 1.0),
-            )
-        ]
-        yield from found
-        if all(row.agrees for row in found):
-            still.append((a, b))
-    for engine in engines:
+    def trajectories(a: Engine, b: Engine) -> Iterator[Row]:
+        fixed = a.trajectory_error + b.trajectory_error + noise
+        for quantity, apart, unit in (
+            ("positions, m", _positions_apart, length((a, b))),
+            ("orientations, rad", _orientations_apart, 1.0),
+        ):
+            found = row("trajectories", quantity, (a, b), between_two(a, b, apart), apart, fixed, unit)
+            if not found.agrees:
+                away.add((a.name, b.name))
+            yield found
+
+    def drift(engine: Engine) -> Iterator[Row]:
         if runs[engine.name].constraint_violation is not None:
-            violation = partial(_violation, engine.name)
+            violation, unit = partial(_violation, engine.name), length((engine,))
             quantity = "open joints, m or rad"
-            yield row(
-                "drift", quantity, (engine,), violation, _violations_apart, engine.drift + noise, length
-            )
-    for a, b in still:
+            fixed = engine.drift + noise
+            yield row("drift", quantity, (engine,), violation, _violations_apart, fixed, unit)
+
+    def kinetic_energy(a: Engine, b: Engine) -> Iterator[Row]:
         kinetic = runs[a.name].kinetic_energy
-        if kinetic is not None:
-            unit = max(energy, float(np.max(kinetic)))
+        if kinetic is not None and (a.name, b.name) not in away:
+            unit = max(energy, float(np.max(kinetic[: len(runs[b.name].time)])))
             fixed, gap = a.energy_error + b.energy_error + noise, between_two(a, b, _kinetic_energies_apart)
             quantity = "kinetic energy, rel"
             yield row("energy", quantity, (a, b), gap, _kinetic_energies_apart, fixed, unit, unit)
-    for engine in engines:
+
+    def energy_less_work(engine: Engine) -> Iterator[Row]:
         balance = energy_balance(scene, runs[engine.name])
         if balance is not None:
             unit, apart = max(energy, balance.exchanged), _residuals_apart(scene)
             gap, fixed = partial(_residual, scene, engine.name), engine.energy_error + noise
             yield row("energy", "energy less work, rel", (engine,), gap, apart, fixed, unit, unit)
+
+    away = set(parted)
+    together = [(a, b) for a, b in combinations(engines, 2) if (a.name, b.name) not in away]
+    yield from in_full(
+        [
+            *(trajectories(a, b) for a, b in together),
+            *(drift(engine) for engine in engines),
+            *(kinetic_energy(a, b) for a, b in together),
+            *(energy_less_work(engine) for engine in engines),
+        ]
+    )
 
 
 def _violation(engine: str, runs: Runs) -> Array:
@@ -226,6 +262,7 @@ def _residual(scene: Scene, engine: str, runs: Runs) -> Array:
 
 
 def _residuals_apart(scene: Scene) -> Gap:
+    @_together
     def apart(x: Trajectory, y: Trajectory) -> Array:
         first, second = energy_balance(scene, x), energy_balance(scene, y)
         assert first is not None

@@ -32,6 +32,12 @@ def sections(summary: Summary, path: Path, shares: Sequence[float], progress: Pr
     yield page.verdict(*summary.headline)
     if summary.notes:
         yield page.listing(summary.notes)
+    if summary.unfinished:
+        yield page.heading("Not finished", 3)
+        yield page.table(
+            ("", "up to, s", "why"),
+            ((s.what, "" if s.time is None else f"{s.time:.6g}", s.reason) for s in summary.unfinished),
+        )
     if summary.advice:
         yield page.heading("Advice", 3)
         yield page.table(("", ""), ((piece.topic, piece.text) for piece in summary.advice))
@@ -168,7 +174,10 @@ def _settings(summary: Summary) -> Iterator[Markup]:
     )
     yield page.table(
         ("engine", "time, s", "settings"),
-        ((name, f"{run.wall_time:.3g}", page.values(run.settings)) for name, run in summary.engines.items()),
+        (
+            (name, "" if run.wall_time is None else f"{run.wall_time:.3g}", page.values(run.settings))
+            for name, run in summary.engines.items()
+        ),
     )
     if summary.left_out:
         yield page.table(("engine left out", "why"), summary.left_out.items())

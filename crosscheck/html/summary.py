@@ -42,7 +42,15 @@ class EngineRun(BaseModel):
     """How an engine ran."""
 
     settings: dict[str, Any]
-    wall_time: float
+    wall_time: float | None
+
+
+class Unfinished(BaseModel):
+    """What did not come to its end, see `crosscheck.each_run.Stop`."""
+
+    what: str
+    reason: str
+    time: float | None
 
 
 class Mapped(BaseModel):
@@ -80,6 +88,7 @@ class Summary(Results):
     verdict: str
     wall_time: float
     versions: dict[str, str]
+    unfinished: list[Unfinished] = Field(default_factory=list)
     engines: dict[str, EngineRun]
     left_out: dict[str, str]
     mapping: list[Mapped] | None

@@ -91,8 +91,8 @@ def log_run(
 
     Args:
         scene: what was run.
-        trajectories: by engine, at the same output times; the first is the one that the others are
-            compared with.
+        trajectories: by engine, at the same output times as far as they came; the first is the one that the
+            others are compared with.
         verdict: Markdown.
         title: of the recording, to tell it from others of the scene.
         opens_at: time that the viewer starts at, s; the beginning if None.
@@ -288,4 +288,5 @@ def _log_plot(
         width = style.line_width if plot.lines_coincide else LINE_WIDTH
         line = rr.SeriesLines(colors=style.color, names=engine, widths=width)
         recording.log(path, line, static=True)
-        _send(recording, path, times[engine], clocks, rr.Scalars.columns, scalars=values)
+        time = times[engine][: len(values)] if plot.compares else times[engine]
+        _send(recording, path, time, clocks, rr.Scalars.columns, scalars=values)

@@ -32,6 +32,7 @@ class Plot:
         path: where its lines are logged, below `/plots`; the engine's name is added.
         title: the quantity and its unit.
         lines: (n,) values by engine.
+        compares: whether a line is about two runs, and ends with the shorter.
     """
 
     row: int
@@ -39,6 +40,7 @@ class Plot:
     path: tuple[str, ...]
     title: str
     lines: dict[str, Array]
+    compares: bool = False
 
     @property
     def lines_coincide(self) -> bool:
@@ -186,16 +188,15 @@ def _orientation_plots(mechanism: Mechanism, trajectories: dict[str, Trajectory]
 
 def _agreement_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
     """Each engine against the first, largest over the bodies; and how far joints drift apart."""
-    if not trajectories:  # of two models both of whose runs stopped
+    if not trajectories:  # of engines or models none of which came anywhere
         return
     (reference, first), *others = trajectories.items()
-    distances = {
-        engine: np.max(np.linalg.norm(run.position - first.position, axis=2), axis=1)
-        for engine, run in others
-    }
-    angles = {
-        engine: np.max(angle_between(first.quaternion, run.quaternion), axis=1) for engine, run in others
-    }
+    distances, angles = {}, {}
+    for engine, run in others:
+        end = min(len(run.time), len(first.time))  # a run may have stopped
+        one, two = first.first(end), run.first(end)
+        distances[engine] = np.max(np.linalg.norm(two.position - one.position, axis=2), axis=1)
+        angles[engine] = np.max(angle_between(one.quaternion, two.quaternion), axis=1)
     drift = _present(
         trajectories,
         lambda run: None if run.constraint_violation is None else np.max(run.constraint_violation, axis=1),
@@ -205,9 +206,9 @@ def _agreement_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
     for quantity, unit, lines in differences:
         log_lines = {engine: _log10(line) for engine, line in lines.items()}
         title = f"log10 {quantity} difference [{unit}]"
-        yield Plot(2, group, ("difference_log10", quantity), title, log_lines)
+        yield Plot(2, group, ("difference_log10", quantity), title, log_lines, True)
     log_drift = {engine: _log10(line) for engine, line in drift.items()}
     yield Plot(2, group, ("drift_log10",), "log10 joint drift [m, rad]", log_drift)
     group = f"Difference from {reference}"
     for quantity, unit, lines in differences:
-        yield Plot(2, group, ("difference", quantity), f"{quantity} [{unit}]", lines)
+        yield Plot(2, group, ("difference", quantity), f"{quantity} [{unit}]", lines, True)
