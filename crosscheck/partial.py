@@ -7,9 +7,12 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from pydantic import BaseModel
+
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.files import check_writable
+from crosscheck.results import read_json
 from newton_euler.trajectory import Trajectory, atomic_file
 
 PARTIAL_SUMMARY = "summary.partial.json"
@@ -83,11 +86,14 @@ def _saved(
         yield f"cannot write {path}: {failure.strerror}"
 
 
+class _Named(BaseModel):
+    scene: str
+
+
 def _recording(summary: Path) -> Iterator[Path]:
     """Where a summary's crosscheck leaves its recording if that goes nowhere else, beside the summary."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        scene = json.loads(summary.read_text(encoding="utf-8"))["scene"]
-        yield summary.with_name(f"{scene}.rrd")
+    with suppress(CrosscheckError, ValueError):
+        yield summary.with_name(f"{read_json(summary, _Named).scene}.rrd")
 
 
 def partial_path(folder: Path, engine: str) -> Path:

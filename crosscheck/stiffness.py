@@ -46,7 +46,7 @@ def fastest_decay(scene: Scene) -> float:
         jacobian[:, k] = (derivative(x + step)[:n] - derivative(x - step)[:n]) / (2.0 * step[k])
     if not np.all(np.isfinite(jacobian)):
         return 0.0
-    return max(0.0, -float(np.min(np.linalg.eigvals(jacobian).real)))
+    return max(0.0, -float(np.min(np.linalg.eigvals(jacobian).real, initial=0.0)))
 
 
 def explicit_steps(scene: Scene) -> float:
