@@ -23,7 +23,7 @@ def read_json(path: Path, kind: type[Kind]) -> Kind:
         raise CrosscheckError(str(error)) from error
     except ValidationError as error:
         first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"]) or "content"
+        field = ".".join(str(part) for part in first["loc"]) or "file"
         # all of the file is at fault where it is not JSON, and would be no help in a message
         got = f" (got {reprlib.repr(first['input'])})" if first["loc"] and first["type"] != "missing" else ""
         reason = first["msg"].removeprefix("Value error, ")

@@ -6,9 +6,9 @@ call follow the conventions of `newton_euler.steppers.march`.
 
 from __future__ import annotations
 
-import pickle
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -28,6 +28,7 @@ from newton_euler.scene import Scene
 from newton_euler.sparse import RowsInUse, least_squares
 from newton_euler.stabilize import PAPER_ALPHA, baumgarte_alpha
 from newton_euler.steppers.march import ANGLE, QUATERNION, QUATERNION_WITH_RATES
+from newton_euler.stored import program_text, read_program, read_rows, rows_text
 from newton_euler.system import at_time
 
 if TYPE_CHECKING:
@@ -158,7 +159,8 @@ class Code:
         """One of the programs, traced if it has not been."""
         if name not in self.programs:
             start = time.perf_counter()
-            self.programs[name], self.layouts[name] = self._remembered(name, lambda: self._trace(name))
+            made = self._remembered(name, lambda: self._trace(name), lambda x: program_text(*x), read_program)
+            self.programs[name], self.layouts[name] = made
             self.trace_time += time.perf_counter() - start
         return self.programs[name]
 
@@ -168,22 +170,25 @@ class Code:
         chosen = (self.formulation, self.stabilization, self._alpha, tuple(self.parameters))
         return fingerprint(self.scene, *chosen)
 
-    def _remembered(self, what: str, make: Callable[[], T]) -> T:
-        """What an earlier process made of the same scene, or made now."""
+    def _remembered(
+        self, what: str, make: Callable[[], T], write: Callable[[T], str], read: Callable[[bytes], T]
+    ) -> T:
+        """What an earlier process made of the same scene, or made now; kept as text, see `stored`."""
         if self._identity is None or cache_directory() is None:
             return make()
         key = cache_key(self._identity, what)
         kept = read_cache(key)
         if kept is not None:
-            return pickle.loads(kept)
+            with suppress(ValueError):
+                return read(kept)
         made = make()
-        write_cache(key, pickle.dumps(made))
+        write_cache(key, write(made).encode())
         return made
 
     @cached_property
     def _rows(self) -> tuple[RowsInUse, list[int]]:
         with np.errstate(all="ignore"):  # forces that overflow are for the march to report
-            return self._remembered("rows", lambda: rows_in_use(self.system))
+            return self._remembered("rows", lambda: rows_in_use(self.system), rows_text, read_rows)
 
     @property
     def rows(self) -> RowsInUse:

@@ -35,7 +35,7 @@ class Limit:
 
 LIMITS = {
     "velocities": Limit(300, "velocities", "degrees of freedom without loops; the comparison is dense"),
-    "loops": Limit(100, "closures", "joints, equalities, gears and mimics that close loops, which are dense"),
+    "closures": Limit(100, "closures", "of loops: joints, equalities, gears, mimics; they are dense"),
     "bodies": Limit(2000, "bodies", "of a file, fixed ones included"),
     "forces": Limit(1000, "force elements", "actuators, control laws, springs, dampers, wrenches and rotors"),
     "terms": Limit(1000, "terms", "sines and coefficients of all prescribed motions"),

@@ -39,7 +39,12 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     except KeyboardInterrupt:
         status = _complain("interrupted")
     except Exception as error:
-        status = _complain(_reason(error))
+        # files are named where they are written
+        nameless = isinstance(error, OSError) and error.filename is None and not short_of_memory(error)
+        if isinstance(error, OSError) and nameless:
+            status = _complain_of_stream(error)
+        else:
+            status = _complain(_reason(error))
     finally:
         sys.unraisablehook = hook
     sys.exit(status)
@@ -84,23 +89,16 @@ def _check_memory() -> None:
 
 
 def _reason(error: Exception) -> str:
-    """What to say of an error, click's own and standard output's among them."""
+    """What to say of an error, click's own among them."""
     if isinstance(error, click.ClickException):
         return error.format_message()
-    # files are named where they are written
-    if isinstance(error, OSError) and error.filename is None and not short_of_memory(error):
-        _discard_output()
-        return f"cannot write standard output or error: {error.strerror}"
     return reason_of(error)
 
 
 def _discard_output() -> None:
-    """Drop what standard output still holds if it fails; the interpreter would fail on it once more."""
-    try:
-        sys.stdout.flush()
-    except (OSError, ValueError):
-        with suppress(OSError, ValueError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """Send what standard output still holds nowhere; the interpreter would fail on it once more."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(message: str) -> int:
@@ -113,4 +111,16 @@ def _complain(message: str) -> int:
         with suppress(OSError):
             click.echo(f"crosscheck: error: {line}", err=to_error)
             break
+    return BAD_INPUT
+
+
+def _complain_of_stream(error: OSError) -> int:
+    """Say on the other one that standard output or standard error cannot be written."""
+    for to_error, failed in ((True, "output"), (False, "error")):
+        with suppress(OSError):
+            text = f"crosscheck: error: cannot write standard {failed}: {error.strerror}"
+            click.echo(text, err=to_error)
+            break
+    if failed == "output":
+        _discard_output()
     return BAD_INPUT

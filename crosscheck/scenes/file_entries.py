@@ -334,7 +334,7 @@ class SceneEntry(_Strict):
     def build(self) -> Scene:
         loops = len(self.joints) - len(self.bodies) + len(self.couplings)
         forces = len(self.control) + len(self.forces) + len(self.armatures)
-        check_counts("file", {"bodies": len(self.bodies), "loops": loops, "forces": forces})
+        check_counts("file", {"bodies": len(self.bodies), "closures": loops, "forces": forces})
         bodies = [Body.ground(self.ground), *(body.build() for body in self.bodies)]
         joints = [joint.build() for joint in self.joints]
         mechanism = Mechanism(bodies, joints, [gear.build() for gear in self.couplings])

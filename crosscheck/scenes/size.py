@@ -28,7 +28,7 @@ def check_mechanism(where: str, mechanism: Mechanism) -> None:
     if tree.nv == 0:
         raise CrosscheckError(f"{where}: no body can move; needed: a joint that lets one")
     loops = len(tree.cuts) + len(mechanism.couplings)
-    check_counts(where, {"loops": loops, "velocities": tree.nv})
+    check_counts(where, {"closures": loops, "velocities": tree.nv})
 
 
 def check_motions(

@@ -42,7 +42,7 @@ def read_loops(path: str) -> Loops:
     """A loop file of reasonable size; raises `SourceError` and `LoopFileError`."""
     loops = parse_loops(source_file.read_text(path, "scene_size", SourceError), path)
     for key in ("closed_loop", "coupled"):
-        if problem := exceeded("loops", len(getattr(loops, key))):
+        if problem := exceeded("closures", len(getattr(loops, key))):
             raise LoopFileError(path, key, problem)
     return loops
 
@@ -69,7 +69,7 @@ def parsed(path: str, text: str) -> ET.Element:
     if not links:
         raise SourceError(path, "no links")
     velocities = sum(JOINT_TYPES.get(str(joint.get("type")), 0) for joint in root.findall("joint"))
-    counts = {"bodies": len(links), "velocities": velocities, "loops": len(root.findall("joint/mimic"))}
+    counts = {"bodies": len(links), "velocities": velocities, "closures": len(root.findall("joint/mimic"))}
     for name, count in counts.items():
         if problem := exceeded(name, count):
             raise SourceError(path, problem)
