@@ -68,7 +68,7 @@ def exceeded(name: str, value: float) -> str:
     if value <= most:
         return ""
     unit = LIMITS[name].unit
-    return f"{value:.7g} {unit}, at most {most:.7g}; to allow it: --set {name}={math.ceil(value):d}"
+    return f"{value:.9g} {unit}, at most {most:.7g}; to allow it: --set {name}={math.ceil(value):d}"
 
 
 def too_small(name: str) -> str:
