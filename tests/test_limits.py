@@ -127,7 +127,7 @@ def test_no_cursor_moves_in_a_pipe(
 def test_standard_error_that_is_full(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    full = Path("/dev/full").open("w")
+    full = Path("/dev/full").open("w")  # noqa: SIM115
     monkeypatch.setattr(sys, "stderr", full)
     status, out, _ = run(capsys, "run", "nonsense")
     monkeypatch.undo()
