@@ -10,9 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from crosscheck.errors import CrosscheckError
-
-LIMIT = 600.0
-"""s of processor time, of one engine's run or of one comparison: a wait is no reason to give up."""
+from newton_euler.limits import limit, too_small
 
 PATIENCE = 5.0
 """s after which it is told how long it has been."""
@@ -72,7 +70,7 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 @contextmanager
 def limited(what: str, advice: str, progress: Callable[[str], None]) -> Iterator[None]:
-    """Interrupt the block after `LIMIT`; `progress` is told `what` it does, and the error says `advice`.
+    """Interrupt the block after the limit `time`; `progress` is told `what` it does, errors say `advice`.
 
     In the main thread only, which alone can be interrupted.
 
@@ -84,16 +82,17 @@ def limited(what: str, advice: str, progress: Callable[[str], None]) -> Iterator
         yield
         return
     done, given_up, begin = threading.Event(), threading.Event(), time.process_time()
+    most = limit("time")  # of processor time: a wait is no reason to give up
 
     def watch() -> None:
         while not done.wait(PERIOD):
             used = time.process_time() - begin
-            if used > LIMIT:
+            if used > most:
                 given_up.set()
                 _thread.interrupt_main()
                 return
             if used > PATIENCE:
-                progress(f"{what}: {used:.0f} s so far, given up at {LIMIT:.0f}")
+                progress(f"{what}: {used:.0f} s so far, given up at {most:.0f}")
 
     watcher = threading.Thread(target=watch, daemon=True)
     try:
@@ -107,5 +106,5 @@ def limited(what: str, advice: str, progress: Callable[[str], None]) -> Iterator
     except KeyboardInterrupt:
         if not given_up.is_set():
             raise
-        message = f"{what}: given up after {LIMIT:.0f} s of processor time; {advice}"
+        message = f"{what}: given up after {most:g} s of processor time; {advice}; {too_small('time')}"
         raise TooLongError(message) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
@@ -10,8 +11,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from pydantic import BaseModel
+
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
+from crosscheck.results import digest, read_json
 from crosscheck.run import Crosscheck
 from newton_euler.trajectory import atomic_file
 
@@ -71,14 +75,19 @@ def write(result: Crosscheck, folder: Path, recording: Path | None, verdict: str
                 return stack.enter_context(atomic_file(target))
 
             # the stack is left from its top: what is entered first is in its place last
-            text = json.dumps(result.summary(), indent=1, allow_nan=False)
-            temporary(summary).write_text(text + "\n", encoding="utf-8")
+            last = temporary(summary)
             runs = [folder / f"{name}.npz" for name in result.runs]
+            made: dict[str, str] = {}
             for target, run in zip(runs, result.runs.values(), strict=True):
-                run.save(temporary(target))
+                written = temporary(target)
+                run.save(written)
+                made[target.name] = digest(written)
             if recording is not None:
                 temporary(recording).write_bytes(content)
+                made[recording.name] = hashlib.sha256(content).hexdigest()
             path = summary
+            text = json.dumps(result.summary() | {"files": made}, indent=1, allow_nan=False)
+            last.write_text(text + "\n", encoding="utf-8")
             summary.unlink(missing_ok=True)
             for name in {*ENGINES, *(engine.name for engine in result.engines)} - result.runs.keys():
                 path = folder / f"{name}.npz"
@@ -114,13 +123,21 @@ def check_own(folder: Path, sources: Sequence[str], results: str = "crosscheck")
             )
 
 
+class _Source(BaseModel):
+    source: str = ""
+
+
+class _Told(_Source):
+    models: list[_Source] | None = None
+
+
 def _sources(path: Path) -> list[str]:
-    """The models that results are of; none if the file is none of results."""
+    """The models that results are of; none if the file is none of results, or is too large to be."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        return [str(model["source"]) for model in found.get("models") or [found]]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        found = read_json(path, _Told)
+    except CrosscheckError:
         return []
+    return [model.source for model in found.models or [found]]
 
 
 def recording_path(result: Crosscheck, folder: Path) -> Path:

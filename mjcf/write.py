@@ -69,6 +69,9 @@ COLOURS = (
 )
 """Colours of the moving bodies, in turn."""
 
+DEEPEST = 490
+"""Bodies that hang from each other: MuJoCo's parser takes 500 nested elements."""
+
 GROUND_COLOUR = "0.6 0.6 0.6 1"
 
 
@@ -92,6 +95,12 @@ def welded_to_xml(scene: Scene, welded: WeldedMechanism) -> str:
     for body in welded.mechanism.bodies[1:]:
         if body.name == "world":
             raise ModelError(scene.name, "a moving body is named 'world', as MuJoCo's ground is")
+    depth = [0] * len(welded.mechanism.bodies)
+    for joint in welded.tree.joints:
+        depth[joint.child] = depth[joint.parent] + 1
+    if max(depth) > DEEPEST:
+        reason = f"{max(depth)} bodies hang from each other, at most {DEEPEST} in its XML"
+        raise ModelError(scene.name, reason)
     root = ET.Element("mujoco", model=scene.name)
     _settings(root, scene)
     layout = Layout(welded.tree)

@@ -1,8 +1,9 @@
 """Machine code and traced programs kept on disk, by name.
 
-A file holds its own SHA-256 and then the content, so that a damaged one counts as missing; it is written
-beside and renamed, so that no reader ever sees half of it, whoever else writes at the same time and
-wherever a run is killed. A cache that cannot be read or written costs a compilation, never a run.
+A file holds the SHA-256 of its name and content and then the content, so that one that is damaged, or is
+another's, counts as missing. It is written beside and renamed, so that no reader ever sees half of it,
+whoever else writes at the same time and wherever a run is killed. A cache that cannot be read or written
+costs a compilation, never a run.
 
 It is kept below `LIMIT` by removing what has not been used for longest. A file's time of modification is when
 it was last used, to `_RECENT`. Files are counted with one write in `_COUNT_EVERY`, and never by a read.
@@ -43,8 +44,8 @@ _DIGEST = 32
 """Bytes of a SHA-256."""
 
 
-def _digest(code: bytes) -> bytes:
-    return hashlib.sha256(code).digest()
+def _digest(key: str, code: bytes) -> bytes:
+    return hashlib.sha256(key.encode() + code).digest()
 
 
 def cache_key(*parts: object) -> str:
@@ -76,6 +77,8 @@ def read_cache(key: str) -> bytes | None:
     if directory is None:
         return None
     path = directory / (key + _ENDING)
+    if not path.is_file():  # a pipe would keep its reader waiting
+        return None
     try:
         with path.open("rb") as stream:
             content, used = stream.read(), os.fstat(stream.fileno()).st_mtime
@@ -85,7 +88,7 @@ def read_cache(key: str) -> bytes | None:
         with suppress(OSError):  # a read-only disk, or another process has removed it
             os.utime(path)
     digest, code = content[:_DIGEST], content[_DIGEST:]
-    return code if _digest(code) == digest else None
+    return code if _digest(key, code) == digest else None
 
 
 def write_cache(key: str, code: bytes) -> None:
@@ -102,7 +105,7 @@ def write_cache(key: str, code: bytes) -> None:
         handle, name = tempfile.mkstemp(dir=directory, prefix=_UNFINISHED)
         try:
             with os.fdopen(handle, "wb") as stream:
-                stream.write(_digest(code) + code)
+                stream.write(_digest(key, code) + code)
             Path(name).replace(directory / (key + _ENDING))
         except BaseException:
             Path(name).unlink(missing_ok=True)

@@ -6,9 +6,9 @@ call follow the conventions of `newton_euler.steppers.march`.
 
 from __future__ import annotations
 
-import pickle
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -28,6 +28,7 @@ from newton_euler.scene import Scene
 from newton_euler.sparse import RowsInUse, least_squares
 from newton_euler.stabilize import PAPER_ALPHA, baumgarte_alpha
 from newton_euler.steppers.march import ANGLE, OPEN_TOLERANCE, QUATERNION, QUATERNION_WITH_RATES
+from newton_euler.stored import program_text, read_program, read_rows, rows_text
 from newton_euler.system import at_time
 
 if TYPE_CHECKING:
@@ -161,7 +162,8 @@ class Code:
         """One of the programs, traced if it has not been."""
         if name not in self.programs:
             start = time.perf_counter()
-            self.programs[name], self.layouts[name] = self._remembered(name, lambda: self._trace(name))
+            made = self._remembered(name, lambda: self._trace(name), lambda x: program_text(*x), read_program)
+            self.programs[name], self.layouts[name] = made
             self.trace_time += time.perf_counter() - start
         return self.programs[name]
 
@@ -173,16 +175,19 @@ class Code:
             chosen.append(tuple(self._independent))
         return fingerprint(self.scene, *chosen)
 
-    def _remembered(self, what: str, make: Callable[[], T]) -> T:
-        """What an earlier process made of the same scene, or made now."""
+    def _remembered(
+        self, what: str, make: Callable[[], T], write: Callable[[T], str], read: Callable[[bytes], T]
+    ) -> T:
+        """What an earlier process made of the same scene, or made now; kept as text, see `stored`."""
         if self._identity is None or cache_directory() is None:
             return make()
         key = cache_key(self._identity, what)
         kept = read_cache(key)
         if kept is not None:
-            return pickle.loads(kept)
+            with suppress(ValueError):
+                return read(kept)
         made = make()
-        write_cache(key, pickle.dumps(made))
+        write_cache(key, write(made).encode())
         return made
 
     @cached_property
@@ -197,7 +202,7 @@ class Code:
             return rows, unused > 0, decided.nearly
 
         with np.errstate(all="ignore"):  # forces that overflow are for the march to report
-            return self._remembered("rows", decide)
+            return self._remembered("rows", decide, rows_text, read_rows)
 
     @property
     def rows(self) -> RowsInUse:

@@ -69,7 +69,7 @@ SUSPECT = 1e-2, 100.0
 """Singular value below which, and distance to the next larger one from which, a row that is taken literally
 looks like one of a design that was meant to be redundant."""
 
-DENSE_LIMIT = 4_000_000
+DENSE_LIMIT = 1_000_000
 """Largest number of elements of a Jacobian whose singular values are computed to name them."""
 
 NEWTON_STEPS = 30
@@ -117,6 +117,8 @@ class Configuration(NamedTuple):
     rows: Rows
     """Dimensionless."""
     independent: list[int]
+    doubtful: bool
+    """Whether a row adds so little to the others, or nothing but for noise, that it is worth naming."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +180,7 @@ def rows_in_use(system: Eliminated, independent: Sequence[int] | None = None) ->
     pivots = []
     for at, state in zip(decided.configurations, decided.states, strict=True):
         # elsewhere, as where the four-bar is flat, pivots are zero or round-off
-        if len(_independent([at.rows[i] for i in independent], 0.0).order) == len(independent):
+        if len(_independent([at.rows[i] for i in independent], 0.0)[0].order) == len(independent):
             q, _ = system.coordinates(state)
             solution = system.sparse_solution(q, np.zeros(system.nv), RowsInUse(numbers))
             pivots.append((solution.pivots, solution.mass_pivots))
@@ -196,17 +198,18 @@ def _mobility(system: RelativeTerms) -> Mobility:
         system.nv - len(independent),
         independent,
         sorted(alive - set(independent)),
-        tuple(_nearly(system, best)),
+        tuple(_nearly(system, [at for at in seen if len(at.independent) == len(independent)])),
         seen,
         [system.state(at.q, rest) for at in seen],
     )
 
 
-def _nearly(system: RelativeTerms, at: Configuration) -> Iterator[NearlyRedundant]:
-    """Small singular values on both sides of the rank."""
-    if not 0 < len(at.rows) * system.nv <= DENSE_LIMIT:
+def _nearly(system: RelativeTerms, seen: Sequence[Configuration]) -> Iterator[NearlyRedundant]:
+    """Small singular values on both sides of the rank, where no configuration has larger ones."""
+    if not all(at.doubtful for at in seen) or len(seen[0].rows) * system.nv > DENSE_LIMIT:
         return
-    u, s, _ = singular_values(dense(at.rows, system.nv))
+    found = [(at, *singular_values(dense(at.rows, system.nv))[:2]) for at in seen]
+    at, u, s = max(found, key=lambda each: float(each[2][len(each[0].independent) - 1]))
     smallest, apart = SUSPECT
     own, _ = system.coordinates(State.initial(system.scene.mechanism))
     exact, rank = NAMED if np.array_equal(at.q, own) else CLOSED, len(at.independent)
@@ -232,13 +235,14 @@ def _examine(system: RelativeTerms) -> tuple[list[Configuration], set[int]]:
     seen: list[Configuration] = []
     for number in range(CONFIGURATIONS):
         phi, rows = _scaled(system, q)
-        found = sorted(_independent(rows, tolerance).order)
+        factor, doubtful = _independent(rows, tolerance)
+        found = sorted(factor.order)
         others = np.delete(phi, found)
         if number == 0 or (
             _largest(phi[found]) < CLOSED and _largest(others) < max(CLOSED, LOOSE * tolerance)
         ):
             alive.update(i for i, row in enumerate(rows) if _length(row) > ROUND_OFF)
-            seen.append(Configuration(q, rows, found))
+            seen.append(Configuration(q, rows, found, doubtful))
         best = max(seen, key=lambda at: len(at.independent))
         if number > 0 and len(best.independent) == len(alive):
             break  # all that can be
@@ -277,12 +281,13 @@ def _length(row: dict[int, float]) -> float:
     return float(np.sqrt(sum(x * x for x in row.values())))
 
 
-def _independent(rows: Rows, tolerance: float) -> Factor:
-    """Factor the Gram matrix of independent rows; `Factor.order` are these rows.
+def _independent(rows: Rows, tolerance: float) -> tuple[Factor, bool]:
+    """Factor the Gram matrix of independent rows; `Factor.order` are these rows. Also whether there is doubt.
 
     Rows are added by what is new in them, the most first, until less than `tolerance` is new and a gap
     separates it; where there is none, until the rest is round-off.
     """
+    doubt = any(NAMED < _length(row) <= ROUND_OFF for row in rows)
     rows = [row if _length(row) > ROUND_OFF else {} for row in rows]
     products = gram(rows, rows)
     order = [i for i in pattern_order(products) if rows[i]]
@@ -290,7 +295,10 @@ def _independent(rows: Rows, tolerance: float) -> Factor:
     used = set(factor.order)
     doubtful = [i for i in order if i not in used]
     least = np.sqrt(CERTAIN)
-    while doubtful and _together(rows, factor, doubtful) > ROUND_OFF:
+    while doubtful and (new := _together(rows, factor, doubtful)) > NAMED:
+        doubt = True
+        if new <= ROUND_OFF:
+            break
         shares = [_remainder(rows, factor, rows[i]) for i in doubtful]
         share = max(shares)
         if share <= ROUND_OFF or (share <= tolerance and GAP * share <= least):
@@ -298,7 +306,7 @@ def _independent(rows: Rows, tolerance: float) -> Factor:
         least = min(least, share)
         found = doubtful.pop(int(np.argmax(shares)))
         factor = factorise(products, [*factor.order, found])
-    return factor
+    return factor, doubt
 
 
 def _together(rows: Rows, factor: Factor, doubtful: list[int]) -> float:
@@ -343,10 +351,10 @@ def _neighbour(system: RelativeTerms, q: Array, direction: Array) -> Array:
     step = REACH * direction
     _, rows = _scaled(system, q)
     rate = np.array([sum(x * step[k] / unit[k] for k, x in row.items()) for row in rows])
-    q = system.retract(q, step - _least(rows, _independent(rows, tolerance), rate, unit))
+    q = system.retract(q, step - _least(rows, _independent(rows, tolerance)[0], rate, unit))
     for _ in range(NEWTON_STEPS):
         phi, rows = _scaled(system, q)
-        factor = _independent(rows, tolerance)
+        factor, _ = _independent(rows, tolerance)
         if _largest(phi[factor.order]) < 0.01 * CLOSED:
             break
         q = system.retract(q, -_least(rows, factor, phi, unit))

@@ -7,6 +7,7 @@ import stat
 from pathlib import Path
 
 from newton_euler.errors import NewtonEulerError
+from newton_euler.limits import MB, exceeded, size_in_bytes
 
 LONGEST_PROBLEM = 1000
 """Characters of a message; names and values in files have any length."""
@@ -26,24 +27,39 @@ def shortened(problem: str) -> str:
     return problem if len(problem) <= LONGEST_PROBLEM else f"{problem[: LONGEST_PROBLEM - 4]} ..."
 
 
-def read_text(path: str | os.PathLike[str], maximum: int, error: type[SourceError] = SourceError) -> str:
-    """The text of a regular UTF-8 file of at most `maximum` bytes.
+def read_content(
+    path: str | os.PathLike[str], limit: str, error: type[SourceError] = SourceError, before: int = 0
+) -> bytes:
+    """Read a regular file.
+
+    Args:
+        limit: name of the limit of its size, see `newton_euler.limits`.
+        error: class of what is raised.
+        before: bytes that count beside those of the file.
 
     Raises:
         SourceError: of the class `error`.
     """
     where = os.fspath(path)
     try:
-        if not stat.S_ISREG(Path(where).stat().st_mode):  # a pipe would keep its reader waiting
+        status = Path(where).stat()
+        if not stat.S_ISREG(status.st_mode):  # a pipe would keep its reader waiting
             raise error(where, "not a regular file")
+        if problem := exceeded(limit, (before + status.st_size) / MB):
+            raise error(where, problem)
         with Path(where).open("rb") as stream:
-            content = stream.read(maximum + 1)
-        if len(content) > maximum:
-            raise error(where, f"larger than {maximum} bytes")
-        return content.decode("utf-8-sig")
+            return stream.read(size_in_bytes(limit) + 1)  # it may grow
     except OSError as failure:
         raise error(where, f"cannot be read: {failure.strerror}") from failure
-    except UnicodeDecodeError as failure:
-        raise error(where, "not a UTF-8 text file") from failure
     except ValueError as failure:  # a null in the path
         raise error(repr(where), f"cannot be read: {failure}") from failure
+
+
+def read_text(
+    path: str | os.PathLike[str], limit: str, error: type[SourceError] = SourceError, before: int = 0
+) -> str:
+    """Read a regular file of UTF-8 text; arguments and errors as of `read_content`."""
+    try:
+        return read_content(path, limit, error, before).decode("utf-8-sig")
+    except UnicodeDecodeError as failure:
+        raise error(os.fspath(path), "not a UTF-8 text file") from failure

@@ -3,17 +3,44 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from newton_euler.errors import IntegrationError, NewtonEulerError
+from newton_euler.errors import IntegrationError
+from newton_euler.limits import MB, exceeded
 from newton_euler.scalars import Array
+from newton_euler.source_file import SourceError, read_content
+
+if TYPE_CHECKING:
+    from zipfile import ZipFile
+
+SHAPES = {
+    "time": "n",
+    "body_names": "b",
+    "joint_names": "j",
+    "position": "nb3",
+    "quaternion": "nb4",
+    "linear_velocity": "nb3",
+    "angular_velocity": "nb3",
+    "reaction_force": "nj3",
+    "reaction_torque": "nj3",
+    "actuator_force": "na",
+    "constraint_violation": "nj",
+    "kinetic_energy": "n",
+    "potential_energy": "n",
+    "work": "n",
+}
+"""Of the arrays of a trajectory: n times, b bodies, j joints, a actuators."""
+
+NEEDED = ("time", "body_names", "joint_names", "position", "quaternion")
+"""Arrays that every run has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +119,79 @@ def check_finite(times: Array, arrays: Mapping[str, Array]) -> None:
 
 
 def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
-    """Read the arrays of a saved trajectory by name; raises `NewtonEulerError` for a bad file."""
-    from zipfile import BadZipFile
+    """Read the arrays of a saved trajectory by name, each with the type and the shape of `SHAPES`.
 
+    Raises:
+        SourceError: naming the file, and the array at fault if one is.
+    """
+    from zipfile import BadZipFile, ZipFile
+    from zlib import error as ZlibError
+
+    content = io.BytesIO(read_content(path, "array_size"))
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
-        raise NewtonEulerError(f"cannot read a trajectory from {os.fspath(path)!r}: {error}") from error
+        with ZipFile(content) as archive:
+            arrays = _unpacked(archive)
+            _check_arrays(arrays)
+    except (OSError, EOFError, ValueError, KeyError, RuntimeError, BadZipFile, ZlibError) as error:
+        raise SourceError(os.fspath(path), f"holds no trajectory: {error}") from error
+    return arrays
+
+
+def _unpacked(archive: ZipFile) -> dict[str, Array]:
+    """The arrays of an .npz file by name, of which no more is unpacked than their headers say.
+
+    Raises:
+        ValueError: for what no trajectory has; and whatever the archive raises.
+    """
+    found: dict[str, Array] = {}
+    unpacked = 0
+    for entry in archive.infolist():
+        name = entry.filename.removesuffix(".npy")
+        if name not in SHAPES or name in found:
+            raise ValueError(f"{entry.filename!r:.100} is none of its arrays")
+        with archive.open(entry) as stream:
+            shape, order, dtype = _header(stream)
+            size = dtype.itemsize * math.prod(shape)
+            kind = "U" if name.endswith("_names") else "f"
+            if dtype.kind != kind or len(shape) != len(SHAPES[name]) or min(shape) < 0:
+                raise ValueError(f"{name} is an array of {dtype}, shape {shape}")
+            unpacked += size
+            if problem := exceeded("array_size", unpacked / MB):
+                raise ValueError(problem)
+            data = stream.read(size)
+            if len(data) < size or stream.read(1):
+                raise ValueError(f"{name} is not as long as its shape {shape}")
+        found[name] = (
+            np.frombuffer(data, dtype).reshape(shape, order=order) if size else np.empty(shape, dtype)
+        )
+    return found
+
+
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], Literal["C", "F"], np.dtype[Any]]:
+    """Shape, order and type of the array that a stream of an .npy file holds."""
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError("its arrays have an unknown format")
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    return shape, "F" if fortran else "C", dtype
+
+
+def _check_arrays(arrays: Mapping[str, Array]) -> None:
+    """Raise `ValueError` for arrays that are missing, of shapes that do not fit, or not finite."""
+    sizes = {digit: int(digit) for digit in "34"}
+    for name in NEEDED:
+        if name not in arrays:
+            raise ValueError(f"no array {name!r}")
+    for name, array in arrays.items():
+        for letter, size in zip(SHAPES[name], array.shape, strict=True):
+            sizes.setdefault(letter, size)
+    for name, array in arrays.items():
+        needed = tuple(sizes[letter] for letter in SHAPES[name])
+        if array.shape != needed:
+            raise ValueError(f"{name} has shape {array.shape}; needed: {needed}")
+        if array.dtype.kind == "f" and not np.all(np.isfinite(array)):
+            raise ValueError(f"{name} is not finite")
+    if sizes["n"] == 0 or sizes["b"] == 0 or np.any(np.diff(arrays["time"]) <= 0.0):
+        raise ValueError("no bodies, or no times that increase")
 
 
 @contextmanager

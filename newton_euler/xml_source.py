@@ -5,16 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from xml.parsers import expat
 
+from newton_euler.limits import exceeded, limit
 from newton_euler.source_file import SourceError
-
-MAXIMUM_BYTES = 10_000_000
-"""Of a model, all its files together."""
 
 MAXIMUM_DEPTH = 400
 """Of nested elements; recursive parsers run out of stack somewhere above."""
-
-MAXIMUM_ELEMENTS = 200_000
-"""Of one file; a tree of them takes some hundred bytes each."""
 
 LARGEST = 1e15
 """Of any number of a model, so that squares and triple products stay finite and keep digits."""
@@ -41,6 +36,7 @@ def scan(path: str, text: str, root: str | None, begin: Begin, error: type[Sourc
     """
     parser = expat.ParserCreate()
     depth = count = 0
+    most = limit("elements")
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth, count
@@ -50,8 +46,8 @@ def scan(path: str, text: str, root: str | None, begin: Begin, error: type[Sourc
         depth, count = depth + 1, count + 1
         if depth > MAXIMUM_DEPTH:
             raise error(path, f"line {line}: more than {MAXIMUM_DEPTH} nested elements")
-        if count > MAXIMUM_ELEMENTS:
-            raise error(path, f"line {line}: more than {MAXIMUM_ELEMENTS} elements")
+        if count > most:
+            raise error(path, f"line {line}: {exceeded('elements', text.count('<'))}")
         begin(tag, attributes, line)
 
     def end(tag: str) -> None:

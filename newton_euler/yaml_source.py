@@ -13,9 +13,6 @@ import yaml
 
 from newton_euler.source_file import SourceError
 
-MAXIMUM_BYTES = 1_000_000
-"""A second of parsing, and some thousand bodies."""
-
 MAXIMUM_DEPTH = 100
 """Of nested mappings and sequences."""
 

@@ -36,6 +36,16 @@ def compiler() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
+def server() -> Iterator[Any]:
+    """A process that runs command lines in processes of their own."""
+    from test_hostile import Server
+
+    server = Server()
+    yield server
+    server.close()
+
+
+@pytest.fixture(scope="session")
 def tracker() -> Scene:
     """The paper's simulation."""
     return load("tracker")

@@ -87,9 +87,13 @@ XML_EDITS: dict[str, tuple[str, str, str]] = {
     "an attribute twice": ('name="crank"', 'name="crank" name="crank"', "duplicate attribute"),
     "another root": ("<{root}", "<other><{root}", "root element is <other>, not <{root}>"),
     "deep nesting": ("</{root}>", "<a>" * 100_000, "more than 400 nested elements"),
-    "many elements": ("</{root}>", "<a/>" * 300_000 + "</{root}>", "more than 200000 elements"),
+    "many elements": (
+        "</{root}>",
+        "<a/>" * 300_000 + "</{root}>",
+        "elements, at most 200000; to allow it: --set elements=",
+    ),
     "an escape": ('"linkage"', '"a\x1b[31m"', "not XML: line 1: not well-formed"),
-    "too long": ("</{root}>", "<!--" + "x" * 10_000_000, "larger than 10000000 bytes"),
+    "too long": ("</{root}>", "<!--" + "x" * 10_000_000, "MB, at most 10; to allow it: --set file_size=11"),
 }
 """Of every XML format: what is replaced, by what, and the message."""
 

@@ -73,7 +73,7 @@ def scene_cases() -> Iterator[Case]:
         ("deep mappings", "{a: " * 100_000, "line 1: nested too deeply"),
         ("many empty lists", "[" + "[]," * 320_000 + "]", "file: Input should be"),
         ("many keys", "".join(f"k{k}: 1\n" for k in range(90_000)), "name: Field required"),
-        ("too long", "a: " + "x" * 1_000_000, "larger than 1000000 bytes"),
+        ("too long", "a: " + "x" * 1_000_000, "1.000003 MB, at most 1; to allow it: --set scene_size=2"),
         ("a list", "- a\n- b\n", "file: Input should be a valid dictionary"),
         ("a number", "7", "file: Input should be a valid dictionary"),
     ):

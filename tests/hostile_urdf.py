@@ -125,9 +125,21 @@ def chain(count: int) -> bytes:
 def urdf_cases() -> Iterator[Case]:
     yield from edited("URDF", "robot.urdf", URDF_EDITS)
     for name, content, message in (
-        ("40 000 links", star(40_000, "fixed"), "it has 40001 links, at most 2000 here"),
-        ("40 000 links in a row", chain(40_000), "it has 40001 links, at most 2000 here"),
-        ("301 hinges", star(301, "continuous"), "its joints have 301 velocities, at most 300 here"),
+        (
+            "40 000 links",
+            star(40_000, "fixed"),
+            "40001 bodies, at most 2000; to allow it: --set bodies=40001",
+        ),
+        (
+            "40 000 links in a row",
+            chain(40_000),
+            "40001 bodies, at most 2000; to allow it: --set bodies=40001",
+        ),
+        (
+            "301 hinges",
+            star(301, "continuous"),
+            "301 velocities, at most 300; to allow it: --set velocities=301",
+        ),
         (
             "2000 links that do not move",
             chain(1999),
@@ -190,9 +202,9 @@ LOOP_EDITS: dict[str, tuple[str, str, str]] = {
     "many pairs": (
         "closed_loop: [[tip, end]]\ntype: [3d]",
         f"closed_loop: [{'[tip, end], ' * 10_000}]\ntype: [{'3d, ' * 10_000}]",
-        "closed_loop: 10000 entries, at most 300 here",
+        "closed_loop: 10000 closures, at most 100; to allow it: --set closures=10000",
     ),
-    "too long": ("[3d]", "[3d] #" + "x" * 1_000_000, "larger than 1000000 bytes"),
+    "too long": ("[3d]", "[3d] #" + "x" * 1_000_000, "MB, at most 1; to allow it: --set scene_size=2"),
 }
 
 

@@ -14,6 +14,7 @@ import mjcf.reading.source as source
 from crosscheck.advice import Found
 from crosscheck.advice.own_file import own_file_advice
 from mjcf.reading.source import compiled
+from newton_euler.limits import VARIABLE
 
 INCLUDED = model(PAIR, '<include file="more.xml"/>')
 CONNECT = '<mujoco><equality><connect body1="one" body2="two" anchor="0.5 0 0"/></equality></mujoco>'
@@ -98,8 +99,8 @@ def test_a_file_with_assets_may_take_longer(
     tmp_path: Path, commands: list[list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Meshes a hundred times as small here, of which each byte counts a hundred times as much."""
-    largest = source.MAXIMUM_ASSET_BYTES // 100
-    monkeypatch.setattr(source, "MAXIMUM_ASSET_BYTES", largest)
+    largest = 1_000_000
+    monkeypatch.setenv(VARIABLE, "asset_size=1")
     monkeypatch.setattr(source, "PER_ASSET_BYTE", 100.0 * source.PER_ASSET_BYTE)
     path, mesh = tmp_path / "model.xml", tmp_path / "wedge.obj"
     path.write_text(MESH)
@@ -107,7 +108,7 @@ def test_a_file_with_assets_may_take_longer(
         text = WEDGE.format("1")
         mesh.write_text("#" * max(0, size - len(text) - 1) + "\n" + text)
         compiled(str(path))
-    assert [int(command[-1]) for command in commands] == [2, 6, 22]
+    assert [int(command[-2]) for command in commands] == [2, 6, 22]
     path.write_text(model(PAIR))
     compiled(str(path))
-    assert int(commands[-1][-1]) == 2
+    assert int(commands[-1][-2]) == 2

@@ -8,6 +8,7 @@ import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import run, scene_file, short_example
 
@@ -15,11 +16,14 @@ from crosscheck.cli import main
 from crosscheck.errors import CrosscheckError
 from crosscheck.html import drawing, page
 from crosscheck.html.report import MOST_IN_FULL, PAGE, write_report
+from crosscheck.results import digest
 from crosscheck.scenes import SCENES
+from newton_euler.trajectory import load_arrays
 
 ENGINES = ["newton_euler", "pinocchio"]
 VOID = {"meta", "br", "img"}
 PNG = b"\x89PNG\r\n\x1a\n"
+MEASURED = {"source": "tracker", "options": {}, "machine": {}}
 EVIL = "</table><script>alert('1')</script>\"&"
 
 
@@ -103,6 +107,12 @@ def change(folder: Path, **changes: object) -> dict:
     summary = json.loads(path.read_text()) | changes
     path.write_text(json.dumps(summary))
     return summary
+
+
+def vouch(folder: Path, name: str) -> None:
+    """Have the summary say that a file is its own."""
+    files = json.loads((folder / "summary.json").read_text())["files"]
+    change(folder, files=files | {name: digest(folder / name)})
 
 
 def report(folder: Path) -> Page:
@@ -200,6 +210,7 @@ def test_without_runs(bare):
 
 def test_a_recording_that_is_none(folder):
     (folder / "four_bar.rrd").write_bytes(b"RRF2 and no more")
+    vouch(folder, "four_bar.rrd")
     (folder / "pinocchio.npz").unlink()
     found = report(folder)
     assert "No picture of the mechanism: " in found.words
@@ -226,7 +237,9 @@ def test_all_below_the_usual_folder_on_one_page(bare, tmp_path):
     shutil.copytree(bare, output / "four_bar")
     for name in ("bench/one", "bench/two"):
         (output / name).mkdir(parents=True)
-        (output / name / "rhs.json").write_text(json.dumps({"words": [f"{name} is quick"]}))
+        (output / name / "rhs.json").write_text(
+            json.dumps(MEASURED | {"right_hand_sides": [], "words": [f"{name} is quick"]})
+        )
     found = report(output)
     assert found.links == {"folder-four_bar", "folder-bench/one", "folder-bench/two"} <= found.anchors
     assert "bench/two is quick" in found.words
@@ -284,12 +297,12 @@ def test_two_models_and_the_notes_about_them(bare):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"models": two_models(), "notes": 3}, "notes: Input should be a valid list"),
+        ({"models": two_models(), "notes": 3}, "notes: Input should be a valid array"),
         ({"models": two_models()[:1], "notes": []}, "models: List should have at least 2 items"),
         ({"models": [*two_models(), two_models()[0]], "notes": []}, "models: List should have at most 2"),
         ({"models": [{"name": "a"}, {}], "notes": []}, "models.0.source: Field required"),
-        ({"notes": ["of what?"]}, "content: notes without models; a comparison of two models has both"),
-        ({"models": two_models()}, "content: models without notes; a comparison of two models has both"),
+        ({"notes": ["of what?"]}, "file: notes without models; a comparison of two models has both"),
+        ({"models": two_models()}, "file: models without notes; a comparison of two models has both"),
     ],
 )
 def test_a_comparison_that_is_not_whole_is_one_line(bare, capsys, changes, message):
@@ -325,22 +338,22 @@ def test_scenes_against_their_baselines(folder):
     assert {"1", "1.5", "5", "2.0", "3.0"} <= set(found.text)
     assert list(found.images) == [f"four_bar: The mechanism at 0, 0.025, 0.05 s, by {ENGINES[0]}"]
     (folder / "four_bar.rrd").unlink()
-    assert "No picture of four_bar: cannot read " in report(folder).words
+    assert "No picture of four_bar: " in report(folder).words
 
 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("summary.json", b"{", "is not JSON"),
-        ("summary.json", b"\xff", "is not JSON"),
-        ("summary.json", b"[" * 100_000, "is not JSON"),
+        ("summary.json", b"{", "file: Invalid JSON: "),
+        ("summary.json", b"\xff", "file: Invalid JSON: "),
+        ("summary.json", b"[" * 100_000, "file: Invalid JSON: "),
         ("summary.json", b"{}", "summary.json: scene: Field required"),
-        ("summary.json", b"[]", "summary.json: content: "),
-        ("bench.json", b"3", "bench.json: content: "),
+        ("summary.json", b"[]", "summary.json: file: "),
+        ("bench.json", b"3", "bench.json: file: "),
         ("faults.json", b"{}", "faults.json: scene: Field required"),
         ("regress.json", b'{"quiet": true, "verdict": "", "scenes": [1]}', "regress.json: scenes.0: "),
         ("stress.json", b'{"form": "ci"}', "stress.json: wall_time: Field required"),
-        ("pinocchio.npz", b"PK", "cannot read a trajectory from "),
+        ("pinocchio.npz", b"PK", "pinocchio.npz: is not the file that summary.json beside it was written"),
     ],
 )
 def test_what_cannot_be_read_is_one_line(bare, capsys, name, content, message):
@@ -363,17 +376,20 @@ def test_folders_without_results(tmp_path, capsys):
 
 
 def test_a_run_of_other_arrays(folder, capsys):
-    import numpy as np
-
-    np.savez(folder / "pinocchio.npz", time=np.zeros(3), body_names=["a"], position=np.zeros((3, 1, 3)))
-    status, _, err = run(capsys, "report", folder)
-    assert status == 2
-    assert err.endswith("pinocchio.npz: no array 'quaternion'\n")
-    arrays = {"time": np.zeros(3), "body_names": ["a"], "position": np.zeros((3, 2, 3))}
-    np.savez(folder / "pinocchio.npz", quaternion=np.zeros((3, 1, 4)), **arrays)
-    status, _, err = run(capsys, "report", folder)
-    assert status == 2
-    assert err.endswith("position has shape (3, 2, 3); needed: (3, 1, 3)\n")
+    """Even if the summary says that they are its own."""
+    path = folder / "pinocchio.npz"
+    whole = load_arrays(path)
+    for changes, message in (
+        ({"quaternion": None}, "no array 'quaternion'"),
+        ({"position": whole["position"][:, :-1]}, "position has shape (6, 3, 3); needed: (6, 4, 3)"),
+        ({name: whole[name][:, :2] for name in ("position", "quaternion")}, "(6, 2, 3); needed: (6, 4, 3)"),
+    ):
+        np.savez(path, **{name: array for name, array in (whole | changes).items() if array is not None})
+        vouch(folder, path.name)
+        status, _, err = run(capsys, "report", folder)
+        assert status == 2
+        assert err.startswith(f"crosscheck: error: {path}: holds no trajectory: ")
+        assert err.endswith(f"{message}\n")
 
 
 def test_a_drawing_holds_all_bodies(folder):

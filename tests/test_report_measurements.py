@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from command_line import EXAMPLE, run
-from test_report import EVIL, PNG, report
+from test_report import EVIL, MEASURED, PNG, report
 
 from crosscheck.faults.catalogue import catalogue
 from crosscheck.scenes import load
@@ -14,16 +14,34 @@ from crosscheck.scenes import load
 def test_benchmarks(tmp_path):
     content = {
         "scene": "tracker",
+        "source": "tracker",
+        "options": {},
+        "duration": 5.0,
+        "outputs": 51,
+        "reference": {},
+        "loadings": [],
         "machine": {"processor": EVIL},
         "answer": "newton_euler needs 0.68 ms\n  mujoco needs 30 ms",
         "table": [{"error": 1e-6, "cheapest": {"mujoco": None}, "notes": ["a", "b"]}],
         "settings": [],
     }
     (tmp_path / "bench.json").write_text(json.dumps(content))
-    rhs = {"words": ["0.4 us a call"], "right_hand_sides": [{"times": [4e-7, *[3e-7] * 6, *[2e-7] * 6]}]}
+    rhs = MEASURED | {
+        "words": ["0.4 us a call"],
+        "right_hand_sides": [{"times": [4e-7, *[3e-7] * 6, *[2e-7] * 6]}],
+    }
     (tmp_path / "rhs.json").write_text(json.dumps(rhs))
-    (tmp_path / "batch.json").write_text(json.dumps({"words": ["41 runs a second"], "sides": []}))
-    (tmp_path / "scaling.json").write_text(json.dumps({"words": [], "sizes": {"10": [{"way": "lcaba"}]}}))
+    batch = MEASURED | {
+        "words": ["41 runs a second"],
+        "sides": [],
+        "duration": 1.0,
+        "outputs": 3,
+        "error": 1e-6,
+    }
+    (tmp_path / "batch.json").write_text(json.dumps(batch))
+    (tmp_path / "scaling.json").write_text(
+        json.dumps(MEASURED | {"words": [], "sizes": {"10": [{"way": "lcaba"}]}})
+    )
     (tmp_path / "work_precision.png").write_bytes(PNG)
     (tmp_path / "scaling.png").write_bytes(PNG + b"2")
     found = report(tmp_path)

@@ -128,13 +128,13 @@ def without_end(scene: Scene) -> Trajectory:
 @pytest.mark.parametrize("handler", [signal.default_int_handler, signal.SIG_IGN])
 def test_a_run_without_end_is_given_up(monkeypatch: pytest.MonkeyPatch, handler: Any) -> None:
     before = signal.signal(signal.SIGINT, handler)  # ignored, as in what shells run in the background
-    monkeypatch.setattr(limit, "LIMIT", 0.6)
     monkeypatch.setattr(limit, "PATIENCE", 0.1)
     monkeypatch.setattr(limit, "PERIOD", 0.1)
     engine = replace(ENGINES["newton_euler"], simulate=without_end)
     told: list[str] = []
     try:
-        found = crosscheck(pendulum(), [engine], told.append, "x", {})
+        with changed({"time": 0.6}):
+            found = crosscheck(pendulum(), [engine], told.append, "x", {})
         assert "2 s of pendulum: given up after 1 s of processor" in found.verdict
         assert signal.getsignal(signal.SIGINT) is handler
     finally:

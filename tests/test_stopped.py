@@ -26,6 +26,7 @@ from newton_euler.errors import IntegrationError, StoppedError
 from newton_euler.forces import Wrench
 from newton_euler.integrate import Options
 from newton_euler.joints import Prismatic
+from newton_euler.limits import VARIABLE
 from newton_euler.relative import Relative
 from newton_euler.simulate import run
 from newton_euler.trajectory import Trajectory, load_arrays
@@ -228,7 +229,7 @@ def test_what_stops_on_other_equations_is_the_odd_one(capsys, monkeypatch, tmp_p
 
 
 def test_the_other_engines_run_when_one_does_not_end(capsys, monkeypatch, tmp_path):
-    monkeypatch.setattr(limit, "LIMIT", 1.0)
+    monkeypatch.setenv(VARIABLE, "time=1")
     monkeypatch.setattr(limit, "PERIOD", 0.1)
     quick = replace(ENGINES_BY_NAME["mujoco"], simulate=ENGINES_BY_NAME["newton_euler"].simulate)
     monkeypatch.setitem(ENGINES_BY_NAME, "mujoco", quick)

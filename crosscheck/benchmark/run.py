@@ -19,6 +19,10 @@ WIDTH = 200
 """Columns that the tables need."""
 
 
+SMALLEST_ERROR = 1e-13
+"""m and rad, that settings are looked for to reach."""
+
+
 def bench(
     scene: Scene,
     source: str,
@@ -104,8 +108,9 @@ def bench_scaling(
 
 
 def _check_error(error: float) -> None:
-    if not (math.isfinite(error) and error > 0.0):
-        raise CrosscheckError(f"--error is {error:g}; needed: a positive number (m and rad)")
+    if not SMALLEST_ERROR <= error < math.inf:
+        needed = f"{SMALLEST_ERROR:g} or more (m and rad), which is as exact as references are"
+        raise CrosscheckError(f"--error is {error:g}; needed: {needed}")
 
 
 def _folder(scene: Scene, source: str, output: Path | None) -> Path:

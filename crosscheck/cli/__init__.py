@@ -17,7 +17,10 @@ import click
 
 from crosscheck.cli import faults, measure, regress, report, run
 from crosscheck.cli.shared import BAD_INPUT, cli
-from crosscheck.errors import reason_of
+from crosscheck.errors import CrosscheckError, reason_of, short_of_memory
+
+LEAST_MEMORY = 2_000_000_000
+"""Bytes of addresses; most of them are of libraries, and never used."""
 
 __all__ = ["faults", "main", "measure", "regress", "report", "run"]
 
@@ -32,22 +35,34 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold what is no text
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda _: None  # what objects say that go away half made would be a second voice
     try:
-        # results are checked where they are used; NumPy's warnings would be a second voice
+        # results are checked where they are used; NumPy's warnings would be another
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             status = _invoke(arguments)
     except KeyboardInterrupt:
         status = _complain("interrupted")
     except Exception as error:
-        status = _complain(_reason(error))
+        # files are named where they are written
+        nameless = isinstance(error, OSError) and error.filename is None and not short_of_memory(error)
+        if isinstance(error, OSError) and nameless:
+            status = _complain_of_stream(error)
+        else:
+            status = _complain(_reason(error))
+    finally:
+        sys.unraisablehook = hook
     sys.exit(status)
 
 
 def _invoke(arguments: list[str] | None) -> int:
     """Click's own `main` would add a line of its own to an interrupt."""
+    given = sys.argv[1:] if arguments is None else arguments
+    _check_no_empty(given)
+    _check_memory()
     try:
-        with cli.make_context("crosscheck", sys.argv[1:] if arguments is None else arguments) as context:
+        with cli.make_context("crosscheck", given) as context:
             return int(cli.invoke(context))
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message())
@@ -56,13 +71,33 @@ def _invoke(arguments: list[str] | None) -> int:
         return finished.exit_code
 
 
+def _check_no_empty(arguments: list[str]) -> None:
+    """Raise `CrosscheckError` for an empty argument, often a variable of a script that is not set."""
+    for before, argument in zip(["crosscheck", *arguments], arguments, strict=False):
+        option, equals, value = argument.partition("=")
+        if not argument:
+            raise CrosscheckError(
+                f"the argument after {before!r:.200} is empty; give a value or leave it out"
+            )
+        if option.startswith("--") and equals and not value:
+            raise CrosscheckError(f"{option:.200} is empty; give a value or leave it out")
+
+
+def _check_memory() -> None:
+    """Raise `CrosscheckError` where so little memory is allowed that packages hang when they are loaded."""
+    with suppress(ImportError):  # not everywhere
+        import resource
+
+        allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if 0 <= allowed < LEAST_MEMORY:
+            problem = f"the limit of memory is {allowed // 1_000_000} MB (ulimit -v)"
+            raise CrosscheckError(f"{problem}; needed: {LEAST_MEMORY // 1_000_000} MB")
+
+
 def _reason(error: Exception) -> str:
-    """What to say of an error, click's own and standard output's among them."""
+    """What to say of an error, click's own among them."""
     if isinstance(error, click.ClickException):
         return error.format_message()
-    if isinstance(error, OSError) and error.filename is None:  # files are named where they are written
-        _discard_output()
-        return f"cannot write standard output: {error.strerror}"
     return reason_of(error)
 
 
@@ -73,8 +108,25 @@ def _discard_output() -> None:
 
 
 def _complain(message: str) -> int:
-    """Say one line on standard error; what cannot be shown in it is escaped."""
+    """Say one line on standard error, or on standard output where that cannot be written.
+
+    What cannot be shown in it is escaped.
+    """
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(message.split()))
-    with suppress(OSError):
-        click.echo(f"crosscheck: error: {line}", err=True)
+    for to_error in (True, False):
+        with suppress(OSError):
+            click.echo(f"crosscheck: error: {line}", err=to_error)
+            break
+    return BAD_INPUT
+
+
+def _complain_of_stream(error: OSError) -> int:
+    """Say on the other one that standard output or standard error cannot be written."""
+    for to_error, failed in ((True, "output"), (False, "error")):
+        with suppress(OSError):
+            text = f"crosscheck: error: cannot write standard {failed}: {error.strerror}"
+            click.echo(text, err=to_error)
+            break
+    if failed == "output":
+        _discard_output()
     return BAD_INPUT

@@ -72,9 +72,11 @@ def run_command(
     by crosscheck list. The recording is saved unless it is told to go elsewhere.
     """
     destination = Destination(**recording)
-    wanted = [name.strip() for name in (engines or ALL_ENGINES).split(",") if name.strip()]
+    wanted = [
+        name.strip() for name in (ALL_ENGINES if engines is None else engines).split(",") if name.strip()
+    ]
     if library:
-        if scene or settings or loops or against or destination != Destination():
+        if scene is not None or settings or loops or against is not None or destination != Destination():
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
         return _run_all(wanted, output)
     if against is None and (against_loops or against_settings):
@@ -82,10 +84,11 @@ def run_command(
     if against is not None and engines is not None:
         raise CrosscheckError("--against compares two models by newton_euler alone, without --engines")
     destination.check()
+    chosen = "tracker" if scene is None else scene
     with redirect_stdout(sys.stderr) if destination.stdout else nullcontext():
         if against is None:
-            return _run(scene or "tracker", wanted, settings, output, destination, loops)
-        models = _models((scene or "tracker", settings, loops), (against, against_settings, against_loops))
+            return _run(chosen, wanted, settings, output, destination, loops)
+        models = _models((chosen, settings, loops), (against, against_settings, against_loops))
         return _run_against(models, output, destination)
 
 
@@ -220,6 +223,7 @@ def list_command() -> int:
     from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS
     from crosscheck.scenes import SCENES
     from crosscheck.scenes.options import options_of
+    from newton_euler.limits import LIMITS
 
     for name, scene in SCENES.items():
         click.echo(f"{name}: {scene().description}")
@@ -229,6 +233,9 @@ def list_command() -> int:
         click.echo(f"{kind}:")
         for name, choice in options.items():
             click.echo(f"    --set {name}={choice.values}  [default: {choice.default}]")
+    click.echo("limits, of whatever is read and run:")
+    for name, limit in LIMITS.items():
+        click.echo(f"    --set {name}={limit.unit.upper()}, {limit.meaning}  [default: {limit.default:g}]")
     click.echo(f"engines: {', '.join(ENGINES)}")
     return AGREE
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,16 +32,27 @@ def cli() -> None:
 
 
 def setting_options(command: Callable[..., int]) -> Callable[..., int]:
-    """What `scene_options` takes."""
+    """What `scene_options` takes; limits that are set hold until the command ends."""
     loops = click.option("--loops", metavar="FILE", default=None, help="Loop file (YAML) of a URDF.")
     settings = click.option(
         "--set",
         "settings",
         multiple=True,
         metavar="OPTION=VALUE",
-        help="Option of the scene or model file, see crosscheck list; repeatable.",
+        callback=_heed_limits,
+        help="Option of the scene or model file, or a limit, see crosscheck list; repeatable.",
     )
     return settings(loops(command))
+
+
+def _heed_limits(context: click.Context, _: click.Parameter, settings: tuple[str, ...]) -> tuple[str, ...]:
+    """Change the limits among some settings while a command runs; the other settings."""
+    from newton_euler.limits import LIMITS, changed
+
+    named = [(setting, setting.partition("=")[0]) for setting in settings]
+    chosen = tuple(setting for setting, name in named if name in LIMITS)
+    context.with_resource(changed(_by_name(chosen, "")))
+    return tuple(setting for setting, name in named if name not in LIMITS)
 
 
 def recording_options(command: Callable[..., int]) -> Callable[..., int]:
@@ -66,14 +78,7 @@ def scene_options(
     """Options of a scene by name, out of `--set` and `--loops`, whose names may have a prefix."""
     from crosscheck.model_files.read import is_urdf
 
-    options = {}
-    for setting in settings:
-        key, equals, value = setting.partition("=")
-        if not (key and equals and value):
-            raise CrosscheckError(f"--{prefix}set {setting!r} is not of the form OPTION=VALUE")
-        if key in options:
-            raise CrosscheckError(f"--{prefix}set {key} is given twice")
-        options[key] = value
+    options = _by_name(settings, prefix)
     if loops is not None:
         if not is_urdf(scene):
             raise CrosscheckError(f"--{prefix}loops {loops}: only a URDF has a loop file, {scene!r} is none")
@@ -84,14 +89,27 @@ def scene_options(
     return options
 
 
+def _by_name(settings: tuple[str, ...], prefix: str) -> dict[str, str]:
+    options = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        if not (key and equals and value):
+            raise CrosscheckError(f"--{prefix}set {setting!r} is not of the form OPTION=VALUE")
+        if key in options:
+            raise CrosscheckError(f"--{prefix}set {key} is given twice")
+        options[key] = value
+    return options
+
+
 def load_scene(scene: str, options: dict[str, str]) -> tuple[Scene, Mapping | None]:
     """A scene, and what became of the elements of its file if that is a model of another tool."""
     from crosscheck.model_files.read import is_model, read_model
     from crosscheck.scenes import load
+    from crosscheck.scenes.size import check_scene
 
-    if is_model(scene):
-        return read_model(scene, options)
-    return load(scene, **options), None
+    loaded, mapping = read_model(scene, options) if is_model(scene) else (load(scene, **options), None)
+    check_scene(loaded)
+    return loaded, mapping
 
 
 def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
@@ -111,6 +129,9 @@ def tell(scene: str, mapping: Mapping | None) -> None:
 @contextmanager
 def progress_shown() -> Iterator[Callable[[str], None]]:
     """A function that shows what is going on, on a terminal's standard error."""
+    if sys.stderr is None or not sys.stderr.isatty():  # whatever FORCE_COLOR says, a pipe has no cursor
+        yield lambda message: None
+        return
     from rich.console import Console
     from rich.text import Text
 

@@ -29,10 +29,13 @@ SETTINGS = ("scene", "source", "options", "duration", "outputs", "error", "refer
 
 
 class Bench(Results):
-    """Whatever a benchmark measured: the entries of each are their own."""
+    """What all benchmarks have measured; other entries of each are its own."""
 
     model_config = ConfigDict(extra="allow")
 
+    source: str
+    options: dict[str, Any]
+    machine: dict[str, Any]
     answer: str = ""
     words: list[str] = Field(default_factory=list)
 
@@ -42,7 +45,53 @@ class Bench(Results):
 
     @property
     def entries(self) -> Mapping[str, Any]:
-        return self.model_extra or {}
+        return {name: value for name, value in self if name not in ("answer", "words")}
+
+
+class WorkPrecision(Bench):
+    """See `crosscheck.benchmark.report.as_json`."""
+
+    scene: str
+    duration: float
+    outputs: int
+    reference: dict[str, Any]
+    answer: str
+    table: list[dict[str, Any]]
+    loadings: list[dict[str, Any]]
+    settings: list[dict[str, Any]]
+
+
+class RightHandSides(Bench):
+    """See `crosscheck.benchmark.rhs.rhs_json`."""
+
+    right_hand_sides: list[dict[str, Any]]
+    words: list[str]
+
+
+class Batch(Bench):
+    """See `crosscheck.benchmark.batch.BatchBenchmark`."""
+
+    duration: float
+    outputs: int
+    error: float
+    sides: list[dict[str, Any]]
+    words: list[str]
+
+
+class Scaling(Bench):
+    """See `crosscheck.benchmark.scaling.scaling_json`."""
+
+    sizes: dict[str, list[dict[str, Any]]]
+    words: list[str]
+
+
+KINDS: dict[str, type[Bench]] = {
+    "bench.json": WorkPrecision,
+    "rhs.json": RightHandSides,
+    "batch.json": Batch,
+    "scaling.json": Scaling,
+}
+"""Of the same files."""
 
 
 def sections(found: Bench, path: Path, shares: Sequence[float], progress: Progress) -> Iterator[Markup]:

@@ -61,16 +61,22 @@ Shapes = dict[str, dict[str, Any]]
 
 def _read(recording: Path, engine: str) -> tuple[Poses, Shapes]:
     """The poses of an engine's bodies, and the shapes in their frames."""
+    if not recording.is_file():  # a pipe would keep its reader waiting
+        raise CrosscheckError(f"{recording}: not a regular file")
+    try:
+        return _entities(recording, engine)
+    except (RuntimeError, OSError, ValueError, LookupError, TypeError) as error:
+        reason = " ".join(str(error).split())
+        raise CrosscheckError(f"cannot read {recording}: {reason}") from error
+
+
+def _entities(recording: Path, engine: str) -> tuple[Poses, Shapes]:
+    """`_read` of a file that may hold anything."""
     from rerun.chunk import RrdReader
 
     poses: Poses = {}
     shapes: Shapes = {}
-    try:
-        chunks = list(RrdReader(recording).stream())
-    except (RuntimeError, OSError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise CrosscheckError(f"cannot read {recording}: {reason}") from error
-    for chunk in chunks:
+    for chunk in RrdReader(recording).stream():
         path = chunk.entity_path
         if not path.startswith(f"/mechanism/{engine}/"):
             continue

@@ -10,6 +10,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
+from newton_euler.source_file import SourceError, read_content
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem; }
@@ -25,6 +26,9 @@ figure { margin: 1rem 0; }
 img { max-width: 100%; }
 """
 
+
+PNG = b"\x89PNG\r\n\x1a\n"
+"""What every PNG file begins with."""
 
 MOST_NUMBERS = 9
 """That are listed; of more the median and the range are shown."""
@@ -96,9 +100,12 @@ def pictures(folder: Path, pattern: str) -> Iterator[Markup]:
     """Files (PNG) of a folder; raises `CrosscheckError` for one that cannot be read."""
     for path in sorted(folder.glob(pattern)):
         try:
-            yield picture(path.read_bytes(), path.stem.replace("_", " "))
-        except OSError as error:
-            raise CrosscheckError(f"cannot read {path}: {error.strerror}") from error
+            content = read_content(path, "result_size")
+        except SourceError as error:
+            raise CrosscheckError(str(error)) from error
+        if not content.startswith(PNG):
+            raise CrosscheckError(f"{path}: is no PNG")
+        yield picture(content, path.stem.replace("_", " "))
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str | Cell] | str]) -> Markup:

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable
-from crosscheck.html import bench, faults, page, regress, results, run, stress
+from crosscheck.html import bench, faults, page, regress, run, stress
 from crosscheck.html.page import Cell, Markup, Progress
 from crosscheck.html.results import Results
 from crosscheck.html.summary import Summary
 from crosscheck.output import tidied_up
+from crosscheck.results import read_json
 from newton_euler.trajectory import atomic_file
 
 PAGE = "report.html"
@@ -35,7 +36,7 @@ KINDS: dict[str, tuple[type[Results], Sections]] = {
     "regress.json": (regress.Regress, regress.sections),
     "faults.json": (faults.Faults, faults.sections),
     "stress.json": (stress.Stress, stress.sections),
-    **dict.fromkeys(bench.TITLES, (bench.Bench, bench.sections)),
+    **{name: (kind, bench.sections) for name, kind in bench.KINDS.items()},
 }
 """By the name of the file that holds results: what is in it, and what a page shows of it."""
 
@@ -75,7 +76,7 @@ def write_report(folder: Path, progress: Progress) -> Path:
             f"{', '.join(KINDS)}, as run, regress, faults, stress and bench write them"
         )
     check_writable(path)
-    found = [Read(file, results.read(file, KINDS[file.name][0])) for file in own or below]
+    found = [Read(file, read_json(file, KINDS[file.name][0])) for file in own or below]
     title = f"crosscheck: {folder.resolve().name}"
     parts = _all(found, ALONE, progress) if own else _index(folder, found, progress)
     content = page.page(title, [page.heading(title, 1), *parts]).encode()

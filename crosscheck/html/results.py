@@ -1,14 +1,11 @@
-"""Files of results, as commands write them, read and checked."""
+"""What files of results hold that a page is made of."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
-from crosscheck.errors import CrosscheckError
 from crosscheck.html.page import Cell
 
 
@@ -32,25 +29,3 @@ class Results(BaseModel):
     @property
     def headline(self) -> Headline:
         raise NotImplementedError
-
-
-Kind = TypeVar("Kind", bound=Results)
-
-
-def read(path: Path, kind: type[Kind]) -> Kind:
-    """The content of a file; raises `CrosscheckError` naming the file and the field at fault."""
-    try:
-        return kind.model_validate(_json(path))
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"]) or "content"
-        raise CrosscheckError(f"{path}: {field}: {first['msg'].removeprefix('Value error, ')}") from error
-
-
-def _json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CrosscheckError(f"cannot read {path}: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise CrosscheckError(f"{path} is not JSON: {error}") from error

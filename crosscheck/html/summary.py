@@ -95,6 +95,7 @@ class Summary(Results):
     start: list[str] | None
     figures: list[Figure]
     known_figures: list[KnownFigure]
+    files: dict[str, str]
     advice: list[Advice] = Field(default_factory=list)
     models: list[Model] | None = Field(None, min_length=2, max_length=2)
     notes: list[str] | None = None

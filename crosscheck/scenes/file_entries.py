@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.scenes.size import check_counts, check_mechanism, check_motions
 from newton_euler.armature import Armature, BallArmature
 from newton_euler.control import PD
 from newton_euler.couplings import Gear
@@ -332,9 +333,15 @@ class SceneEntry(_Strict):
     outputs: list[str] = list(OUTPUTS)
 
     def build(self) -> Scene:
+        loops = len(self.joints) - len(self.bodies) + len(self.couplings)
+        forces = len(self.control) + len(self.forces) + len(self.armatures)
+        check_counts("file", {"bodies": len(self.bodies), "closures": loops, "forces": forces})
         bodies = [Body.ground(self.ground), *(body.build() for body in self.bodies)]
         joints = [joint.build() for joint in self.joints]
         mechanism = Mechanism(bodies, joints, [gear.build() for gear in self.couplings])
+        check_mechanism("file", mechanism)
+        motions = tuple(motion.build() for motion in self.motions)
+        check_motions("file", mechanism, motions, self.duration)
         return Scene(
             self.name,
             mechanism,
@@ -345,7 +352,7 @@ class SceneEntry(_Strict):
             initial_state=self._state(mechanism) if self.initial_state else None,  # type: ignore[arg-type]
             outputs=frozenset(self.outputs),
             forces=tuple(force.build() for force in self.forces),
-            motions=tuple(motion.build() for motion in self.motions),
+            motions=motions,
             armatures=tuple(armature.build() for armature in self.armatures),
             description=" ".join(self.description.split()),
             redundancy_tolerance=self.redundancy_tolerance,

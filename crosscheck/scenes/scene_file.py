@@ -18,7 +18,7 @@ from crosscheck.scenes.file_entries import SceneEntry
 from newton_euler.errors import NewtonEulerError
 from newton_euler.scene import Scene
 from newton_euler.source_file import SourceError, read_text, shortened
-from newton_euler.yaml_source import MAXIMUM_BYTES, parse_yaml
+from newton_euler.yaml_source import parse_yaml
 
 
 def read_scene(path: str) -> Scene:
@@ -28,7 +28,7 @@ def read_scene(path: str) -> Scene:
         CrosscheckError: naming the file and the line or field at fault.
     """
     try:
-        return SceneEntry.model_validate(_parse(path, read_text(path, MAXIMUM_BYTES))).build()
+        return SceneEntry.model_validate(_parse(path, read_text(path, "scene_size"))).build()
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(str(part) for part in first["loc"]) or "file"

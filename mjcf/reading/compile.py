@@ -1,8 +1,8 @@
 """Compile an MJCF file in a process of its own, which may not use much time or memory.
 
-`python compile.py FILE RESULT SECONDS` writes the compiled model to RESULT (.mjb), or one line on
-standard error and exits with status 1; after so many seconds of processor time it is killed. MuJoCo's
-compiler expands macros without limit, and what it is given may be hostile.
+`python compile.py FILE RESULT SECONDS BYTES` writes the compiled model to RESULT (.mjb), or one line on
+standard error and exits with status 1; after so many seconds of processor time it is killed, and it gets so
+much memory. MuJoCo's compiler expands macros without limit, and what it is given may be hostile.
 """
 
 from __future__ import annotations
@@ -10,21 +10,18 @@ from __future__ import annotations
 import sys
 from contextlib import suppress
 
-MEMORY = 900_000_000
-"""Bytes of data."""
-
 ARENA = 50_000_000
 """Bytes that MuJoCo sets aside for constraints."""
 
 
 def main() -> int:
     """Compile; the exit status."""
-    path, result, seconds = sys.argv[1:]
+    path, result, seconds, memory = sys.argv[1:]
     with suppress(ImportError):  # not everywhere
         import resource
 
         resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds)))
-        resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
+        resource.setrlimit(resource.RLIMIT_DATA, (int(memory), int(memory)))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     import mujoco
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -16,20 +17,22 @@ import numpy as np
 
 from mjcf.errors import MjcfError
 from newton_euler import source_file
+from newton_euler.limits import MB, exceeded, limit, size_in_bytes, too_small
 from newton_euler.source_file import read_text
-from newton_euler.xml_source import LARGEST, MAXIMUM_BYTES, NOT_FINITE, scan
-
-MAXIMUM_FILES = 100
-"""That may be included."""
+from newton_euler.xml_source import LARGEST, NOT_FINITE, scan
 
 WALL_TIME = 60.0
 """s, for a compiler that waits for something."""
 
-PROCESSOR_TIME, PER_ASSET_BYTE = 2.0, 2e-7
-"""s of the compiler, and s for each byte of the assets. On a quiet machine it takes 0.4 s, with its imports,
-and 0.04 s for a megabyte of meshes. What is small and expands without end is given up after the former.
-The bytes of the XML, `MAXIMUM_BYTES` at most, add none: 8.5 MB of vertices take 0.9 s, 1.2 MB of geoms 1 s; a
-file of twice as many geoms is given up."""
+PER_ASSET_BYTE = 2e-7
+"""s of processor time of the compiler for each byte of the assets, beside the limit `compile_time`.
+
+On a quiet machine it takes 0.4 s, with its imports, and 0.04 s for a megabyte of meshes. What is small and
+expands without end is given up after the former. The bytes of the XML add none: 8.5 MB of vertices take
+0.9 s, 1.2 MB of geoms 1 s; a file of twice as many geoms is given up."""
+
+OUT_OF_MEMORY = ("MemoryError", "llocate", "bad_alloc")
+"""What an error says of memory that is not to be had."""
 
 KEPT = 200_000_000
 """Bytes of models compiled last, which are not compiled again while their files stay as they are."""
@@ -43,17 +46,11 @@ ASSETS = ("mesh", "texture", "hfield", "skin", "flexcomp", "composite")
 NAMED = ("body", "jnt", "site", "eq", "tendon", "actuator", "key")
 """Prefixes of elements that have names."""
 
-MAXIMUM_ASSET_BYTES = 100_000_000
-"""Of a mesh, a texture and the like."""
-
-MAXIMUM_VELOCITIES = 300
-"""Degrees of freedom without loops; comparisons at random states are dense."""
-
-MAXIMUM_EQUALITIES = 300
-"""The rows of all of them are one dense matrix."""
-
 CHECKED = ("body", "jnt", "dof", "site", "eq", "tendon", "actuator", "key", "qpos")
 """Prefixes of what a scene is made of."""
+
+OPTIONS = ("gravity", "wind", "magnetic", "density", "viscosity", "timestep")
+"""Of a model, that are numbers of any size."""
 
 UNCHECKED = ("solref", "solimp", "range", "user", "invweight0", "acc0", "M0", "length0")
 """Ends of names of what no scene has, or of what MuJoCo works out of the others."""
@@ -98,33 +95,45 @@ def _compiled(path: str, asset_bytes: int) -> Any:
     """The model of a file that may be compiled."""
     import mujoco
 
-    seconds = PROCESSOR_TIME + PER_ASSET_BYTE * min(asset_bytes, MAXIMUM_ASSET_BYTES)
+    assets = min(asset_bytes, size_in_bytes("asset_size"))
+    seconds = max(1, int(limit("compile_time") + PER_ASSET_BYTE * assets))
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "model.mjb"
         # by its path, without the packages around it: nothing but MuJoCo has to be imported
         script = Path(__file__).with_name("compile.py")
-        limit = str(int(seconds))
-        command = [sys.executable, "-P", str(script), str(Path(path).resolve()), str(result), limit]
+        limits = map(str, (seconds, size_in_bytes("memory")))
+        command = [sys.executable, "-P", str(script), str(Path(path).resolve()), str(result), *limits]
         try:
             done = subprocess.run(
-                command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, timeout=WALL_TIME
+                command,
+                cwd=folder,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                timeout=WALL_TIME + seconds,
             )
         except subprocess.TimeoutExpired as error:
             raise SourceError(path, "MuJoCo does not finish compiling it") from error
-        reason = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or [""]
-        if done.returncode < 0 or "MemoryError" in reason[0] or "llocate" in reason[0]:
-            raise SourceError(path, "MuJoCo needs too much time or memory to compile it")
+        reason = (done.stderr.decode(errors="replace").strip().splitlines() or [""])[-1]
+        if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+            problem = f"MuJoCo needs more than {seconds} s to compile it; {too_small('compile_time')}"
+            raise SourceError(path, problem)
+        if any(word in reason for word in OUT_OF_MEMORY):
+            most = f"{limit('memory'):g} MB of memory"
+            raise SourceError(path, f"MuJoCo needs more than {most} to compile it; {too_small('memory')}")
+        if done.returncode < 0:
+            name = signal.Signals(-done.returncode).name
+            raise SourceError(path, f"MuJoCo crashes on it ({name}); if for memory, {too_small('memory')}")
         if done.returncode or not result.exists():
-            raise SourceError(path, f"MuJoCo refuses it: {reason[0]:.500}")
+            raise SourceError(path, f"MuJoCo refuses it: {reason:.500}")
         try:
             model = mujoco.MjModel.from_binary_path(str(result))
         except ValueError as error:
             raise SourceError(path, f"MuJoCo cannot load what it compiled: {error}") from error
     _check_numbers(path, model)
-    if model.nv > MAXIMUM_VELOCITIES:
-        raise SourceError(path, f"its joints have {model.nv} velocities, at most {MAXIMUM_VELOCITIES} here")
-    if model.neq > MAXIMUM_EQUALITIES:
-        raise SourceError(path, f"it has {model.neq} equalities, at most {MAXIMUM_EQUALITIES} here")
+    counts = {"bodies": model.nbody, "velocities": model.nv, "closures": model.neq, "forces": model.nactuator}
+    for name, count in counts.items():
+        if problem := exceeded(name, count):
+            raise SourceError(path, problem)
     return model
 
 
@@ -151,11 +160,11 @@ class _Reference:
     def within(self, root: str, folder: str) -> str:
         """The path of the file, if it is relative to a folder; raises `SourceError` if it leaves the root."""
         path = os.path.realpath(os.path.join(folder, self.target))
-        outside = os.path.commonpath((root, path)) != root
-        if outside or "\\" in self.target or os.path.isabs(self.target):
-            how = "a model of several folders needs the option root, --set root=FOLDER"
-            problem = f"leads outside of {root!r}; {how}"
-            raise self.refused(problem)
+        if os.path.commonpath((root, path)) != root:
+            around = os.path.commonpath((os.path.realpath(folder), path))
+            raise self.refused(f"leads outside of {root!r}; if you trust the file: --set root={around}")
+        if "\\" in self.target:
+            raise self.refused("holds a backslash; needed: / between folders")
         return path
 
 
@@ -193,8 +202,8 @@ class _Scan:
             problem = f"include of {os.path.basename(path)!r} by itself, through {including[-1]!r}"
             raise SourceError(self._top, problem)
         self._files += 1
-        if self._files > MAXIMUM_FILES:
-            raise SourceError(self._top, f"includes more than {MAXIMUM_FILES} files")
+        if problem := exceeded("files", self._files):
+            raise SourceError(self._top, f"includes too much: {problem}")
         inner: list[_Reference] = []
 
         def begin(tag: str, attributes: dict[str, str], line: int) -> None:
@@ -209,7 +218,7 @@ class _Scan:
                 elif name.startswith("file") and tag in ASSETS:
                     self._assets.append(_Reference(path, line, tag, value))
 
-        text = read_text(path, MAXIMUM_BYTES - self._bytes, SourceError)
+        text = read_text(path, "file_size", SourceError, self._bytes)
         self._bytes += len(text)
         self.files[own] = hashlib.sha256(text.encode()).hexdigest()
         scan(path, text, None if including else "mujoco", begin, SourceError)
@@ -245,8 +254,8 @@ class _Scan:
             if not os.path.isfile(path):  # a pipe would keep MuJoCo waiting
                 raise reference.refused("is not a regular file")
             status = os.stat(path)
-            if status.st_size > MAXIMUM_ASSET_BYTES:
-                raise reference.refused(f"is larger than {MAXIMUM_ASSET_BYTES} bytes")
+            if problem := exceeded("asset_size", status.st_size / MB):
+                raise reference.refused(f"is too large: {problem}")
             if path not in self.files:
                 self.asset_bytes += status.st_size
             self.files[path] = status.st_size, status.st_mtime_ns
@@ -254,8 +263,10 @@ class _Scan:
 
 def _check_numbers(path: str, model: Any) -> None:
     """Raise `SourceError` for the first number of an element that is not finite or far too large."""
-    if not np.all(np.abs(model.opt.gravity) <= LARGEST):
-        raise SourceError(path, f"option: gravity is {model.opt.gravity}; needed: at most {LARGEST:g}")
+    for name in OPTIONS:
+        option = getattr(model.opt, name)
+        if not np.all(np.abs(option) <= LARGEST):
+            raise SourceError(path, f"option: {name} is {option}; needed: at most {LARGEST:g}")
     for prefix, field in _number_fields(model):
         values = getattr(model, field)
         bad = ~(np.abs(values) <= LARGEST)

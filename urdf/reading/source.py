@@ -8,19 +8,11 @@ from collections import Counter
 
 import numpy as np
 
-from newton_euler import source_file, yaml_source
-from newton_euler.xml_source import LARGEST, MAXIMUM_BYTES, scan
+from newton_euler import source_file
+from newton_euler.limits import exceeded
+from newton_euler.xml_source import LARGEST, scan
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import Loops, parse_loops
-
-MAXIMUM_VELOCITIES = 300
-"""Degrees of freedom without loops; comparisons at random states are dense."""
-
-MAXIMUM_CLOSURES = 300
-"""The rows of all of them are one dense matrix."""
-
-MAXIMUM_LINKS = 2000
-"""Pinocchio takes time with the square of their number."""
 
 NUMBERS = {
     "origin": ("xyz", "rpy"),
@@ -43,16 +35,15 @@ class SourceError(source_file.SourceError, UrdfError):
 
 def read_text(path: str) -> str:
     """The text of a URDF of reasonable size; raises `SourceError`."""
-    return source_file.read_text(path, MAXIMUM_BYTES, SourceError)
+    return source_file.read_text(path, "file_size", SourceError)
 
 
 def read_loops(path: str) -> Loops:
     """A loop file of reasonable size; raises `SourceError` and `LoopFileError`."""
-    loops = parse_loops(source_file.read_text(path, yaml_source.MAXIMUM_BYTES, SourceError), path)
+    loops = parse_loops(source_file.read_text(path, "scene_size", SourceError), path)
     for key in ("closed_loop", "coupled"):
-        count = len(getattr(loops, key))
-        if count > MAXIMUM_CLOSURES:
-            raise LoopFileError(path, key, f"{count} entries, at most {MAXIMUM_CLOSURES} here")
+        if problem := exceeded("closures", len(getattr(loops, key))):
+            raise LoopFileError(path, key, problem)
     return loops
 
 
@@ -77,14 +68,14 @@ def parsed(path: str, text: str) -> ET.Element:
     links, joints = ({element.get("name") for element in root.findall(tag)} for tag in ("link", "joint"))
     if not links:
         raise SourceError(path, "no links")
-    if len(links) > MAXIMUM_LINKS:
-        raise SourceError(path, f"it has {len(links)} links, at most {MAXIMUM_LINKS} here")
+    velocities = sum(JOINT_TYPES.get(str(joint.get("type")), 0) for joint in root.findall("joint"))
+    counts = {"bodies": len(links), "velocities": velocities, "closures": len(root.findall("joint/mimic"))}
+    for name, count in counts.items():
+        if problem := exceeded(name, count):
+            raise SourceError(path, problem)
     for joint in root.findall("joint"):
         _check_joint(path, joint, links, joints)
     _check_tree(path, root)
-    velocities = sum(JOINT_TYPES[str(joint.get("type"))] for joint in root.findall("joint"))
-    if velocities > MAXIMUM_VELOCITIES:
-        raise SourceError(path, f"its joints have {velocities} velocities, at most {MAXIMUM_VELOCITIES} here")
     for element in (*root.findall("link"), *root.findall("joint")):
         where = f"{element.tag} {element.get('name')!r:.100}"
         for part in element.iter():

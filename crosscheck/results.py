@@ -1,0 +1,41 @@
+"""Files of results that a command left, read and checked before they are used."""
+
+from __future__ import annotations
+
+import hashlib
+import reprlib
+from pathlib import Path
+from typing import TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from crosscheck.errors import CrosscheckError
+from newton_euler.source_file import SourceError, read_content
+
+Kind = TypeVar("Kind", bound=BaseModel)
+
+
+def read_json(path: Path, kind: type[Kind]) -> Kind:
+    """The content of a JSON file; raises `CrosscheckError` naming the file and the field at fault."""
+    try:
+        return kind.model_validate_json(read_content(path, "result_size"))
+    except SourceError as error:
+        raise CrosscheckError(str(error)) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"]) or "file"
+        # all of the file is at fault where it is not JSON, and would be no help in a message
+        got = f" (got {reprlib.repr(first['input'])})" if first["loc"] and first["type"] != "missing" else ""
+        reason = first["msg"].removeprefix("Value error, ")
+        raise CrosscheckError(f"{path}: {field:.100}: {reason}{got}") from error
+
+
+def digest(path: Path) -> str:
+    """The SHA-256 of a file of arrays or a recording; raises `CrosscheckError` naming it."""
+    if not path.is_file():  # a pipe would keep its reader waiting
+        raise CrosscheckError(f"{path}: not a regular file")
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise CrosscheckError(f"cannot read {path}: {error.strerror}") from error

@@ -1,0 +1,76 @@
+"""The size of a scene, checked against the limits of what can be run and compared."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from crosscheck.errors import CrosscheckError
+from newton_euler.limits import exceeded
+from newton_euler.mechanism import Mechanism
+from newton_euler.motions import Polynomial, PrescribedMotion, Sine, TimeFunction
+from newton_euler.scene import Scene
+from newton_euler.tree import SpanningTree
+
+
+def check_scene(scene: Scene) -> None:
+    """Raise `CrosscheckError` for a scene that is too large to be run by all engines and compared."""
+    where = f"scene {scene.name!r}"
+    forces = len(scene.control) + len(scene.forces) + len(scene.armatures)
+    check_counts(where, {"bodies": len(scene.mechanism.bodies), "forces": forces})
+    check_mechanism(where, scene.mechanism)
+    check_motions(where, scene.mechanism, scene.motions, scene.duration)
+
+
+def check_mechanism(where: str, mechanism: Mechanism) -> None:
+    """Raise `CrosscheckError` for a mechanism that cannot move, or with too many velocities or loops."""
+    tree = SpanningTree(mechanism)
+    if tree.nv == 0:
+        raise CrosscheckError(f"{where}: no body can move; needed: a joint that lets one")
+    loops = len(tree.cuts) + len(mechanism.couplings)
+    check_counts(where, {"closures": loops, "velocities": tree.nv})
+
+
+def check_motions(
+    where: str, mechanism: Mechanism, motions: Iterable[PrescribedMotion], duration: float
+) -> None:
+    """Raise `CrosscheckError` for motions of too many terms, or that go round too often in `duration` (s)."""
+    terms = cycles = 0.0
+    for motion in motions:
+        joint = mechanism.joints[mechanism.joint_index(motion.joint)]
+        kinds = joint.coordinate_kinds
+        per_cycle = (
+            2.0 * math.pi if kinds[motion.coordinate : motion.coordinate + 1] == ("hinge",) else math.inf
+        )
+        terms += _terms(motion.function)
+        cycles += _cycles(motion.function, duration, per_cycle)
+    check_counts(where, {"terms": terms, "cycles": cycles})
+
+
+def check_counts(where: str, counts: Mapping[str, float]) -> None:
+    """Raise `CrosscheckError` for the first of some numbers that is above the limit of its name."""
+    for name, count in counts.items():
+        if problem := exceeded(name, count):
+            raise CrosscheckError(f"{where}: {problem}")
+
+
+def _terms(function: TimeFunction) -> int:
+    """The number of sines and coefficients."""
+    if isinstance(function, Polynomial):
+        return len(function.coefficients)
+    return 1 if isinstance(function, Sine) else sum(map(_terms, function.terms))
+
+
+def _cycles(function: TimeFunction, duration: float, per_cycle: float) -> float:
+    """At most how often a motion goes round or to and fro, from 0 to `duration` (s).
+
+    Args:
+        per_cycle: rad, or infinite for a slide.
+    """
+    if isinstance(function, Polynomial):
+        way = sum(abs(c) * duration**k for k, c in enumerate(function.coefficients))
+        return way / per_cycle
+    if isinstance(function, Sine):
+        periods = abs(function.angular_frequency) * duration / (2.0 * math.pi)
+        return periods * (1.0 + 4.0 * abs(function.amplitude) / per_cycle) + abs(function.offset) / per_cycle
+    return sum(_cycles(term, duration, per_cycle) for term in function.terms)

@@ -1,0 +1,121 @@
+"""Limits of what a file may ask for: in one table, to be seen and to be changed.
+
+They are what keeps a broken or hostile file from taking all memory or all day. Each is checked where its
+quantity is first known, before work begins. `crosscheck list` shows them, and `--set NAME=VALUE` changes one.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from newton_euler.errors import OptionError, UnknownNameError
+
+VARIABLE = "NEWTON_EULER_LIMITS"
+"""Environment variable of changed limits, `NAME=VALUE NAME=VALUE`; processes started here inherit it."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """One limit.
+
+    Attributes:
+        default: unless it is changed.
+        unit: of the number, or the things that are counted.
+        meaning: for people.
+    """
+
+    default: float
+    unit: str
+    meaning: str
+
+
+LIMITS = {
+    "velocities": Limit(300, "velocities", "degrees of freedom without loops; the comparison is dense"),
+    "closures": Limit(100, "closures", "of loops: joints, equalities, gears, mimics; they are dense"),
+    "bodies": Limit(2000, "bodies", "of a file, fixed ones included"),
+    "forces": Limit(1000, "force elements", "actuators, control laws, springs, dampers, wrenches and rotors"),
+    "terms": Limit(1000, "terms", "sines and coefficients of all prescribed motions"),
+    "cycles": Limit(1000, "cycles", "revolutions and periods of prescribed motions in a run"),
+    "elements": Limit(200_000, "elements", "of one XML file"),
+    "files": Limit(100, "files", "of XML that one model consists of"),
+    "file_size": Limit(10, "MB", "of the XML of a model"),
+    "scene_size": Limit(1, "MB", "of a scene file or a loop file"),
+    "asset_size": Limit(100, "MB", "of a mesh, texture or height field"),
+    "result_size": Limit(20, "MB", "of a JSON file of results, baselines included"),
+    "array_size": Limit(200, "MB", "of the arrays of a run when unpacked"),
+    "memory": Limit(900, "MB", "for MuJoCo to compile a file"),
+    "compile_time": Limit(2, "s", "for MuJoCo to compile a file, beside 0.2 s for each MB of its assets"),
+    "time": Limit(600, "s", "of processor time for the run of one engine, and for one comparison"),
+}
+"""By name."""
+
+MB = 1_000_000
+"""Bytes."""
+
+
+def limit(name: str) -> float:
+    """The limit of that name as it is now."""
+    return _changes(os.environ.get(VARIABLE, "")).get(name, LIMITS[name].default)
+
+
+def exceeded(name: str, value: float) -> str:
+    """The problem with a value above a limit, and the setting that allows it; empty where there is none."""
+    most = limit(name)
+    if value <= most:
+        return ""
+    unit = LIMITS[name].unit
+    return f"{value:.9g} {unit}, at most {most:.7g}; to allow it: --set {name}={math.ceil(value):d}"
+
+
+def too_small(name: str) -> str:
+    """The setting that raises a limit which something of unknown size has met."""
+    return f"to allow more: --set {name}={4 * limit(name):g}"
+
+
+def size_in_bytes(name: str) -> int:
+    """A limit in MB, in bytes."""
+    return int(limit(name) * MB)
+
+
+@contextmanager
+def changed(changes: Mapping[str, str | float]) -> Iterator[None]:
+    """Have other limits in a block, also in processes that it starts.
+
+    Raises:
+        UnknownNameError: for a name that is no limit's.
+        OptionError: for a value that is no positive number.
+    """
+    before = os.environ.get(VARIABLE)
+    for name, value in changes.items():
+        _checked(name, value)
+    text = " ".join(f"{name}={value}" for name, value in (_changes(before or "") | dict(changes)).items())
+    os.environ[VARIABLE] = text
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[VARIABLE]
+        else:
+            os.environ[VARIABLE] = before
+
+
+def _changes(text: str) -> dict[str, float]:
+    """The limits that a text changes; raises as `changed` does."""
+    pairs = (pair.partition("=") for pair in text.split())
+    return {name: _checked(name, value) for name, _, value in pairs}
+
+
+def _checked(name: str, value: str | float) -> float:
+    if name not in LIMITS:
+        raise UnknownNameError("limit", name, tuple(LIMITS))
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not 0.0 < number < math.inf:
+        raise OptionError(name, value, f"a positive number, {LIMITS[name].unit}")
+    return number
