@@ -1,0 +1,260 @@
+"""A model file as an independent reader holds it: what a scene that was read from the file is verified against.
+
+A package for a file format says in a subclass of `Original` what its own reader's model does, in that model's
+own velocities. Closed states, and the motions that are free there, are worked out here, and with no help of
+what is verified.
+
+The one decision is which motions constraints leave free. Rows and velocities are made dimensionless with the
+model's size. A motion is *free* where a singular value of the constraint Jacobian is round-off (`FREE`), and
+*held* where it is beyond what the digits of a file leave open (`DOUBT`). In between it may be either: a scene
+passes whichever it says, because it is asked for less both ways. Motions that are free in the file have to be
+free in the scene; what is free in the scene may open the file's constraints by no more than what is in doubt.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.mapping import Mapping
+from newton_euler.scalars import Array
+from newton_euler.state import MassProperties
+
+FREE = 1e-10
+"""Largest singular value that is round-off, of a dimensionless Jacobian or as a share of its largest."""
+
+DOUBT = 1e-6
+"""Largest one that tilts and rounded points of a file may make of a redundant row."""
+
+CLOSED = 1e-12
+"""Of residuals in sizes or rad that are round-off."""
+
+NEWTON_STEPS = 40
+
+LONGEST_STEP = 0.3
+"""rad or sizes, of one step of closing."""
+
+AMPLITUDES = (0.2, 0.6, 2.5)
+"""rad or sizes, how far velocities' coordinates are moved from the start before loops are closed."""
+
+REACH = 2.9
+"""rad, that an angle may be from where it starts, so that poses tell it, and sizes."""
+
+WORST_CONDITION = 1e4
+"""Of constraints at a random state: beyond, it is next to a singular one, where little can be seen."""
+
+ATTEMPTS = 12
+
+
+class Constraints(NamedTuple):
+    """Rows of constraints, made dimensionless with the model's size."""
+
+    residual: Array
+    """(k,)"""
+    jacobian: Array
+    """(k, nv) for dimensionless velocities."""
+    owners: Sequence[str]
+    """What reports call the element that each row belongs to."""
+
+
+class Kinematics(NamedTuple):
+    """Rigid groups of bodies at a state; world frame, SI."""
+
+    position: Array
+    """(b, 3) centers of mass."""
+    rotation: Array
+    """(b, 3, 3) to world."""
+    transformation: Array
+    """(b, 6, nv): linear and angular velocity for each velocity."""
+    drift: Array
+    """(b, 6) accelerations where those of the coordinates are zero."""
+
+
+class Forces(NamedTuple):
+    """Generalized forces (nv,) of everything but constraints."""
+
+    static: Array
+    """What acts at rest."""
+    damping: Array
+    """What all but inertia adds in motion."""
+    bias: Array
+    """What inertia adds in motion, to be moved to the other side of the equations."""
+
+
+class Freedom(NamedTuple):
+    """Motions that constraints leave free at a configuration."""
+
+    basis: Array
+    """(nv, d) of velocities, SI, the identity in `rows`."""
+    rows: Array
+    """(d,) velocities that tell all others."""
+    condition: float
+    """Of the rows that are not in doubt."""
+    doubt: float
+    """Largest singular value that may be either."""
+
+
+class Sample(NamedTuple):
+    """A closed state."""
+
+    q: Array
+    v: Array
+    opening: float
+    """Of its constraints, in sizes or rad."""
+    freedom: Freedom
+
+
+class Original(ABC):
+    """A file's own model.
+
+    Attributes:
+        names: rigid groups of bodies that move, by the names that a scene has for them.
+        motions: (nv,) what reports call the joint of each velocity.
+        units: (nv,) of velocities: the model's size for lengths, 1 for angles.
+        ranges: (nv,) how far coordinates may be moved from the start, rad or sizes.
+        size: m.
+        start: q where the scene starts.
+        gravity: (3,) m/s^2.
+        unaccounted: elements that neither the scene nor its report can be held to.
+    """
+
+    names: tuple[str, ...]
+    motions: tuple[str, ...]
+    units: Array
+    ranges: Array
+    size: float
+    start: Array
+    gravity: Array
+    unaccounted: tuple[str, ...] = ()
+
+    @abstractmethod
+    def moved(self, q: Array, step: Array) -> Array:
+        """q after velocities `step` (nv,) for a unit of time."""
+
+    @abstractmethod
+    def difference(self, q: Array, other: Array) -> Array:
+        """(nv,) the step from one configuration to another."""
+
+    @abstractmethod
+    def mass_properties(self) -> MassProperties:
+        """Of the rigid groups at the start, in the order of `names`."""
+
+    @abstractmethod
+    def kinematics(self, q: Array, v: Array) -> Kinematics: ...
+
+    @abstractmethod
+    def constraints(self, q: Array) -> Constraints: ...
+
+    @abstractmethod
+    def mass_matrix(self, q: Array) -> tuple[Array, Array]:
+        """(nv, nv) of the bodies, and of the rotors."""
+
+    @abstractmethod
+    def forces(self, q: Array, v: Array) -> Forces: ...
+
+    @abstractmethod
+    def energies(self, q: Array, v: Array) -> tuple[float, float]:
+        """Kinetic, and potential to within a constant, J."""
+
+    @abstractmethod
+    def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
+        """Forces (2, nv) of each element alone, static and of damping, at each sample, by the element's name."""
+
+    @abstractmethod
+    def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
+        """Mass matrix (nv, nv) of each element's armature alone at each sample, by the element's name."""
+
+    def freedom(self, q: Array) -> Freedom:
+        """Motions that are free for certain."""
+        rows = self.constraints(q).jacobian
+        if not rows.size:
+            return Freedom(np.eye(len(self.units)), np.arange(len(self.units)), 1.0, 0.0)
+        s, vt = np.linalg.svd(rows, full_matrices=True)[1:]
+        s = s / max(1.0, float(s[0]))
+        held, unsure = s[s > DOUBT], s[(s > FREE) & (s <= DOUBT)]
+        condition = float(held[0] / held[-1]) if len(held) else 1.0
+        null = vt[len(held) + len(unsure) :].T
+        basis, chosen = _localized(null)
+        basis = basis * self.units[:, None] / self.units[chosen]
+        return Freedom(basis, chosen, condition, float(np.max(unsure, initial=0.0)))
+
+    def closed(self, q: Array) -> tuple[Array, float]:
+        """The configuration next to one where loops are closed as well as can be, and how well that is."""
+        best, least = q, np.inf
+        for _ in range(NEWTON_STEPS):
+            residual, rows, _ = self.constraints(q)
+            now = float(np.max(np.abs(residual), initial=0.0))
+            if now < least:
+                best, least = q, now
+            elif least < 1e3 * CLOSED:
+                break
+            if least <= 0.1 * CLOSED:
+                break
+            step = np.linalg.pinv(rows, rcond=DOUBT) @ residual
+            step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), CLOSED))
+            q = self.moved(q, -step * self.units)
+        return best, least
+
+    @cached_property
+    def samples(self) -> list[Sample]:
+        """The start, and closed states at random around it and far from it, all with random velocities."""
+        rng = np.random.default_rng(0)
+        found = [self._sample(self.start, rng)]
+        allowed = max(CLOSED, 3.0 * found[0].opening)
+        for amplitude in AMPLITUDES:
+            for attempt in range(ATTEMPTS):
+                q, opening = self.closed(self._far(amplitude * 0.7**attempt, rng))
+                away = np.abs(self.difference(self.start, q)) / self.units
+                if opening > max(allowed, found[0].freedom.doubt) or np.any(away > REACH):
+                    continue
+                sample = self._sample(q, rng)
+                if sample.freedom.condition <= max(WORST_CONDITION, 10.0 * found[0].freedom.condition):
+                    found.append(sample)
+                    break
+        return found
+
+    def far(self) -> list[Array]:
+        """Configurations at random, loops open."""
+        rng = np.random.default_rng(1)
+        return [self._far(amplitude, rng) for amplitude in AMPLITUDES]
+
+    def _far(self, amplitude: float, rng: np.random.Generator) -> Array:
+        reach = np.minimum(amplitude, self.ranges) * self.units
+        return self.moved(self.start, reach * rng.uniform(-1.0, 1.0, len(reach)))
+
+    def _sample(self, q: Array, rng: np.random.Generator) -> Sample:
+        freedom = self.freedom(q)
+        v = freedom.basis @ (self.units[freedom.rows] * rng.standard_normal(len(freedom.rows)))
+        v = v / max(1.0, float(np.max(np.abs(v / self.units), initial=0.0)))
+        opening = float(np.max(np.abs(self.constraints(q).residual), initial=0.0))
+        return Sample(q, v, opening, freedom)
+
+
+def left_out(report: Mapping) -> dict[str, set[str]]:
+    """Topics of what a report says was left out of each element; those without effect are still there."""
+    found: dict[str, set[str]] = {}
+    for entry in report.of("left out"):
+        if not entry.inert:
+            found.setdefault(entry.element, set()).add(entry.topic)
+    return found
+
+
+def approximated(report: Mapping) -> set[str]:
+    """Elements that a report says were approximated."""
+    return {entry.element for entry in report.of("approximated")}
+
+
+def _localized(null: Array) -> tuple[Array, Array]:
+    """The same space with the identity in as many rows, and those rows; independent loops stay apart."""
+    left, rows = null.copy(), []
+    for _ in range(null.shape[1]):
+        row = int(np.argmax(np.einsum("ij,ij->i", left, left)))
+        along = left[row] / np.linalg.norm(left[row])
+        left -= np.outer(left @ along, along)
+        rows.append(row)
+    chosen = np.array(sorted(rows), dtype=int)
+    return null @ np.linalg.inv(null[chosen]) if rows else null, chosen

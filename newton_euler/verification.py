@@ -1,0 +1,495 @@
+"""Verification of a scene against the file that it was read from, as an independent reader holds that.
+
+`verify` compares figure by figure, at the start and at closed states around it and far from it, all of them
+moving, with springs displaced and actuators on:
+
+1. mass properties of each body, and where it starts;
+2. the mass matrix with loops open, bodies placed at random;
+3. joints, gears and motions of the scene where the file's own equalities are closed, how fast they open where
+   the file lets bodies move, and how far what the scene leaves free opens the file's equalities;
+4. forces, static and of damping, and armatures, as independent velocities see them; a difference is blamed
+   on the element of the file whose own force, alone, is most like it;
+5. what a system makes of the scene: poses, energies, and accelerations, put into the file's own equations
+   M a = f + J^T lambda and J a = -Jdot v: no solution of these is compared, so no rank decides.
+
+Figures are relative to what the mechanism does at all of the states together, row by row, before anything
+cancels: never to what may be round-off. Tolerances are round-off of a hundred operations in a row, and by
+how much the states are open, magnified by the condition of the constraints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from newton_euler.armature import BallArmature
+from newton_euler.balls import SPIN, ends
+from newton_euler.constraints import Frame
+from newton_euler.couplings import couplings, residuals
+from newton_euler.euler_parameters import angle_between, from_rotation, product
+from newton_euler.force_terms import body_wrenches
+from newton_euler.original import FREE, Original, Sample
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.state import MassProperties, State
+from newton_euler.system import System, dimensionless_jacobian
+
+ROUND_OFF = 1e-12
+"""Relative: some hundred operations in a row, each to 1e-16, on numbers that went through a compiler."""
+
+LOOSEST = 1e-4
+"""What a tolerance may be at most: beyond, a figure says nothing."""
+
+STENCIL = ((1, 3.0 / 4.0), (2, -3.0 / 20.0), (3, 1.0 / 60.0))
+STENCIL_STEP = 5e-3
+"""s, of the derivative of J v along a motion by central differences of sixth order: off by 1e-14 relative."""
+
+SPREAD = 1e-4
+"""Share of the largest scale that any row's is at least, in forces at the size: independent velocities are
+known to 1e-16, `ROUND_OFF` times this, and let a row see as much of what acts elsewhere."""
+
+ALIKE = 0.1
+"""Share of a difference that an element may leave unexplained and be blamed."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One compared figure.
+
+    Attributes:
+        quantity: what is compared, with its unit.
+        value, tolerance: the largest difference and what it may be at most.
+        where: the element of the file, or the body or joint of the scene, of the largest difference.
+    """
+
+    quantity: str
+    value: float
+    tolerance: float
+    where: str
+
+    @property
+    def agrees(self) -> bool:
+        """NaN does not agree with anything."""
+        return bool(self.value <= self.tolerance)
+
+
+def verify(original: Original, system: System) -> list[Figure]:
+    """Compare equations of motion of a scene with the file's own.
+
+    The first that does not agree tells the most: what is after it may follow from it. Nothing is compared
+    after bodies that are not the file's, or that do not start where it has them.
+    """
+    unknown = set(system.mechanism.body_names[1:]) ^ set(original.names)
+    missing = sorted(unknown) + list(original.unaccounted)
+    found = [Figure("elements unaccounted for", len(missing), 0.5, ", ".join(missing[:5]))]
+    if unknown:
+        return found
+    compared = _Compared(original, system)
+    found += compared.model_rows()
+    if found[-1].agrees:
+        found += [*compared.motion_rows(), *compared.force_rows(), *compared.system_rows()]
+    return found
+
+
+class _Place(NamedTuple):
+    """The scene's bodies, ground first, where a sample of the file has them."""
+
+    sample: Sample
+    state: State
+    rest: State
+    transformation: Array
+    """(6 b, nv) of the bodies' centers of mass, for the file's velocities."""
+    drift: Array
+    """(6 b,)"""
+
+
+class _Compared:
+    """A file and equations of motion of a scene."""
+
+    def __init__(self, original: Original, system: System) -> None:
+        self.original, self.system = original, system
+        self.scene: Scene = system.scene
+        self.mechanism = self.scene.mechanism
+        self.bodies = [self.mechanism.body_index(name) for name in original.names]
+        self.size = original.size
+        self.samples = original.samples
+        self._poses = [body.pose for body in self.mechanism.bodies]
+        self._body_units = np.tile(np.repeat([self.size, 1.0], 3), len(self.mechanism.bodies))
+
+    def _tolerance(self, sample: Sample) -> float:
+        return min((ROUND_OFF + 10.0 * sample.opening) * sample.freedom.condition, LOOSEST)
+
+    @cached_property
+    def _loosest(self) -> float:
+        return max(self._tolerance(sample) for sample in self.samples)
+
+    # The scene's bodies where the file has them
+
+    @cached_property
+    def _first(self) -> tuple[Array, Array]:
+        found = self.original.kinematics(self.original.start, 0.0 * self.original.units)
+        return found.position, found.rotation
+
+    @cached_property
+    def places(self) -> list[_Place]:
+        """At the samples."""
+        return [self._place(sample) for sample in self.samples]
+
+    def _place(self, sample: Sample) -> _Place:
+        bodies = self.mechanism.bodies
+        found = self.original.kinematics(sample.q, sample.v)
+        rows, drift = np.zeros((len(bodies), 6, len(sample.v))), np.zeros((len(bodies), 6))
+        rest = State.initial(self.mechanism)
+        (centers, turns), nv = self._first, len(sample.v)
+        for k, body in enumerate(self.bodies):
+            turn = found.rotation[k] @ turns[k].T
+            arm = turn @ (bodies[body].center_of_mass - centers[k])
+            rest.position[body] = found.position[k] + arm
+            rest.quaternion[body] = product(from_rotation(turn), bodies[body].quaternion)
+            rows[body] = found.transformation[k]
+            rows[body, :3] += np.cross(found.transformation[k, 3:], arm, axisa=0, axisb=0).T
+            omega = rows[body, 3:] @ sample.v
+            drift[body] = found.drift[k]
+            drift[body, :3] += np.cross(drift[body, 3:], arm) + np.cross(omega, np.cross(omega, arm))
+        linear, angular = np.split(rows @ sample.v, 2, axis=1)
+        state = State(rest.position, rest.quaternion, linear, angular)
+        return _Place(sample, state, rest, rows.reshape(-1, nv), drift.ravel())
+
+    # 1 and 2: bodies
+
+    def model_rows(self) -> Iterator[Figure]:
+        """Mass properties, the mass matrix with loops open, and last where bodies start."""
+        names, wanted = self.original.names, self.original.mass_properties()
+        of_scene = self.system.mass_properties()
+        found = MassProperties(*(values[self.bodies] for values in vars(of_scene).values()))
+        reach = self.size + float(np.max(np.abs(wanted.center_of_mass)))
+        gaps = np.abs(found.mass / wanted.mass - 1.0)
+        yield _figure("mass, rel", gaps, ROUND_OFF, names)
+        largest = np.linalg.norm(wanted.inertia, ord=2, axis=(1, 2))
+        gaps = np.linalg.norm(found.inertia - wanted.inertia, ord=2, axis=(1, 2)) / largest
+        # arms within a body are differences of places in the world
+        arms = wanted.mass * self.size * reach / largest
+        yield _figure("inertia, rel", gaps, ROUND_OFF * np.maximum(1.0, np.minimum(arms, 1e3)), names)
+        yield self._mass_matrix_row(found)
+        gaps = np.linalg.norm(found.center_of_mass - wanted.center_of_mass, axis=1)
+        tolerance = reach * (ROUND_OFF + 10.0 * self.samples[0].opening)
+        yield _figure("center of mass at the start, m", gaps, tolerance, names)
+
+    def _mass_matrix_row(self, found: MassProperties) -> Figure:
+        centers, turns = self._first
+        gaps = []
+        for q in self.original.far():
+            wanted = self.original.mass_matrix(q)[0]
+            placed = self.original.kinematics(q, 0.0 * self.original.units)
+            mass = np.zeros_like(wanted)
+            for k, rows in enumerate(placed.transformation):
+                turn = placed.rotation[k] @ turns[k].T
+                arm = turn @ (found.center_of_mass[k] - centers[k])
+                linear = rows[:3] + np.cross(rows[3:], arm, axisa=0, axisb=0).T
+                inertia = turn @ found.inertia[k] @ turn.T
+                mass += found.mass[k] * linear.T @ linear + rows[3:].T @ inertia @ rows[3:]
+            scale = np.sqrt(np.maximum(np.diag(wanted), np.finfo(float).tiny))
+            gaps.append(np.max(np.abs(mass - wanted) / np.outer(scale, scale), axis=1))
+        quantity = "mass matrix, loops open, rel"
+        return _figure(quantity, np.max(gaps, axis=0), 10.0 * ROUND_OFF, self.original.motions)
+
+    # 3: joints
+
+    def motion_rows(self) -> Iterator[Figure]:
+        """Joints of the scene in the file's motions, and equalities of the file in the scene's."""
+        found = couplings(self.scene)
+        joints = [e.joint.name for e in self.mechanism.equations if e.count]
+        names = [*joints, *(coupling.name for coupling in found)]
+        open_by, rates, tolerances = [], [], []
+        for place in self.places:
+            frames = place.state.frames()
+            gaps, speeds = [], []
+            for e in self.mechanism.equations:
+                if e.count:
+                    first, second, units = frames[e.first], frames[e.second], e.units(self.size)
+                    gaps.append(np.max(np.abs(e.phi(first, second)) / units))
+                    speeds.append(np.max(np.abs(e.jacobian(first, second).rate(first, second)) / units))
+            units = np.array([self.size if coupling.is_length else 1.0 for coupling in found])
+            units *= [sum(map(abs, coupling.factors.values())) for coupling in found]
+            phi, rate = residuals(self.mechanism, found, frames, 0.0) if found else (np.zeros(0), np.zeros(0))
+            open_by.append([*gaps, *np.abs(phi / units)])
+            rates.append([*speeds, *np.abs(rate / units)])
+            tolerances.append(10.0 * self._tolerance(place.sample))
+        if names:
+            limits = np.array(tolerances)[:, None]
+            yield _figure("joints open, sizes or rad", np.array(open_by), limits, names)
+            yield _figure("joints opening, 1/s", np.array(rates), limits, names)
+        yield self._free_row()
+
+    def _free_row(self) -> Figure:
+        """Motions that the scene leaves free have to be motions of the file's joints, and free there."""
+        worst = Figure("motions free in the scene alone, rel", 0.0, 10.0 * self._loosest, "")
+        for place in self.places:
+            q, _ = self.system.coordinates(place.rest)
+            free = _null(dimensionless_jacobian(self.system, q))
+            moved = self.system.velocity_transformation(q) * self.system.velocity_units
+            moved = moved @ free / self._body_units[:, None]
+            norms = np.linalg.norm(moved, axis=0)
+            moved = moved[:, norms > FREE] / norms[norms > FREE]
+            if not moved.size:
+                continue
+            rows = place.transformation / self._body_units[:, None] * self.original.units
+            velocities = np.linalg.lstsq(rows, moved)[0]
+            strange = np.abs(rows @ velocities - moved).reshape(len(self.mechanism.bodies), -1).max(axis=1)
+            _, jacobian, owners = self.original.constraints(place.sample.q)
+            opened = np.abs(jacobian @ velocities).max(axis=1, initial=0.0)
+            names = [*self.mechanism.body_names, *owners]
+            tolerance = min(10.0 * (self._tolerance(place.sample) + place.sample.freedom.doubt), LOOSEST)
+            found = _figure(worst.quantity, np.concatenate([strange, opened]), tolerance, names)
+            if not found.value / found.tolerance <= worst.value / worst.tolerance:
+                worst = found
+        return worst
+
+    # 4: forces
+
+    def force_rows(self) -> Iterator[Figure]:
+        """Static forces and dampers, and armatures, in the file's independent velocities."""
+        acting = []
+        for place in self.places:
+            static, weight = self._wrenches(place.rest)
+            whole, pull = self._wrenches(place.state)
+            file = self.original.forces(place.sample.q, place.sample.v)
+            acting.append(((static, weight, file.static), (whole - static, pull, file.damping)))
+        for n, quantity in enumerate(("static forces, rel", "damping forces, rel")):
+            yield self._force_row(quantity, n, [each[n] for each in acting])
+        yield self._rotor_row()
+
+    def _force_row(self, quantity: str, which: int, acting: Sequence[tuple[Array, Array, Array]]) -> Figure:
+        left, scales = [], []
+        for place, (wrench, magnitude, force) in zip(self.places, acting, strict=True):
+            basis = place.sample.freedom.basis
+            onto = place.transformation @ basis
+            left.append(onto.T @ wrench.ravel() - basis.T @ force)
+            scales.append(np.abs(onto).T @ magnitude.ravel() + np.abs(basis).T @ np.abs(force))
+
+        def alone() -> Iterator[tuple[str, list[Array]]]:
+            for name, each in self.original.elements(self.samples):
+                yield name, self._reduced([forces[which] for forces in each])
+
+        return self._row(quantity, left, self._largest(scales), alone)
+
+    def _rotor_row(self) -> Figure:
+        wanted = self._reduced([self.original.mass_matrix(sample.q)[1] for sample in self.samples])
+        found = []
+        for place in self.places:
+            onto = self._spins(place) @ place.transformation @ place.sample.freedom.basis
+            found.append(onto.T @ onto)
+        pairs = zip(found, wanted, strict=True)
+        scale = np.sqrt(self._largest([np.diag(one) + np.abs(np.diag(two)) for one, two in pairs], 2))
+
+        def relative(masses: Sequence[Array]) -> list[Array]:
+            units = (_positive(scale[sample.freedom.rows]) for sample in self.samples)
+            return [mass / unit for mass, unit in zip(masses, units, strict=True)]
+
+        def alone() -> Iterator[tuple[str, list[Array]]]:
+            for name, each in self.original.rotors(self.samples):
+                yield name, relative(self._reduced(each))
+
+        left = relative([one - two for one, two in zip(found, wanted, strict=True)])
+        return self._row("armatures, rel", left, scale, alone)
+
+    def _reduced(self, of_velocities: Sequence[Array]) -> list[Array]:
+        """Forces (nv,) or mass matrices (nv, nv) at the samples as their independent velocities see them."""
+        found = []
+        for sample, whole in zip(self.samples, of_velocities, strict=True):
+            basis = sample.freedom.basis
+            found.append(basis.T @ (whole @ basis if whole.ndim == 2 else whole))
+        return found
+
+    def _largest(self, scales: Sequence[Array], power: int = 1) -> Array:
+        """(nv,) the largest of all samples, each in its independent velocities, and a floor of `SPREAD`."""
+        units = self.original.units ** power
+        total = np.zeros(len(units))
+        for sample, scale in zip(self.samples, scales, strict=True):
+            np.maximum.at(total, sample.freedom.rows, scale)
+        return np.maximum(total, SPREAD * np.max(total * units, initial=0.0) / units)
+
+    def _row(self, quantity: str, left: Sequence[Array], scale: Array, alone: Callable[[], Alone]) -> Figure:
+        """Differences at each sample, (d,) or (d, ...), relative to (nv,) the largest there is.
+
+        If they are not round-off the element is named whose own part explains most of them.
+        """
+        shares = [
+            (np.abs(gap).T / _positive(scale[sample.freedom.rows])).T
+            for gap, sample in zip(left, self.samples, strict=True)
+        ]
+        worst = Figure(quantity, 0.0, self._loosest, "")
+        for share, sample in zip(shares, self.samples, strict=True):
+            names = [self.original.motions[k] for k in sample.freedom.rows]
+            each = share.reshape(len(names), -1).max(axis=1, initial=0.0)
+            found = _figure(quantity, each, self._tolerance(sample), names)
+            if not found.value / found.tolerance <= worst.value / worst.tolerance:
+                worst = found
+        if worst.agrees:
+            return worst
+        weights = [1.0 / _positive(scale[sample.freedom.rows]) for sample in self.samples]
+        return replace(worst, where=_most_alike(left, weights, alone()) or worst.where)
+
+    def _wrenches(self, state: State) -> tuple[Array, Array]:
+        """(b, 6) of all that acts on the scene's bodies but constraints, and the sum of what there is."""
+        scene, frames = self.scene, state.frames()
+        total = np.array(body_wrenches(scene, self._poses, frames))
+        for k, body in enumerate(self.mechanism.bodies):
+            total[k, :3] += body.mass * scene.gravity
+        magnitude = np.abs(total)
+        for law in scene.joint_forces:
+            equations = self.mechanism.equations[self.mechanism.joint_index(law.joint)]
+            coordinate = equations.coordinates[law.coordinate]
+            first, second = frames[equations.first], frames[equations.second]
+            rows = coordinate.jacobian(first, second)
+            u = law.force(coordinate.phi(first, second)[0], rows.rate(first, second)[0])
+            for body, r, theta in (
+                (equations.first, rows.r_first, rows.theta_first),
+                (equations.second, rows.r_second, rows.theta_second),
+            ):
+                push = u * np.concatenate([r[0], theta[0]])
+                total[body] += push
+                magnitude[body] += np.abs(push)
+        return total, magnitude
+
+    def _spins(self, place: _Place) -> Array:
+        """(r, 6 b) what armatures see of the bodies' velocities, times the roots of their inertias."""
+        frames = place.rest.frames()
+        found = np.zeros((0, len(frames), 6))
+        for armature in self.scene.armatures:
+            if isinstance(armature, BallArmature):
+                first, second = ends(self.mechanism, armature.joint)
+                rows = SPIN
+            else:
+                joint, coordinate = armature.key
+                equations = self.mechanism.equations[self.mechanism.joint_index(joint)]
+                first, second = equations.first, equations.second
+                rows = equations.coordinates[coordinate].jacobian(frames[first], frames[second])
+            row = np.zeros((len(rows.r_first), len(frames), 6))
+            row[:, first] = np.hstack([rows.r_first, rows.theta_first])
+            row[:, second] = np.hstack([rows.r_second, rows.theta_second])
+            found = np.concatenate([found, np.sqrt(armature.inertia) * row])
+        return found.reshape(len(found), -1)
+
+    # 5: what a system makes of it
+
+    def system_rows(self) -> Iterator[Figure]:
+        """Poses, energies and accelerations of a system at the samples."""
+        coordinates = [self.system.coordinates(place.state) for place in self.places]
+        found = [self.system.evaluate(q, v) for q, v in coordinates]
+        names, limits = self.mechanism.body_names, np.array([self._tolerance(s) for s in self.samples])
+        reach = self.size + max(float(np.max(np.abs(place.state.position))) for place in self.places)
+        shift, turn, speed = [], [], []
+        for each, place in zip(found, self.places, strict=True):
+            mine, wanted = each.state, place.state
+            shift.append(np.linalg.norm(mine.position - wanted.position, axis=1) / reach)
+            turn.append(angle_between(mine.quaternion, wanted.quaternion))
+            linear = np.linalg.norm(mine.linear_velocity - wanted.linear_velocity, axis=1) / reach
+            angular = np.linalg.norm(mine.angular_velocity - wanted.angular_velocity, axis=1)
+            speed.append(np.maximum(linear, angular))
+        wide = 10.0 * limits[:, None]
+        yield _figure("positions, rel", np.array(shift), wide, names)
+        yield _figure("orientations, rad", np.array(turn), wide, names)
+        yield _figure("velocities, rel", np.array(speed), wide, names)
+        energies = np.array([self.original.energies(sample.q, sample.v) for sample in self.samples])
+        mine = np.array([[each.kinetic_energy, each.potential_energy] for each in found])
+        masses = np.array([body.mass for body in self.mechanism.bodies])
+        weight = float(masses.sum() * np.linalg.norm(self.scene.gravity) * reach)
+        where = [f"state {k}" for k in range(len(found))]
+        for k, quantity in enumerate(("kinetic energy, rel", "potential energy, rel")):
+            gap = np.abs(mine[:, k] - energies[:, k] - k * (mine[0, k] - energies[0, k]))
+            scale = float(np.max(np.abs(np.concatenate([mine[:, k], energies[:, k]])))) + k * weight
+            yield _figure(quantity, gap / _positive(scale), 10.0 * limits, where)
+        yield from self._acceleration_rows([_stacked(e.linear_acceleration, e.angular_acceleration) for e in found])
+
+    def _acceleration_rows(self, accelerations: Sequence[Array]) -> Iterator[Figure]:
+        """Accelerations (6 b,) of bodies in the file's own equations of motion and of constraints."""
+        strange, left, scales, opening, speeds, owners = [], [], [], [], [], ()
+        for place, acceleration in zip(self.places, accelerations, strict=True):
+            sample, units = place.sample, self.original.units
+            rows = place.transformation / self._body_units[:, None] * units
+            wanted = (acceleration - place.drift) / self._body_units
+            own = np.linalg.lstsq(rows, wanted)[0]
+            scale = float(np.max(np.abs(np.concatenate([acceleration, place.drift]) / np.tile(self._body_units, 2))))
+            strange.append(np.abs(rows @ own - wanted).reshape(-1, 6).max(axis=1) / _positive(scale))
+            a, basis = units * own, sample.freedom.basis
+            mass, forces = sum(self.original.mass_matrix(sample.q)), self.original.forces(sample.q, sample.v)
+            push = forces.static + forces.damping - forces.bias
+            left.append(basis.T @ (mass @ a - push))
+            parts = np.abs(mass) @ np.abs(a) + sum(map(np.abs, forces))
+            scales.append(np.abs(basis).T @ parts)
+            _, jacobian, owners = self.original.constraints(sample.q)
+            product_ = self._velocity_product(sample)
+            opening.append(np.abs(jacobian @ own + product_))
+            speeds.append(np.max(np.abs(jacobian) @ np.abs(own) + np.abs(product_), initial=0.0))
+        limits = np.array([self._tolerance(sample) for sample in self.samples])[:, None]
+        doubts = np.array([sample.freedom.doubt for sample in self.samples])[:, None]
+        names = self.mechanism.body_names
+        yield _figure("accelerations across joints, rel", np.array(strange), 10.0 * limits, names)
+        if len(owners):
+            gaps = np.array(opening) / _positive(max(speeds))
+            yield _figure("accelerations across loops, rel", gaps, 10.0 * (limits + doubts), owners)
+        yield self._row("accelerations, as forces, rel", left, 10.0 * self._largest(scales), lambda: iter(()))
+
+    def _velocity_product(self, sample: Sample) -> Array:
+        """(k,) dJ/dt v of the file's constraints along the motion of constant velocities."""
+        total: Array = np.zeros(1)
+        own = sample.v / self.original.units
+        for number, weight in STENCIL:
+            for sign in (1.0, -1.0):
+                q = self.original.moved(sample.q, sign * number * STENCIL_STEP * sample.v)
+                rate = self.original.constraints(q).jacobian @ own
+                total = total + sign * weight / STENCIL_STEP * rate
+        return total
+
+
+Alone = Iterator[tuple[str, list[Array]]]
+"""Elements by name, and what each of them does at the samples."""
+
+
+def _stacked(linear: Array, angular: Array) -> Array:
+    """(6 b,) of two (b, 3)."""
+    return np.hstack([linear, angular]).ravel()
+
+
+def _positive(scale: Any) -> Any:
+    """What differences are relative to; where there is nothing at all, any number is as good."""
+    return np.where(np.asarray(scale) > 0.0, scale, np.finfo(float).tiny)
+
+
+def _figure(quantity: str, gaps: Array, tolerances: Any, names: Sequence[str]) -> Figure:
+    """The worst of differences (..., names) for tolerances of a shape that goes with that."""
+    limits = np.broadcast_to(tolerances, gaps.shape)
+    if not gaps.size:
+        return Figure(quantity, 0.0, float(np.max(tolerances, initial=ROUND_OFF)), "")
+    shares = np.nan_to_num(gaps / limits, nan=np.inf)
+    place = np.unravel_index(int(np.argmax(shares)), gaps.shape)
+    return Figure(quantity, float(gaps[place]), float(limits[place]), names[place[-1]])
+
+
+def _null(jacobian: Array) -> Array:
+    """Orthonormal columns that a dimensionless Jacobian leaves free for certain."""
+    if not jacobian.size:
+        return np.eye(jacobian.shape[1])
+    s, vt = np.linalg.svd(jacobian, full_matrices=True)[1:]
+    return np.asarray(vt[int(np.sum(s > FREE * max(1.0, s[0]))) :].T)
+
+
+def _most_alike(left: Sequence[Array], weights: Sequence[Array], alone: Alone) -> str:
+    """The element that explains differences at all states as a multiple of what it does; "" if none does."""
+
+    def weighed(values: Sequence[Array]) -> Array:
+        return np.concatenate([(each.T * weight).T.ravel() for each, weight in zip(values, weights, strict=True)])
+
+    gap, best, name = weighed(left), ALIKE, ""
+    for element, values in alone:
+        column = weighed(values)
+        square = float(column @ column)
+        share = 1.0 - float(gap @ column) ** 2 / (square * float(gap @ gap)) if square else 1.0
+        if share < best:
+            best, name = share, element
+    return name
