@@ -355,16 +355,15 @@ class MjcfOriginal(Original):
 
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
         """(nv, nv) of the bodies, and of the rotors."""
-        model = self._model
-        of_joints = np.diag(model.dof_armature)
+        model, joints = self._model, np.diag(self._model.dof_armature)
         others = np.any(model.tendon_armature) or np.any(model.actuator_armature)
-        bodies = self._full(q)
-        return bodies, of_joints + (self._full(q, "tendon", "actuator") - bodies if others else 0.0)
+        bare = self._full(q)
+        return bare - joints, joints + (self._full(q, "tendon", "actuator") - bare if others else 0.0)
 
     def _full(self, q: Array, *kinds: str) -> Array:
-        """MuJoCo's mass matrix with the armatures of these kinds of elements alone."""
+        """MuJoCo's mass matrix with the armatures of joints, and of these kinds of elements."""
         model, mass = self._model, np.zeros((self._model.nv, self._model.nv))
-        kept = {kind: getattr(model, f"{kind}_armature").copy() for kind in ("dof", "tendon", "actuator")}
+        kept = {kind: getattr(model, f"{kind}_armature").copy() for kind in ("tendon", "actuator")}
         for kind in kept:
             if kind not in kinds:
                 getattr(model, f"{kind}_armature")[:] = 0.0

@@ -183,7 +183,7 @@ class _Compared:
         centers, turns = self._first
         gaps = []
         for q in self.original.far():
-            wanted = self.original.mass_matrix(q)[0]
+            wanted, rotors = self.original.mass_matrix(q)
             placed = self.original.kinematics(q, 0.0 * self.original.units)
             mass = np.zeros_like(wanted)
             for k, rows in enumerate(placed.transformation):
@@ -192,7 +192,7 @@ class _Compared:
                 linear = rows[:3] + np.cross(rows[3:], arm, axisa=0, axisb=0).T
                 inertia = turn @ found.inertia[k] @ turn.T
                 mass += found.mass[k] * linear.T @ linear + rows[3:].T @ inertia @ rows[3:]
-            scale = np.sqrt(np.maximum(np.diag(wanted), np.finfo(float).tiny))
+            scale = _positive(np.sqrt(np.diag(wanted + rotors)))
             gaps.append(np.max(np.abs(mass - wanted) / np.outer(scale, scale), axis=1))
         quantity = "mass matrix, loops open, rel"
         return _figure(quantity, np.max(gaps, axis=0), 10.0 * ROUND_OFF, self.original.motions)
@@ -373,7 +373,7 @@ class _Compared:
             row[:, first] = np.hstack([rows.r_first, rows.theta_first])
             row[:, second] = np.hstack([rows.r_second, rows.theta_second])
             found = np.concatenate([found, np.sqrt(armature.inertia) * row])
-        return found.reshape(len(found), -1)
+        return found.reshape(len(found), 6 * len(frames))
 
     # 5: what a system makes of it
 
@@ -433,7 +433,10 @@ class _Compared:
         if len(owners):
             gaps = np.array(opening) / _positive(max(speeds))
             yield _figure("accelerations across loops, rel", gaps, 10.0 * (limits + doubts), owners)
-        yield self._row("accelerations, as forces, rel", left, 10.0 * self._largest(scales), lambda: iter(()))
+        # multipliers of rows in doubt are large, and what round-off lets them do to free motions is too
+        doubt = max(float(np.max(doubts, initial=0.0)), FREE)
+        scale = (10.0 + np.finfo(float).eps / (ROUND_OFF * doubt)) * self._largest(scales)
+        yield self._row("accelerations, as forces, rel", left, scale, lambda: iter(()))
 
     def _velocity_product(self, sample: Sample) -> Array:
         """(k,) dJ/dt v of the file's constraints along the motion of constant velocities."""
