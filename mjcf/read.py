@@ -3,10 +3,15 @@
 MuJoCo compiles the file, so that its defaults, includes, angles and inertias are MuJoCo's own reading, and
 the scene is made from the compiled model at the pose that it starts from: a keyframe or qpos0, with the
 loops closed. Bodies that are fixed to each other are one body.
+
+What was read is verified against MuJoCo's own model of the file, see `newton_euler.verification` and
+`mjcf.original`. The reading is a function of the model and of the controls, and so that all actuators show it
+is made and verified once more with all controls at random.
 """
 
 from __future__ import annotations
 
+import copy
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
+from mjcf.original import MjcfOriginal, random_control
 from mjcf.reading.actuators import Actuators, driven_joints
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.forces import Forces, armatures
 from mjcf.reading.joints import Joints
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
-from mjcf.reading.original import gap_line
 from mjcf.reading.sag import sag_line
 from mjcf.reading.source import SourceError, compiled
 from mjcf.reading.start import Start
@@ -31,9 +36,11 @@ from newton_euler.assemble import assemble
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mapping import Mapping, unique_name
 from newton_euler.mechanism import Mechanism
+from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import State
 from newton_euler.tree import unweld_loops
+from newton_euler.verification import check
 
 DURATION = 1.0
 """s, of a run of a model that says nothing about how long it wants to be run."""
@@ -69,6 +76,7 @@ def read(
     duration: float = DURATION,
     output_period: float = OUTPUT_PERIOD,
     root: str | None = None,
+    verified: bool = True,
 ) -> Reading:
     """Read an MJCF file.
 
@@ -77,19 +85,38 @@ def read(
         key: name of the keyframe to start from, or "qpos0"; the first keyframe if None, if there is one.
         duration, output_period: of the scene, s.
         root: folder that all files have to be in that it refers to, see `mjcf.reading.source`.
+        verified: whether to verify the reading. If not, `report.originals` is what to verify it against.
 
     Raises:
-        MjcfError: naming the file and the element at fault.
+        MjcfError: naming the file and the element at fault, one that was not read right among them.
     """
+    where = os.fspath(path)
     with heard_warnings() as warnings:
-        found = _reading(os.fspath(path), key, duration, output_period, root)
-    found.report.start.extend(f"MuJoCo warns: {warning}" for warning in warnings)
+        model = compiled(where, root)
+        found = _reading(where, copy.copy(model), key, None, duration, output_period)
+        report = found.report
+        report.originals.append((MjcfOriginal(model, key, report, found.scene), found.scene))
+        if model.nu:
+            control = random_control(model)
+            driven = _reading(where, copy.copy(model), key, control, duration, output_period)
+            original = MjcfOriginal(model, key, driven.report, driven.scene, control)
+            report.originals.append((original, driven.scene))
+        if sag := sag_line(found.start, duration):
+            report.start.append(sag)
+        if verified:
+            try:
+                report.start.append(check(report))
+            except NewtonEulerError as error:
+                raise SourceError(where, str(error)) from error
+    report.start.extend(f"MuJoCo warns: {warning}" for warning in warnings)
     return found
 
 
-def _reading(where: str, key: str | None, duration: float, output_period: float, root: str | None) -> Reading:
+def _reading(
+    where: str, model: Any, key: str | None, control: Array | None, duration: float, output_period: float
+) -> Reading:
     report = Mapping()
-    start = Start(where, compiled(where, root), key, report)
+    start = Start(where, model, key, report, control)
     try:
         bodies = Bodies(start, report)
         scene = _scene(where, start, bodies, report, duration, output_period)
@@ -97,9 +124,6 @@ def _reading(where: str, key: str | None, duration: float, output_period: float,
         raise
     except NewtonEulerError as error:
         raise SourceError(where, str(error)) from error
-    line = gap_line(start, bodies, scene)
-    sag = sag_line(start, duration)
-    report.start.extend([sag, line] if sag else [line])
     return Reading(scene, report, start)
 
 

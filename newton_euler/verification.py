@@ -31,8 +31,11 @@ from newton_euler.balls import SPIN, ends
 from newton_euler.constraints import Frame
 from newton_euler.couplings import couplings, residuals
 from newton_euler.euler_parameters import angle_between, from_rotation, product
+from newton_euler.errors import VerificationError
 from newton_euler.force_terms import body_wrenches
+from newton_euler.mapping import Mapping
 from newton_euler.original import FREE, Original, Sample
+from newton_euler.relative import Relative
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import MassProperties, State
@@ -93,6 +96,27 @@ def verify(original: Original, system: System) -> list[Figure]:
     if found[-1].agrees:
         found += [*compared.motion_rows(), *compared.force_rows(), *compared.system_rows()]
     return found
+
+
+def check(report: Mapping) -> str:
+    """Verify what was read from a file, by the joint-coordinate form of its equations.
+
+    Returns:
+        A line for the report.
+
+    Raises:
+        VerificationError: naming the quantity, and the element or body, of the first figure that fails.
+    """
+    found = [figure for original, scene in report.originals for figure in verify(original, Relative(scene))]
+    for figure in found:
+        if not figure.agrees:
+            raise VerificationError(figure.quantity, figure.value, figure.tolerance, figure.where)
+    nearest = max(found, key=lambda figure: figure.value / figure.tolerance)
+    states = sum(len(original.samples) for original, _ in report.originals)
+    return (
+        f"verified against the file's own model at {states} moving states in {len(found)} figures, the largest "
+        f"of them {nearest.value / nearest.tolerance:.0e} of its tolerance: {nearest.quantity}"
+    )
 
 
 class _Place(NamedTuple):
