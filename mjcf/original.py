@@ -24,6 +24,7 @@ from newton_euler.original import (
     Sample,
     approximated,
     left_out,
+    wholes,
 )
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -73,7 +74,8 @@ class MjcfOriginal(Original):
         if control is not None:
             self._data.ctrl[:] = control
         mujoco.mj_normalizeQuat(self._model, self._data.qpos)
-        self._group()
+        self._velocity = self._data.qvel.copy()
+        self._group(scene)
         self._measure(scene)
         self.unaccounted = tuple(self._unaccounted(report))
         self.start = self._aligned(self.closed(self._data.qpos.copy())[0], scene)
@@ -89,7 +91,7 @@ class MjcfOriginal(Original):
         if key in names:
             mujoco.mj_resetDataKeyframe(model, self._data, names.index(key))
 
-    def _group(self) -> None:
+    def _group(self, scene: Scene) -> None:
         """Bodies that no joint is between."""
         model = self._model
         root = [0] * model.nbody
@@ -100,7 +102,7 @@ class MjcfOriginal(Original):
         taken = ["ground"]
         for k in self._roots:
             taken.append(unique_name(model.body(k).name, f"body_{k}", taken))
-        self.names = tuple(taken[1:])
+        self.names = wholes(taken[1:], scene.mechanism.body_names)
 
     def _measure(self, scene: Scene) -> None:
         """Names, units and ranges of velocities."""
@@ -127,6 +129,7 @@ class MjcfOriginal(Original):
         if not all(name in bodies for name in self.names):
             return q
         wanted = [bodies[name].pose for name in self.names]
+        first = [self.names.index(name) == k for k, name in enumerate(self.names)]
         best, least = q, np.inf
         for _ in range(ALIGNING_STEPS):
             found = self.kinematics(q, np.zeros(self._model.nv))
@@ -135,11 +138,12 @@ class MjcfOriginal(Original):
                 gap[k, :3] = (pose.position - found.position[k]) / self.size
                 turn = pose.rotation @ found.rotation[k].T
                 gap[k, 3:] = 0.5 * (turn - turn.T)[[2, 0, 1], [1, 2, 0]]
+            gap = gap[first]
             now = float(np.max(np.abs(gap)))
             if not now < 0.5 * least:
                 break
             best, least = q, now
-            rows = found.transformation / np.repeat([self.size, 1.0], 3)[:, None] * self.units
+            rows = found.transformation[first] / np.repeat([self.size, 1.0], 3)[:, None] * self.units
             step = np.linalg.lstsq(rows.reshape(-1, len(self.units)), gap.ravel())[0]
             q = self.moved(q, self.units * step)
         return best
@@ -216,7 +220,7 @@ class MjcfOriginal(Original):
         """Which actuators' forces are limited at the start, (nactuator,), these, and those on joints."""
         model, data = self._model, self._data
         kept = model.actuator_forcelimited.copy(), model.tendon_actfrclimited.copy()
-        self._go(self.start, data.qvel.copy())
+        self._go(self.start, self._velocity)
         outputs = np.array(model.actuator_outadr, dtype=int)
         forces, torques = data.actuator_force[outputs].copy(), data.qfrc_actuator.copy()
         model.actuator_forcelimited[:], model.tendon_actfrclimited[:] = 0, 0
@@ -315,12 +319,19 @@ class MjcfOriginal(Original):
         model, data = self._model, self._data
         self._go(q, v)
         centers = self._centers()
-        rows, rates = np.zeros((2, len(centers), 6, model.nv))
+        rows, drift, found = np.zeros((len(centers), 6, model.nv)), np.zeros((len(centers), 6)), np.zeros(6)
+        # MuJoCo's mj_jacDot is another's for a slide above a ball or hinge of one body
+        data.qacc[:] = 0.0
+        mujoco.mj_rnePostConstraint(model, data)
+        weight = data.cacc[0, 3:]
         for k, (root, center) in enumerate(zip(self._roots, centers, strict=True)):
             mujoco.mj_jac(model, data, rows[k, :3], rows[k, 3:], center, root)
-            mujoco.mj_jacDot(model, data, rates[k, :3], rates[k, 3:], center, root)
+            mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_BODY, root, found, 0)
+            arm, omega = center - data.xipos[root], rows[k, 3:] @ v
+            linear = found[3:] - weight + np.cross(found[:3], arm) + np.cross(omega, np.cross(omega, arm))
+            drift[k] = np.concatenate([linear, found[:3]])
         turns = data.xmat[self._roots].reshape(-1, 3, 3).copy()
-        return Kinematics(centers, turns, rows, rates @ v)
+        return Kinematics(centers, turns, rows, drift)
 
     def constraints(self, q: Array) -> Constraints:
         """Rows of the equalities that are not left out."""
@@ -380,7 +391,9 @@ class MjcfOriginal(Original):
         self._go(q, np.zeros(len(v)))
         acting, weight = data.qfrc_passive + data.qfrc_actuator, -data.qfrc_bias
         self._go(q, v)
-        return Forces(acting + weight, data.qfrc_passive + data.qfrc_actuator - acting, data.qfrc_bias + weight)
+        return Forces(
+            acting + weight, data.qfrc_passive + data.qfrc_actuator - acting, data.qfrc_bias + weight
+        )
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """Kinetic, and potential of gravity and springs, J."""

@@ -112,7 +112,8 @@ class Original(ABC):
     """A file's own model.
 
     Attributes:
-        names: rigid groups of bodies that move, by the names that a scene has for them.
+        names: rigid groups of bodies that move, by the names that a scene has for them; halves of a body that
+            a loop was cut through have one name.
         motions: (nv,) what reports call the joint of each velocity.
         units: (nv,) of velocities: the model's size for lengths, 1 for angles.
         ranges: (nv,) how far coordinates may be moved from the start, rad or sizes.
@@ -232,6 +233,16 @@ class Original(ABC):
         v = v / max(1.0, float(np.max(np.abs(v / self.units), initial=0.0)))
         opening = float(np.max(np.abs(self.constraints(q).residual), initial=0.0))
         return Sample(q, v, opening, freedom)
+
+
+def wholes(names: Sequence[str], bodies: Sequence[str]) -> tuple[str, ...]:
+    """The names with those of halves, as `newton_euler.tree.weld_loops` names them, replaced by their bodies'."""
+    known = set(bodies)
+    found = []
+    for name in names:
+        places = [k for k in range(len(name)) if name.startswith("_at_", k) and name[:k] in known]
+        found.append(name[: places[-1]] if places and name not in known else name)
+    return tuple(found)
 
 
 def left_out(report: Mapping) -> dict[str, set[str]]:
