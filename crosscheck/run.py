@@ -14,6 +14,7 @@ from typing import Any
 from crosscheck.advice import Advice, Found, advise
 from crosscheck.comparison.known_figures import Measured, known_of, measure
 from crosscheck.comparison.levels import Row, compare, without_runs
+from crosscheck.comparison.reading import reading_rows
 from crosscheck.comparison.rows import not_judged
 from crosscheck.comparison.runs import rests
 from crosscheck.each_run import check_figures, each_run
@@ -175,7 +176,7 @@ def crosscheck(
     runs = each_run(scene, able, progress, lambda: without_runs(scene, able, RANDOM_STATES))
     try:
         with limited("comparing equations and runs", SHORTER, progress):
-            rows = compare(scene, able, runs, RANDOM_STATES)
+            rows = [*reading_rows(able, mapping), *compare(scene, able, runs, RANDOM_STATES)]
         check_figures(rows)
         measured: list[Measured] = []
         known = known_of(source, options)

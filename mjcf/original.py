@@ -34,8 +34,6 @@ SEVERAL_HINGES = 1.2
 """rad, that hinges of a body with others are moved from the start: beyond a quarter turn of the second of
 three, poses tell other angles."""
 
-ALIGNING_STEPS = 5
-
 DISABLED = ("CONTACT", "LIMIT", "FRICTIONLOSS")
 """No bilateral constraints: held against the report instead."""
 
@@ -78,9 +76,9 @@ class MjcfOriginal(Original):
         self._group(scene)
         self._measure(scene)
         self.unaccounted = tuple(self._unaccounted(report))
-        self.start = self._aligned(self.closed(self._data.qpos.copy())[0], scene)
+        self.start = self.aligned(self.closed(self._data.qpos.copy())[0], scene)
         self._leave_out(report)
-        self.start = self._aligned(self.closed(self.start)[0], scene)
+        self.start = self.aligned(self.closed(self.start)[0], scene)
         off = self._model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
         self.gravity = np.zeros(3) if off else self._model.opt.gravity.copy()
 
@@ -122,31 +120,6 @@ class MjcfOriginal(Original):
     def _name(self, kind: str, number: int) -> str:
         """What reports call an element."""
         return f"{kind} {getattr(self._model, kind)(number).name or number!r}"
-
-    def _aligned(self, q: Array, scene: Scene) -> Array:
-        """The configuration next to q in which bodies are where the scene has them, as far as they can be."""
-        bodies = {body.name: body for body in scene.mechanism.bodies}
-        if not all(name in bodies for name in self.names):
-            return q
-        wanted = [bodies[name].pose for name in self.names]
-        first = [self.names.index(name) == k for k, name in enumerate(self.names)]
-        best, least = q, np.inf
-        for _ in range(ALIGNING_STEPS):
-            found = self.kinematics(q, np.zeros(self._model.nv))
-            gap = np.zeros((len(wanted), 6))
-            for k, pose in enumerate(wanted):
-                gap[k, :3] = (pose.position - found.position[k]) / self.size
-                turn = pose.rotation @ found.rotation[k].T
-                gap[k, 3:] = 0.5 * (turn - turn.T)[[2, 0, 1], [1, 2, 0]]
-            gap = gap[first]
-            now = float(np.max(np.abs(gap)))
-            if not now < 0.5 * least:
-                break
-            best, least = q, now
-            rows = found.transformation[first] / np.repeat([self.size, 1.0], 3)[:, None] * self.units
-            step = np.linalg.lstsq(rows.reshape(-1, len(self.units)), gap.ravel())[0]
-            q = self.moved(q, self.units * step)
-        return best
 
     # The report
 
@@ -416,25 +389,24 @@ class MjcfOriginal(Original):
         yield "gravity", self._alone(samples)
         model.opt.gravity[:] = 0.0
         for kind, fields in OFF.items():
-            for k in range(len(kept[f"{kind}_{fields[0]}"])):
-                if not any(np.any(kept[f"{kind}_{field}"][k]) for field in fields):
+            count = model.njnt if kind == "dof" else len(kept[f"{kind}_{fields[0]}"])
+            for k in range(count):
+                rows = model.dof_jntid == k if kind == "dof" else np.arange(count) == k
+                if not any(np.any(kept[f"{kind}_{field}"][rows]) for field in fields):
                     continue
                 for field in fields:
-                    getattr(model, f"{kind}_{field}")[k] = kept[f"{kind}_{field}"][k]
+                    getattr(model, f"{kind}_{field}")[rows] = kept[f"{kind}_{field}"][rows]
                 if kind == "body":
                     model.opt.gravity[:] = gravity
-                yield self._owner(kind, k), self._alone(samples, without_weight=kind == "body")
+                what = {"jnt": ": stiffness", "dof": ": damping"}.get(kind, "")
+                name = self._name("joint" if what else kind, k) + what
+                yield name, self._alone(samples, without_weight=kind == "body")
                 model.opt.gravity[:] = 0.0
                 for field in fields:
-                    getattr(model, f"{kind}_{field}")[k] = 0.0
+                    getattr(model, f"{kind}_{field}")[rows] = 0.0
         for name, values in kept.items():
             getattr(model, name)[:] = values
         model.opt.gravity[:] = gravity
-
-    def _owner(self, kind: str, k: int) -> str:
-        if kind == "dof":
-            return f"{self.motions[k]}: damping"
-        return f"{self._name('joint', k)}: stiffness" if kind == "jnt" else self._name(kind, k)
 
     def _alone(self, samples: Sequence[Sample], without_weight: bool = False) -> list[Array]:
         found = []

@@ -22,6 +22,7 @@ import numpy as np
 
 from newton_euler.mapping import Mapping
 from newton_euler.scalars import Array
+from newton_euler.scene import Scene
 from newton_euler.state import MassProperties
 
 FREE = 1e-10
@@ -199,6 +200,36 @@ class Original(ABC):
             step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), CLOSED))
             q = self.moved(q, -step * self.units)
         return best, least
+
+    def aligned(self, q: Array, scene: Scene) -> Array:
+        """The configuration next to q in which bodies are where a scene has them, as far as they can be."""
+        poses = {body.name: body.pose for body in scene.mechanism.bodies}
+        if not set(self.names) <= set(poses):
+            return q
+        first = [self.names.index(name) == k for k, name in enumerate(self.names)]
+        wanted = [poses[name] for name in dict.fromkeys(self.names)]
+        best, least = q, np.inf
+        for _ in range(NEWTON_STEPS):
+            found = self.kinematics(q, np.zeros(len(self.units)))
+            gap = np.zeros((len(wanted), 6))
+            pairs = zip(wanted, found.position[first], found.rotation[first], strict=True)
+            for k, (pose, position, rotation) in enumerate(pairs):
+                gap[k, :3] = (pose.position - position) / self.size
+                turn = pose.rotation @ rotation.T
+                gap[k, 3:] = 0.5 * (turn - turn.T)[[2, 0, 1], [1, 2, 0]]
+            now = float(np.max(np.abs(gap)))
+            if now < least:
+                best, worse = q, now > 0.5 * least
+                least = now
+                if worse and now < 1e3 * CLOSED:
+                    break
+            elif least < 1e6 * CLOSED:
+                break
+            rows = found.transformation[first] / np.repeat([self.size, 1.0], 3)[:, None] * self.units
+            step = np.linalg.lstsq(rows.reshape(-1, len(self.units)), gap.ravel())[0]
+            step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), CLOSED))
+            q = self.moved(q, self.units * step)
+        return best
 
     @cached_property
     def samples(self) -> list[Sample]:

@@ -20,7 +20,6 @@ how much the states are open, magnified by the condition of the constraints.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -56,12 +55,16 @@ SPREAD = 1e-4
 """Share of the largest scale that any row's is at least, in forces at the size: independent velocities are
 known to 1e-16, `ROUND_OFF` times this, and let a row see as much of what acts elsewhere."""
 
-ALIKE = 0.1
-"""Share of a difference that an element may leave unexplained and be blamed."""
+RATE = 1.0
+"""rad/s and sizes a second, of the samples' velocities: what mechanisms do at least that do nothing else."""
+
+ALIKE = 1e-3
+"""Share of a difference (of squares) that what is blamed may leave unexplained."""
+
+PLACES = "center of mass at the start, m"
 
 
-@dataclass(frozen=True)
-class Figure:
+class Figure(NamedTuple):
     """One compared figure.
 
     Attributes:
@@ -81,22 +84,29 @@ class Figure:
         return bool(self.value <= self.tolerance)
 
 
-def verify(original: Original, system: System) -> list[Figure]:
+def verify(original: Original, system: System) -> Iterator[Figure]:
     """Compare equations of motion of a scene with the file's own.
 
-    The first that does not agree tells the most: what is after it may follow from it. Nothing is compared
-    after bodies that are not the file's, or that do not start where it has them.
+    The first figure that does not agree tells the most: what is after it may follow from it. Nothing is
+    compared after bodies that are not the file's, or that do not start where it has them.
+
+    Raises:
+        numpy.linalg.LinAlgError: for numbers that are not finite.
     """
     unknown = set(system.mechanism.body_names[1:]) ^ set(original.names)
     missing = sorted(unknown) + list(original.unaccounted)
-    found = [Figure("elements unaccounted for", len(missing), 0.5, ", ".join(missing[:5]))]
+    yield Figure("elements unaccounted for", len(missing), 0.5, ", ".join(missing[:5]))
     if unknown:
-        return found
+        return
     compared = _Compared(original, system)
-    found += compared.model_rows()
-    if found[-1].agrees:
-        found += [*compared.motion_rows(), *compared.force_rows(), *compared.system_rows()]
-    return found
+    placed = True
+    for figure in compared.model_rows():
+        yield figure
+        placed = placed and (figure.agrees or figure.quantity != PLACES)
+    if placed:
+        yield from compared.motion_rows()
+        yield from compared.force_rows()
+        yield from compared.system_rows()
 
 
 def check(report: Mapping) -> str:
@@ -210,7 +220,7 @@ class _Compared:
     # 1 and 2: bodies
 
     def model_rows(self) -> Iterator[Figure]:
-        """Mass properties, the mass matrix with loops open, and last where bodies start."""
+        """Mass properties, where bodies start among them, and the mass matrix with loops open."""
         names, found = self.mechanism.body_names[1:], self.system.mass_properties()
         parts = self.original.mass_properties()
         wanted = MassProperties(*(values[1:] for values in vars(_put_together(parts, self.bodies)).values()))
@@ -219,15 +229,15 @@ class _Compared:
         reach = self.size + float(np.max(np.abs(wanted.center_of_mass)))
         gaps = np.abs(found.mass / wanted.mass - 1.0)
         yield _figure("mass, rel", gaps, ROUND_OFF, names)
+        gaps = np.linalg.norm(found.center_of_mass - wanted.center_of_mass, axis=1)
+        tolerance = reach * (ROUND_OFF + 10.0 * self.samples[0].opening)
+        yield _figure(PLACES, gaps, tolerance, names)
         largest = np.linalg.norm(wanted.inertia, ord=2, axis=(1, 2))
         gaps = np.linalg.norm(found.inertia - wanted.inertia, ord=2, axis=(1, 2)) / largest
         # arms within a body are differences of places in the world
         arms = wanted.mass * self.size * reach / largest
         yield _figure("inertia, rel", gaps, ROUND_OFF * np.maximum(1.0, np.minimum(arms, 1e3)), names)
         yield row
-        gaps = np.linalg.norm(found.center_of_mass - wanted.center_of_mass, axis=1)
-        tolerance = reach * (ROUND_OFF + 10.0 * self.samples[0].opening)
-        yield _figure("center of mass at the start, m", gaps, tolerance, names)
 
     def _mass_matrix_row(self, found: MassProperties) -> Figure:
         centers, turns = self._first
@@ -246,7 +256,9 @@ class _Compared:
                 linear = rows[:3] + np.cross(rows[3:], arm, axisa=0, axisb=0).T
                 inertia = turn @ found.inertia[body] @ turn.T
                 mass += found.mass[body] * linear.T @ linear + rows[3:].T @ inertia @ rows[3:]
-            scale = _positive(np.sqrt(np.diag(basis.T @ (wanted + rotors) @ basis)))
+            scale = np.sqrt(np.diag(basis.T @ (wanted + rotors) @ basis))
+            units = self.original.units[chosen]  # links without mass have no scale of their own
+            scale = np.maximum(scale, SPREAD * np.max(scale * units, initial=0.0) / units)
             gap = np.zeros(len(rows_of))
             gap[chosen] = np.max(np.abs(basis.T @ (mass - wanted) @ basis) / np.outer(scale, scale), axis=1)
             gaps.append(gap)
@@ -327,9 +339,17 @@ class _Compared:
             left.append(onto.T @ wrench.ravel() - basis.T @ force)
             scales.append(np.abs(onto).T @ magnitude.ravel() + np.abs(basis).T @ np.abs(force))
 
-        def alone() -> Iterator[tuple[str, list[Array]]]:
+        def alone() -> Alone:
             for name, each in self.original.elements(self.samples):
-                yield name, self._reduced([forces[which] for forces in each])
+                yield name, [self._reduced([forces[which] for forces in each])]
+            # then what joints might have: constant forces and springs, or dampers
+            start = self.original.start
+            moved = [self.original.difference(start, sample.q) for sample in self.samples]
+            for k, name in enumerate(self.original.motions):
+                unit = np.eye(len(self.original.motions))[k]
+                static = [[unit] * len(moved), [x[k] * unit for x in moved]]
+                damping = [[sample.v[k] * unit for sample in self.samples]]
+                yield name, [self._reduced(forces) for forces in (static, damping)[which]]
 
         return self._row(quantity, left, self._largest(scales), alone)
 
@@ -346,9 +366,9 @@ class _Compared:
             units = (_positive(scale[sample.freedom.rows]) for sample in self.samples)
             return [mass / unit for mass, unit in zip(masses, units, strict=True)]
 
-        def alone() -> Iterator[tuple[str, list[Array]]]:
+        def alone() -> Alone:
             for name, each in self.original.rotors(self.samples):
-                yield name, relative(self._reduced(each))
+                yield name, [relative(self._reduced(each))]
 
         left = relative([one - two for one, two in zip(found, wanted, strict=True)])
         return self._row("armatures, rel", left, scale, alone)
@@ -388,7 +408,7 @@ class _Compared:
         if worst.agrees:
             return worst
         weights = [1.0 / _positive(scale[sample.freedom.rows]) for sample in self.samples]
-        return replace(worst, where=_most_alike(left, weights, alone()) or worst.where)
+        return worst._replace(where=_most_alike(left, weights, alone()) or worst.where)
 
     def _wrenches(self, state: State) -> tuple[Array, Array]:
         """(b, 6) of all that acts on the scene's bodies but constraints, and the sum of what there is."""
@@ -454,12 +474,13 @@ class _Compared:
         energies = np.array([self.original.energies(sample.q, sample.v) for sample in self.samples])
         mine = np.array([[each.kinetic_energy, each.potential_energy] for each in found])
         masses = np.array([body.mass for body in self.mechanism.bodies])
+        usual = 0.5 * float(masses.sum()) * (self.size * RATE) ** 2
         weight = float(masses.sum() * np.linalg.norm(self.scene.gravity) * reach)
         where = [f"state {k}" for k in range(len(found))]
         for k, quantity in enumerate(("kinetic energy, rel", "potential energy, rel")):
             gap = np.abs(mine[:, k] - energies[:, k] - k * (mine[0, k] - energies[0, k]))
-            scale = float(np.max(np.abs(np.concatenate([mine[:, k], energies[:, k]])))) + k * weight
-            yield _figure(quantity, gap / _positive(scale), 10.0 * limits, where)
+            scale = float(np.max(np.abs([mine[:, k], energies[:, k]]))) + usual + k * weight
+            yield _figure(quantity, gap / scale, 10.0 * limits, where)
         yield from self._acceleration_rows(
             [_stacked(e.linear_acceleration, e.angular_acceleration) for e in found]
         )
@@ -473,8 +494,8 @@ class _Compared:
             reached, drift = self._of_parts(acceleration), place.drift / self._part_units
             wanted = reached - drift
             own = np.linalg.lstsq(rows, wanted)[0]
-            scale = float(np.max(np.abs([reached, drift])))
-            strange.append(np.abs(rows @ own - wanted).reshape(-1, 6).max(axis=1) / _positive(scale))
+            scale = max(RATE**2, float(np.max(np.abs([reached, drift]))))
+            strange.append(np.abs(rows @ own - wanted).reshape(-1, 6).max(axis=1) / scale)
             a, basis = units * own, sample.freedom.basis
             mass, forces = sum(self.original.mass_matrix(sample.q)), self.original.forces(sample.q, sample.v)
             push = forces.static + forces.damping - forces.bias
@@ -484,7 +505,8 @@ class _Compared:
             _, jacobian, owners = self.original.constraints(sample.q)
             rates, coarse = (self._velocity_product(sample, step) for step in STENCIL_STEPS[::-1])
             opening.append(np.maximum(np.abs(jacobian @ own + rates) - np.abs(coarse - rates), 0.0))
-            speeds.append(np.max(np.abs(jacobian) @ np.abs(own) + np.abs(rates), initial=0.0))
+            largest = float(np.max(np.abs(jacobian), initial=0.0))
+            speeds.append(largest * max(RATE**2, float(np.max(np.abs(own), initial=0.0))))
         limits = np.array([self._tolerance(sample) for sample in self.samples])[:, None]
         doubts = np.array([sample.freedom.doubt for sample in self.samples])[:, None]
         quantity = "accelerations across joints, rel"
@@ -509,8 +531,8 @@ class _Compared:
         return total
 
 
-Alone = Iterator[tuple[str, list[Array]]]
-"""Elements by name, and what each of them does at the samples."""
+Alone = Iterator[tuple[str, list[list[Array]]]]
+"""Elements by name, and what each of them does at the samples, a list for each way in which it acts."""
 
 
 def _stacked(linear: Array, angular: Array) -> Array:
@@ -542,7 +564,7 @@ def _null(jacobian: Array) -> Array:
 
 
 def _most_alike(left: Sequence[Array], weights: Sequence[Array], alone: Alone) -> str:
-    """The element that explains differences at all states as a multiple of what it does; "" if none does."""
+    """The first element that explains differences at all states as multiples of what it does; "" if none."""
 
     def weighed(values: Sequence[Array]) -> Array:
         return np.concatenate(
@@ -550,10 +572,10 @@ def _most_alike(left: Sequence[Array], weights: Sequence[Array], alone: Alone) -
         )
 
     gap, best, name = weighed(left), ALIKE, ""
-    for element, values in alone:
-        column = weighed(values)
-        square = float(column @ column)
-        share = 1.0 - float(gap @ column) ** 2 / (square * float(gap @ gap)) if square else 1.0
-        if share < best:
+    for element, ways in alone:
+        columns = np.array([weighed(values) for values in ways]).T
+        rest = gap - columns @ np.linalg.lstsq(columns, gap)[0]
+        share = float(rest @ rest) / float(gap @ gap)
+        if share < 0.5 * best:
             best, name = share, element
     return name

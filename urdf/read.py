@@ -2,6 +2,8 @@
 
 Pinocchio parses the URDF and adds up what fixed joints hold together; the scene is made of its model at
 coordinates 0, with followers of mimics where their offsets put them, or next to that where the loops close.
+It is verified against Pinocchio's own model of the file, see `newton_euler.verification` and `urdf.original`.
+
 The loop file has the keys of Gepetto's example-parallel-robots, see `urdf.loops`.
 """
 
@@ -28,9 +30,11 @@ from newton_euler.measured import Key
 from newton_euler.mechanism import Mechanism
 from newton_euler.scene import Scene
 from newton_euler.tree import unweld_loops
+from newton_euler.verification import check
 from urdf.errors import UrdfError
 from urdf.loops import Loops
 from urdf.model import BASES, ClosedLoopModel, build
+from urdf.original import UrdfOriginal
 from urdf.reading.bodies import Tree
 from urdf.reading.held import Held
 from urdf.reading.source import SourceError, check_inertias, parsed, read_loops, read_text
@@ -72,6 +76,7 @@ def read(
     output_period: float = OUTPUT_PERIOD,
     base: str = "fixed",
     gravity: Sequence[float] = GRAVITY,
+    verified: bool = True,
 ) -> Reading:
     """Read a URDF.
 
@@ -81,9 +86,10 @@ def read(
         duration, output_period: of the scene, s.
         base: "fixed" or "free", whether its root link is the ground or floats.
         gravity: (3,) of the scene, m/s^2.
+        verified: whether to verify the reading. If not, `report.originals` is what to verify it against.
 
     Raises:
-        UrdfError: naming the file and the element at fault.
+        UrdfError: naming the file and the element at fault, one that was not read right among them.
         UnknownNameError: for another base.
     """
     check_choice("base", base, tuple(BASES))
@@ -112,6 +118,9 @@ def read(
         root_link = "is the ground" if base == "fixed" else "floats"
         pull = " ".join(f"{g:g}" for g in gravity)
         report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")
+        report.originals.append((UrdfOriginal(text, closing, base, report, scene), scene))
+        if verified:
+            report.start.append(check(report))
     except RuntimeError as error:  # what Pinocchio asserts, of inertias for one
         check_inertias(where, root)
         raise SourceError(where, f"Pinocchio refuses it: {' '.join(str(error).split())}") from error

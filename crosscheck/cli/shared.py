@@ -84,13 +84,18 @@ def scene_options(
     return options
 
 
-def load_scene(scene: str, options: dict[str, str]) -> tuple[Scene, Mapping | None]:
-    """A scene, and what became of the elements of its file if that is a model of another tool."""
+def load_scene(
+    scene: str, options: dict[str, str], verified: bool = True
+) -> tuple[Scene, Mapping | None]:
+    """A scene, and what became of the elements of its file if that is a model of another tool.
+
+    Unless it is `verified`, what it is verified against comes with it.
+    """
     from crosscheck.model_files.read import is_model, read_model
     from crosscheck.scenes import load
 
     if is_model(scene):
-        return read_model(scene, options)
+        return read_model(scene, options, verified)
     return load(scene, **options), None
 
 

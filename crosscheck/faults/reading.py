@@ -1,0 +1,184 @@
+"""Faults planted in a reading of a model file, between the reading and its verification, one at a time.
+
+Values of each element are doubled, halved, dropped, put in another order, and a millionth more; joints are
+tilted and moved by as much, loops left open. The scene is that with all controls at random, in which every
+actuator acts. A fault that the verification does not see has to change nothing: then poses, velocities,
+energies, accelerations and reactions of the scene's own equations are the same with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from crosscheck.comparison.levels import compare_pair
+from crosscheck.faults import plant
+from crosscheck.faults.catalogue import SKEW, Fault
+from crosscheck.faults.find import MOTION, samples_of
+from crosscheck.comparison.samples import Samples
+from newton_euler.control import PD
+from newton_euler.errors import NewtonEulerError
+from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.mapping import Mapping
+from newton_euler.relative import Relative
+from newton_euler.scene import Scene
+from newton_euler.tree import SpanningTree
+from newton_euler.verification import verify
+
+FACTORS = {"doubled": 2.0, "halved": 0.5, "dropped": 0.0, "times 1 + 1e-6": 1.0 + 1e-6}
+
+SMALL, LARGE = 1e-6, 0.1
+"""rad, and sizes."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a fault.
+
+    Attributes:
+        fault: what was planted.
+        figure: the first quantity that fails; "refused" where no scene has the fault; "" if none does.
+        where: what is blamed.
+        named: whether that is the element at fault.
+        moves: whether the fault changes any motion; True where it is seen.
+    """
+
+    fault: Fault
+    figure: str
+    where: str
+    named: bool
+    moves: bool
+
+    @property
+    def missed(self) -> bool:
+        """Whether it changes what moves, and is not seen."""
+        return self.moves and not self.figure
+
+
+def reading_faults(scene: Scene) -> Iterator[Fault]:
+    """All faults of a scene that was read."""
+    bodies, joints = scene.mechanism.body_names[1:], scene.mechanism.joints
+    for what, factor in FACTORS.items():
+        share = max(factor, plant.REMAINS)
+        for body in bodies:
+            yield _fault("mass", body, what, plant.mass(body, share - 1.0))
+            inertia = plant.change_bodies({body: lambda b, share=share: {"inertia": share * b.inertia}})
+            yield _fault("inertia", body, what, inertia)
+        everything = plant.change_bodies({body: lambda b, share=share: {"mass": share * b.mass} for body in bodies})
+        yield _fault("mass", "all bodies", what, everything)
+        yield from _of_forces(scene, what, factor)
+    order = [1, 2, 0]
+    permuted = plant.change_bodies(
+        {body: lambda b: {"inertia": b.inertia[np.ix_(order, order)]} for body in bodies}
+    )
+    yield _fault("inertia", "all bodies", "permuted", permuted)
+    size = scene.mechanism.size
+    for angle in (SMALL, LARGE):
+        for body in bodies:
+            yield _fault("frame", body, f"turned by {angle:g}", plant.inertia_frame(body, SKEW, angle))
+            shifted = plant.center_of_mass(body, angle * size * SKEW)
+            yield _fault("center of mass", body, f"moved by {angle:g}", shifted)
+        for joint in joints:
+            for direction, tilted in plant.tilted(joint, angle).items():
+                yield _fault("axis", joint.name, f"tilted by {angle:g} {direction}", tilted)
+            moved = plant.joint_point(joint.name, angle * size * SKEW)
+            yield _fault("joint point", joint.name, f"moved by {angle:g}", moved)
+    for joint in joints:
+        for name in joint.axis_names:
+            turned = plant.joint_axes(joint.name, {name: -getattr(joint, name)})
+            yield _fault("axis", joint.name, f"{name} the other way", turned)
+    for cut in SpanningTree(scene.mechanism).cuts:
+        yield _fault("equality", joints[cut].name, "dropped", plant.missing_joint(joints[cut].name))
+
+
+def _of_forces(scene: Scene, what: str, factor: float) -> Iterator[Fault]:
+    """Values of springs, dampers, armatures, gears, laws and gravity."""
+    for field in ("control", "forces"):
+        for index, force in enumerate(getattr(scene, field)):
+            for name in force.parameters:
+                value = getattr(force, name)
+                idle = name == "rest" and not force.stiffness or name == "target" and not force.stiffness
+                if np.any(value) and not idle:
+                    changed = _entry(field, index, name, factor * value)
+                    yield _fault(f"{name} of {type(force).__name__}", _element(force), what, changed)
+    for index, rotor in enumerate(scene.armatures):
+        changed = _entry("armatures", index, "inertia", factor * rotor.inertia) if factor else _without("armatures", index)
+        yield _fault("armature", rotor.joint, what, changed)
+    for index, motion in enumerate(scene.motions):
+        if not factor:
+            yield _fault("equality", motion.joint, what, _without("motions", index))
+    for index, gear in enumerate(scene.mechanism.couplings):
+        yield _fault("gear", gear.name, what, _other_gear(index, factor))
+    if np.any(scene.gravity):
+        yield _fault("gravity", "gravity", what, plant.gravity(factor * scene.gravity))
+
+
+def _fault(kind: str, element: str, detail: str, planted: plant.Plant) -> Fault:
+    return Fault(kind, element, detail, None, planted, frozenset({element}))
+
+
+def _element(force: PD | JointSpring | BallSpring | PointSpring | Wrench) -> str:
+    return force.name if isinstance(force, PointSpring | Wrench) else force.joint
+
+
+def _entry(field: str, index: int, name: str, value: object) -> plant.Plant:
+    def planted(scene: Scene) -> Scene:
+        entries = list(getattr(scene, field))
+        entries[index] = replace(entries[index], **{name: value})
+        return replace(scene, **{field: tuple(entries)})  # type: ignore[arg-type]
+
+    return planted
+
+
+def _without(field: str, index: int) -> plant.Plant:
+    def planted(scene: Scene) -> Scene:
+        entries = getattr(scene, field)
+        return replace(scene, initial_state=None, **{field: (*entries[:index], *entries[index + 1 :])})
+
+    return planted
+
+
+def _other_gear(index: int, factor: float) -> plant.Plant:
+    def planted(scene: Scene) -> Scene:
+        gears = list(scene.mechanism.couplings)
+        gear = gears.pop(index)
+        if factor:
+            gears.insert(index, replace(gear, ratio=factor * gear.ratio))
+        mechanism = type(scene.mechanism)(scene.mechanism.bodies, scene.mechanism.joints, gears)
+        return replace(scene, mechanism=mechanism, initial_state=None)  # type: ignore[arg-type]
+
+    return planted
+
+
+def find_in_reading(report: Mapping, progress: Callable[[str], None]) -> list[Outcome]:
+    """Plant all faults, one at a time, and verify the scene with each."""
+    original, scene = report.originals[-1]
+    own: list[Samples] = []
+    outcomes = []
+    faults = list(reading_faults(scene))
+    for number, fault in enumerate(faults):
+        progress(f"{number} of {len(faults)} faults: {fault.name}")
+        try:
+            planted = fault.plant(scene)
+            failing = next((f for f in verify(original, Relative(planted)) if not f.agrees), None)
+        except NewtonEulerError as error:
+            outcomes.append(Outcome(fault, "refused", str(error), fault.element in str(error), True))
+            continue
+        if failing is None:
+            own = own or [samples_of(scene)]
+            rows = (row for row in compare_pair(("right", "wrong"), own, [Samples(Relative(planted), own[0].states)], MOTION))
+            outcomes.append(Outcome(fault, "", "", False, not all(row.agrees for row in rows)))
+            continue
+        named = fault.element == "all bodies" or _is_named(fault.element, failing.where, report, scene)
+        outcomes.append(Outcome(fault, failing.quantity, failing.where, named, True))
+    return outcomes
+
+
+def _is_named(element: str, where: str, report: Mapping, scene: Scene) -> bool:
+    """Whether what is blamed is the element, or one of the file's that became it."""
+    if element in where:
+        return True
+    told = where.split(":")[0]
+    return any(entry.element == told and repr(element) in entry.how for entry in report.entries)
