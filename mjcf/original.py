@@ -34,6 +34,9 @@ SEVERAL_HINGES = 1.2
 """rad, that hinges of a body with others are moved from the start: beyond a quarter turn of the second of
 three, poses tell other angles."""
 
+ROUND_OFF = 1e-14
+"""Relative, of what is left of MuJoCo's sum of passive forces without its parts."""
+
 DISABLED = ("CONTACT", "LIMIT", "FRICTIONLOSS")
 """No bilateral constraints: held against the report instead."""
 
@@ -359,14 +362,15 @@ class MjcfOriginal(Original):
         return mass
 
     def forces(self, q: Array, v: Array) -> Forces:
-        """Of gravity, and of all that is passive or an actuator's."""
+        """Of gravity, springs, dampers, and actuators with all else that is passive."""
         data = self._data
         self._go(q, np.zeros(len(v)))
-        acting, weight = data.qfrc_passive + data.qfrc_actuator, -data.qfrc_bias
+        weight = -data.qfrc_bias
         self._go(q, v)
-        return Forces(
-            acting + weight, data.qfrc_passive + data.qfrc_actuator - acting, data.qfrc_bias + weight
-        )
+        springs, dampers = data.qfrc_spring.copy(), data.qfrc_damper.copy()
+        others = data.qfrc_passive - springs - dampers
+        others[np.abs(others) <= ROUND_OFF * np.abs(springs) + ROUND_OFF * np.abs(dampers)] = 0.0
+        return Forces(weight, springs, dampers, data.qfrc_actuator + others, data.qfrc_bias + weight)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """Kinetic, and potential of gravity and springs, J."""
@@ -379,7 +383,7 @@ class MjcfOriginal(Original):
     # One element at a time
 
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
-        """Forces (2, nv) of each element alone, static and of damping, at each sample, by its name."""
+        """Forces (4, nv) of each element alone, of all `KINDS`, at each sample, by its name."""
         model = self._model
         whole = {f"{kind}_{field}" for kind, fields in OFF.items() for field in fields}
         kept = {name: getattr(model, name).copy() for name in whole}
@@ -409,13 +413,9 @@ class MjcfOriginal(Original):
         model.opt.gravity[:] = gravity
 
     def _alone(self, samples: Sequence[Sample], without_weight: bool = False) -> list[Array]:
-        found = []
-        for sample in samples:
-            static, damping, _ = self.forces(sample.q, sample.v)
-            if without_weight:  # of the bodies, which is in the bias
-                self._go(sample.q, np.zeros(len(sample.v)))
-                static = self._data.qfrc_passive.copy()
-            found.append(np.array([static, damping]))
+        found = [np.array(self.forces(sample.q, sample.v)[:-1]) for sample in samples]
+        for forces in found if without_weight else ():
+            forces[0] = 0.0
         return found
 
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:

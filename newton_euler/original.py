@@ -78,12 +78,18 @@ class Kinematics(NamedTuple):
 class Forces(NamedTuple):
     """Generalized forces (nv,) of everything but constraints."""
 
-    static: Array
-    """What acts at rest."""
-    damping: Array
-    """What all but inertia adds in motion."""
+    gravity: Array
+    springs: Array
+    """Of joints, balls and tendons."""
+    dampers: Array
+    actuators: Array
+    """And all that is not among the others, such as gravity compensation."""
     bias: Array
     """What inertia adds in motion, to be moved to the other side of the equations."""
+
+
+KINDS = Forces._fields[:4]
+"""Of forces that are compared apart, so that small ones do not drown."""
 
 
 class Freedom(NamedTuple):
@@ -164,7 +170,7 @@ class Original(ABC):
 
     @abstractmethod
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
-        """Forces (2, nv) of each element alone, static and of damping, at each sample, by the element's name."""
+        """Forces (4, nv) of each element alone, of all `KINDS`, at each sample, by the element's name."""
 
     @abstractmethod
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:

@@ -7,8 +7,8 @@ moving, with springs displaced and actuators on:
 2. the mass matrix with loops open, bodies placed at random;
 3. joints, gears and motions of the scene where the file's own equalities are closed, how fast they open where
    the file lets bodies move, and how far what the scene leaves free opens the file's equalities;
-4. forces, static and of damping, and armatures, as independent velocities see them; a difference is blamed
-   on the element of the file whose own force, alone, is most like it;
+4. forces of gravity, springs, dampers and actuators apart, and armatures, as independent velocities see
+   them; a difference is blamed on the element of the file whose own force, alone, is most like it;
 5. what a system makes of the scene: poses, energies, and accelerations, put into the file's own equations
    M a = f + J^T lambda and J a = -Jdot v: no solution of these is compared, so no rank decides.
 
@@ -20,6 +20,7 @@ how much the states are open, magnified by the condition of the constraints.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -32,8 +33,9 @@ from newton_euler.couplings import couplings, residuals
 from newton_euler.euler_parameters import angle_between, from_rotation, product
 from newton_euler.errors import VerificationError
 from newton_euler.force_terms import body_wrenches
+from newton_euler.forces import Wrench
 from newton_euler.mapping import Mapping
-from newton_euler.original import FREE, Original, Sample
+from newton_euler.original import FREE, KINDS, Original, Sample
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -320,20 +322,18 @@ class _Compared:
     # 4: forces
 
     def force_rows(self) -> Iterator[Figure]:
-        """Static forces and dampers, and armatures, in the file's independent velocities."""
-        acting = []
-        for place in self.places:
-            static, weight = self._wrenches(place.rest)
-            whole, pull = self._wrenches(place.state)
-            file = self.original.forces(place.sample.q, place.sample.v)
-            acting.append(((static, weight, file.static), (whole - static, pull, file.damping)))
-        for n, quantity in enumerate(("static forces, rel", "damping forces, rel")):
-            yield self._force_row(quantity, n, [each[n] for each in acting])
+        """Forces of each of the `KINDS`, and armatures, in the file's independent velocities."""
+        acting = [self._acting(place) for place in self.places]
+        wanted = [self.original.forces(sample.q, sample.v) for sample in self.samples]
+        for n, kind in enumerate(KINDS):
+            yield self._force_row(n, [each[n] for each in acting], [getattr(each, kind) for each in wanted])
         yield self._rotor_row()
 
-    def _force_row(self, quantity: str, which: int, acting: Sequence[tuple[Array, Array, Array]]) -> Figure:
+    def _force_row(
+        self, kind: int, acting: Sequence[tuple[Array, Array]], wanted: Sequence[Array]
+    ) -> Figure:
         left, scales = [], []
-        for place, (wrench, magnitude, force) in zip(self.places, acting, strict=True):
+        for place, (wrench, magnitude), force in zip(self.places, acting, wanted, strict=True):
             basis = place.sample.freedom.basis
             onto = place.transformation @ basis
             left.append(onto.T @ wrench.ravel() - basis.T @ force)
@@ -341,17 +341,20 @@ class _Compared:
 
         def alone() -> Alone:
             for name, each in self.original.elements(self.samples):
-                yield name, [self._reduced([forces[which] for forces in each])]
-            # then what joints might have: constant forces and springs, or dampers
+                yield name, [self._reduced([forces[kind] for forces in each])]
+            # then what joints might have: constant forces, springs and dampers
             start = self.original.start
             moved = [self.original.difference(start, sample.q) for sample in self.samples]
             for k, name in enumerate(self.original.motions):
                 unit = np.eye(len(self.original.motions))[k]
-                static = [[unit] * len(moved), [x[k] * unit for x in moved]]
-                damping = [[sample.v[k] * unit for sample in self.samples]]
-                yield name, [self._reduced(forces) for forces in (static, damping)[which]]
+                ways = [
+                    [unit] * len(moved),
+                    [x[k] * unit for x in moved],
+                    [sample.v[k] * unit for sample in self.samples],
+                ]
+                yield name, [self._reduced(forces) for forces in ways]
 
-        return self._row(quantity, left, self._largest(scales), alone)
+        return self._row(f"{KINDS[kind]}, rel", left, self._largest(scales), alone)
 
     def _rotor_row(self) -> Figure:
         wanted = self._reduced([self.original.mass_matrix(sample.q)[1] for sample in self.samples])
@@ -410,12 +413,32 @@ class _Compared:
         weights = [1.0 / _positive(scale[sample.freedom.rows]) for sample in self.samples]
         return worst._replace(where=_most_alike(left, weights, alone()) or worst.where)
 
-    def _wrenches(self, state: State) -> tuple[Array, Array]:
-        """(b, 6) of all that acts on the scene's bodies but constraints, and the sum of what there is."""
-        scene, frames = self.scene, state.frames()
-        total = np.array(body_wrenches(scene, self._poses, frames))
+    @cached_property
+    def _scenes(self) -> tuple[Scene, Scene, Scene]:
+        """The scene with its springs, its dampers, and what else acts beside gravity alone."""
+        forces = [force for force in self.scene.forces if not isinstance(force, Wrench)]
+        others = tuple(force for force in self.scene.forces if isinstance(force, Wrench))
+        springs = tuple(replace(force, damping=0.0) for force in forces if force.stiffness)
+        dampers = tuple(replace(force, stiffness=0.0) for force in forces if force.damping)
+        alone = replace(self.scene, control=(), forces=springs)
+        return alone, replace(alone, forces=dampers), replace(self.scene, forces=others)
+
+    def _acting(self, place: _Place) -> list[tuple[Array, Array]]:
+        """(b, 6) wrenches of each of the `KINDS` on the scene's bodies, and the sums of what there is."""
+        weight = np.zeros((len(self.mechanism.bodies), 6))
         for k, body in enumerate(self.mechanism.bodies):
-            total[k, :3] += body.mass * scene.gravity
+            weight[k, :3] = body.mass * self.scene.gravity
+        springs, dampers, others = self._scenes
+        return [
+            (weight, np.abs(weight)),
+            self._wrenches(springs, place.rest),
+            self._wrenches(dampers, place.state),
+            self._wrenches(others, place.state),
+        ]
+
+    def _wrenches(self, scene: Scene, state: State) -> tuple[Array, Array]:
+        frames = state.frames()
+        total = np.array(body_wrenches(scene, self._poses, frames))
         magnitude = np.abs(total)
         for law in scene.joint_forces:
             equations = self.mechanism.equations[self.mechanism.joint_index(law.joint)]
@@ -498,9 +521,9 @@ class _Compared:
             strange.append(np.abs(rows @ own - wanted).reshape(-1, 6).max(axis=1) / scale)
             a, basis = units * own, sample.freedom.basis
             mass, forces = sum(self.original.mass_matrix(sample.q)), self.original.forces(sample.q, sample.v)
-            push = forces.static + forces.damping - forces.bias
+            push = sum(getattr(forces, kind) for kind in KINDS) - forces.bias
             left.append(basis.T @ (mass @ a - push))
-            parts = np.abs(mass) @ np.abs(a) + sum(map(np.abs, forces))
+            parts = np.abs(mass) @ np.abs(a) + sum(np.abs(force) for force in forces)
             scales.append(np.abs(basis).T @ parts)
             _, jacobian, owners = self.original.constraints(sample.q)
             rates, coarse = (self._velocity_product(sample, step) for step in STENCIL_STEPS[::-1])

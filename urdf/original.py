@@ -256,7 +256,7 @@ class UrdfOriginal(Original):
         """Of gravity, and of dampers."""
         weight = -np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
         bias = np.array(pin.nonLinearEffects(self._model, self._data, q, v)) + weight
-        return Forces(weight, -self._damping * v, bias)
+        return Forces(weight, np.zeros(len(v)), -self._damping * v, np.zeros(len(v)), bias)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """Kinetic, and potential of gravity, J."""
@@ -264,14 +264,16 @@ class UrdfOriginal(Original):
         return float(kinetic), float(pin.computePotentialEnergy(self._model, self._data, q))
 
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
-        """Forces (2, nv) of each element alone, static and of damping, at each sample, by its name."""
-        zero = np.zeros(self._model.nv)
-        weights = [self.forces(sample.q, sample.v).static for sample in samples]
-        yield "gravity", [np.array([weight, zero]) for weight in weights]
-        for place in np.flatnonzero(self._damping):
-            alone = np.where(np.arange(len(zero)) == place, self._damping, 0.0)
-            name = f"{self.motions[place]}: damping"
-            yield name, [np.array([zero, -alone * sample.v]) for sample in samples]
+        """Forces (4, nv) of each element alone, of all `KINDS`, at each sample, by its name."""
+        for name in ("gravity", *dict.fromkeys(self.motions)):
+            own, found = np.array([motion == name for motion in self.motions]), []
+            for sample in samples:
+                forces = np.array(self.forces(sample.q, sample.v)[:-1])
+                forces[1:] = np.where(own, forces[1:], 0.0)
+                forces[0] *= name == "gravity"
+                found.append(forces)
+            if np.any(found):
+                yield name if name == "gravity" else f"{name}: damping", found
 
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
         """None: a URDF has no armatures."""
