@@ -26,7 +26,7 @@ IMPLICIT = ("Radau", "implicitfast")
 
 
 def terminal_tables(result: Crosscheck) -> Iterator[Table]:
-    """Figures of engines against a model file, of pairs of engines, of each engine by itself, and of its own systems against each other."""
+    """Figures of engines against a model file, of pairs of engines, of each by itself, and of its systems."""
     titles = {
         "file": f"each engine against {result.title} as its file's own reader has it",
         "pairs": f"{result.title}: {result.scene.description}",

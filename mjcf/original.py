@@ -1,4 +1,4 @@
-"""An MJCF file as MuJoCo holds it, to verify a scene that was read from it, see `newton_euler.original`.
+"""An MJCF file as MuJoCo holds it, to verify a scene that was read from it, see `newton_euler.verification.original`.
 
 Shares nothing with `mjcf.reading` but the compiled model and the names of elements: where loops close, what
 is rigid and what acts is worked out here with MuJoCo's own functions. What the report of a reading says was
@@ -16,7 +16,10 @@ import mujoco
 import numpy as np
 
 from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, unique_name
-from newton_euler.original import (
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.state import MassProperties
+from newton_euler.verification.original import (
     Constraints,
     Forces,
     Kinematics,
@@ -26,9 +29,6 @@ from newton_euler.original import (
     left_out,
     wholes,
 )
-from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.state import MassProperties
 
 SEVERAL_HINGES = 1.2
 """rad, that hinges of a body with others are moved from the start: beyond a quarter turn of the second of
@@ -36,6 +36,9 @@ three, poses tell other angles."""
 
 ROUND_OFF = 1e-14
 """Relative, of what is left of MuJoCo's sum of passive forces without its parts."""
+
+TORQUE_SCALE = 10
+"""Where `eq_data` of a weld has the factor on what it says of angles."""
 
 DISABLED = ("CONTACT", "LIMIT", "FRICTIONLOSS")
 """No bilateral constraints: held against the report instead."""
@@ -315,30 +318,43 @@ class MjcfOriginal(Original):
         data.qpos[:] = q
         data.eq_active[:] = self._active
         mujoco.mj_fwdPosition(model, data)
-        rows = np.flatnonzero(data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-        numbers = data.efc_id[rows]
-        units = np.concatenate([np.ones(0), *(self._row_units(int(k)) for k in dict.fromkeys(numbers))])
-        units = units if len(units) == len(rows) else np.ones(len(rows))
-        jacobian = data.efc_J.reshape(-1, model.nv)[rows] / units[:, None] * self.units
-        names = [self._name("equality", int(k)) for k in numbers]
-        return Constraints(data.efc_pos[rows] / units, jacobian, names)
+        equalities = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        residual, jacobian = np.zeros(len(self._row_units)), np.zeros((len(self._row_units), model.nv))
+        there = np.isin(self._row_owners, data.efc_id[equalities])  # MuJoCo drops those of zeros
+        residual[there] = data.efc_pos[equalities]
+        jacobian[there] = data.efc_J.reshape(-1, model.nv)[equalities]
+        names = [self._name("equality", int(k)) for k in self._row_owners]
+        return Constraints(
+            residual / self._row_units, jacobian / self._row_units[:, None] * self.units, names
+        )
 
-    def _row_units(self, equality: int) -> Array:
-        """What MuJoCo's rows of an equality are in: sizes or rad, those of welds `torquescale` times as much."""
+    @cached_property
+    def _row_owners(self) -> Array:
+        """(k,) number of the equality that each row is of."""
+        units = [self._units_of(k) for k in range(self._model.neq)]
+        return np.repeat(np.arange(len(units)), [len(unit) for unit in units])
+
+    @cached_property
+    def _row_units(self) -> Array:
+        """(k,) of the rows, m or 1."""
+        return np.concatenate([np.ones(0), *(self._units_of(k) for k in range(self._model.neq))])
+
+    def _units_of(self, equality: int) -> Array:
+        """What rows of an equality are made dimensionless with; those of welds have a `torquescale` too."""
         model, size = self._model, self.size
         first = int(model.eq_obj1id[equality])
         match mujoco.mjtEq(model.eq_type[equality]):
             case mujoco.mjtEq.mjEQ_CONNECT:
                 return np.full(3, size)
             case mujoco.mjtEq.mjEQ_WELD:
-                scale = float(model.eq_data[equality, 10])
-                return np.array([size] * 3 + [scale] * 3) if scale else np.full(3, size)
+                scale = float(model.eq_data[equality, TORQUE_SCALE]) or 1.0
+                return np.array([size] * 3 + [scale] * 3)
             case mujoco.mjtEq.mjEQ_JOINT:
                 return self.units[model.jnt_dofadr[first], None]
             case mujoco.mjtEq.mjEQ_TENDON:
                 sums = model.wrap_type[model.tendon_adr[first]] == mujoco.mjtWrap.mjWRAP_JOINT
                 return np.ones(1) if sums else np.full(1, size)
-        return np.ones(int(np.sum(self._data.efc_id == equality)))
+        return np.ones(0)  # flexes have no joints
 
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
         """(nv, nv) of the bodies, and of the rotors."""

@@ -4,7 +4,7 @@ MuJoCo compiles the file, so that its defaults, includes, angles and inertias ar
 the scene is made from the compiled model at the pose that it starts from: a keyframe or qpos0, with the
 loops closed. Bodies that are fixed to each other are one body.
 
-What was read is verified against MuJoCo's own model of the file, see `newton_euler.verification` and
+What was read is verified against MuJoCo's own model of the file, see `newton_euler.verification.verify` and
 `mjcf.original`. The reading is a function of the model and of the controls, and so that all actuators show it
 is made and verified once more with all controls at random.
 """
@@ -40,7 +40,7 @@ from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import State
 from newton_euler.tree import unweld_loops
-from newton_euler.verification import check
+from newton_euler.verification.verify import check
 
 DURATION = 1.0
 """s, of a run of a model that says nothing about how long it wants to be run."""

@@ -12,8 +12,8 @@ import numpy as np
 from newton_euler.measured import Key
 
 if TYPE_CHECKING:
-    from newton_euler.original import Original
     from newton_euler.scene import Scene
+    from newton_euler.verification.original import Original
 
 Fate = Literal["exactly", "approximated", "left out"]
 
@@ -92,7 +92,7 @@ class Mapping:
         entries: in the order in which they were added.
         start: lines about the pose and the velocities that the scene starts from.
         originals: what the scene, and others that are read from the file to verify the reading, are verified
-            against, see `newton_euler.verification`; the scene's first.
+            against, see `newton_euler.verification.verify`; the scene's first.
     """
 
     def __init__(self) -> None:

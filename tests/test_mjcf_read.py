@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,8 @@ from mjcf_models import ELEMENTS, FLOATING, FOUR_BARS, PAIR, arm, model, reading
 import newton_euler
 from mjcf.errors import MjcfError
 from mjcf.model import CompiledScene
-from mjcf.read import Reading, read
+from mjcf.read import Reading
 from mjcf.reading.ties import Ties
-from newton_euler import Armature, Mechanism
 from newton_euler.compiled import FORMULATIONS, formulate
 from newton_euler.couplings import Gear
 from newton_euler.joints import (
@@ -28,7 +26,6 @@ from newton_euler.joints import (
     Spherical,
     Universal,
 )
-from newton_euler.mapping import Mapping
 
 
 @pytest.mark.parametrize("name", ELEMENTS)

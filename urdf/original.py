@@ -1,5 +1,5 @@
 """A URDF and its loop file as Pinocchio holds them, to verify a scene read from them, see
-`newton_euler.original`.
+`newton_euler.verification.original`.
 
 Pinocchio parses the file anew. What the loop file says, and mimics, are rows of constraints here; nothing is
 shared with `urdf.reading` but the names of elements.
@@ -15,10 +15,18 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, unique_name
-from newton_euler.original import Constraints, Forces, Kinematics, Original, Sample, left_out, wholes
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import MassProperties
+from newton_euler.verification.original import (
+    Constraints,
+    Forces,
+    Kinematics,
+    Original,
+    Sample,
+    left_out,
+    wholes,
+)
 from urdf.loops import UNIVERSAL, Loops
 
 SEVERAL_HINGES = 1.2

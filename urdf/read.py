@@ -2,7 +2,7 @@
 
 Pinocchio parses the URDF and adds up what fixed joints hold together; the scene is made of its model at
 coordinates 0, with followers of mimics where their offsets put them, or next to that where the loops close.
-It is verified against Pinocchio's own model of the file, see `newton_euler.verification` and `urdf.original`.
+It is verified against Pinocchio's own model of the file, see `newton_euler.verification.verify` and `urdf.original`.
 
 The loop file has the keys of Gepetto's example-parallel-robots, see `urdf.loops`.
 """
@@ -30,7 +30,7 @@ from newton_euler.measured import Key
 from newton_euler.mechanism import Mechanism
 from newton_euler.scene import Scene
 from newton_euler.tree import unweld_loops
-from newton_euler.verification import check
+from newton_euler.verification.verify import check
 from urdf.errors import UrdfError
 from urdf.loops import Loops
 from urdf.model import BASES, ClosedLoopModel, build

@@ -84,9 +84,7 @@ def scene_options(
     return options
 
 
-def load_scene(
-    scene: str, options: dict[str, str], verified: bool = True
-) -> tuple[Scene, Mapping | None]:
+def load_scene(scene: str, options: dict[str, str], verified: bool = True) -> tuple[Scene, Mapping | None]:
     """A scene, and what became of the elements of its file if that is a model of another tool.
 
     Unless it is `verified`, what it is verified against comes with it.

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 from crosscheck.comparison.rows import FILE, LEVELS, Row
 from crosscheck.engines import Engine
 from newton_euler.mapping import Mapping
-from newton_euler.verification import verify
+from newton_euler.verification.verify import verify
 
 
 def reading_rows(engines: Sequence[Engine], report: Mapping | None) -> Iterator[Row]:
-    """Figures of `newton_euler.verification` for each engine, as the file says and with controls at random.
+    """Figures of `newton_euler.verification.verify` for each engine; none for a scene that is from no file.
 
-    Of those of both the one that is worst for its tolerance; none for a scene that is from no file.
+    Of the scene as the file says and with controls at random the one that is worst for its tolerance.
     """
     for engine in engines if report else ():
         found: dict[str, Row] = {}

@@ -22,7 +22,7 @@ LEVELS = (
 )
 
 FILE = "file"
-"""What engines are compared with at the level "reading", see `newton_euler.verification`."""
+"""What engines are compared with at the level "reading", see `newton_euler.verification.verify`."""
 
 START = "start"
 """Of two models, the level after "model": engines start from one scene, models where each file says."""

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from crosscheck.comparison.levels import compare_pair
+from crosscheck.comparison.samples import Samples
 from crosscheck.faults import plant
 from crosscheck.faults.catalogue import SKEW, Fault
 from crosscheck.faults.find import MOTION, samples_of
-from crosscheck.comparison.samples import Samples
 from newton_euler.control import PD
 from newton_euler.errors import NewtonEulerError
 from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
@@ -25,7 +25,7 @@ from newton_euler.mapping import Mapping
 from newton_euler.relative import Relative
 from newton_euler.scene import Scene
 from newton_euler.tree import SpanningTree
-from newton_euler.verification import verify
+from newton_euler.verification.verify import verify
 
 FACTORS = {"doubled": 2.0, "halved": 0.5, "dropped": 0.0, "times 1 + 1e-6": 1.0 + 1e-6}
 
@@ -66,7 +66,9 @@ def reading_faults(scene: Scene) -> Iterator[Fault]:
             yield _fault("mass", body, what, plant.mass(body, share - 1.0))
             inertia = plant.change_bodies({body: lambda b, share=share: {"inertia": share * b.inertia}})
             yield _fault("inertia", body, what, inertia)
-        everything = plant.change_bodies({body: lambda b, share=share: {"mass": share * b.mass} for body in bodies})
+        everything = plant.change_bodies(
+            {body: lambda b, share=share: {"mass": share * b.mass} for body in bodies}
+        )
         yield _fault("mass", "all bodies", what, everything)
         yield from _of_forces(scene, what, factor)
     order = [1, 2, 0]
@@ -99,12 +101,16 @@ def _of_forces(scene: Scene, what: str, factor: float) -> Iterator[Fault]:
         for index, force in enumerate(getattr(scene, field)):
             for name in force.parameters:
                 value = getattr(force, name)
-                idle = name == "rest" and not force.stiffness or name == "target" and not force.stiffness
+                idle = (name == "rest" and not force.stiffness) or (name == "target" and not force.stiffness)
                 if np.any(value) and not idle:
                     changed = _entry(field, index, name, factor * value)
                     yield _fault(f"{name} of {type(force).__name__}", _element(force), what, changed)
     for index, rotor in enumerate(scene.armatures):
-        changed = _entry("armatures", index, "inertia", factor * rotor.inertia) if factor else _without("armatures", index)
+        changed = (
+            _entry("armatures", index, "inertia", factor * rotor.inertia)
+            if factor
+            else _without("armatures", index)
+        )
         yield _fault("armature", rotor.joint, what, changed)
     for index, motion in enumerate(scene.motions):
         if not factor:
@@ -168,7 +174,12 @@ def find_in_reading(report: Mapping, progress: Callable[[str], None]) -> list[Ou
             continue
         if failing is None:
             own = own or [samples_of(scene)]
-            rows = (row for row in compare_pair(("right", "wrong"), own, [Samples(Relative(planted), own[0].states)], MOTION))
+            rows = (
+                row
+                for row in compare_pair(
+                    ("right", "wrong"), own, [Samples(Relative(planted), own[0].states)], MOTION
+                )
+            )
             outcomes.append(Outcome(fault, "", "", False, not all(row.agrees for row in rows)))
             continue
         named = fault.element == "all bodies" or _is_named(fault.element, failing.where, report, scene)

@@ -23,6 +23,7 @@ import numpy as np
 from newton_euler.mapping import Mapping
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
+from newton_euler.solve import singular_values
 from newton_euler.state import MassProperties
 
 FREE = 1e-10
@@ -181,7 +182,7 @@ class Original(ABC):
         rows = self.constraints(q).jacobian
         if not rows.size:
             return Freedom(np.eye(len(self.units)), np.arange(len(self.units)), 1.0, 0.0)
-        s, vt = np.linalg.svd(rows, full_matrices=True)[1:]
+        _, s, vt = singular_values(rows, full=True)
         s = s / max(1.0, float(s[0]))
         held, unsure = s[s > DOUBT], s[(s > FREE) & (s <= DOUBT)]
         condition = float(held[0] / held[-1]) if len(held) else 1.0
@@ -202,7 +203,7 @@ class Original(ABC):
                 break
             if least <= 0.1 * CLOSED:
                 break
-            step = np.linalg.pinv(rows, rcond=DOUBT) @ residual
+            step = least_squares(rows, residual, DOUBT)
             step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), CLOSED))
             q = self.moved(q, -step * self.units)
         return best, least
@@ -232,7 +233,7 @@ class Original(ABC):
             elif least < 1e6 * CLOSED:
                 break
             rows = found.transformation[first] / np.repeat([self.size, 1.0], 3)[:, None] * self.units
-            step = np.linalg.lstsq(rows.reshape(-1, len(self.units)), gap.ravel())[0]
+            step = least_squares(rows.reshape(-1, len(self.units)), gap.ravel())
             step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), CLOSED))
             q = self.moved(q, self.units * step)
         return best
@@ -294,6 +295,16 @@ def left_out(report: Mapping) -> dict[str, set[str]]:
 def approximated(report: Mapping) -> set[str]:
     """Elements that a report says were approximated."""
     return {entry.element for entry in report.of("approximated")}
+
+
+def least_squares(matrix: Array, right: Array, rank_tolerance: float | None = None) -> Array:
+    """The shortest of the least-squares solutions.
+
+    Raises `numpy.linalg.LinAlgError` for what is not finite: LAPACK might go on for ever.
+    """
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        raise np.linalg.LinAlgError("a matrix is not finite")
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=rank_tolerance)[0])
 
 
 def _localized(null: Array) -> tuple[Array, Array]:
