@@ -1,8 +1,9 @@
-"""An MJCF file as MuJoCo holds it, to verify a scene that was read from it, see `newton_euler.verification.original`.
+"""An MJCF file as MuJoCo holds it, to verify a scene that was read from it.
 
-Shares nothing with `mjcf.reading` but the compiled model and the names of elements: where loops close, what
-is rigid and what acts is worked out here with MuJoCo's own functions. What the report of a reading says was
-left out or approximated is switched off or replaced in a copy, by the names of elements and nothing else.
+See `newton_euler.verification`. Shares nothing with `mjcf.reading` but the compiled model and the names of
+elements: where loops close, what is rigid and what acts is worked out here with MuJoCo's own functions. What
+the report of a reading says was left out or approximated is switched off or replaced in a copy, by the names
+of elements and nothing else.
 """
 
 from __future__ import annotations
@@ -99,8 +100,8 @@ class MjcfOriginal(Original):
         """Bodies that no joint is between."""
         model = self._model
         root = [0] * model.nbody
-        for k in range(1, model.nbody):
-            root[k] = k if model.body_jntnum[k] else root[model.body_parentid[k]]
+        for k, parent in enumerate(model.body_parentid.tolist()):
+            root[k] = k if model.body_jntnum[k] else root[parent]
         self._roots = [k for k in range(1, model.nbody) if root[k] == k]
         self._members = [np.flatnonzero(np.array(root) == k) for k in self._roots]
         taken = ["ground"]
@@ -117,7 +118,7 @@ class MjcfOriginal(Original):
         self.motions = tuple(self._name("joint", int(k)) for k in model.dof_jntid)
         self.units = np.where(slides[model.dof_jntid], self.size, 1.0)
         self.ranges = np.full(model.nv, 3.0)
-        for dof, joint in enumerate(model.dof_jntid):
+        for dof, joint in enumerate(model.dof_jntid.tolist()):
             if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and dof < model.jnt_dofadr[joint] + 3:
                 self.units[dof] = self.size
             if np.sum(hinges & (model.jnt_bodyid == model.jnt_bodyid[joint])) > 1:
@@ -150,9 +151,9 @@ class MjcfOriginal(Original):
             ("tendon", model.tendon_limited, model.tendon_frictionloss),
         ):
             for topic, has in ((LIMITS, limited), (FRICTION, friction)):
-                for k in np.flatnonzero(has):
-                    if (self._name(kind, int(k)), topic) not in topics:
-                        yield f"{self._name(kind, int(k))}: {topic}"
+                for k in np.flatnonzero(has).tolist():
+                    if (self._name(kind, k), topic) not in topics:
+                        yield f"{self._name(kind, k)}: {topic}"
         touching = np.any(model.geom_contype) or np.any(model.geom_conaffinity) or model.npair
         if touching and CONTACTS not in {topic for _, topic in topics}:
             yield "contacts"

@@ -4,7 +4,7 @@ MuJoCo compiles the file, so that its defaults, includes, angles and inertias ar
 the scene is made from the compiled model at the pose that it starts from: a keyframe or qpos0, with the
 loops closed. Bodies that are fixed to each other are one body.
 
-What was read is verified against MuJoCo's own model of the file, see `newton_euler.verification.verify` and
+What was read is verified against MuJoCo's own model of the file, see `newton_euler.verification` and
 `mjcf.original`. The reading is a function of the model and of the controls, and so that all actuators show it
 is made and verified once more with all controls at random.
 """

@@ -124,7 +124,7 @@ class SingularityError(NewtonEulerError):
 
 
 class VerificationError(NewtonEulerError):
-    """A scene that is not what the file says that it was read from: the first figure that differs, and where."""
+    """A scene that is not what the file says: the first figure that differs, and where."""
 
     def __init__(self, quantity: str, value: float, tolerance: float, where: str) -> None:
         self.quantity = quantity

@@ -1,8 +1,7 @@
-"""A URDF and its loop file as Pinocchio holds them, to verify a scene read from them, see
-`newton_euler.verification.original`.
+"""A URDF and its loop file as Pinocchio holds them, to verify a scene that was read from them.
 
-Pinocchio parses the file anew. What the loop file says, and mimics, are rows of constraints here; nothing is
-shared with `urdf.reading` but the names of elements.
+See `newton_euler.verification`. Pinocchio parses the file anew. What the loop file says, and mimics, are rows
+of constraints here; nothing is shared with `urdf.reading` but the names of elements.
 """
 
 from __future__ import annotations
@@ -289,7 +288,7 @@ class UrdfOriginal(Original):
 
 
 def _built(text: str, loops: Loops, base: str) -> tuple[Any, list[str]]:
-    """Pinocchio's model, with joints as the loop file has them, and the URDF's joint of each of its joints."""
+    """Pinocchio's model, joints as the loop file has them, and the URDF's joint of each of its joints."""
     plain = pin.buildModelFromXML(text, *([pin.JointModelFreeFlyer()] if base == "free" else []))
     types = dict(zip(loops.joint_name, loops.joint_type, strict=True))
     held = [plain.getJointId(name) for name, kind in types.items() if kind == "FIXED"]

@@ -2,7 +2,7 @@
 
 Pinocchio parses the URDF and adds up what fixed joints hold together; the scene is made of its model at
 coordinates 0, with followers of mimics where their offsets put them, or next to that where the loops close.
-It is verified against Pinocchio's own model of the file, see `newton_euler.verification.verify` and `urdf.original`.
+It is verified against Pinocchio's own model of the file, see `newton_euler.verification` and `urdf.original`.
 
 The loop file has the keys of Gepetto's example-parallel-robots, see `urdf.loops`.
 """

@@ -16,7 +16,7 @@ from newton_euler.scalars import Array
 from newton_euler.state import Evaluation
 from newton_euler.verification.figure import ROUND_OFF, Figure, figure, tolerance, worst
 from newton_euler.verification.forces import largest, row_figure
-from newton_euler.verification.original import FREE, KINDS, Original, Sample, least_squares
+from newton_euler.verification.original import KINDS, Original, Sample, least_squares
 from newton_euler.verification.placed import Place, Placed
 
 RATE = 1.0
@@ -65,11 +65,11 @@ def _energy_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -
     weight = mass * float(np.linalg.norm(placed.scene.gravity)) * reach
     limits = np.array([10.0 * tolerance(sample) for sample in samples])
     names = [f"state {k}" for k in range(len(found))]
-    largest_of_all = np.max(np.abs([energies, wanted]), axis=(0, 1)) + [usual, usual + weight]
+    scales = np.max(np.abs([energies, wanted]), axis=(0, 1)) + np.array([usual, usual + weight])
     gaps = energies - wanted
     gaps[:, 1] -= gaps[0, 1]
     for k, quantity in enumerate(("kinetic energy, rel", "potential energy, rel")):
-        yield figure(quantity, np.abs(gaps[:, k]) / largest_of_all[k], limits, names)
+        yield figure(quantity, np.abs(gaps[:, k]) / scales[k], limits, names)
 
 
 def _acceleration_figures(placed: Placed, found: Sequence[Evaluation]) -> Iterator[Figure]:
@@ -90,8 +90,9 @@ def _acceleration_figures(placed: Placed, found: Sequence[Evaluation]) -> Iterat
     if loops:
         yield worst(loops)
     # multipliers of rows in doubt are large, and what round-off lets them do to free motions is too
-    doubt = max(FREE, *(place.sample.freedom.doubt for place in placed.places))
-    scale = (10.0 + np.finfo(float).eps / (ROUND_OFF * doubt)) * largest(original, scales)
+    doubts = [sample.freedom.doubt for sample in original.samples if sample.freedom.doubt]
+    spread = max((np.finfo(float).eps / (ROUND_OFF * doubt) for doubt in doubts), default=0.0)
+    scale = (10.0 + spread) * largest(original, scales)
     yield row_figure(original, "accelerations, as forces, rel", left, scale)
 
 

@@ -117,7 +117,8 @@ def row_figure(
     found, weights = [], []
     for gap, sample in zip(left, original.samples, strict=True):
         weights.append(1.0 / positive(scale[sample.freedom.rows]))
-        shares = (np.abs(gap).T * weights[-1]).T.reshape(len(gap), -1).max(axis=1, initial=0.0)
+        shares = (np.abs(gap).T * weights[-1]).T
+        shares = shares.max(axis=1, initial=0.0) if shares.ndim == 2 else shares
         names = [original.motions[k] for k in sample.freedom.rows]
         found.append(figure(quantity, shares, tolerance(sample), names))
     most = worst(found)

@@ -1,4 +1,4 @@
-"""A model file as an independent reader holds it: what a scene that was read from the file is verified against.
+"""A model file as an independent reader holds it, to verify a scene that was read from the file.
 
 A package for a file format says in a subclass of `Original` what its own reader's model does, in that model's
 own velocities. Closed states, and the motions that are free there, are worked out here, and with no help of
@@ -274,7 +274,7 @@ class Original(ABC):
 
 
 def wholes(names: Sequence[str], bodies: Sequence[str]) -> tuple[str, ...]:
-    """The names with those of halves, as `newton_euler.tree.weld_loops` names them, replaced by their bodies'."""
+    """Names with those of halves, as of `newton_euler.tree.weld_loops`, replaced by their bodies'."""
     known = set(bodies)
     found = []
     for name in names:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -54,9 +53,8 @@ class Placed:
 
     def of_parts(self, values: Array) -> Array:
         """(6 g, ...) dimensionless velocities or accelerations of groups, of (6 b, ...) of bodies."""
-        parts = values.reshape(len(self.mechanism.bodies), 6, -1)[self.bodies]
-        parts = parts.reshape(len(self.part_units), -1) / self.part_units[:, None]
-        return np.asarray(parts.reshape(-1, *values.shape[1:]))
+        rows = np.arange(len(values)).reshape(-1, 6)[self.bodies].ravel()
+        return np.asarray((values[rows].T / self.part_units).T)
 
     @cached_property
     def places(self) -> list[Place]:
@@ -81,8 +79,8 @@ class Placed:
         rows[list(self.parts)] = parts[list(self.parts.values())]
         linear, angular = np.split(rows @ sample.v, 2, axis=1)
         state = State(rest.position, rest.quaternion, linear, angular)
-        flat: Sequence[Array] = (rows.reshape(-1, len(sample.v)), parts.reshape(-1, len(sample.v)))
-        return Place(sample, state, rest, *flat, drift.ravel())
+        whole, of_parts = (each.reshape(-1, len(sample.v)) for each in (rows, parts))
+        return Place(sample, state, rest, whole, of_parts, drift.ravel())
 
 
 def shifted(rows: Array, arm: Array) -> Array:
