@@ -16,7 +16,7 @@ from newton_euler.scalars import Array
 from newton_euler.state import Evaluation
 from newton_euler.verification.figure import ROUND_OFF, Figure, figure, tolerance, worst
 from newton_euler.verification.forces import largest, row_figure
-from newton_euler.verification.original import KINDS, Original, Sample, least_squares
+from newton_euler.verification.original import FREE, KINDS, Original, Sample, least_squares
 from newton_euler.verification.placed import Place, Placed
 
 RATE = 1.0
@@ -84,16 +84,18 @@ def _acceleration_figures(placed: Placed, found: Sequence[Evaluation]) -> Iterat
         mass = np.sum(original.mass_matrix(place.sample.q), axis=0)
         forces = np.array(original.forces(place.sample.q, place.sample.v))
         push = forces[: len(KINDS)].sum(axis=0) - forces[-1]
-        left.append(basis.T @ (mass @ a - push))
+        certain = place.sample.freedom.certain
+        onto = certain @ np.linalg.pinv(certain)
+        left.append(onto.T @ (basis.T @ (mass @ a - push)))
         scales.append(np.abs(basis).T @ (np.abs(mass) @ np.abs(a) + np.abs(forces).sum(axis=0)))
     yield worst(across)
     if loops:
         yield worst(loops)
     # multipliers of rows in doubt are large, and what round-off lets them do to free motions is too
-    doubts = [sample.freedom.doubt for sample in original.samples if sample.freedom.doubt]
+    doubts = [sample.freedom.doubt for sample in original.samples if sample.freedom.doubt > FREE]
     spread = max((np.finfo(float).eps / (ROUND_OFF * doubt) for doubt in doubts), default=0.0)
     scale = (10.0 + spread) * largest(original, scales)
-    yield row_figure(original, "accelerations, as forces, rel", left, scale)
+    yield row_figure(original, "accelerations, as forces, rel", left, scale, of_motion=True)
 
 
 def _own_acceleration(placed: Placed, place: Place, accelerations: Array) -> tuple[Array, Figure]:
@@ -115,7 +117,7 @@ def _loop_figures(original: Original, sample: Sample, own: Array) -> list[Figure
     fine, coarse = (_velocity_product(original, sample, step) for step in STENCIL_STEPS)
     scale = float(np.max(np.abs(jacobian))) * max(RATE**2, float(np.max(np.abs(own))))
     gaps = np.maximum(np.abs(jacobian @ own + fine) - np.abs(coarse - fine), 0.0) / max(scale, RATE**2)
-    limit = 10.0 * (tolerance(sample) + sample.freedom.doubt)
+    limit = 10.0 * tolerance(sample)
     return [figure("accelerations across loops, rel", gaps, limit, owners)]
 
 

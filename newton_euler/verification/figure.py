@@ -41,9 +41,13 @@ class Figure(NamedTuple):
         return bool(self.value <= self.tolerance)
 
 
-def tolerance(sample: Sample) -> float:
-    """Relative: round-off, and by how much a state is open, magnified by the condition of its constraints."""
-    return min((ROUND_OFF + 10.0 * sample.opening) * sample.freedom.condition, LOOSEST)
+def tolerance(sample: Sample, of_motion: bool = True) -> float:
+    """Relative: round-off, and by how much a state is open, magnified by the condition of its constraints.
+
+    Figures `of_motion` may be off by the singular value that is in doubt as well.
+    """
+    unsure = ROUND_OFF + 10.0 * sample.opening + of_motion * sample.freedom.doubt
+    return min(unsure * sample.freedom.condition, LOOSEST)
 
 
 def figure(quantity: str, gaps: Array, tolerances: Array | float, names: Sequence[str]) -> Figure:

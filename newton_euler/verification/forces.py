@@ -109,6 +109,7 @@ def row_figure(
     left: Sequence[Array],
     scale: Array,
     alone: Callable[[], Alone] = lambda: iter(()),
+    of_motion: bool = False,
 ) -> Figure:
     """Differences at each sample, (d,) or (d, d), relative to (nv,) the largest there is.
 
@@ -120,7 +121,7 @@ def row_figure(
         shares = (np.abs(gap).T * weights[-1]).T
         shares = shares.max(axis=1, initial=0.0) if shares.ndim == 2 else shares
         names = [original.motions[k] for k in sample.freedom.rows]
-        found.append(figure(quantity, shares, tolerance(sample), names))
+        found.append(figure(quantity, shares, tolerance(sample, of_motion), names))
     most = worst(found)
     return most if most.agrees else most._replace(where=_most_alike(left, weights, alone()) or most.where)
 

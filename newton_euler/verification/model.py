@@ -11,7 +11,7 @@ from newton_euler.scalars import Array
 from newton_euler.solve import singular_values
 from newton_euler.state import MassProperties
 from newton_euler.system import dimensionless_jacobian
-from newton_euler.verification.figure import LOOSEST, ROUND_OFF, SPREAD, Figure, figure, tolerance, worst
+from newton_euler.verification.figure import ROUND_OFF, SPREAD, Figure, figure, tolerance, worst
 from newton_euler.verification.original import FREE, least_squares
 from newton_euler.verification.placed import Place, Placed, shifted
 
@@ -126,7 +126,7 @@ def _free_figure(placed: Placed, place: Place) -> Figure:
     strange = np.abs(rows @ velocities - moved).reshape(len(placed.bodies), -1).max(axis=1, initial=0.0)
     _, jacobian, owners = original.constraints(sample.q)
     opened = np.abs(jacobian @ velocities).max(axis=1, initial=0.0)
-    limit = min(10.0 * (tolerance(sample) + sample.freedom.doubt), LOOSEST)
+    limit = 10.0 * tolerance(sample)
     names = [*original.names, *owners]
     return figure("motions free in the scene alone, rel", np.concatenate([strange, opened]), limit, names)
 

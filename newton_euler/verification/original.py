@@ -6,9 +6,10 @@ what is verified.
 
 The one decision is which motions constraints leave free. Rows and velocities are made dimensionless with the
 model's size. A motion is *free* where a singular value of the constraint Jacobian is round-off (`FREE`), and
-*held* where it is beyond what the digits of a file leave open (`DOUBT`). In between it may be either: a scene
-passes whichever it says, because it is asked for less both ways. Motions that are free in the file have to be
-free in the scene; what is free in the scene may open the file's constraints by no more than what is in doubt.
+*held* where it is beyond what the digits of a file leave open (`DOUBT`). In between it may be either, and a
+scene passes whichever it says: bodies and forces are compared where nothing holds them, to the singular
+value that is in doubt, accelerations along motions that are free for certain. What is free in the scene may
+open the file's constraints by no more than what is in doubt.
 """
 
 from __future__ import annotations
@@ -97,13 +98,15 @@ class Freedom(NamedTuple):
     """Motions that constraints leave free at a configuration."""
 
     basis: Array
-    """(nv, d) of velocities, SI, the identity in `rows`."""
+    """(nv, d) of velocities that are not held, SI, the identity in `rows`."""
     rows: Array
     """(d,) velocities that tell all others."""
+    certain: Array
+    """(d, c) of those, the ones that are free."""
     condition: float
-    """Of the rows that are not in doubt."""
+    """Of the rows that hold."""
     doubt: float
-    """Largest singular value that may be either."""
+    """Largest singular value of those that do not, which may be a constraint's all the same."""
 
 
 class Sample(NamedTuple):
@@ -178,18 +181,18 @@ class Original(ABC):
         """Mass matrix (nv, nv) of each element's armature alone at each sample, by the element's name."""
 
     def freedom(self, q: Array) -> Freedom:
-        """Motions that are free for certain."""
-        rows = self.constraints(q).jacobian
+        """Motions that are not held."""
+        rows, count = self.constraints(q).jacobian, len(self.units)
         if not rows.size:
-            return Freedom(np.eye(len(self.units)), np.arange(len(self.units)), 1.0, 0.0)
+            return Freedom(np.eye(count), np.arange(count), np.eye(count), 1.0, 0.0)
         _, s, vt = singular_values(rows, full=True)
         s = s / max(1.0, float(s[0]))
-        held, unsure = s[s > DOUBT], s[(s > FREE) & (s <= DOUBT)]
-        condition = float(held[0] / held[-1]) if len(held) else 1.0
-        null = vt[len(held) + len(unsure) :].T
-        basis, chosen = _localized(null)
+        held, unsure = int(np.sum(s > DOUBT)), int(np.sum(s > FREE))
+        condition = float(s[0] / s[held - 1]) if held else 1.0
+        basis, chosen = _localized(vt[held:].T)
+        certain = vt[unsure:].T[chosen] / self.units[chosen, None]
         basis = basis * self.units[:, None] / self.units[chosen]
-        return Freedom(basis, chosen, condition, float(np.max(unsure, initial=0.0)))
+        return Freedom(basis, chosen, certain, condition, float(np.max(s[held:], initial=0.0)))
 
     def closed(self, q: Array) -> tuple[Array, float]:
         """The configuration next to one where loops are closed as well as can be, and how well that is."""
@@ -248,7 +251,7 @@ class Original(ABC):
             for attempt in range(ATTEMPTS):
                 q, opening = self.closed(self._far(amplitude * 0.7**attempt, rng))
                 away = np.abs(self.difference(self.start, q)) / self.units
-                if opening > max(allowed, found[0].freedom.doubt) or np.any(away > REACH):
+                if opening > max(allowed, 10.0 * found[0].freedom.doubt) or np.any(away > REACH):
                     continue
                 sample = self._sample(q, rng)
                 if sample.freedom.condition <= max(WORST_CONDITION, 10.0 * found[0].freedom.condition):
