@@ -8,7 +8,6 @@ of elements and nothing else.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any
@@ -17,7 +16,7 @@ import mujoco
 import numpy as np
 
 from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, unique_name
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, cross
 from newton_euler.scene import Scene
 from newton_euler.state import MassProperties
 from newton_euler.verification.original import (
@@ -60,7 +59,7 @@ class MjcfOriginal(Original):
     def __init__(
         self, model: Any, key: str | None, report: Mapping, scene: Scene, control: Array | None = None
     ) -> None:
-        """Take a copy of a compiled model.
+        """Take a compiled model, which is changed.
 
         Args:
             model: as MuJoCo compiled it.
@@ -69,7 +68,7 @@ class MjcfOriginal(Original):
             scene: what was read; its initial pose says which of the closed ones is the start.
             control: (nu,) of the start; that of the key if None.
         """
-        self._model: Any = copy.copy(model)
+        self._model: Any = model
         self._model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         for name in DISABLED:
             self._model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
@@ -308,7 +307,7 @@ class MjcfOriginal(Original):
             mujoco.mj_jac(model, data, rows[k, :3], rows[k, 3:], center, root)
             mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_BODY, root, found, 0)
             arm, omega = center - data.xipos[root], rows[k, 3:] @ v
-            linear = found[3:] - weight + np.cross(found[:3], arm) + np.cross(omega, np.cross(omega, arm))
+            linear = found[3:] - weight + cross(found[:3], arm) + cross(omega, cross(omega, arm))
             drift[k] = np.concatenate([linear, found[:3]])
         turns = data.xmat[self._roots].reshape(-1, 3, 3).copy()
         return Kinematics(centers, turns, rows, drift)

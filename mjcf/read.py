@@ -95,12 +95,12 @@ def read(
         model = compiled(where, root)
         found = _reading(where, copy.copy(model), key, None, duration, output_period)
         report = found.report
-        report.originals.append((MjcfOriginal(model, key, report, found.scene), found.scene))
         if model.nu:
             control = random_control(model)
             driven = _reading(where, copy.copy(model), key, control, duration, output_period)
-            original = MjcfOriginal(model, key, driven.report, driven.scene, control)
+            original = MjcfOriginal(copy.copy(model), key, driven.report, driven.scene, control)
             report.originals.append((original, driven.scene))
+        report.originals.insert(0, (MjcfOriginal(model, key, report, found.scene), found.scene))
         if sag := sag_line(found.start, duration):
             report.start.append(sag)
         if verified:

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, unique_name
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, cross, tilde
 from newton_euler.scene import Scene
 from newton_euler.state import MassProperties
 from newton_euler.verification.original import (
@@ -196,11 +196,11 @@ class UrdfOriginal(Original):
             places[n], turns[n] = pose.translation + arm, pose.rotation
             columns = pin.getJointJacobian(model, data, k, pin.LOCAL_WORLD_ALIGNED)
             rows[n] = np.reshape(columns, (6, model.nv))
-            rows[n, :3] += np.cross(rows[n, 3:], arm, axisa=0, axisb=0).T
+            rows[n, :3] -= tilde(arm) @ rows[n, 3:]
             found = pin.getClassicalAcceleration(model, data, k, pin.LOCAL_WORLD_ALIGNED)
             omega = rows[n, 3:] @ v
             drift[n, 3:] = found.angular
-            across = np.cross(found.angular, arm) + np.cross(omega, np.cross(omega, arm))
+            across = cross(found.angular, arm) + cross(omega, cross(omega, arm))
             drift[n, :3] = found.linear + across
         return Kinematics(places, turns, rows, drift)
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.euler_parameters import from_rotation, product
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, cross, tilde
 from newton_euler.state import State
 from newton_euler.system import System
 from newton_euler.verification.original import Original, Sample
@@ -74,7 +74,7 @@ class Placed:
             rest.quaternion[body] = product(from_rotation(turn), bodies[body].quaternion)
             parts[k] = shifted(parts[k], arm)
             omega = parts[k, 3:] @ sample.v
-            drift[k, :3] += np.cross(drift[k, 3:], arm) + np.cross(omega, np.cross(omega, arm))
+            drift[k, :3] += cross(drift[k, 3:], arm) + cross(omega, cross(omega, arm))
         rows = np.zeros((len(bodies), 6, len(sample.v)))
         rows[list(self.parts)] = parts[list(self.parts.values())]
         linear, angular = np.split(rows @ sample.v, 2, axis=1)
@@ -86,5 +86,5 @@ class Placed:
 def shifted(rows: Array, arm: Array) -> Array:
     """Velocities (6, nv) of a body at a point that lies `arm` (3,) from the one that they are of."""
     moved = rows.copy()
-    moved[:3] += np.cross(rows[3:], arm, axisa=0, axisb=0).T
+    moved[:3] -= tilde(arm) @ rows[3:]
     return moved
