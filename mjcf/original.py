@@ -398,7 +398,7 @@ class MjcfOriginal(Original):
 
     # One element at a time
 
-    def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
+    def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
         """Forces (4, nv) of each element alone, of all `KINDS`, at each sample, by its name."""
         model = self._model
         whole = {f"{kind}_{field}" for kind, fields in OFF.items() for field in fields}
@@ -406,7 +406,7 @@ class MjcfOriginal(Original):
         gravity = model.opt.gravity.copy()
         for name in whole:
             getattr(model, name)[:] = 0.0
-        yield "gravity", self._alone(samples)
+        yield "gravity", [self._alone(samples)]
         model.opt.gravity[:] = 0.0
         for kind, fields in OFF.items():
             count = model.njnt if kind == "dof" else len(kept[f"{kind}_{fields[0]}"])
@@ -416,23 +416,39 @@ class MjcfOriginal(Original):
                     continue
                 for field in fields:
                     getattr(model, f"{kind}_{field}")[rows] = kept[f"{kind}_{field}"][rows]
-                if kind == "body":
-                    model.opt.gravity[:] = gravity
                 what = {"jnt": ": stiffness", "dof": ": damping"}.get(kind, "")
-                name = self._name("joint" if what else kind, k) + what
-                yield name, self._alone(samples, without_weight=kind == "body")
-                model.opt.gravity[:] = 0.0
+                yield self._name("joint" if what else kind, k) + what, self._ways(kind, k, samples, gravity)
                 for field in fields:
                     getattr(model, f"{kind}_{field}")[rows] = 0.0
         for name, values in kept.items():
             getattr(model, name)[:] = values
         model.opt.gravity[:] = gravity
 
-    def _alone(self, samples: Sequence[Sample], without_weight: bool = False) -> list[Array]:
-        found = [np.array(self.forces(sample.q, sample.v)[:-1]) for sample in samples]
-        for forces in found if without_weight else ():
-            forces[0] = 0.0
-        return found
+    def _ways(self, kind: str, k: int, samples: Sequence[Sample], gravity: Array) -> list[list[Array]]:
+        """What an element does alone, and in ways of its own that faults may have each for itself."""
+        model = self._model
+        if kind == "body":  # its compensation of gravity, without its weight
+            model.opt.gravity[:] = gravity
+            found = self._alone(samples)
+            model.opt.gravity[:] = 0.0
+            for forces in found:
+                forces[0] = 0.0
+            return [found]
+        ways = [self._alone(samples)]
+        if kind == "tendon":
+            model.tendon_lengthspring[k] += self.size
+            ways.append(self._alone(samples))
+            model.tendon_lengthspring[k] -= self.size
+        if kind == "actuator" and model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_SITE:
+            gear = model.actuator_gear[k].copy()
+            for axis in np.flatnonzero(gear):
+                model.actuator_gear[k] = np.where(np.arange(len(gear)) == axis, gear, 0.0)
+                ways.append(self._alone(samples))
+            model.actuator_gear[k] = gear
+        return ways
+
+    def _alone(self, samples: Sequence[Sample]) -> list[Array]:
+        return [np.array(self.forces(sample.q, sample.v)[:-1]) for sample in samples]
 
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
         """Mass matrix (nv, nv) of each element's armature alone at each sample, by its name."""

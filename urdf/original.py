@@ -270,7 +270,7 @@ class UrdfOriginal(Original):
         kinetic = pin.computeKineticEnergy(self._model, self._data, q, v)
         return float(kinetic), float(pin.computePotentialEnergy(self._model, self._data, q))
 
-    def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
+    def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
         """Forces (4, nv) of each element alone, of all `KINDS`, at each sample, by its name."""
         for name in ("gravity", *dict.fromkeys(self.motions)):
             own, found = np.array([motion == name for motion in self.motions]), []
@@ -280,7 +280,7 @@ class UrdfOriginal(Original):
                 forces[0] *= name == "gravity"
                 found.append(forces)
             if np.any(found):
-                yield name if name == "gravity" else f"{name}: damping", found
+                yield name if name == "gravity" else f"{name}: damping", [found]
 
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
         """None: a URDF has no armatures."""

@@ -91,7 +91,10 @@ def reading_faults(scene: Scene) -> Iterator[Fault]:
     for joint in joints:
         for name in joint.axis_names:
             turned = plant.joint_axes(joint.name, {name: -getattr(joint, name)})
-            yield _fault("axis", joint.name, f"{name} the other way", turned)
+            gears = (gear for gear in scene.mechanism.couplings if joint.name in (gear.driver, gear.follower))
+            right = frozenset({joint.name, *(gear.name for gear in gears)})  # the other way round as well
+            fault = _fault("axis", joint.name, f"{name} the other way", turned)
+            yield replace(fault, right=right)
     for cut in SpanningTree(scene.mechanism).cuts:
         yield _fault("equality", joints[cut].name, "dropped", plant.missing_joint(joints[cut].name))
 
@@ -189,14 +192,14 @@ def find_in_reading(report: Mapping, progress: Callable[[str], None]) -> list[Ou
             moves = any(not (row.agrees or row.quantity.startswith("reaction")) for row in rows)
             outcomes.append(Outcome(fault, "", "", False, moves))
             continue
-        named = fault.element == EVERYTHING or _is_named(fault.element, failing.where, report, scene)
+        named = any(_is_named(element, failing.where, report) for element in fault.right)
         outcomes.append(Outcome(fault, failing.quantity, failing.where, named, True))
     return outcomes
 
 
-def _is_named(element: str, where: str, report: Mapping, scene: Scene) -> bool:
+def _is_named(element: str, where: str, report: Mapping) -> bool:
     """Whether what is blamed is the element, or one of the file's that became it."""
-    if element in where:
+    if element in (where, EVERYTHING) or repr(element) in where:
         return True
     told = where.split(":")[0]
     return any(entry.element == told and repr(element) in entry.how for entry in report.entries)

@@ -49,9 +49,11 @@ def _force_figure(
         scales.append(np.abs(onto).T @ magnitude.ravel() + np.abs(basis).T @ np.abs(force))
 
     def alone() -> Alone:
-        for name, each in original.elements(original.samples):
-            yield name, [_reduced(original, [forces[kind] for forces in each])]
-        # then what joints might have: constant forces, springs and dampers
+        for name, ways in original.elements(original.samples):
+            yield name, [_reduced(original, [forces[kind] for forces in each]) for each in ways]
+
+    def at_joints() -> Alone:
+        """What joints might have: constant forces, springs and dampers."""
         moved = [original.difference(original.start, sample.q) for sample in original.samples]
         for k, name in enumerate(original.motions):
             unit = np.eye(len(original.motions))[k]
@@ -59,7 +61,7 @@ def _force_figure(
             ways = ([unit] * len(moved), springs, dampers)
             yield name, [_reduced(original, forces) for forces in ways]
 
-    return row_figure(original, f"{KINDS[kind]}, rel", left, largest(original, scales), alone)
+    return row_figure(original, f"{KINDS[kind]}, rel", left, largest(original, scales), alone, at_joints)
 
 
 def _armature_figure(placed: Placed) -> Figure:
@@ -108,12 +110,13 @@ def row_figure(
     quantity: str,
     left: Sequence[Array],
     scale: Array,
-    alone: Callable[[], Alone] = lambda: iter(()),
+    *alone: Callable[[], Alone],
     of_motion: bool = False,
 ) -> Figure:
     """Differences at each sample, (d,) or (d, d), relative to (nv,) the largest there is.
 
-    If they are not round-off the element is named whose own part, of `alone`, explains most of them.
+    If they are not round-off the element is named that explains most of them, of the first of the kinds
+    `alone` that has any.
     """
     found, weights = [], []
     for gap, sample in zip(left, original.samples, strict=True):
@@ -123,11 +126,12 @@ def row_figure(
         names = [original.motions[k] for k in sample.freedom.rows]
         found.append(figure(quantity, shares, tolerance(sample, of_motion), names))
     most = worst(found)
-    return most if most.agrees else most._replace(where=_most_alike(left, weights, alone()) or most.where)
+    named = (_most_alike(left, weights, elements()) for elements in alone)
+    return most if most.agrees else most._replace(where=next(filter(None, named), most.where))
 
 
 def _most_alike(left: Sequence[Array], weights: Sequence[Array], alone: Alone) -> str:
-    """The first element that explains differences at all states as multiples of what it does; "" if none."""
+    """The element that explains differences at all states best by multiples of what it does; "" if none."""
 
     def weighed(values: Sequence[Array]) -> Array:
         pairs = zip(values, weights, strict=True)
@@ -138,7 +142,7 @@ def _most_alike(left: Sequence[Array], weights: Sequence[Array], alone: Alone) -
         columns = np.array([weighed(values) for values in ways]).T
         rest = gap - columns @ least_squares(columns, gap)
         share = float(rest @ rest) / float(gap @ gap)
-        if share < 0.5 * best:
+        if share < best:
             best, name = share, element
     return name
 

@@ -173,8 +173,11 @@ class Original(ABC):
         """Kinetic, and potential to within a constant, J."""
 
     @abstractmethod
-    def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
-        """Forces (4, nv) of each element alone, of all `KINDS`, at each sample, by the element's name."""
+    def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
+        """Forces (4, nv) of each element alone, of all `KINDS`, at each sample, by the element's name.
+
+        A list for each way in which it acts, such as that of a spring, and of one with another rest length.
+        """
 
     @abstractmethod
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
