@@ -85,16 +85,13 @@ def reading_faults(scene: Scene) -> Iterator[Fault]:
             yield _fault("center of mass", body, f"moved by {angle:g}", shifted)
         for joint in joints:
             for direction, tilted in plant.tilted(joint, angle).items():
-                yield _fault("axis", joint.name, f"tilted by {angle:g} {direction}", tilted)
+                yield _of_axis(scene, joint.name, f"tilted by {angle:g} {direction}", tilted)
             moved = plant.joint_point(joint.name, angle * size * SKEW)
             yield _fault("joint point", joint.name, f"moved by {angle:g}", moved)
     for joint in joints:
         for name in joint.axis_names:
             turned = plant.joint_axes(joint.name, {name: -getattr(joint, name)})
-            gears = (gear for gear in scene.mechanism.couplings if joint.name in (gear.driver, gear.follower))
-            right = frozenset({joint.name, *(gear.name for gear in gears)})  # the other way round as well
-            fault = _fault("axis", joint.name, f"{name} the other way", turned)
-            yield replace(fault, right=right)
+            yield _of_axis(scene, joint.name, f"{name} the other way", turned)
     for cut in SpanningTree(scene.mechanism).cuts:
         yield _fault("equality", joints[cut].name, "dropped", plant.missing_joint(joints[cut].name))
 
@@ -131,6 +128,12 @@ def _scaled(name: str, share: float) -> Callable[[Body], dict[str, Any]]:
 
 def _permuted(body: Body) -> dict[str, Any]:
     return {"inertia": body.inertia[np.ix_(ORDER, ORDER)]}
+
+
+def _of_axis(scene: Scene, joint: str, detail: str, planted: plant.Plant) -> Fault:
+    """One that may be blamed on gears as well, whose coordinates are about that axis."""
+    gears = (gear.name for gear in scene.mechanism.couplings if joint in (gear.driver, gear.follower))
+    return replace(_fault("axis", joint, detail, planted), right=frozenset({joint, *gears}))
 
 
 def _fault(kind: str, element: str, detail: str, planted: plant.Plant) -> Fault:
@@ -171,12 +174,14 @@ def _other_gear(index: int, factor: float) -> plant.Plant:
     return planted
 
 
-def find_in_reading(report: Mapping, progress: Callable[[str], None]) -> list[Outcome]:
-    """Plant all faults, one at a time, and verify the scene with each."""
+def find_in_reading(
+    report: Mapping, progress: Callable[[str], None], faults: Sequence[Fault] | None = None
+) -> list[Outcome]:
+    """Plant faults, all that there are if None are given, one at a time, and verify the scene with each."""
     original, scene = report.originals[-1]
     own: list[Samples] = []
     outcomes = []
-    faults = list(reading_faults(scene))
+    faults = list(reading_faults(scene)) if faults is None else faults
     for number, fault in enumerate(faults):
         progress(f"{number} of {len(faults)} faults: {fault.name}")
         try:

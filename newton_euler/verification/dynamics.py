@@ -16,16 +16,11 @@ from newton_euler.scalars import Array
 from newton_euler.state import Evaluation
 from newton_euler.verification.figure import ROUND_OFF, Figure, figure, tolerance, worst
 from newton_euler.verification.forces import largest, row_figure
-from newton_euler.verification.original import FREE, KINDS, Original, Sample, least_squares
+from newton_euler.verification.original import FREE, KINDS, Sample, least_squares
 from newton_euler.verification.placed import Place, Placed
 
 RATE = 1.0
 """rad/s and sizes a second, of the samples' velocities: what mechanisms do at least that do nothing else."""
-
-STENCIL = ((1, 4.0 / 5.0), (2, -1.0 / 5.0), (3, 4.0 / 105.0), (4, -1.0 / 280.0))
-STENCIL_STEPS = (2.5e-4, 1e-3)
-"""s, of derivatives of J v along a motion by central differences of eighth order: off by 1e-13 relative to
-what turns at 1 rad/s. Short rods turn faster; by how much the two steps differ is allowed for."""
 
 
 def system_figures(placed: Placed) -> Iterator[Figure]:
@@ -58,7 +53,7 @@ def _pose_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -> 
 def _energy_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -> Iterator[Figure]:
     """Potential energies are compared less those at the start: files and scenes have different zeros."""
     samples = placed.original.samples
-    wanted = np.array([placed.original.energies(sample.q, sample.v) for sample in samples])
+    wanted = np.array([sample.energies for sample in samples])
     energies = np.array([[each.kinetic_energy, each.potential_energy] for each in found])
     mass = sum(body.mass for body in placed.mechanism.bodies)
     usual = 0.5 * mass * (placed.original.size * RATE) ** 2
@@ -79,10 +74,9 @@ def _acceleration_figures(placed: Placed, found: Sequence[Evaluation]) -> Iterat
         accelerations = np.hstack([each.linear_acceleration, each.angular_acceleration]).ravel()
         own, strange = _own_acceleration(placed, place, accelerations)
         across.append(strange)
-        loops += _loop_figures(original, place.sample, own)
+        loops += _loop_figures(place.sample, own)
         basis, a = place.sample.freedom.basis, original.units * own
-        mass = np.sum(original.mass_matrix(place.sample.q), axis=0)
-        forces = np.array(original.forces(place.sample.q, place.sample.v))
+        mass, forces = np.sum(place.sample.mass_matrices, axis=0), np.array(place.sample.forces)
         push = forces[: len(KINDS)].sum(axis=0) - forces[-1]
         certain = place.sample.freedom.certain
         onto = certain @ np.linalg.pinv(certain)
@@ -109,24 +103,13 @@ def _own_acceleration(placed: Placed, place: Place, accelerations: Array) -> tup
     return own, figure("accelerations across joints, rel", gaps, limit, names)
 
 
-def _loop_figures(original: Original, sample: Sample, own: Array) -> list[Figure]:
+def _loop_figures(sample: Sample, own: Array) -> list[Figure]:
     """How far accelerations (nv,) open the file's constraints; nothing of a file without any."""
-    _, jacobian, owners = original.constraints(sample.q)
+    _, jacobian, owners = sample.constraints
     if not len(owners):
         return []
-    fine, coarse = (_velocity_product(original, sample, step) for step in STENCIL_STEPS)
+    fine, coarse = sample.velocity_products
     scale = float(np.max(np.abs(jacobian))) * max(RATE**2, float(np.max(np.abs(own))))
     gaps = np.maximum(np.abs(jacobian @ own + fine) - np.abs(coarse - fine), 0.0) / max(scale, RATE**2)
     limit = 10.0 * tolerance(sample)
     return [figure("accelerations across loops, rel", gaps, limit, owners)]
-
-
-def _velocity_product(original: Original, sample: Sample, step: float) -> Array:
-    """(k,) dJ/dt v of the file's constraints along the motion of constant velocities."""
-    total: Array = np.zeros(1)
-    for number, weight in STENCIL:
-        for sign in (1.0, -1.0):
-            q = original.moved(sample.q, sign * number * step * sample.v)
-            rate = original.constraints(q).jacobian @ (sample.v / original.units)
-            total = total + sign * weight / step * rate
-    return total

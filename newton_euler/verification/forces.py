@@ -32,7 +32,7 @@ def force_figures(placed: Placed) -> Iterator[Figure]:
     """Forces of each of the `KINDS`, and armatures."""
     scenes = _apart(placed.scene)
     acting = [_acting(placed, place, scenes) for place in placed.places]
-    wanted = [placed.original.forces(place.sample.q, place.sample.v) for place in placed.places]
+    wanted = [place.sample.forces for place in placed.places]
     for n in range(len(KINDS)):
         yield _force_figure(placed, n, [each[n] for each in acting], [each[n] for each in wanted])
     yield _armature_figure(placed)
@@ -67,7 +67,7 @@ def _force_figure(
 def _armature_figure(placed: Placed) -> Figure:
     """Armatures as parts of the mass matrix that independent velocities see."""
     original = placed.original
-    wanted = _reduced(original, [original.mass_matrix(sample.q)[1] for sample in original.samples])
+    wanted = _reduced(original, [sample.mass_matrices[1] for sample in original.samples])
     found = []
     for place in placed.places:
         onto = _spins(placed, place) @ place.transformation @ place.sample.freedom.basis

@@ -62,14 +62,13 @@ def _mass_matrix_figure(placed: Placed, stated: MassProperties) -> Figure:
     At configurations with loops open; where bodies are halved in the file, with loops closed.
     """
     original, (centers, turns) = placed.original, placed.first
-    found = []
-    whole = np.arange(len(original.units))
-    states = [(q, np.eye(len(whole)), whole) for q in original.far()]
-    if len(placed.parts) < len(placed.bodies):
-        states = [(s.q, s.freedom.basis, s.freedom.rows) for s in original.samples if len(s.freedom.rows)]
-    for q, basis, chosen in states:
-        wanted, rotors = original.mass_matrix(q)
-        there = original.kinematics(q, np.zeros(len(whole)))
+    found, quantity = [], "mass matrix, loops open, rel"
+    whole = len(placed.parts) == len(placed.bodies)
+    for sample in original.far if whole else original.samples:
+        basis, chosen = sample.freedom.basis, sample.freedom.rows
+        if not len(chosen):
+            continue
+        (wanted, rotors), there = sample.mass_matrices, sample.kinematics
         mass = np.zeros_like(wanted)
         for body, k in placed.parts.items():
             turn = there.rotation[k] @ turns[k].T
@@ -81,8 +80,8 @@ def _mass_matrix_figure(placed: Placed, stated: MassProperties) -> Figure:
         scale = np.maximum(scale, SPREAD * np.max(scale * units) / units)
         gaps = np.max(np.abs(basis.T @ (mass - wanted) @ basis) / np.outer(scale, scale), axis=1)
         names = [original.motions[k] for k in chosen]
-        found.append(figure("mass matrix, loops open, rel", gaps, 10.0 * ROUND_OFF, names))
-    return worst(found) if found else Figure("mass matrix, loops open, rel", 0.0, ROUND_OFF, "")
+        found.append(figure(quantity, gaps, 10.0 * ROUND_OFF, names))
+    return worst(found) if found else Figure(quantity, 0.0, ROUND_OFF, "")
 
 
 def joint_figures(placed: Placed) -> Iterator[Figure]:
@@ -124,7 +123,7 @@ def _free_figure(placed: Placed, place: Place) -> Figure:
     rows = place.of_parts / placed.part_units[:, None] * original.units
     velocities = least_squares(rows, moved)
     strange = np.abs(rows @ velocities - moved).reshape(len(placed.bodies), -1).max(axis=1, initial=0.0)
-    _, jacobian, owners = original.constraints(sample.q)
+    _, jacobian, owners = sample.constraints
     opened = np.abs(jacobian @ velocities).max(axis=1, initial=0.0)
     limit = 10.0 * tolerance(sample)
     names = [*original.names, *owners]

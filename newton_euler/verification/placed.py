@@ -48,7 +48,7 @@ class Placed:
         self.bodies = [self.mechanism.body_index(name) for name in original.names]
         self.parts = {body: self.bodies.index(body) for body in self.bodies}
         self.part_units = np.tile(np.repeat([original.size, 1.0], 3), len(self.bodies))
-        found = original.kinematics(original.start, np.zeros(len(original.units)))
+        found = original.samples[0].kinematics
         self.first = found.position, found.rotation
 
     def of_parts(self, values: Array) -> Array:
@@ -63,7 +63,7 @@ class Placed:
 
     def _place(self, sample: Sample) -> Place:
         bodies = self.mechanism.bodies
-        found = self.original.kinematics(sample.q, sample.v)
+        found = sample.kinematics
         parts, drift = found.transformation.copy(), found.drift.copy()
         rest = State.initial(self.mechanism)
         centers, turns = self.first
