@@ -319,6 +319,7 @@ class MjcfOriginal(Original):
         data.eq_active[:] = self._active
         mujoco.mj_fwdPosition(model, data)
         equalities = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        equalities &= np.isin(data.efc_id, self._row_owners)  # those of flexes are left out
         residual, jacobian = np.zeros(len(self._row_units)), np.zeros((len(self._row_units), model.nv))
         there = np.isin(self._row_owners, data.efc_id[equalities])  # MuJoCo drops those of zeros
         residual[there] = data.efc_pos[equalities]

@@ -16,9 +16,9 @@ ROUND_OFF = 1e-12
 LOOSEST = 1e-4
 """What a tolerance may be at most: beyond, a figure says nothing."""
 
-SPREAD = 1e-4
-"""Share of the largest scale that any row's is at least, in forces at the size: independent velocities are
-known to 1e-16, `ROUND_OFF` times this, and let a row see as much of what acts elsewhere."""
+SPREAD = 1e-3
+"""Share of the largest scale that any row's is at least, in forces at the size: independent velocities, and
+what readers work out of sums over all bodies, are known to some 1e-16, `ROUND_OFF` times this, of that."""
 
 
 class Figure(NamedTuple):
