@@ -240,8 +240,8 @@ class MjcfOriginal(Original):
             case "option wind", _:
                 model.opt.wind[:] = 0.0
             case _ if kind.endswith("flexes"):
-                for values in (model.flex_stiffness, model.flex_bending, model.flex_edgestiffness):
-                    values[:] = 0.0
+                for field in ("stiffness", "bending", "edgestiffness", "damping", "edgedamping"):
+                    getattr(model, f"flex_{field}")[:] = 0.0
 
     def _straighten(self, equality: int) -> None:
         """Replace a polynomial of joint coordinates by its tangent at the start."""
@@ -407,7 +407,10 @@ class MjcfOriginal(Original):
         gravity = model.opt.gravity.copy()
         for name in whole:
             getattr(model, name)[:] = 0.0
-        yield "gravity", [self._alone(samples)]
+        weights = self._alone(samples)
+        for forces in weights:
+            forces[1:] = 0.0
+        yield "gravity", [weights]
         model.opt.gravity[:] = 0.0
         for kind, fields in OFF.items():
             count = model.njnt if kind == "dof" else len(kept[f"{kind}_{fields[0]}"])

@@ -40,6 +40,7 @@ from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import State
 from newton_euler.tree import unweld_loops
+from newton_euler.verification.original import Original
 from newton_euler.verification.verify import check
 
 DURATION = 1.0
@@ -95,21 +96,30 @@ def read(
         model = compiled(where, root)
         found = _reading(where, copy.copy(model), key, None, duration, output_period)
         report = found.report
-        if model.nu:
-            control = random_control(model)
-            driven = _reading(where, copy.copy(model), key, control, duration, output_period)
-            original = MjcfOriginal(copy.copy(model), key, driven.report, driven.scene, control)
-            report.originals.append((original, driven.scene))
-        report.originals.insert(0, (MjcfOriginal(model, key, report, found.scene), found.scene))
         if sag := sag_line(found.start, duration):
             report.start.append(sag)
-        if verified:
-            try:
+        try:
+            report.originals.extend(_originals(where, model, key, found))
+            if verified:
                 report.start.append(check(report))
-            except NewtonEulerError as error:
-                raise SourceError(where, str(error)) from error
+        except SourceError:
+            raise
+        except (NewtonEulerError, np.linalg.LinAlgError) as error:
+            raise SourceError(where, str(error)) from error
     report.start.extend(f"MuJoCo warns: {warning}" for warning in warnings)
     return found
+
+
+@np.errstate(all="ignore")  # what overflows is refused
+def _originals(where: str, model: Any, key: str | None, found: Reading) -> list[tuple[Original, Scene]]:
+    """What a reading is verified against, and one with all controls at random if there are any."""
+    originals: list[tuple[Original, Scene]] = []
+    if model.nu:
+        control, scene = random_control(model), found.scene
+        driven = _reading(where, copy.copy(model), key, control, scene.duration, scene.output_period)
+        original = MjcfOriginal(copy.copy(model), key, driven.report, driven.scene, control)
+        originals.append((original, driven.scene))
+    return [(MjcfOriginal(model, key, found.report, found.scene), found.scene), *originals]
 
 
 def _reading(

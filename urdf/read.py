@@ -118,7 +118,8 @@ def read(
         root_link = "is the ground" if base == "fixed" else "floats"
         pull = " ".join(f"{g:g}" for g in gravity)
         report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")
-        report.originals.append((UrdfOriginal(text, closing, base, report, scene), scene))
+        with np.errstate(all="ignore"):  # what overflows is refused
+            report.originals.append((UrdfOriginal(text, closing, base, report, scene), scene))
         if verified:
             report.start.append(check(report))
     except RuntimeError as error:  # what Pinocchio asserts, of inertias for one
@@ -128,7 +129,7 @@ def read(
         if str(error).startswith(where) or (closing.source and str(error).startswith(closing.source)):
             raise
         raise SourceError(where, "; ".join([str(error), *words])) from error
-    except NewtonEulerError as error:
+    except (NewtonEulerError, np.linalg.LinAlgError) as error:
         raise SourceError(where, str(error)) from error
     return Reading(scene, report)
 

@@ -22,6 +22,9 @@ from newton_euler.verification.placed import Place, Placed
 RATE = 1.0
 """rad/s and sizes a second, of the samples' velocities: what mechanisms do at least that do nothing else."""
 
+LOSS = 100.0
+"""Times as large as round-off accelerations are that went through those of bodies."""
+
 
 def system_figures(placed: Placed) -> Iterator[Figure]:
     """Poses, energies and accelerations of a system at the samples."""
@@ -88,7 +91,7 @@ def _acceleration_figures(placed: Placed, found: Sequence[Evaluation]) -> Iterat
     # multipliers of rows in doubt are large, and what round-off lets them do to free motions is too
     doubts = [sample.freedom.doubt for sample in original.samples if sample.freedom.doubt > FREE]
     spread = max((np.finfo(float).eps / (ROUND_OFF * doubt) for doubt in doubts), default=0.0)
-    scale = (10.0 + spread) * largest(original, scales)
+    scale = (LOSS + spread) * largest(original, scales)
     yield row_figure(original, "accelerations, as forces, rel", left, scale, of_motion=True)
 
 

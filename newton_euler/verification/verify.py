@@ -56,9 +56,10 @@ def verify(original: Original, system: System) -> Iterator[Figure]:
     if unknown:
         return
     try:
-        placed = Placed(original, system)
+        with np.errstate(all="ignore"):  # what overflows is not finite, and said
+            placed = Placed(original, system)
         for part in PARTS:
-            with np.errstate(all="ignore"):  # what overflows is not finite, and said
+            with np.errstate(all="ignore"):
                 found = list(part(placed))
             yield from found
             if any(each.quantity == PLACES and not each.agrees for each in found):
