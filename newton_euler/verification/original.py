@@ -346,10 +346,10 @@ def wholes(names: Sequence[str], bodies: Sequence[str]) -> tuple[str, ...]:
 
 
 def left_out(report: Mapping) -> dict[str, set[str]]:
-    """Topics of what a report says was left out of each element; those without effect are still there."""
+    """Topics of what is not in the scene of each element; what moves nothing as the file has it stays on."""
     found: dict[str, set[str]] = {}
-    for entry in report.of("left out"):
-        if not entry.inert:
+    for entry in report.entries:
+        if entry.fate not in ("exactly", "approximated") and not entry.inert:
             found.setdefault(entry.element, set()).add(entry.topic)
     return found
 
