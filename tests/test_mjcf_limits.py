@@ -148,5 +148,5 @@ def test_a_delayed_actuator_is_left_out(tmp_path: Path) -> None:
 def test_what_no_reading_covers_is_refused(tmp_path: Path) -> None:
     """Gravity compensation that counts as an actuator's, in a file that disables actuators."""
     text = PAIR.replace('name="p"', 'name="p" actuatorgravcomp="true"').replace('"one"', '"one" gravcomp="1"')
-    with pytest.raises(MjcfError, match=r"joint 'p': the scene is not what the file says: static"):
+    with pytest.raises(MjcfError, match=r"joint 'p': the scene is not what the file says: actuators"):
         reading(tmp_path, model(text, "", FLAG))

@@ -115,13 +115,13 @@ def read(
         scene = _scene(
             where, root, closed, closing, start, tree, mimics, report, duration, output_period, gravity
         )
-        root_link = "is the ground" if base == "fixed" else "floats"
-        pull = " ".join(f"{g:g}" for g in gravity)
-        report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")
         with np.errstate(all="ignore"):  # what overflows is refused
             report.originals.append((UrdfOriginal(text, closing, base, report, scene), scene))
         if verified:
             report.start.append(check(report))
+        root_link = "is the ground" if base == "fixed" else "floats"
+        pull = " ".join(f"{g:g}" for g in gravity)
+        report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")
     except RuntimeError as error:  # what Pinocchio asserts, of inertias for one
         check_inertias(where, root)
         raise SourceError(where, f"Pinocchio refuses it: {' '.join(str(error).split())}") from error
