@@ -85,8 +85,6 @@ class MjcfOriginal(Original):
         self.start = self.aligned(self.closed(self._data.qpos.copy())[0], scene)
         self._leave_out(report)
         self.start = self.aligned(self.closed(self.start)[0], scene)
-        off = self._model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-        self.gravity = np.zeros(3) if off else self._model.opt.gravity.copy()
 
     def _place(self, key: str | None) -> None:
         model, names = self._model, [self._model.key(k).name or f"{k}" for k in range(self._model.nkey)]

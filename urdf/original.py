@@ -50,7 +50,7 @@ class UrdfOriginal(Original):
         self._root, self._loops = ET.fromstring(text), loops
         self._model, self._of = _built(text, loops, base)
         self._data: Any = self._model.createData()
-        self._model.gravity.linear = self.gravity = np.array(scene.gravity)
+        self._model.gravity.linear = np.array(scene.gravity)
         self._without = left_out(report)
         self._damping = self._dampers()
         self._name(scene)

@@ -86,7 +86,6 @@ class Kinematics(NamedTuple):
 class Forces(NamedTuple):
     """Generalized forces (nv,) of everything but constraints."""
 
-    gravity: Array
     springs: Array
     """Of joints, balls and tendons."""
     dampers: Array
@@ -183,7 +182,6 @@ class Original(ABC):
         ranges: (nv,) how far coordinates may be moved from the start, rad or sizes.
         size: m.
         start: q where the scene starts.
-        gravity: (3,) m/s^2.
         unaccounted: elements that neither the scene nor its report can be held to.
     """
 
@@ -193,7 +191,6 @@ class Original(ABC):
     ranges: Array
     size: float
     start: Array
-    gravity: Array
     unaccounted: tuple[str, ...] = ()
 
     @abstractmethod
