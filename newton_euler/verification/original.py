@@ -86,6 +86,7 @@ class Kinematics(NamedTuple):
 class Forces(NamedTuple):
     """Generalized forces (nv,) of everything but constraints."""
 
+    gravity: Array
     springs: Array
     """Of joints, balls and tendons."""
     dampers: Array
