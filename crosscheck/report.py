@@ -13,7 +13,7 @@ from crosscheck.advice.measured import distance
 from crosscheck.comparison.known_figures import Measured
 from crosscheck.comparison.levels import Row, not_compared
 from crosscheck.comparison.reactions import undetermined_joints
-from crosscheck.comparison.rows import NOT_NEARER
+from crosscheck.comparison.rows import FILE, NOT_NEARER
 from crosscheck.comparison.runs import displacements
 from crosscheck.comparison.samples import admissible_basis, body_units
 from crosscheck.model_files.read import report_lines
@@ -29,8 +29,9 @@ IMPLICIT = ("Radau", "implicitfast")
 
 
 def terminal_tables(result: Crosscheck) -> Iterator[Table]:
-    """Figures of pairs of engines, of each engine by itself, and of its own systems against each other."""
+    """Figures of engines against a model file, of pairs of engines, of each by itself, and of its systems."""
     titles = {
+        "file": f"each engine against {result.title} as its file's own reader has it",
         "pairs": f"{result.title}: {result.scene.description}",
         "single": "each engine by itself",
         "within": "two equations of motion of one engine",
@@ -69,6 +70,8 @@ def _measured_table(measured: Sequence[Measured]) -> Table:
 def _part(row: Row, engines: set[str]) -> str:
     if len(row.between) == 1:
         return "single"
+    if FILE in row.between:
+        return "file"
     return "pairs" if set(row.between) <= engines else "within"
 
 

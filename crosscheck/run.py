@@ -214,7 +214,7 @@ def crosscheck(
     runs, stops = each_run(scene, able, progress)
     stopped = {stop.what for stop in stops}
     rows: list[Row] = []
-    for what, stage in stages(scene, able, runs, RANDOM_STATES).items():
+    for what, stage in stages(scene, able, runs, RANDOM_STATES, mapping).items():
         with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
             for row in finite(stage(tuple(rows))):
                 rows.append(row)  # not all at once: those before an error are kept

@@ -3,10 +3,15 @@
 MuJoCo compiles the file, so that its defaults, includes, angles and inertias are MuJoCo's own reading, and
 the scene is made from the compiled model at the pose that it starts from: a keyframe or qpos0, with the
 loops closed. Bodies that are fixed to each other are one body.
+
+What was read is verified against MuJoCo's own model of the file, see `newton_euler.verification` and
+`mjcf.original`. The reading is a function of the model and of the controls, and so that all actuators show it
+is made and verified once more with all controls at random.
 """
 
 from __future__ import annotations
 
+import copy
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
+from mjcf.original import MjcfOriginal, random_control
 from mjcf.reading.actuators import Actuators, driven_joints
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.forces import Forces, armatures
 from mjcf.reading.joints import Joints
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
-from mjcf.reading.original import gap_line
 from mjcf.reading.sag import sag_line
 from mjcf.reading.source import SourceError, compiled
 from mjcf.reading.start import Start
@@ -31,9 +36,12 @@ from newton_euler.assemble import assemble
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mapping import Mapping, unique_name
 from newton_euler.mechanism import Mechanism
+from newton_euler.scalars import Array
 from newton_euler.scene import REDUNDANCY_TOLERANCE, Scene
 from newton_euler.state import State
 from newton_euler.tree import unweld_loops
+from newton_euler.verification.original import Original
+from newton_euler.verification.verify import check
 
 DURATION = 1.0
 """s, of a run of a model that says nothing about how long it wants to be run."""
@@ -70,6 +78,7 @@ def read(
     output_period: float = OUTPUT_PERIOD,
     root: str | None = None,
     redundancy_tolerance: float = REDUNDANCY_TOLERANCE,
+    verified: bool = True,
 ) -> Reading:
     """Read an MJCF file.
 
@@ -79,21 +88,54 @@ def read(
         duration, output_period: of the scene, s.
         root: folder that all files have to be in that it refers to, see `mjcf.reading.source`.
         redundancy_tolerance: of the scene, see `newton_euler.Scene`.
+        verified: whether to verify the reading. If not, `report.originals` is what to verify it against.
 
     Raises:
-        MjcfError: naming the file and the element at fault.
+        MjcfError: naming the file and the element at fault, one that was not read right among them.
     """
+    where = os.fspath(path)
     with heard_warnings() as warnings:
-        found = _reading(os.fspath(path), key, duration, output_period, root, redundancy_tolerance)
-    found.report.start.extend(f"MuJoCo warns: {warning}" for warning in warnings)
+        model = compiled(where, root)
+        found = _reading(where, copy.copy(model), key, None, duration, output_period, redundancy_tolerance)
+        report = found.report
+        if sag := sag_line(found.start, duration):
+            report.start.append(sag)
+        try:
+            report.originals.extend(_originals(where, model, key, found))
+            if verified:
+                report.start.append(check(report))
+        except SourceError:
+            raise
+        except (NewtonEulerError, np.linalg.LinAlgError) as error:
+            raise SourceError(where, str(error)) from error
+    report.start.extend(f"MuJoCo warns: {warning}" for warning in warnings)
     return found
 
 
+@np.errstate(all="ignore")  # what overflows is refused
+def _originals(where: str, model: Any, key: str | None, found: Reading) -> list[tuple[Original, Scene]]:
+    """What a reading is verified against, and one with all controls at random if there are any."""
+    originals: list[tuple[Original, Scene]] = []
+    if model.nu:
+        control, scene = random_control(model), found.scene
+        times = scene.duration, scene.output_period
+        driven = _reading(where, copy.copy(model), key, control, *times, scene.redundancy_tolerance)
+        original = MjcfOriginal(copy.copy(model), key, driven.report, driven.scene, control)
+        originals.append((original, driven.scene))
+    return [(MjcfOriginal(model, key, found.report, found.scene), found.scene), *originals]
+
+
 def _reading(
-    where: str, key: str | None, duration: float, output_period: float, root: str | None, tolerance: float
+    where: str,
+    model: Any,
+    key: str | None,
+    control: Array | None,
+    duration: float,
+    output_period: float,
+    tolerance: float,
 ) -> Reading:
     report = Mapping()
-    start = Start(where, compiled(where, root), key, report)
+    start = Start(where, model, key, report, control)
     try:
         bodies = Bodies(start, report)
         scene = _scene(where, start, bodies, report, duration, output_period, tolerance)
@@ -101,9 +143,6 @@ def _reading(
         raise
     except NewtonEulerError as error:
         raise SourceError(where, str(error)) from error
-    line = gap_line(start, bodies, scene)
-    sag = sag_line(start, duration)
-    report.start.extend([sag, line] if sag else [line])
     return Reading(scene, report, start)
 
 

@@ -125,3 +125,16 @@ class SingularityError(NewtonEulerError):
         self.joint = joint
         self.reason = reason
         super().__init__(f"equations of motion are singular at joint {joint!r}: {reason}")
+
+
+class VerificationError(NewtonEulerError):
+    """A scene that is not what the file says: the first figure that differs, and where."""
+
+    def __init__(self, quantity: str, value: float, tolerance: float, where: str) -> None:
+        self.quantity = quantity
+        self.value = value
+        self.tolerance = tolerance
+        self.where = where
+        super().__init__(
+            f"{where}: the scene is not what the file says: {quantity}: {value:.3g} > {tolerance:.3g}"
+        )

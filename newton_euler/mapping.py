@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from newton_euler.measured import Key
+
+if TYPE_CHECKING:
+    from newton_euler.scene import Scene
+    from newton_euler.verification.original import Original
 
 Fate = Literal["exactly", "approximated", "left out"]
 
@@ -87,11 +91,14 @@ class Mapping:
     Attributes:
         entries: in the order in which they were added.
         start: lines about the pose and the velocities that the scene starts from.
+        originals: what the scene, and others that are read from the file to verify the reading, are verified
+            against, see `newton_euler.verification.verify`; the scene's first.
     """
 
     def __init__(self) -> None:
         self.entries: list[Mapped] = []
         self.start: list[str] = []
+        self.originals: list[tuple[Original, Scene]] = []
 
     def exactly(self, element: str, how: str, became: str = "", unseen: Part | None = None) -> None:
         """`unseen` is what the file says that moves nothing as it is, such as the gear of an idle motor."""

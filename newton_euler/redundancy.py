@@ -208,20 +208,25 @@ def _nearly(system: RelativeTerms, seen: Sequence[Configuration]) -> Iterator[Ne
     """Small singular values on both sides of the rank, where no configuration has larger ones."""
     if not all(at.doubtful for at in seen) or len(seen[0].rows) * system.nv > DENSE_LIMIT:
         return
-    found = [(at, *singular_values(dense(at.rows, system.nv))[:2]) for at in seen]
-    at, u, s = max(found, key=lambda each: float(each[2][len(each[0].independent) - 1]))
-    smallest, apart = SUSPECT
+    found = [singular_values(dense(at.rows, system.nv))[:2] for at in seen]
+    rank, (smallest, apart) = len(seen[0].independent), SUSPECT
     own, _ = system.coordinates(State.initial(system.scene.mechanism))
-    exact, rank = NAMED if np.array_equal(at.q, own) else CLOSED, len(at.independent)
-    for k, value in enumerate(s):
-        redundant = k >= rank and value > exact
-        literally = 0 < k < rank and value < smallest and value * apart < s[k - 1]
-        if redundant or literally:
-            weights: dict[str, float] = {}
-            for owner, share in zip(system.row_owners, u[:, k] ** 2, strict=True):
-                weights[owner] = weights.get(owner, 0.0) + share
-            joint = max(weights, key=lambda owner: weights[owner])
-            yield NearlyRedundant(joint, float(value), "redundant" if redundant else "literally")
+    exact = NAMED if np.array_equal(seen[0].q, own) else CLOSED
+
+    def named(u: Array, value: float, taken: Literal["redundant", "literally"]) -> NearlyRedundant:
+        weights: dict[str, float] = {}
+        for owner, share in zip(system.row_owners, u**2, strict=True):
+            weights[owner] = weights.get(owner, 0.0) + share
+        return NearlyRedundant(max(weights, key=lambda owner: weights[owner]), float(value), taken)
+
+    u, s = max(found, key=lambda each: float(each[1][rank - 1]))
+    for k in range(1, rank):
+        if s[k] < smallest and s[k] * apart < s[k - 1]:
+            yield named(u[:, k], s[k], "literally")
+    u, s = found[0]
+    for k in range(rank, len(s)):
+        if s[k] > exact:
+            yield named(u[:, k], s[k], "redundant")
 
 
 def _examine(system: RelativeTerms) -> tuple[list[Configuration], set[int]]:

@@ -27,7 +27,7 @@ def test_run_writes_everything_and_agrees(capsys, tmp_path, good):
     assert names == {"newton_euler.npz", "mujoco.npz", "pinocchio.npz", "summary.json", "four_bar.rrd"}
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["agrees"] is True
-    assert {figure["level"] for figure in summary["figures"]} == set(LEVELS)
+    assert {figure["level"] for figure in summary["figures"]} == set(LEVELS[1:])
     assert set(summary["engines"]) == {"newton_euler", "mujoco", "pinocchio"}
     assert summary["versions"]["mujoco"].split(".")[0].isdigit()
     arrays = load_arrays(tmp_path / "out" / "mujoco.npz")

@@ -2,6 +2,8 @@
 
 Pinocchio parses the URDF and adds up what fixed joints hold together; the scene is made of its model at
 coordinates 0, with followers of mimics where their offsets put them, or next to that where the loops close.
+It is verified against Pinocchio's own model of the file, see `newton_euler.verification` and `urdf.original`.
+
 The loop file has the keys of Gepetto's example-parallel-robots, see `urdf.loops`.
 """
 
@@ -28,9 +30,11 @@ from newton_euler.measured import Key
 from newton_euler.mechanism import Mechanism
 from newton_euler.scene import REDUNDANCY_TOLERANCE, Scene
 from newton_euler.tree import unweld_loops
+from newton_euler.verification.verify import check
 from urdf.errors import UrdfError
 from urdf.loops import Loops
 from urdf.model import BASES, ClosedLoopModel, build
+from urdf.original import UrdfOriginal
 from urdf.reading.bodies import Tree
 from urdf.reading.held import Held
 from urdf.reading.source import SourceError, check_inertias, parsed, read_loops, read_text
@@ -73,6 +77,7 @@ def read(
     base: str = "fixed",
     gravity: Sequence[float] = GRAVITY,
     redundancy_tolerance: float = REDUNDANCY_TOLERANCE,
+    verified: bool = True,
 ) -> Reading:
     """Read a URDF.
 
@@ -83,9 +88,10 @@ def read(
         base: "fixed" or "free", whether its root link is the ground or floats.
         gravity: (3,) of the scene, m/s^2.
         redundancy_tolerance: of the scene, see `newton_euler.Scene`.
+        verified: whether to verify the reading. If not, `report.originals` is what to verify it against.
 
     Raises:
-        UrdfError: naming the file and the element at fault.
+        UrdfError: naming the file and the element at fault, one that was not read right among them.
         UnknownNameError: for another base.
     """
     check_choice("base", base, tuple(BASES))
@@ -108,12 +114,14 @@ def read(
         tree = Tree(where, start, set(closing.name_mot), report)
         _report_held(closing, report)
         tree.bodies = dressed(where, root, start, tree, report)
-        scene = replace(
-            _scene(
-                where, root, closed, closing, start, tree, mimics, report, duration, output_period, gravity
-            ),
-            redundancy_tolerance=redundancy_tolerance,
+        scene = _scene(
+            where, root, closed, closing, start, tree, mimics, report, duration, output_period, gravity
         )
+        scene = replace(scene, redundancy_tolerance=redundancy_tolerance)
+        with np.errstate(all="ignore"):  # what overflows is refused
+            report.originals.append((UrdfOriginal(text, closing, base, report, scene), scene))
+        if verified:
+            report.start.append(check(report))
         root_link = "is the ground" if base == "fixed" else "floats"
         pull = " ".join(f"{g:g}" for g in gravity)
         report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")
@@ -124,7 +132,7 @@ def read(
         if str(error).startswith(where) or (closing.source and str(error).startswith(closing.source)):
             raise
         raise SourceError(where, "; ".join([str(error), *words])) from error
-    except NewtonEulerError as error:
+    except (NewtonEulerError, np.linalg.LinAlgError) as error:
         raise SourceError(where, str(error)) from error
     return Reading(scene, report)
 

@@ -11,11 +11,13 @@ from crosscheck.cli.shared import (
     DISAGREE,
     cli,
     load_and_tell,
+    load_scene,
     progress_shown,
     rendered,
     scene_options,
     setting_options,
 )
+from crosscheck.errors import CrosscheckError
 from crosscheck.faults import PLANTED_IN
 
 
@@ -30,13 +32,21 @@ from crosscheck.faults import PLANTED_IN
     default=PLANTED_IN,
     help="Whose model the faults are planted in; repeatable.  [default: both, in turns]",
 )
+@click.option("--reading", is_flag=True, help="Plant them in what was read from the model file SCENE.")
 @click.option(
     "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/faults/SCENE]"
 )
 def faults_command(
-    scene: str, settings: tuple[str, ...], loops: str | None, names: tuple[str, ...], output: Path | None
+    scene: str,
+    settings: tuple[str, ...],
+    loops: str | None,
+    names: tuple[str, ...],
+    reading: bool,
+    output: Path | None,
 ) -> int:
     """Plant one fault at a time in an engine's model of SCENE; say which are found and blamed right."""
+    if reading:
+        return _in_reading(scene, scene_options(scene, settings, loops))
     import time
 
     from crosscheck.faults.find import find_faults
@@ -62,3 +72,19 @@ def faults_command(
     click.echo(f"wrote {path}; {len(faults)} faults in {planted} in {wall_time:.0f} s")
     click.echo(click.style(verdict(loaded, faults), bold=True))
     return AGREE if holds(faults) else DISAGREE
+
+
+def _in_reading(path: str, options: dict[str, str]) -> int:
+    """Plant faults between the reading of a model file and its verification."""
+    from crosscheck.faults.reading import find_in_reading, reading_lines
+
+    _, report = load_scene(path, options)
+    if report is None:
+        raise CrosscheckError(f"{path} is read from no model file; --reading needs an MJCF or a URDF")
+    with progress_shown() as progress:
+        found = find_in_reading(report, progress)
+    *lines, verdict = reading_lines(path, found)
+    for line in lines:
+        click.echo(line)
+    click.echo(click.style(verdict, bold=True))
+    return DISAGREE if any(outcome.missed for outcome in found) else AGREE

@@ -101,13 +101,19 @@ def _by_name(settings: tuple[str, ...], prefix: str) -> dict[str, str]:
     return options
 
 
-def load_scene(scene: str, options: dict[str, str]) -> tuple[Scene, Mapping | None]:
-    """A scene, and what became of the elements of its file if that is a model of another tool."""
+def load_scene(scene: str, options: dict[str, str], verified: bool = True) -> tuple[Scene, Mapping | None]:
+    """A scene, and what became of the elements of its file if that is a model of another tool.
+
+    Unless it is `verified`, what it is verified against comes with it.
+    """
     from crosscheck.model_files.read import is_model, read_model
     from crosscheck.scenes import load
     from crosscheck.scenes.size import check_scene
 
-    loaded, mapping = read_model(scene, options) if is_model(scene) else (load(scene, **options), None)
+    if is_model(scene):
+        loaded, mapping = read_model(scene, options, verified)
+    else:
+        loaded, mapping = load(scene, **options), None
     check_scene(loaded)
     return loaded, mapping
 

@@ -20,12 +20,14 @@ from crosscheck.comparison.dynamics import dynamics_rows
 from crosscheck.comparison.kinematics import kinematics_rows
 from crosscheck.comparison.model import model_rows
 from crosscheck.comparison.momentum import momentum_row
+from crosscheck.comparison.reading import reading_rows
 from crosscheck.comparison.rows import LEVELS, Row, in_full, not_compared
 from crosscheck.comparison.runs import Runs, compare_runs
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import Engine
 from newton_euler.assemble import random_states
 from newton_euler.errors import AssemblyError
+from newton_euler.mapping import Mapping
 from newton_euler.scene import Scene
 
 __all__ = ["LEVELS", "Row", "compare", "compare_equations", "in_order", "not_compared", "stages"]
@@ -106,7 +108,7 @@ def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) ->
 
 
 def stages(
-    scene: Scene, engines: Sequence[Engine], runs: Runs, states: int
+    scene: Scene, engines: Sequence[Engine], runs: Runs, states: int, report: Mapping | None = None
 ) -> dict[str, Callable[[Sequence[Row]], Iterator[Row]]]:
     """Parts of the comparison by what they do, one after the other; each is given the rows of those before.
 
@@ -115,6 +117,7 @@ def stages(
         engines: those that can express it.
         runs: by engine, as far as they came.
         states: number of random consistent states for the levels that need no run.
+        report: on the model file that the scene was read from, if it was.
     """
     start = States(scene, (scene.initial_state,))
 
@@ -137,6 +140,7 @@ def stages(
         yield from (momentum_row(engine.name, samples()[engine.name][0]) for engine in engines)
 
     return {
+        "comparing with the file": lambda _: reading_rows(engines, report),
         "comparing equations": equations,
         "comparing runs": trajectories,
         "balancing momentum": momentum,

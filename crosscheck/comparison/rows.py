@@ -11,6 +11,7 @@ from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 
 LEVELS = (
+    "reading",
     "model",
     "kinematics",
     "dynamics",
@@ -20,8 +21,11 @@ LEVELS = (
     "energy",
 )
 
+FILE = "file"
+"""What engines are compared with at the level "reading", see `newton_euler.verification.verify`."""
+
 START = "start"
-"""Of two models, the level after the first: engines start from one scene, models where each file says."""
+"""Of two models, the level after "model": engines start from one scene, models where each file says."""
 
 OWN_ERROR = 4.0
 """Share of the difference between a run and a finer one that the run may be off: three times 4/3, which
@@ -62,7 +66,7 @@ class Row:
     Attributes:
         level: one of `LEVELS`, or `START`.
         quantity: what is compared, with its unit.
-        between: the engines or systems compared, one or two.
+        between: the engines or systems compared, one or two; or an engine and `FILE`.
         value, tolerance: the figure and what it may be at most, or usually is where it only informs.
         where: the body, joint, term or time of the largest difference.
         informs: a figure that says how an engine works and is not judged.
@@ -108,8 +112,9 @@ def not_judged(rows: Sequence[Row]) -> str:
 
 def not_compared(rows: Sequence[Row]) -> Iterator[str]:
     """A line for each pair that parts: at which level, and that those after it were not compared."""
-    levels = (LEVELS[0], START, *LEVELS[1:])
-    for between in dict.fromkeys(row.between for row in rows if len(row.between) == 2):
+    levels = (*LEVELS[:2], START, *LEVELS[2:])
+    pairs = (row.between for row in rows if len(row.between) == 2 and FILE not in row.between)
+    for between in dict.fromkeys(pairs):
         failed = [row for row in rows if row.between == between and not row.agrees]
         if failed:
             last = max(levels.index(row.level) for row in failed)

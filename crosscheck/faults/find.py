@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from crosscheck.comparison.levels import EQUATION_LEVELS, Level, compare_pair
-from crosscheck.comparison.rows import LEVELS
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.errors import CrosscheckError
@@ -176,7 +175,7 @@ def find(fault: Fault, engine: Engine, own: Samples) -> Found:
         return Found(fault, engine.name, refusal, refusal, True)
     seen = _first_failing(own, samples, engine.name, EQUATION_LEVELS)
     # where the model's own numbers agree, the levels after it have been looked at already
-    numbers = seen is not None and seen.level == LEVELS[0]
+    numbers = seen is not None and seen.level == "model"
     moves = _first_failing(own, samples, engine.name, MOTION) if numbers else seen
     if moves is not None:
         return Found(fault, engine.name, seen, moves, True)

@@ -87,12 +87,15 @@ def is_urdf(name: str) -> bool:
     return Path(name).suffix.lower() == ".urdf"
 
 
-def read_model(path: str, options: Mapping[str, str | int]) -> tuple[Scene, MappingReport]:
+def read_model(
+    path: str, options: Mapping[str, str | int], verified: bool = True
+) -> tuple[Scene, MappingReport]:
     """Read a model file.
 
     Args:
         path: ends in one of `SUFFIXES`.
         options: those of `MJCF_OPTIONS` or `URDF_OPTIONS`, as people give them.
+        verified: whether to refuse a scene that is not what the file says.
 
     Raises:
         CrosscheckError: for an unknown option or one that cannot be read.
@@ -107,11 +110,11 @@ def read_model(path: str, options: Mapping[str, str | int]) -> tuple[Scene, Mapp
     if is_urdf(path):
         from urdf.read import read as read_urdf
 
-        found = read_urdf(path, **given)
+        found = read_urdf(path, **given, verified=verified)
         return found.scene, found.report
     from mjcf.read import read as read_mjcf
 
-    reading = read_mjcf(path, **given)
+    reading = read_mjcf(path, **given, verified=verified)
     return reading.scene, reading.report
 
 

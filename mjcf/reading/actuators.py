@@ -197,7 +197,6 @@ class Actuators:
 
     def _leave(self, actuator: int, element: str, why: str) -> None:
         self._report.left_out(element, why, self._held.actuator(actuator))
-        self._start.differ(self._model.actuator_gear, actuator)
 
     def _limited(self, actuator: int, element: str, law: Affine) -> tuple[Affine, str]:
         """The law and "", or the limit where the law is above that at the start, and the words for it."""
@@ -211,12 +210,9 @@ class Actuators:
                 part = self._held.actuator(actuator, "forcerange gear")
                 why = f"its limit of the force, {low:g} to {high:g}"
                 self._report.left_out(element, why, part, topic="limit of the force")
-                self._start.differ(model.actuator_forcelimited, actuator)
         held = self._limited_by_tendon(actuator, element, held)
         if held == force:
             return law, ""
-        self._start.differ(model.actuator_forcelimited, actuator, 1)
-        self._start.differ(model.actuator_forcerange, actuator, held)
         why = f"its force would be {force:.4g} at the start and is held at its limit there, {held:g}"
         return Affine(held, 0.0, 0.0), why
 
@@ -227,7 +223,6 @@ class Actuators:
         on_tendons = model.actuator_trntype == TRANSMISSION.mjTRN_TENDON
         if not on_tendons[actuator] or not model.tendon_actfrclimited[tendon]:
             return force
-        self._start.differ(model.tendon_actfrclimited, tendon)
         low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
         # MuJoCo has scaled them already
         outputs = model.actuator_outadr[on_tendons & (model.actuator_trnid[:, 0] == tendon)]
@@ -252,10 +247,8 @@ class Actuators:
                 part = self._held.joint(joint, "actfrcrange")
                 why = f"its limit of actuator forces, {low:g} to {high:g}"
                 self._report.left_out(element, why, part, topic="limit of actuator forces")
-                self._start.differ(model.jnt_actfrclimited, joint)
             return False
         self._laws[key] = PD(key[0], 0.0, 0.0, 0.0, key[1], held)
-        self._start.differ(model.jnt_actfrcrange, joint, held)
         why = (
             f"its actuators' force would be {force:.4g} at the start and is held at its limit there, {held:g}"
         )

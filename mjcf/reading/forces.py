@@ -57,7 +57,6 @@ class Forces:
         bent = self._springs and np.any(model.jnt_stiffnesspoly[number])
         if bent or (self._dampers and np.any(model.dof_dampingpoly[dof])):
             self._report.left_out(element, NOT_LINEAR, self._held.spring(number), topic="not linear")
-            self._start.differ(model.jnt_stiffnesspoly, number)
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
@@ -124,7 +123,6 @@ class Forces:
         if bent or (self._dampers and np.any(model.tendon_dampingpoly[tendon])):
             part = self._held.tendon(tendon, SPRING)
             self._report.left_out(element, NOT_LINEAR, part, topic="not linear")
-            self._start.differ(model.tendon_stiffnesspoly, tendon)
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
@@ -146,7 +144,6 @@ class Forces:
 
     def _leave_tendon(self, tendon: int, element: str, why: str) -> None:
         self._report.left_out(element, why, self._held.tendon(tendon, SPRING))
-        self._start.differ(self._model.tendon_stiffness, tendon)
 
     def _add_sum(
         self, tendon: int, element: str, what: str, weights: dict[int, float], along: JointSpring
@@ -234,7 +231,6 @@ def armatures(
             part = Held(start, bodies, joints).tendon(int(tendon), "armature")
             why = f"its armature {inertia:g}: no single joint coordinate tells its length"
             report.left_out(element, why, part, topic="armature")
-            start.differ(model.tendon_armature, tendon)
             continue
         key, reduced = rotor
         found[key] = found.get(key, 0.0) + reduced

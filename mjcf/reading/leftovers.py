@@ -63,15 +63,12 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Mappi
     if np.any(option.wind):
         part = Part("option wind", {"wind": value(option.wind)})
         report.left_out("option wind", "nothing here moves in a fluid", part)
-        start.differ(option.wind, slice(None))
     if model.nflex:
         why = "bodies are rigid: what holds their points together is missing"
         part = Part("flexes", {})
         for name in FLEX.split():
             part.values.update(summed(name, getattr(model, f"flex_{name}")))
         report.left_out(f"{model.nflex} flexes", why, part)
-        for array in (model.flex_stiffness, model.flex_bending, model.flex_edgestiffness):
-            start.differ(array, slice(None))
     if model.nplugin:
         part = Part("plugins", {f"plugin {k}": held.plugin(k) for k in range(model.nplugin)})
         report.left_out(f"{model.nplugin} plugins", "what they do is not known", part)

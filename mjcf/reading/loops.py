@@ -51,7 +51,6 @@ class Loops:
 
     def _leave(self, index: int, why: str, inert: bool = False) -> None:
         self._report.left_out(self._start.equality(index), why, self._held.equality(index), inert=inert)
-        self._start.differ(self._data.eq_active, index)
 
     def _add(self, index: int) -> None:
         match mujoco.mjtEq(self._model.eq_type[index]):

@@ -31,18 +31,19 @@ class Start:
         model: without contacts, limits and dry friction.
         data: at the start, positions and velocities worked out.
         key: what reports call the keyframe, or "qpos0".
-        differences: arrays of MuJoCo's model or data, their rows, and what those have to hold for the model
-            to be without what was left out of the scene or approximated. Of what acts at rest.
     """
 
-    def __init__(self, path: str, model: Any, key: str | None, report: Mapping) -> None:
+    def __init__(
+        self, path: str, model: Any, key: str | None, report: Mapping, control: Array | None = None
+    ) -> None:
         """Close the loops near the keyframe of that name; the first one, or qpos0, if None.
+
+        Actuators have the keyframe's controls unless others (nu,) are given.
 
         Raises:
             SourceError: for an unknown keyframe, and for loops that do not close from there.
         """
         self.path, self.model = path, model
-        self.differences: list[tuple[Array, Any, Any]] = []
         self.data: Any = mujoco.MjData(model)
         self._disabled = int(model.opt.disableflags)
         model.opt.disableflags |= sum(int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{n}")) for n in DISABLED)
@@ -52,6 +53,8 @@ class Start:
             model.opt.gravity[:] = 0.0
         others = self._keyframes() if model.nkey > 1 else []
         self.key = self._place(key)
+        if control is not None:
+            self.data.ctrl[:] = control
         mujoco.mj_normalizeQuat(model, self.data.qpos)
         self._close(report)
         if others:
@@ -74,10 +77,6 @@ class Start:
     def disabled(self, feature: str) -> bool:
         """Whether the file itself switches a feature off."""
         return bool(self._disabled & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")))
-
-    def differ(self, array: Array, rows: Any, values: Any = 0) -> None:
-        """Remember what the scene has instead of these rows of one of MuJoCo's arrays."""
-        self.differences.append((array, rows, values))
 
     def _place(self, key: str | None) -> str:
         """Go to a keyframe or qpos0; what reports call it."""

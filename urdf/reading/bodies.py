@@ -32,6 +32,7 @@ class Tree:
     def __init__(self, path: str, start: Start, motors: set[str], report: Mapping) -> None:
         """`motors` are names of joints that have one."""
         self._path, self._model, self._start = path, start.model, start
+        self._scratch: Any = start.model.createData()
         self.bodies = [Body.ground(GROUND)]
         self.joints: list[Joint] = []
         self.names: list[str | None] = [GROUND] + [None] * (self._model.njoints - 1)
@@ -106,7 +107,7 @@ class Tree:
             return []
         if "Spherical" in joint.shortname():
             return [Part(name, "ball", np.zeros(3), pose.translation)]
-        columns = pin.computeJointJacobian(model, model.createData(), self._start.q, index)
+        columns = pin.computeJointJacobian(model, self._scratch, self._start.q, index)
         columns = np.reshape(columns, (6, model.nv))[:, joint.idx_v : joint.idx_v + joint.nv]
         parts = []
         for k, column in enumerate(columns.T):

@@ -1,0 +1,482 @@
+"""An MJCF file as MuJoCo holds it, to verify a scene that was read from it.
+
+See `newton_euler.verification`. Shares nothing with `mjcf.reading` but the compiled model and the names of
+elements: where loops close, what is rigid and what acts is worked out here with MuJoCo's own functions. What
+the report of a reading says was left out or approximated is switched off or replaced in a copy, by the names
+of elements and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, unique_name
+from newton_euler.scalars import Array, cross
+from newton_euler.scene import Scene
+from newton_euler.state import MassProperties
+from newton_euler.verification.original import (
+    Constraints,
+    Forces,
+    Kinematics,
+    Original,
+    Sample,
+    approximated,
+    left_out,
+    wholes,
+)
+
+SEVERAL_HINGES = 1.2
+"""rad, that hinges of a body with others are moved from the start: beyond a quarter turn of the second of
+three, poses tell other angles."""
+
+ROUND_OFF = 1e-14
+"""Relative, of what is left of MuJoCo's sum of passive forces without its parts."""
+
+TORQUE_SCALE = 10
+"""Where `eq_data` of a weld has the factor on what it says of angles."""
+
+DISABLED = ("CONTACT", "LIMIT", "FRICTIONLOSS")
+"""No bilateral constraints: held against the report instead."""
+
+OFF = {
+    "jnt": ("stiffness", "stiffnesspoly"),
+    "dof": ("damping", "dampingpoly"),
+    "tendon": ("stiffness", "stiffnesspoly", "damping", "dampingpoly"),
+    "actuator": ("gainprm", "biasprm", "damping", "dampingpoly"),
+    "body": ("gravcomp",),
+}
+"""Arrays that forces are made of, all zero where nothing acts."""
+
+
+class MjcfOriginal(Original):
+    """A compiled MJCF file."""
+
+    def __init__(
+        self, model: Any, key: str | None, report: Mapping, scene: Scene, control: Array | None = None
+    ) -> None:
+        """Take a compiled model, which is changed.
+
+        Args:
+            model: as MuJoCo compiled it.
+            key: as of `mjcf.read.read`.
+            report: of the reading.
+            scene: what was read; its initial pose says which of the closed ones is the start.
+            control: (nu,) of the start; that of the key if None.
+        """
+        self._model: Any = model
+        self._model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+        for name in DISABLED:
+            self._model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
+        self._model.body_sameframe[self._model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        self._data = mujoco.MjData(self._model)
+        self._place(key)
+        if control is not None:
+            self._data.ctrl[:] = control
+        mujoco.mj_normalizeQuat(self._model, self._data.qpos)
+        self._velocity = self._data.qvel.copy()
+        self._group(scene)
+        self._measure(scene)
+        self.unaccounted = tuple(self._unaccounted(report))
+        self.start = self.aligned(self.closed(self._data.qpos.copy())[0], scene)
+        self._leave_out(report)
+        self.start = self.aligned(self.closed(self.start)[0], scene)
+
+    def _place(self, key: str | None) -> None:
+        model, names = self._model, [self._model.key(k).name or f"{k}" for k in range(self._model.nkey)]
+        if key is None and names:
+            key = names[0]
+        if key in names:
+            mujoco.mj_resetDataKeyframe(model, self._data, names.index(key))
+
+    def _group(self, scene: Scene) -> None:
+        """Bodies that no joint is between."""
+        model = self._model
+        root = [0] * model.nbody
+        for k, parent in enumerate(model.body_parentid.tolist()):
+            root[k] = k if model.body_jntnum[k] else root[parent]
+        self._roots = [k for k in range(1, model.nbody) if root[k] == k]
+        self._members = [np.flatnonzero(np.array(root) == k) for k in self._roots]
+        taken = ["ground"]
+        for k in self._roots:
+            taken.append(unique_name(model.body(k).name, f"body_{k}", taken))
+        self.names = wholes(taken[1:], scene.mechanism.body_names)
+
+    def _measure(self, scene: Scene) -> None:
+        """Names, units and ranges of velocities."""
+        model = self._model
+        slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
+        hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+        self.size = scene.mechanism.size
+        self.motions = tuple(self._name("joint", int(k)) for k in model.dof_jntid)
+        self.units = np.where(slides[model.dof_jntid], self.size, 1.0)
+        self.ranges = np.full(model.nv, 3.0)
+        for dof, joint in enumerate(model.dof_jntid.tolist()):
+            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and dof < model.jnt_dofadr[joint] + 3:
+                self.units[dof] = self.size
+            if np.sum(hinges & (model.jnt_bodyid == model.jnt_bodyid[joint])) > 1:
+                self.ranges[dof] = SEVERAL_HINGES
+
+    def _name(self, kind: str, number: int) -> str:
+        """What reports call an element."""
+        return f"{kind} {getattr(self._model, kind)(number).name or number!r}"
+
+    # The report
+
+    def _unaccounted(self, report: Mapping) -> Iterator[str]:
+        """Elements that a report says nothing of, or not what is outside of rigid dynamics."""
+        model, topics = self._model, {(entry.element, entry.topic) for entry in report.entries}
+        told = {element for element, _ in topics}
+        counts = {"joint": model.njnt, "equality": model.neq, "actuator": model.nactuator}
+        for kind, count in counts.items():
+            yield from (name for k in range(count) if (name := self._name(kind, k)) not in told)
+        for k in self._roots:
+            if self._name("body", k) not in told:
+                yield self._name("body", k)
+        for tendon in range(model.ntendon):
+            acts = [model.tendon_stiffness, model.tendon_damping, model.tendon_armature]
+            name = self._name("tendon", tendon)
+            if any(values[tendon] for values in acts) and name not in told:
+                yield name
+        frictions = model.dof_frictionloss[model.jnt_dofadr]
+        for kind, limited, friction in (
+            ("joint", model.jnt_limited, frictions),
+            ("tendon", model.tendon_limited, model.tendon_frictionloss),
+        ):
+            for topic, has in ((LIMITS, limited), (FRICTION, friction)):
+                for k in np.flatnonzero(has).tolist():
+                    if (self._name(kind, k), topic) not in topics:
+                        yield f"{self._name(kind, k)}: {topic}"
+        touching = np.any(model.geom_contype) or np.any(model.geom_conaffinity) or model.npair
+        if touching and CONTACTS not in {topic for _, topic in topics}:
+            yield "contacts"
+
+    def _leave_out(self, report: Mapping) -> None:
+        """Switch off or replace what a report says is not in the scene as it is, at the start."""
+        model, without, near = self._model, left_out(report), approximated(report)
+        numbers = {
+            self._name(kind, k): (kind, k)
+            for kind, count in (
+                ("joint", model.njnt),
+                ("equality", model.neq),
+                ("tendon", model.ntendon),
+                ("actuator", model.nactuator),
+            )
+            for k in range(count)
+        }
+        limits, forces, torques = self._at_limits()
+        for element, topics in without.items():
+            kind, k = numbers.get(element, (element, -1))
+            for topic in topics:
+                self._switch_off(kind, k, topic)
+        for element in near:
+            kind, k = numbers.get(element, (element, -1))
+            if kind == "equality":
+                self._straighten(k)
+            elif kind == "actuator" and limits[k]:
+                model.actuator_gaintype[k] = mujoco.mjtGain.mjGAIN_FIXED
+                model.actuator_biastype[k] = mujoco.mjtBias.mjBIAS_AFFINE
+                model.actuator_gainprm[k] = model.actuator_biasprm[k] = 0.0
+                model.actuator_biasprm[k, 0] = forces[k]
+                model.actuator_forcelimited[k] = 0
+                if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_TENDON:
+                    model.tendon_actfrclimited[model.actuator_trnid[k, 0]] = 0
+            elif kind == "joint":
+                model.jnt_actfrcrange[k] = torques[model.jnt_dofadr[k]]
+        self._data.eq_active[:] = self._active
+
+    @cached_property
+    def _active(self) -> Array:
+        return np.asarray(self._model.eq_active0.copy())
+
+    def _at_limits(self) -> tuple[Array, Array, Array]:
+        """Which actuators' forces are limited at the start, (nactuator,), these, and those on joints."""
+        model, data = self._model, self._data
+        kept = model.actuator_forcelimited.copy(), model.tendon_actfrclimited.copy()
+        self._go(self.start, self._velocity)
+        outputs = np.array(model.actuator_outadr, dtype=int)
+        forces, torques = data.actuator_force[outputs].copy(), data.qfrc_actuator.copy()
+        model.actuator_forcelimited[:], model.tendon_actfrclimited[:] = 0, 0
+        mujoco.mj_fwdActuation(model, data)
+        limits = data.actuator_force[outputs] != forces
+        model.actuator_forcelimited[:], model.tendon_actfrclimited[:] = kept
+        return limits, forces, torques
+
+    def _switch_off(self, kind: str, k: int, topic: str) -> None:
+        model = self._model
+        match kind, topic:
+            case "equality", _:
+                self._active[k] = 0
+            case "joint", "not linear":
+                model.jnt_stiffnesspoly[k] = 0.0
+                model.dof_dampingpoly[model.dof_jntid == k] = 0.0
+            case "joint", "limit of actuator forces":
+                model.jnt_actfrclimited[k] = 0
+            case "tendon", "not linear":
+                model.tendon_stiffnesspoly[k] = model.tendon_dampingpoly[k] = 0.0
+            case "tendon", "armature":
+                model.tendon_armature[k] = 0.0
+            case "tendon", "":
+                model.tendon_stiffness[k] = model.tendon_damping[k] = 0.0
+                model.tendon_stiffnesspoly[k] = model.tendon_dampingpoly[k] = 0.0
+            case "actuator", "":
+                model.actuator_gainprm[k] = model.actuator_biasprm[k] = model.actuator_gear[k] = 0.0
+                model.actuator_armature[k] = 0.0
+                model.actuator_damping[k] = model.actuator_dampingpoly[k] = 0.0
+            case "actuator", "damping":
+                model.actuator_damping[k] = model.actuator_dampingpoly[k] = 0.0
+            case "actuator", "limit of the force":
+                model.actuator_forcelimited[k] = 0
+            case "actuator", "limit of its tendon":
+                model.tendon_actfrclimited[model.actuator_trnid[k, 0]] = 0
+            case _, "density" | "viscosity":
+                setattr(model.opt, topic, 0.0)
+            case "option wind", _:
+                model.opt.wind[:] = 0.0
+            case _ if kind.endswith("flexes"):
+                for field in ("stiffness", "bending", "edgestiffness", "damping", "edgedamping"):
+                    getattr(model, f"flex_{field}")[:] = 0.0
+
+    def _straighten(self, equality: int) -> None:
+        """Replace a polynomial of joint coordinates by its tangent at the start."""
+        model, driver = self._model, int(self._model.eq_obj2id[equality])
+        place = model.jnt_qposadr[driver]
+        x = float(self.start[place] - model.qpos0[place])
+        whole = np.polynomial.Polynomial(model.eq_data[equality, :5])
+        slope = float(whole.deriv()(x))
+        model.eq_data[equality, :5] = [float(whole(x)) - slope * x, slope, 0.0, 0.0, 0.0]
+
+    # What MuJoCo says
+
+    def _go(self, q: Array, v: Array) -> None:
+        model, data = self._model, self._data
+        data.qpos[:], data.qvel[:] = q, v
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        mujoco.mj_fwdActuation(model, data)
+
+    def moved(self, q: Array, step: Array) -> Array:
+        """q after velocities `step` (nv,) for a unit of time."""
+        q = q.copy()
+        mujoco.mj_integratePos(self._model, q, step, 1.0)
+        return q
+
+    def difference(self, q: Array, other: Array) -> Array:
+        """(nv,) the step from one configuration to another."""
+        step = np.zeros(self._model.nv)
+        mujoco.mj_differentiatePos(self._model, step, 1.0, q, other)
+        return step
+
+    def mass_properties(self) -> MassProperties:
+        """Of the rigid groups at the start."""
+        model, data = self._model, self._data
+        self._go(self.start, np.zeros(model.nv))
+        masses, centers, inertias = [], [], []
+        for members, center in zip(self._members, self._centers(), strict=True):
+            mass = model.body_mass[members]
+            axes, arms = data.ximat[members].reshape(-1, 3, 3), data.xipos[members] - center
+            about = np.einsum("kij,kj,klj->il", axes, model.body_inertia[members], axes)
+            spread = np.einsum("k,ki,kj->ij", mass, arms, arms)
+            masses.append(mass.sum())
+            centers.append(center)
+            inertias.append(about + np.trace(spread) * np.eye(3) - spread)
+        return MassProperties(np.array(masses), np.array(centers), np.array(inertias))
+
+    def _centers(self) -> Array:
+        """(b, 3) of mass, after `_go`."""
+        mass, places = self._model.body_mass, self._data.xipos
+        return np.array([mass[k] @ places[k] / max(mass[k].sum(), 1e-300) for k in self._members])
+
+    def kinematics(self, q: Array, v: Array) -> Kinematics:
+        """Of the rigid groups."""
+        model, data = self._model, self._data
+        self._go(q, v)
+        centers = self._centers()
+        rows, drift, found = np.zeros((len(centers), 6, model.nv)), np.zeros((len(centers), 6)), np.zeros(6)
+        # MuJoCo's mj_jacDot is another's for a slide above a ball or hinge of one body
+        data.qacc[:] = 0.0
+        mujoco.mj_rnePostConstraint(model, data)
+        weight = data.cacc[0, 3:]
+        for k, (root, center) in enumerate(zip(self._roots, centers, strict=True)):
+            mujoco.mj_jac(model, data, rows[k, :3], rows[k, 3:], center, root)
+            mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_BODY, root, found, 0)
+            arm, omega = center - data.xipos[root], rows[k, 3:] @ v
+            linear = found[3:] - weight + cross(found[:3], arm) + cross(omega, cross(omega, arm))
+            drift[k] = np.concatenate([linear, found[:3]])
+        turns = data.xmat[self._roots].reshape(-1, 3, 3).copy()
+        return Kinematics(centers, turns, rows, drift)
+
+    def constraints(self, q: Array) -> Constraints:
+        """Rows of the equalities that are not left out."""
+        model, data = self._model, self._data
+        data.qpos[:] = q
+        data.eq_active[:] = self._active
+        mujoco.mj_fwdPosition(model, data)
+        equalities = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        equalities &= np.isin(data.efc_id, self._row_owners)  # those of flexes are left out
+        residual, jacobian = np.zeros(len(self._row_units)), np.zeros((len(self._row_units), model.nv))
+        there = np.isin(self._row_owners, data.efc_id[equalities])  # MuJoCo drops those of zeros
+        residual[there] = data.efc_pos[equalities]
+        jacobian[there] = data.efc_J.reshape(-1, model.nv)[equalities]
+        names = [self._name("equality", int(k)) for k in self._row_owners]
+        return Constraints(
+            residual / self._row_units, jacobian / self._row_units[:, None] * self.units, names
+        )
+
+    @cached_property
+    def _row_owners(self) -> Array:
+        """(k,) number of the equality that each row is of."""
+        units = [self._units_of(k) for k in range(self._model.neq)]
+        return np.repeat(np.arange(len(units)), [len(unit) for unit in units])
+
+    @cached_property
+    def _row_units(self) -> Array:
+        """(k,) of the rows, m or 1."""
+        return np.concatenate([np.ones(0), *(self._units_of(k) for k in range(self._model.neq))])
+
+    def _units_of(self, equality: int) -> Array:
+        """What rows of an equality are made dimensionless with; those of welds have a `torquescale` too."""
+        model, size = self._model, self.size
+        first = int(model.eq_obj1id[equality])
+        match mujoco.mjtEq(model.eq_type[equality]):
+            case mujoco.mjtEq.mjEQ_CONNECT:
+                return np.full(3, size)
+            case mujoco.mjtEq.mjEQ_WELD:
+                scale = float(model.eq_data[equality, TORQUE_SCALE]) or 1.0
+                return np.array([size] * 3 + [scale] * 3)
+            case mujoco.mjtEq.mjEQ_JOINT:
+                return self.units[model.jnt_dofadr[first], None]
+            case mujoco.mjtEq.mjEQ_TENDON:
+                sums = model.wrap_type[model.tendon_adr[first]] == mujoco.mjtWrap.mjWRAP_JOINT
+                return np.ones(1) if sums else np.full(1, size)
+        return np.ones(0)  # flexes have no joints
+
+    def mass_matrix(self, q: Array) -> tuple[Array, Array]:
+        """(nv, nv) of the bodies, and of the rotors."""
+        model, joints = self._model, np.diag(self._model.dof_armature)
+        others = np.any(model.tendon_armature) or np.any(model.actuator_armature)
+        bare = self._full(q)
+        return bare - joints, joints + (self._full(q, "tendon", "actuator") - bare if others else 0.0)
+
+    def _full(self, q: Array, *kinds: str) -> Array:
+        """MuJoCo's mass matrix with the armatures of joints, and of these kinds of elements."""
+        model, mass = self._model, np.zeros((self._model.nv, self._model.nv))
+        kept = {kind: getattr(model, f"{kind}_armature").copy() for kind in ("tendon", "actuator")}
+        for kind in kept:
+            if kind not in kinds:
+                getattr(model, f"{kind}_armature")[:] = 0.0
+        self._data.qpos[:] = q
+        mujoco.mj_fwdPosition(model, self._data)
+        mujoco.mj_fullM(model, self._data, mass)
+        for kind, values in kept.items():
+            getattr(model, f"{kind}_armature")[:] = values
+        return mass
+
+    def forces(self, q: Array, v: Array) -> Forces:
+        """Of gravity, springs, dampers, and actuators with all else that is passive."""
+        data = self._data
+        self._go(q, np.zeros(len(v)))
+        weight = -data.qfrc_bias
+        self._go(q, v)
+        springs, dampers = data.qfrc_spring.copy(), data.qfrc_damper.copy()
+        others = data.qfrc_passive - springs - dampers
+        others[np.abs(others) <= ROUND_OFF * np.abs(springs) + ROUND_OFF * np.abs(dampers)] = 0.0
+        return Forces(weight, springs, dampers, data.qfrc_actuator + others, data.qfrc_bias + weight)
+
+    def energies(self, q: Array, v: Array) -> tuple[float, float]:
+        """Kinetic, and potential of gravity and springs, J."""
+        self._go(q, v)
+        mujoco.mj_energyPos(self._model, self._data)
+        mujoco.mj_energyVel(self._model, self._data)
+        potential, kinetic = self._data.energy
+        return float(kinetic), float(potential)
+
+    # One element at a time
+
+    def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
+        """Forces (4, nv) of each element alone, of all `KINDS`, at each sample, by its name."""
+        model = self._model
+        whole = {f"{kind}_{field}" for kind, fields in OFF.items() for field in fields}
+        kept = {name: getattr(model, name).copy() for name in whole}
+        gravity = model.opt.gravity.copy()
+        for name in whole:
+            getattr(model, name)[:] = 0.0
+        weights = self._alone(samples)
+        for forces in weights:
+            forces[1:] = 0.0
+        yield "gravity", [weights]
+        model.opt.gravity[:] = 0.0
+        for kind, fields in OFF.items():
+            count = model.njnt if kind == "dof" else len(kept[f"{kind}_{fields[0]}"])
+            for k in range(count):
+                rows = model.dof_jntid == k if kind == "dof" else np.arange(count) == k
+                if not any(np.any(kept[f"{kind}_{field}"][rows]) for field in fields):
+                    continue
+                for field in fields:
+                    getattr(model, f"{kind}_{field}")[rows] = kept[f"{kind}_{field}"][rows]
+                what = {"jnt": ": stiffness", "dof": ": damping"}.get(kind, "")
+                yield self._name("joint" if what else kind, k) + what, self._ways(kind, k, samples, gravity)
+                for field in fields:
+                    getattr(model, f"{kind}_{field}")[rows] = 0.0
+        for name, values in kept.items():
+            getattr(model, name)[:] = values
+        model.opt.gravity[:] = gravity
+
+    def _ways(self, kind: str, k: int, samples: Sequence[Sample], gravity: Array) -> list[list[Array]]:
+        """What an element does alone, and in ways of its own that faults may have each for itself."""
+        model = self._model
+        if kind == "body":  # its compensation of gravity, without its weight
+            model.opt.gravity[:] = gravity
+            found = self._alone(samples)
+            model.opt.gravity[:] = 0.0
+            for forces in found:
+                forces[0] = 0.0
+            return [found]
+        ways = [self._alone(samples)]
+        if kind == "tendon":
+            model.tendon_lengthspring[k] += self.size
+            ways.append(self._alone(samples))
+            model.tendon_lengthspring[k] -= self.size
+        if kind == "actuator" and model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_SITE:
+            gear = model.actuator_gear[k].copy()
+            for axis in np.flatnonzero(gear):
+                model.actuator_gear[k] = np.where(np.arange(len(gear)) == axis, gear, 0.0)
+                ways.append(self._alone(samples))
+            model.actuator_gear[k] = gear
+        return ways
+
+    def _alone(self, samples: Sequence[Sample]) -> list[Array]:
+        return [np.array(self.forces(sample.q, sample.v)[:-1]) for sample in samples]
+
+    def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
+        """Mass matrix (nv, nv) of each element's armature alone at each sample, by its name."""
+        model = self._model
+        for joint in range(model.njnt):
+            alone = np.where(model.dof_jntid == joint, model.dof_armature, 0.0)
+            if np.any(alone):
+                yield self._name("joint", joint), [np.diag(alone)] * len(samples)
+        bodies = [self._full(sample.q) for sample in samples]
+        for kind in ("tendon", "actuator"):
+            inertia = getattr(model, f"{kind}_armature")
+            kept = inertia.copy()
+            for k in np.flatnonzero(kept):
+                inertia[:] = 0.0
+                inertia[k] = kept[k]
+                full = [self._full(sample.q, kind) for sample in samples]
+                yield self._name(kind, int(k)), [m - m0 for m, m0 in zip(full, bodies, strict=True)]
+            inertia[:] = kept
+
+
+def random_control(model: Any) -> Array:
+    """(nu,) controls at random within their ranges, which are between -1 and 1 where there are none."""
+    low, high = np.full((2, model.nu), [[-1.0], [1.0]])
+    limited = model.actuator_ctrllimited.astype(bool)
+    for k in np.flatnonzero(limited):
+        places = slice(model.actuator_ctrladr[k], model.actuator_ctrladr[k] + model.actuator_ctrlnum[k])
+        low[places], high[places] = model.actuator_ctrlrange[k].reshape(-1, 2).T
+    share = np.random.default_rng(0).uniform(0.1, 0.9, model.nu)
+    return np.asarray(low + share * (high - low))

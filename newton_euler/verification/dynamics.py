@@ -1,0 +1,118 @@
+"""What a system makes of a scene, against a file's own model: poses, energies and accelerations.
+
+Accelerations are put into the file's own equations, M a = f + J^T lambda and J a = -dJ/dt v: what is left of
+the first along motions that are free in the file, and of the second. No solution of these equations is
+compared, so that no decision on a rank is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from newton_euler.euler_parameters import angle_between
+from newton_euler.scalars import Array
+from newton_euler.state import Evaluation
+from newton_euler.verification.figure import ROUND_OFF, Figure, figure, tolerance, worst
+from newton_euler.verification.forces import largest, row_figure
+from newton_euler.verification.original import FREE, KINDS, Sample, least_squares
+from newton_euler.verification.placed import Place, Placed
+
+RATE = 1.0
+"""rad/s and sizes a second, of the samples' velocities: what mechanisms do at least that do nothing else."""
+
+LOSS = 100.0
+"""Times as large as round-off accelerations are that went through those of bodies."""
+
+
+def system_figures(placed: Placed) -> Iterator[Figure]:
+    """Poses, energies and accelerations of a system at the samples."""
+    coordinates = [placed.system.coordinates(place.state) for place in placed.places]
+    found = [placed.system.evaluate(q, v) for q, v in coordinates]
+    reach = placed.original.size
+    reach += max(float(np.max(np.abs(place.state.position))) for place in placed.places)
+    yield from _pose_figures(placed, found, reach)
+    yield from _energy_figures(placed, found, reach)
+    yield from _acceleration_figures(placed, found)
+
+
+def _pose_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -> Iterator[Figure]:
+    shift, turn, speed = [], [], []
+    for each, place in zip(found, placed.places, strict=True):
+        state, wanted = each.state, place.state
+        shift.append(np.linalg.norm(state.position - wanted.position, axis=1) / reach)
+        turn.append(angle_between(state.quaternion, wanted.quaternion))
+        linear = np.linalg.norm(state.linear_velocity - wanted.linear_velocity, axis=1) / reach
+        angular = np.linalg.norm(state.angular_velocity - wanted.angular_velocity, axis=1)
+        speed.append(np.maximum(linear, angular))
+    limits = np.array([10.0 * tolerance(place.sample) for place in placed.places])[:, None]
+    names = placed.mechanism.body_names
+    yield figure("positions, rel", np.array(shift), limits, names)
+    yield figure("orientations, rad", np.array(turn), limits, names)
+    yield figure("velocities, rel", np.array(speed), limits, names)
+
+
+def _energy_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -> Iterator[Figure]:
+    """Potential energies are compared less those at the start: files and scenes have different zeros."""
+    samples = placed.original.samples
+    wanted = np.array([sample.energies for sample in samples])
+    energies = np.array([[each.kinetic_energy, each.potential_energy] for each in found])
+    mass = sum(body.mass for body in placed.mechanism.bodies)
+    usual = 0.5 * mass * (placed.original.size * RATE) ** 2
+    weight = mass * float(np.linalg.norm(placed.scene.gravity)) * reach
+    limits = np.array([10.0 * tolerance(sample) for sample in samples])
+    names = [f"state {k}" for k in range(len(found))]
+    scales = np.max(np.abs([energies, wanted]), axis=(0, 1)) + np.array([usual, usual + weight])
+    gaps = energies - wanted
+    gaps[:, 1] -= gaps[0, 1]
+    for k, quantity in enumerate(("kinetic energy, rel", "potential energy, rel")):
+        yield figure(quantity, np.abs(gaps[:, k]) / scales[k], limits, names)
+
+
+def _acceleration_figures(placed: Placed, found: Sequence[Evaluation]) -> Iterator[Figure]:
+    """Accelerations of bodies in the file's own equations of motion and of constraints."""
+    original, across, loops, left, scales = placed.original, [], [], [], []
+    for place, each in zip(placed.places, found, strict=True):
+        accelerations = np.hstack([each.linear_acceleration, each.angular_acceleration]).ravel()
+        own, strange = _own_acceleration(placed, place, accelerations)
+        across.append(strange)
+        loops += _loop_figures(place.sample, own)
+        basis, a = place.sample.freedom.basis, original.units * own
+        mass, forces = np.sum(place.sample.mass_matrices, axis=0), np.array(place.sample.forces)
+        push = forces[: len(KINDS)].sum(axis=0) - forces[-1]
+        certain = place.sample.freedom.certain
+        onto = certain @ np.linalg.pinv(certain)
+        left.append(onto.T @ (basis.T @ (mass @ a - push)))
+        scales.append(np.abs(basis).T @ (np.abs(mass) @ np.abs(a) + np.abs(forces).sum(axis=0)))
+    yield worst(across)
+    if loops:
+        yield worst(loops)
+    # multipliers of rows in doubt are large, and what round-off lets them do to free motions is too
+    doubts = [sample.freedom.doubt for sample in original.samples if sample.freedom.doubt > FREE]
+    spread = max((np.finfo(float).eps / (ROUND_OFF * doubt) for doubt in doubts), default=0.0)
+    scale = (LOSS + spread) * largest(original, scales)
+    yield row_figure(original, "accelerations, as forces, rel", left, scale, of_motion=True)
+
+
+def _own_acceleration(placed: Placed, place: Place, accelerations: Array) -> tuple[Array, Figure]:
+    """(nv,) of the file's coordinates, dimensionless, and how far those of bodies are across its joints."""
+    rows = place.of_parts / placed.part_units[:, None] * placed.original.units
+    reached, drift = placed.of_parts(accelerations), place.drift / placed.part_units
+    own = least_squares(rows, reached - drift)
+    scale = max(RATE**2, float(np.max(np.abs([reached, drift]))))
+    gaps = np.abs(rows @ own - (reached - drift)).reshape(-1, 6).max(axis=1) / scale
+    limit, names = 10.0 * tolerance(place.sample), placed.original.names
+    return own, figure("accelerations across joints, rel", gaps, limit, names)
+
+
+def _loop_figures(sample: Sample, own: Array) -> list[Figure]:
+    """How far accelerations (nv,) open the file's constraints; nothing of a file without any."""
+    _, jacobian, owners = sample.constraints
+    if not len(owners):
+        return []
+    fine, coarse = sample.velocity_products
+    scale = float(np.max(np.abs(jacobian))) * max(RATE**2, float(np.max(np.abs(own))))
+    gaps = np.maximum(np.abs(jacobian @ own + fine) - np.abs(coarse - fine), 0.0) / max(scale, RATE**2)
+    limit = 10.0 * tolerance(sample)
+    return [figure("accelerations across loops, rel", gaps, limit, owners)]

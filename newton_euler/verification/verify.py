@@ -1,0 +1,91 @@
+"""Verification of a scene against the file that it was read from, as an independent reader holds that.
+
+`verify` compares figure by figure, at the start and at closed states around it and far from it, all of them
+moving, with springs displaced and actuators on:
+
+1. mass properties of each body, and where it starts;
+2. the mass matrix with loops open, bodies placed at random;
+3. joints, gears and motions of the scene where the file's own equalities are closed, how fast they open where
+   the file lets bodies move, and how far what the scene leaves free opens the file's equalities;
+4. forces of gravity, springs, dampers and actuators apart, and armatures, as independent velocities see
+   them; a difference is blamed on the element of the file whose own force, alone, is most like it;
+5. what a system makes of the scene: poses, energies, and accelerations.
+
+Figures are relative to what the mechanism does at all of the states together, row by row, before anything
+cancels: never to what may be round-off. Tolerances are round-off of a hundred operations in a row, and by
+how much the states are open, magnified by the condition of the constraints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from newton_euler.errors import NewtonEulerError, VerificationError
+from newton_euler.mapping import Mapping
+from newton_euler.relative import Relative
+from newton_euler.system import System
+from newton_euler.verification.dynamics import system_figures
+from newton_euler.verification.figure import Figure, worst
+from newton_euler.verification.forces import force_figures
+from newton_euler.verification.model import PLACES, body_figures, joint_figures
+from newton_euler.verification.original import Original
+from newton_euler.verification.placed import Placed
+
+PARTS: tuple[Callable[[Placed], Iterator[Figure]], ...] = (
+    body_figures,
+    joint_figures,
+    force_figures,
+    system_figures,
+)
+
+
+def verify(original: Original, system: System) -> Iterator[Figure]:
+    """Compare equations of motion of a scene with the file's own.
+
+    The first figure that does not agree tells the most: what is after it may follow from it. Nothing is
+    compared after bodies that are not the file's, or that do not start where it has them.
+
+    Raises:
+        NewtonEulerError: for numbers that are not finite, and a scene that the system cannot evaluate.
+    """
+    unknown = sorted(set(system.mechanism.body_names[1:]) ^ set(original.names))
+    missing = [*unknown, *original.unaccounted]
+    yield Figure("elements unaccounted for", len(missing), 0.5, ", ".join(missing[:5]))
+    if unknown:
+        return
+    try:
+        with np.errstate(all="ignore"):  # what overflows is not finite, and said
+            placed = Placed(original, system)
+        for part in PARTS:
+            with np.errstate(all="ignore"):
+                found = list(part(placed))
+            yield from found
+            if any(each.quantity == PLACES and not each.agrees for each in found):
+                return
+    except np.linalg.LinAlgError as error:
+        raise NewtonEulerError(f"the scene cannot be compared with what the file says: {error}") from error
+
+
+def check(report: Mapping) -> str:
+    """Verify what was read from a file, by the joint-coordinate form of its equations.
+
+    Returns:
+        A line for the report.
+
+    Raises:
+        VerificationError: naming the quantity, and the element or body, of the first figure that fails.
+    """
+    found = []
+    for original, scene in report.originals:
+        for figure in verify(original, Relative(scene)):
+            if not figure.agrees:
+                raise VerificationError(*figure)
+            found.append(figure)
+    nearest = worst(found)
+    states = sum(len(original.samples) for original, _ in report.originals)
+    return (
+        f"verified against the file's own model at {states} moving states in {len(found)} figures, the "
+        f"largest of them {nearest.value / nearest.tolerance:.0e} of its tolerance: {nearest.quantity}"
+    )

@@ -1,0 +1,312 @@
+"""A URDF and its loop file as Pinocchio holds them, to verify a scene that was read from them.
+
+See `newton_euler.verification`. Pinocchio parses the file anew. What the loop file says, and mimics, are rows
+of constraints here; nothing is shared with `urdf.reading` but the names of elements.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, unique_name
+from newton_euler.scalars import Array, cross, tilde
+from newton_euler.scene import Scene
+from newton_euler.state import MassProperties
+from newton_euler.verification.original import (
+    Constraints,
+    Forces,
+    Kinematics,
+    Original,
+    Sample,
+    left_out,
+    wholes,
+)
+from urdf.loops import UNIVERSAL, Loops
+
+SEVERAL_HINGES = 1.2
+"""rad, that hinges in a row without a mass between them are moved from the start, see `mjcf.original`."""
+
+HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
+
+
+class UrdfOriginal(Original):
+    """A URDF and its loop file."""
+
+    def __init__(self, text: str, loops: Loops, base: str, report: Mapping, scene: Scene) -> None:
+        """Parse.
+
+        Args:
+            text: of the URDF.
+            loops: what the loop file says.
+            base: as of `urdf.read.read`.
+            report: of the reading.
+            scene: what was read; its initial pose is the start, and its gravity the file's, which has none.
+        """
+        self._root, self._loops = ET.fromstring(text), loops
+        self._model, self._of = _built(text, loops, base)
+        self._data: Any = self._model.createData()
+        self._model.gravity.linear = np.array(scene.gravity)
+        self._without = left_out(report)
+        self._damping = self._dampers()
+        self._name(scene)
+        self._lengths: list[float] = []
+        self.unaccounted = tuple(self._unaccounted(report))
+        self._couple()
+        guess = np.zeros(self._model.nv)
+        for _ in self._followers:  # of followers of followers too
+            for follower, driver, multiplier, offset in self._followers:
+                guess[follower] = multiplier * guess[driver] + offset
+        neutral = pin.neutral(self._model)
+        self.start = self.aligned(self.moved(neutral, guess), scene)
+        self._lengths = [float(np.linalg.norm(d)) for d in self._rods(self.start)[0]]
+        # angles of continuous joints are known within a turn
+        at = self._rows @ pin.difference(self._model, neutral, self.start) - self._offsets
+        turn = 2.0 * np.pi * np.abs(self._turns)
+        self._open = at - turn * np.round(at / np.where(turn > 0.0, turn, np.inf))
+        self.start = self.closed(self.start)[0]
+
+    def _name(self, scene: Scene) -> None:
+        model, self.size = self._model, scene.mechanism.size
+        self._joints = [k for k in range(1, model.njoints) if model.inertias[k].mass > 0.0]
+        taken = ["ground"]
+        for k in self._joints:
+            bodies = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == k)
+            taken.append(unique_name(str(next(bodies, model.frames[0]).name), f"body_{k}", taken))
+        self.names = wholes(taken[1:], scene.mechanism.body_names)
+        massless = {k for k in range(1, model.njoints) if k not in self._joints}
+        self.units, self.ranges = np.ones(model.nv), np.full(model.nv, 3.0)
+        names = [""] * model.nv
+        data, neutral = model.createData(), pin.neutral(model)
+        columns = np.reshape(pin.computeJointJacobians(model, data, neutral), (6, model.nv))
+        for k in range(1, model.njoints):
+            place = slice(model.joints[k].idx_v, model.joints[k].idx_v + model.joints[k].nv)
+            names[place] = [f"joint {self._of[k]!r}"] * model.joints[k].nv
+            self.units[place] = np.where(np.any(columns[3:, place] != 0.0, axis=0), 1.0, self.size)
+            if k in massless or model.parents[k] in massless:
+                self.ranges[place] = SEVERAL_HINGES
+        self.motions = tuple(names)
+
+    def _dampers(self) -> Array:
+        """(nv,) of the URDF's joints that have one motion."""
+        model, found = self._model, np.zeros(self._model.nv)
+        numbers = {str(model.names[k]): k for k in range(1, model.njoints) if model.joints[k].nv == 1}
+        for joint in self._root.findall("joint"):
+            dynamics, name = joint.find("dynamics"), str(joint.get("name"))
+            if dynamics is not None and name in numbers and "damping" not in self._topics(f"joint {name!r}"):
+                found[model.joints[numbers[name]].idx_v] = float(dynamics.get("damping", 0.0))
+        return found
+
+    def _topics(self, element: str) -> set[str]:
+        return self._without.get(element, set())
+
+    def _couple(self) -> None:
+        """Rows of mimics and of coupled joints: factors (c, nv), offsets (c,), owners."""
+        model, rows, offsets, owners = self._model, [], [], []
+        self._followers: list[tuple[int, int, float, float]] = []
+        places = {str(model.names[k]): model.joints[k].idx_v for k in range(1, model.njoints)}
+        for joint in self._root.findall("joint"):
+            for mimic in joint.findall("mimic"):
+                name, driver = str(joint.get("name")), str(mimic.get("joint"))
+                element = f"mimic of joint {name!r}"
+                if joint.get("type") == "fixed" or self._topics(element):
+                    continue
+                row, offset = np.zeros(model.nv), float(mimic.get("offset", 0.0))
+                multiplier = float(mimic.get("multiplier", 1.0))
+                row[places[name]] += 1.0
+                row[places[driver]] -= multiplier
+                self._followers.append((places[name], places[driver], multiplier, offset))
+                rows.append(row)
+                offsets.append(offset)
+                owners.append(element)
+        for coupling in self._loops.coupled:
+            element = f"coupled {', '.join(coupling)}"
+            if not self._topics(element):
+                row = np.zeros(model.nv)
+                for name, factor in coupling.items():
+                    row[places[name]] = factor
+                rows.append(row)
+                offsets.append(0.0)
+                owners.append(element)
+        self._rows, self._owners = np.reshape(rows, (-1, model.nv)), owners
+        scale = np.max(np.abs(self._rows * self.units), axis=1, initial=0.0)
+        self._rows, self._offsets = self._rows / scale[:, None], np.array(offsets) / scale
+        first = [int(np.flatnonzero(row)[0]) for row in self._rows]
+        angles = [bool(k == 1.0) for k in self.units[first]]
+        self._turns = np.where(angles, self._rows[np.arange(len(first)), first], 0.0)
+        self._open = np.zeros(len(first))
+
+    def _unaccounted(self, report: Mapping) -> Iterator[str]:
+        """Elements that a report says nothing of, or not what is outside of rigid dynamics."""
+        topics = {(entry.element, entry.topic) for entry in report.entries}
+        told = {element for element, _ in topics}
+        for k in range(1, self._model.njoints):
+            if f"joint {self._of[k]!r}" not in told and self._of[k] != "root_joint":
+                yield f"joint {self._of[k]!r}"
+        for joint in self._root.findall("joint"):
+            name, dynamics = f"joint {joint.get('name')!r}", joint.find("dynamics")
+            limited = joint.find("limit") is not None and joint.get("type") in ("revolute", "prismatic")
+            if limited and (name, LIMITS) not in topics:
+                yield f"{name}: {LIMITS}"
+            rough = dynamics is not None and float(dynamics.get("friction", 0.0))
+            if rough and (name, FRICTION) not in topics:
+                yield f"{name}: {FRICTION}"
+            for _ in joint.findall("mimic"):
+                if joint.get("type") != "fixed" and f"mimic of {name}" not in told:
+                    yield f"mimic of {name}"
+        for pair in self._loops.closed_loop:
+            if f"closed_loop {' and '.join(pair)}" not in told:
+                yield f"closed_loop {' and '.join(pair)}"
+        if self._root.findall("link/collision") and CONTACTS not in {topic for _, topic in topics}:
+            yield CONTACTS
+
+    # What Pinocchio says
+
+    def moved(self, q: Array, step: Array) -> Array:
+        """q after velocities `step` (nv,) for a unit of time."""
+        return np.asarray(pin.integrate(self._model, q, step))
+
+    def difference(self, q: Array, other: Array) -> Array:
+        """(nv,) the step from one configuration to another."""
+        return np.asarray(pin.difference(self._model, q, other))
+
+    def mass_properties(self) -> MassProperties:
+        """Of the links of each joint at the start."""
+        model, data = self._model, self._data
+        pin.forwardKinematics(model, data, self.start)
+        placed = [data.oMi[k].act(model.inertias[k]) for k in self._joints]
+        values = ([i.mass for i in placed], [i.lever for i in placed], [i.inertia for i in placed])
+        return MassProperties(*(np.array(value) for value in values))
+
+    def kinematics(self, q: Array, v: Array) -> Kinematics:
+        """Of the links of each joint."""
+        model, data = self._model, self._data
+        pin.computeJointJacobians(model, data, q)
+        pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
+        count = len(self._joints)
+        places, turns = np.zeros((count, 3)), np.zeros((count, 3, 3))
+        rows, drift = np.zeros((count, 6, model.nv)), np.zeros((count, 6))
+        for n, k in enumerate(self._joints):
+            pose = data.oMi[k]
+            arm = pose.rotation @ model.inertias[k].lever
+            places[n], turns[n] = pose.translation + arm, pose.rotation
+            columns = pin.getJointJacobian(model, data, k, pin.LOCAL_WORLD_ALIGNED)
+            rows[n] = np.reshape(columns, (6, model.nv))
+            rows[n, :3] -= tilde(arm) @ rows[n, 3:]
+            found = pin.getClassicalAcceleration(model, data, k, pin.LOCAL_WORLD_ALIGNED)
+            omega = rows[n, 3:] @ v
+            drift[n, 3:] = found.angular
+            across = cross(found.angular, arm) + cross(omega, cross(omega, arm))
+            drift[n, :3] = found.linear + across
+        return Kinematics(places, turns, rows, drift)
+
+    def constraints(self, q: Array) -> Constraints:
+        """Rows of closures, rods, mimics and couplings."""
+        model, data = self._model, self._data
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        residuals, rows, owners = [np.zeros(0)], [np.zeros((0, model.nv))], list[str]()
+        for pair, kind in zip(self._loops.closed_loop, self._loops.type, strict=True):
+            if kind == "rod":
+                continue
+            first, second = (self._frame(name) for name in pair)
+            a, b = data.oMf[first], data.oMf[second]
+            apart = self._moving(first) - self._moving(second)
+            residuals.append((a.translation - b.translation) / self.size)
+            rows.append(apart[:3] / self.size)
+            if kind == "6d":
+                turn = a.rotation.T @ b.rotation
+                residuals.append(pin.log3(turn))
+                rows.append(-pin.Jlog3(turn) @ b.rotation.T @ apart[3:])
+            owners += [f"closed_loop {' and '.join(pair)}"] * (6 if kind == "6d" else 3)
+        lines, across, names = self._rods(q)
+        for d, row, length, name in zip(lines, across, self._lengths, names, strict=True):
+            residuals.append(np.array([np.linalg.norm(d) - length]) / self.size)
+            rows.append((d / np.linalg.norm(d) @ row)[None] / self.size)
+            owners.append(name)
+        residuals.append(self._rows @ pin.difference(model, self.start, q) + self._open)
+        jacobian = np.concatenate([*rows, self._rows]) * self.units
+        return Constraints(np.concatenate(residuals), jacobian, [*owners, *self._owners])
+
+    def _rods(self, q: Array) -> tuple[list[Array], list[Array], list[str]]:
+        """Lines (3,) of the rods, their rates (3, nv), and their names; none before they have lengths."""
+        model, data = self._model, self._data
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        lines, rows, names = list[Array](), list[Array](), list[str]()
+        for pair, kind in zip(self._loops.closed_loop, self._loops.type, strict=True):
+            if kind == "rod":
+                first, second = (self._frame(name) for name in pair)
+                lines.append(data.oMf[second].translation - data.oMf[first].translation)
+                rows.append((self._moving(second) - self._moving(first))[:3])
+                names.append(f"closed_loop {' and '.join(pair)}")
+        return lines, rows, names
+
+    def _frame(self, name: str) -> int:
+        return next(k for k, frame in enumerate(self._model.frames) if frame.name == name)
+
+    def _moving(self, frame: int) -> Array:
+        """(6, nv) velocity of a frame's origin, and angular, in the world."""
+        found = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
+        return np.reshape(found, (6, self._model.nv))
+
+    def mass_matrix(self, q: Array) -> tuple[Array, Array]:
+        """(nv, nv) of the bodies; a URDF has no rotors."""
+        upper = np.triu(pin.crba(self._model, self._data, q))
+        return upper + np.triu(upper, 1).T, np.diag(self._model.armature)
+
+    def forces(self, q: Array, v: Array) -> Forces:
+        """Of gravity, and of dampers."""
+        weight = -np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
+        bias = np.array(pin.nonLinearEffects(self._model, self._data, q, v)) + weight
+        return Forces(weight, np.zeros(len(v)), -self._damping * v, np.zeros(len(v)), bias)
+
+    def energies(self, q: Array, v: Array) -> tuple[float, float]:
+        """Kinetic, and potential of gravity, J."""
+        kinetic = pin.computeKineticEnergy(self._model, self._data, q, v)
+        return float(kinetic), float(pin.computePotentialEnergy(self._model, self._data, q))
+
+    def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
+        """Forces (4, nv) of each element alone, of all `KINDS`, at each sample, by its name."""
+        for name in ("gravity", *dict.fromkeys(self.motions)):
+            own, found = np.array([motion == name for motion in self.motions]), []
+            for sample in samples:
+                forces = np.array(self.forces(sample.q, sample.v)[:-1])
+                forces[1:] = np.where(own, forces[1:], 0.0)
+                forces[0] *= name == "gravity"
+                found.append(forces)
+            if np.any(found):
+                yield name if name == "gravity" else f"{name}: damping", [found]
+
+    def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
+        """None: a URDF has no armatures."""
+        yield from ()
+
+
+def _built(text: str, loops: Loops, base: str) -> tuple[Any, list[str]]:
+    """Pinocchio's model, joints as the loop file has them, and the URDF's joint of each of its joints."""
+    plain = pin.buildModelFromXML(text, *([pin.JointModelFreeFlyer()] if base == "free" else []))
+    types = dict(zip(loops.joint_name, loops.joint_type, strict=True))
+    held = [plain.getJointId(name) for name, kind in types.items() if kind == "FIXED"]
+    if held:
+        plain = pin.buildReducedModel(plain, held, pin.neutral(plain))
+    model, number, owners = pin.Model(), {0: 0}, [""]
+    for k in range(1, plain.njoints):
+        name = str(plain.names[k])
+        kind, pose = types.get(name, ""), plain.jointPlacements[k]
+        turning = [HINGES[axis]() for axis in UNIVERSAL.get(kind, "")]
+        chain = turning or [pin.JointModelSpherical() if kind == "SPHERICAL" else plain.joints[k]]
+        number[k] = number[plain.parents[k]]
+        for n, joint in enumerate(chain):
+            own = name if len(chain) == 1 else f"{name}_{UNIVERSAL[kind][n]}"
+            number[k] = model.addJoint(number[k], joint, pose if n == 0 else pin.SE3.Identity(), own)
+            owners.append(name)
+        model.appendBodyToJoint(number[k], plain.inertias[k], pin.SE3.Identity())
+    for frame in list(plain.frames)[1:]:
+        frame.parentJoint = number[frame.parentJoint]
+        model.addFrame(frame, False)
+    return model, owners
