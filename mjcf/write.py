@@ -217,9 +217,10 @@ def _body(
     )
     _inertial(element, body)
     joint = welded.tree.joint(kept.joint)
-    for name, motion in zip(motion_names(joint, kept.forward), kept.motions, strict=True):
+    named = zip(motion_names(joint, kept.forward), kept.motions, kept.points, strict=True)
+    for name, motion, point in named:
         attributes = {"name": name, "type": motion.kind}
-        attributes["pos"] = numbers(body.pose.point_to_body(joint.reaction_point))
+        attributes["pos"] = numbers(body.pose.point_to_body(point))
         if motion.kind != "ball":
             attributes["axis"] = numbers(body.pose.vector_to_body(motion.axis))
         ET.SubElement(element, "joint", attributes | springs.get(name, {}))

@@ -51,6 +51,7 @@ def largest(residuals: Array) -> float:
     return float(np.max(np.abs(residuals), initial=0.0))
 
 
+@np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation
 def project_position(system: System, q: Array) -> Array:
     """The coordinates near q that meet phi(q) = 0 to round-off: Newton's steps of least length.
 
@@ -61,7 +62,8 @@ def project_position(system: System, q: Array) -> Array:
     here = residual = system.phi(best)
     worse = 0
     for _ in range(NEWTON_STEPS):
-        if largest(residual) < ROUND_OFF * system.mechanism.size or worse == 2:
+        closed = largest(residual) < ROUND_OFF * system.mechanism.size
+        if closed or worse == 2 or not np.isfinite(here).all():
             break
         step = minimum_norm(system.phi_jacobian(at), here, system.phi_units, system.velocity_units)
         at = system.retract(at, -step)
@@ -69,7 +71,7 @@ def project_position(system: System, q: Array) -> Array:
         worse = 0 if largest(here) < largest(residual) else worse + 1
         if worse == 0:
             best, residual = at, here
-    if largest(residual) > CLOSURE_TOLERANCE:
+    if not largest(residual) <= CLOSURE_TOLERANCE:
         joint, gap = worst_joint(system, system.state(best, np.zeros(system.nv)))
         raise AssemblyError(joint, gap, CLOSURE_TOLERANCE)
     return best

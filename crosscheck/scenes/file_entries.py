@@ -112,6 +112,7 @@ class JointEntry(_Strict):
     pitch: Number | None = None
     slides: list[Vector] | None = None
     hinges: list[Vector] | None = None
+    offsets: list[Vector] | None = None
     ball: bool | None = None
     actuated: bool = False
 
@@ -128,7 +129,7 @@ class JointEntry(_Strict):
             if getattr(self, name) is not None
         }
         needed = (*kind.axis_names, "pitch") if kind is Screw else kind.axis_names
-        for name in ("slides", "hinges", "ball"):
+        for name in ("slides", "hinges", "offsets", "ball"):
             value = getattr(self, name)
             if value is not None and kind is not Compound:
                 raise CrosscheckError(f"{where}: {name} are of compound joints only")
@@ -139,6 +140,7 @@ class JointEntry(_Strict):
             )
         if kind is Compound:
             given |= {"slides": self.slides or (), "hinges": self.hinges or (), "ball": self.ball or False}
+            given |= {"offsets": self.offsets}
         arguments: dict[str, Any] = given | {
             "point_on_second": self.point_on_second,
             "actuated": self.actuated,

@@ -118,7 +118,8 @@ def _joint(joint: Joint) -> dict[str, Any]:
         entry["point_on_second"] = joint.reaction_point.tolist()
     more = [*joint.axis_names]
     more += ["pitch"] if isinstance(joint, Screw) else []
-    more += ["slides", "hinges", "ball"] if isinstance(joint, Compound) else []
+    if isinstance(joint, Compound):
+        more += ["slides", "hinges", "ball", *(["offsets"] if np.any(joint.offsets) else [])]
     entry |= {name: _number(getattr(joint, name)) for name in more}
     if joint.actuated:
         entry["actuated"] = True
