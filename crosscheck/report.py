@@ -19,6 +19,7 @@ from crosscheck.comparison.samples import admissible_basis, body_units
 from crosscheck.model_files.read import report_lines
 from crosscheck.run import Crosscheck
 from crosscheck.stiffness import explicit_steps, fastest_decay
+from newton_euler.mapping import Mapping
 from newton_euler.relative import Relative
 
 IMPLICIT = ("Radau", "implicitfast")
@@ -115,6 +116,7 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
         )
     if result.mapping and result.runs:
         yield _start_line(result)
+        yield from _activity_lines(result.mapping)
     if result.rests:
         yield _rest_line(result)
     count, joints = undetermined_joints(result.scene, result.scene.initial_state)
@@ -123,6 +125,18 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
         yield f"reactions not unique: {rows} at joints {', '.join(joints)}; each engine has its own"
     yield from not_compared(result.rows)
     yield from (f"advice, {advice}" for advice in result.advice)
+
+
+def _activity_lines(mapping: Mapping) -> Iterator[str]:
+    """Which of the limits, contacts and dry friction that were left out did nothing in the run."""
+    watched = {number: mapping.entries[number] for number in mapping.watches}
+    inactive = [entry for entry in watched.values() if entry.fate == "inactive"]
+    for entry in watched.values():
+        if entry.fate != "inactive":
+            yield f"active, and left out: {entry.element}: {entry.how}"
+    if inactive:
+        texts = "; ".join(f"{entry.element}: {entry.how}" for entry in inactive)
+        yield f"inactive in this run, {len(inactive)} of {len(watched)} watched: {texts}"
 
 
 def _start_line(result: Crosscheck) -> str:

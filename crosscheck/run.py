@@ -22,6 +22,7 @@ from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, TooLongError, limited
 from crosscheck.partial import UnfinishedError
 from crosscheck.scenes.options import titled
+from newton_euler.activity import Course
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mapping import Mapping as Report
 from newton_euler.scene import Scene
@@ -182,6 +183,8 @@ def crosscheck(
         for engine in able if known else ():
             progress(f"{engine.name}: known figures")
             measured.extend(measure(source, scene, engine, runs[engine.name], known))
+        if mapping:
+            mapping = mapping.after(Course(scene, runs[able[0].name]))
         advice: tuple[Advice, ...] = ()
         with suppress(TooLongError), limited("working out advice", "there is none", progress):
             advice = advise(Found(scene, source, able, runs, rows, options, mapping))

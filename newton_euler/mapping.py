@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
+from newton_euler.activity import Course, Watch, judged
 from newton_euler.measured import Key
 
-Fate = Literal["exactly", "approximated", "left out"]
+Fate = Literal["exactly", "approximated", "inactive", "left out"]
 
-FATES: tuple[Fate, ...] = ("exactly", "approximated", "left out")
+FATES: tuple[Fate, ...] = ("exactly", "approximated", "inactive", "left out")
 
 CONTACTS, LIMITS, FRICTION = "contacts", "limits", "dry friction"
 """Topics of what files of several formats hold."""
@@ -61,7 +63,8 @@ class Mapped:
 
     Attributes:
         element: its kind and name, such as "equality 'close'".
-        fate: carried over exactly, approximated, or left out.
+        fate: carried over exactly, approximated, or left out; inactive if it is left out and a run has shown
+            that it did nothing there.
         how: what it became, how it was approximated, or why it was left out.
         became: `CONTROL`, `FORCE`, `ROTOR`, or "" for anything else.
         topic: which of the things that a file can say of the element it is about, "" for all that it says.
@@ -87,11 +90,13 @@ class Mapping:
     Attributes:
         entries: in the order in which they were added.
         start: lines about the pose and the velocities that the scene starts from.
+        watches: what tells of entries, by their numbers, whether they are active in a run.
     """
 
     def __init__(self) -> None:
         self.entries: list[Mapped] = []
         self.start: list[str] = []
+        self.watches: dict[int, Sequence[Watch]] = {}
 
     def exactly(self, element: str, how: str, became: str = "", unseen: Part | None = None) -> None:
         """`unseen` is what the file says that moves nothing as it is, such as the gear of an idle motor."""
@@ -101,21 +106,46 @@ class Mapping:
     def approximated(self, element: str, how: str, *parts: Part, became: str = "", topic: str = "") -> None:
         self.entries.append(Mapped(element, "approximated", how, became, topic, parts=parts))
 
-    def left_out(self, element: str, why: str, *parts: Part, topic: str = "", inert: bool = False) -> None:
+    def left_out(
+        self,
+        element: str,
+        why: str,
+        *parts: Part,
+        topic: str = "",
+        inert: bool = False,
+        watches: Sequence[Watch] = (),
+    ) -> None:
+        """`watches` tell of a limit and the like whether it is active; all of it has to be watched."""
+        if watches and not inert:
+            self.watches[len(self.entries)] = watches
         self.entries.append(Mapped(element, "left out", why, "", topic, inert, parts))
+
+    def after(self, course: Course) -> Mapping:
+        """The report with what a run shows of what was left out."""
+        found = Mapping()
+        found.start, found.entries, found.watches = self.start, list(self.entries), self.watches
+        for number, watches in self.watches.items():
+            seen, entry = judged(watches, course), self.entries[number]
+            fate: Fate = "left out" if seen.active else "inactive"
+            found.entries[number] = replace(entry, fate=fate, how=f"{entry.how}; {seen.words}")
+        return found
 
     def of(self, fate: Fate) -> list[Mapped]:
         """The entries of one fate."""
         return [entry for entry in self.entries if entry.fate == fate]
 
     def counts(self) -> str:
-        """How many elements were approximated and left out that move something, in words; "" if none."""
-        found: list[str] = []
+        """How many elements were approximated, inactive and left out that could move something, in words.
+
+        Each element counts once, as the worst that became of it; "" if there are none.
+        """
+        worst: dict[str, Fate] = {}
         for fate in FATES[1:]:
-            elements = {entry.element for entry in self.of(fate) if not entry.inert}
-            if elements:
-                what = "element is" if len(elements) == 1 else "elements are"
-                found.append(f"{len(elements)} {'' if found else what + ' '}{fate}")
+            worst.update((entry.element, fate) for entry in self.of(fate) if not entry.inert)
+        found: list[str] = []
+        for fate, count in sorted(Counter(worst.values()).items(), key=lambda item: FATES.index(item[0])):
+            what = "element is" if count == 1 else "elements are"
+            found.append(f"{count} {'' if found else what + ' '}{fate}")
         return ", ".join(found)
 
 

@@ -19,11 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
+from newton_euler.activity import Bounds, Rest, Watch
 from newton_euler.couplings import Gear
 from newton_euler.errors import NewtonEulerError, check_choice
 from newton_euler.forces import JointSpring
 from newton_euler.joints import Fixed, Joint, Rod, Spherical
-from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, Part, unique_name, value
+from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, RANGE, Mapping, Part, unique_name, value
 from newton_euler.measured import Key
 from newton_euler.mechanism import Mechanism
 from newton_euler.scene import Scene
@@ -248,6 +249,19 @@ def _springs(root: ET.Element, tree: Tree, held: Held, report: Mapping) -> Itera
             report.left_out(part.element, why, part, topic="damping")
 
 
+def _limits(joint: ET.Element, part: Part) -> list[Watch]:
+    """Watches how far a joint goes and how fast; what it may be driven with limits nothing: nothing does."""
+    if not part.joints:
+        return []
+    low, high = (float(x) for x in part.values[RANGE])
+    (speed,) = part.values["velocity"]
+    terms, unit = ((part.joints[0], 1.0),), "m" if joint.get("type") == "prismatic" else "rad"
+    found: list[Watch] = [Bounds(terms, low, high, unit)]
+    if isinstance(speed, float):
+        found.append(Bounds(terms, -speed, speed, f"{unit}/s", by_value=0.0, by_rate=1.0))
+    return found
+
+
 def _report_leftovers(root: ET.Element, held: Held, report: Mapping) -> None:
     """Tell of everything that is no rigid body and no bilateral constraint."""
     for joint in root.findall("joint"):
@@ -255,10 +269,13 @@ def _report_leftovers(root: ET.Element, held: Held, report: Mapping) -> None:
         friction = 0.0 if dynamics is None else float(dynamics.get("friction", 0.0))
         if friction:
             why = f"its dry friction {friction:g}"
-            report.left_out(element, why, held.friction(joint), topic=FRICTION)
+            keys = held.keys(str(joint.get("name")))
+            watches = [Rest(keys)] if keys else []
+            report.left_out(element, why, held.friction(joint), topic=FRICTION, watches=watches)
         if joint.find("limit") is not None and joint.get("type") in ("revolute", "prismatic"):
             why = "its limits: limits are no bilateral constraints"
-            report.left_out(element, why, held.limits(joint), topic=LIMITS)
+            part = held.limits(joint)
+            report.left_out(element, why, part, topic=LIMITS, watches=_limits(joint, part))
         if joint.find("safety_controller") is not None:
             part = held.joint(joint, "safety_controller")
             report.left_out(element, "its safety controller", part, topic="safety controller")

@@ -25,6 +25,7 @@ from mjcf.reading.joints import FREE, Joints
 from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
+from newton_euler.activity import Bounds
 from newton_euler.control import PD
 from newton_euler.forces import Wrench
 from newton_euler.mapping import CONTROL, FORCE, ROTOR, Mapping
@@ -118,7 +119,7 @@ class Actuators:
         if law is None:
             return
         self._report_damping(actuator, element)
-        law, limited = self._limited(actuator, element, law)
+        law, limited = self._limited(actuator, element, law, moments)
         if moments is not None:
             self._add_to_joints(actuator, element, law, limited, moments)
         elif law == Affine(0.0, 0.0, 0.0) and not model.actuator_armature[actuator]:
@@ -199,7 +200,9 @@ class Actuators:
         self._report.left_out(element, why, self._held.actuator(actuator))
         self._start.differ(self._model.actuator_gear, actuator)
 
-    def _limited(self, actuator: int, element: str, law: Affine) -> tuple[Affine, str]:
+    def _limited(
+        self, actuator: int, element: str, law: Affine, moments: dict[int, float] | None
+    ) -> tuple[Affine, str]:
         """The law and "", or the limit where the law is above that at the start, and the words for it."""
         model, data = self._model, self._data
         length, rate = data.actuator_length[actuator], data.actuator_velocity[actuator]
@@ -210,7 +213,12 @@ class Actuators:
             if held == force:
                 part = self._held.actuator(actuator, "forcerange gear")
                 why = f"its limit of the force, {low:g} to {high:g}"
-                self._report.left_out(element, why, part, topic="limit of the force")
+                terms = tuple((self._joints.keys[k], moment) for k, moment in (moments or {}).items())
+                constant = law.constant + law.by_length * length
+                watch = Bounds(terms, low, high, "N or N m", constant, law.by_length, law.by_rate)
+                known = moments is not None or not (law.by_length or law.by_rate)
+                watches = [watch] if known else []
+                self._report.left_out(element, why, part, topic="limit of the force", watches=watches)
                 self._start.differ(model.actuator_forcelimited, actuator)
         held = self._limited_by_tendon(actuator, element, held)
         if held == force:
@@ -250,8 +258,12 @@ class Actuators:
         if key is None or law is None or held == force:
             if law is not None or data.qfrc_actuator[dof]:
                 part = self._held.joint(joint, "actfrcrange")
-                why = f"its limit of actuator forces, {low:g} to {high:g}"
-                self._report.left_out(element, why, part, topic="limit of actuator forces")
+                why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
+                watches = []
+                if key is not None and law is not None:
+                    gains = -law.stiffness, -law.damping
+                    watches.append(Bounds(((key, 1.0),), low, high, "N or N m", law.feedforward, *gains))
+                self._report.left_out(element, why, part, topic=topic, watches=watches)
                 self._start.differ(model.jnt_actfrclimited, joint)
             return False
         self._laws[key] = PD(key[0], 0.0, 0.0, 0.0, key[1], held)
