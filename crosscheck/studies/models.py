@@ -2,10 +2,10 @@
 
     python -m crosscheck.studies.models docs/models.yaml FOLDER --write docs/models.md
 
-FOLDER holds the repositories as OWNER/NAME. Each file is run by `crosscheck run` in a process of its own, with a
-limit of time; what it found is kept in a JSON file beside the results, and with `--only TEXT` files whose path
-holds no such text keep what was found before. The list says why a model that does not agree does not:
-who is right is for people to find out.
+FOLDER holds the repositories as OWNER/NAME. Each file is run by `crosscheck run` in a process of its own, with
+a limit of time; what it found is kept in a JSON file beside the results, and with `--only TEXT` files whose
+path holds no such text keep what was found before. The list says why a model that does not agree does not: who
+is right is for people to find out.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Entry(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     file: str
-    options: dict[str, str | int | float] = Field(default_factory=dict)
+    options: dict[str, Any] = Field(default_factory=dict)
     why: str = ""
     ours: bool = False
 
@@ -62,7 +62,7 @@ class Repository(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     repository: str
-    options: dict[str, str | int | float] = Field(default_factory=dict)
+    options: dict[str, Any] = Field(default_factory=dict)
     """Of all its files."""
     files: list[Entry]
 
@@ -142,13 +142,13 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
     pairs = [(entry, found.get(f"{r.repository}/{entry.file}")) for r in repositories for entry in r.files]
     known = [(entry, each) for entry, each in pairs if each is not None]
     counts = Counter(each.verdict for _, each in known)
-    told = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
+    verdicts = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
     ours = sum(entry.ours for entry, each in known if each.verdict != "AGREE")
     total = Counter[str]()
     for _, each in known:
         total.update(each.fates)
-    yield f"{len(known)} models of {len(repositories)} repositories: {told}; {ours} of these for a reason that is"
-    yield f"crosscheck's own. Of their elements {total['exactly']} are carried over exactly,"
+    yield f"{len(known)} models of {len(repositories)} repositories: {verdicts}; {ours} of these for a reason"
+    yield f"that is crosscheck's own. Of their elements {total['exactly']} are carried over exactly,"
     yield f"{total['approximated']} approximated, {total['inactive']} left out and inactive in the run,"
     yield f"{total['left out']} left out and active or not watched."
     yield ""
@@ -157,17 +157,17 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
     for repository in repositories:
         yield f"| **{repository.repository}** | | | | |"
         for entry in repository.files:
-            each = found.get(f"{repository.repository}/{entry.file}")
-            if each is None:
+            name = f"{repository.repository}/{entry.file}"
+            if name not in found:
                 continue
+            model = found[name]
             options = ", ".join(f"{k}={v}" for k, v in (repository.options | entry.options).items())
-            verdict = each.verdict
+            verdict = model.verdict
             if verdict != "AGREE":
-                verdict += f": {entry.why or each.line}".replace("|", "\\|")
-            fates = ", ".join(
-                str(each.fates[k]) for k in ("approximated", "inactive", "left out") if each.fates
-            )
-            yield f"| {entry.file} | {options} | {verdict} | {fates} | {each.seconds:.0f} |"
+                verdict += f": {entry.why or model.line}".replace("|", "\\|")
+            told = ("approximated", "inactive", "left out") if model.fates else ()
+            fates = ", ".join(str(model.fates[fate]) for fate in told)
+            yield f"| {entry.file} | {options} | {verdict} | {fates} | {model.seconds:.0f} |"
 
 
 def write(path: Path, lines: Sequence[str]) -> None:
