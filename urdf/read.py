@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from newton_euler.activity import Bounds, Rest, Watch
-from newton_euler.couplings import Gear
+from newton_euler.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.errors import NewtonEulerError, check_choice
 from newton_euler.forces import JointSpring
 from newton_euler.joints import Fixed, Joint, Rod, Spherical
@@ -208,9 +208,10 @@ def _closure_name(pair: tuple[str, str]) -> str:
 
 def _gears(
     start: Start, loops: Loops, tree: Tree, mimics: list[Mimic], taken: list[str], report: Mapping
-) -> Iterator[Gear]:
-    """Gears of mimics and of coupled joints."""
+) -> Iterator[JointCoupling]:
+    """Gears of mimics, and those and other couplings of coupled joints."""
     pairs: list[tuple[str, Key, Key, float]] = []
+    sums: list[LinearCoupling] = []
     for mimic in mimics:
         element = f"mimic of joint {mimic.follower!r}"
         if mimic.follower in tree.keys and mimic.driver in tree.keys:
@@ -222,9 +223,14 @@ def _gears(
     for coupling in loops.coupled:
         terms = [(tree.keys[name], c) for name, c in coupling.items() if c and name in tree.keys]
         element = f"coupled {', '.join(coupling)}"
+        if len(terms) > 2:
+            name = unique_name(f"coupling_{len(sums) + 1}", "coupling", taken)
+            sums.append(LinearCoupling(name, tuple((*key, factor) for key, factor in terms)))
+            report.exactly(element, f"coupling {name!r} of {len(terms)} joint coordinates")
+            continue
         if len(terms) != 2:
             told = {name: value(factor) for name, factor in coupling.items()}
-            report.left_out(element, f"couples {len(terms)} joints, gears couple two", Part(element, told))
+            report.left_out(element, f"couples {len(terms)} joints that move", Part(element, told))
             continue
         (follower, own), (driver, other) = terms
         pairs.append((element, follower, driver, -other / own))
@@ -232,6 +238,7 @@ def _gears(
         name = unique_name(f"gear_{number + 1}", "gear", taken)
         yield Gear(name, driver[0], follower[0], ratio, driver[1], follower[1])
         report.exactly(element, f"gear {name!r} of ratio {ratio:.6g}")
+    yield from sums
 
 
 def _springs(root: ET.Element, tree: Tree, held: Held, report: Mapping) -> Iterator[JointSpring]:

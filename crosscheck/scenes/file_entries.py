@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from crosscheck.errors import CrosscheckError
 from newton_euler.armature import Armature, BallArmature
 from newton_euler.control import PD
-from newton_euler.couplings import Gear
+from newton_euler.couplings import Gear, LinearCoupling
 from newton_euler.errors import NewtonEulerError
 from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.joints import JOINT_KINDS, Compound, Joint, Screw
@@ -161,6 +161,17 @@ class GearEntry(_Strict):
 
     def build(self) -> Gear:
         return Gear(**self.model_dump(exclude={"kind"}))
+
+
+class LinearEntry(_Strict):
+    """A sum of joint coordinates, each times a factor, that stays 0."""
+
+    kind: Literal["linear"]
+    name: str
+    terms: list[tuple[str, Index, Number]]
+
+    def build(self) -> LinearCoupling:
+        return LinearCoupling(self.name, tuple(self.terms))
 
 
 class ControlEntry(_Strict):
@@ -324,7 +335,7 @@ class SceneEntry(_Strict):
     ground: str = "ground"
     bodies: list[BodyEntry]
     joints: list[JointEntry]
-    couplings: list[GearEntry] = []
+    couplings: list[Annotated[GearEntry | LinearEntry, Field(discriminator="kind")]] = []
     control: list[ControlEntry] = []
     forces: list[ForceEntry] = []
     motions: list[MotionEntry] = []

@@ -2,10 +2,10 @@
 
     python -m crosscheck.studies.models docs/models.yaml FOLDER --write docs/models.md
 
-FOLDER holds the repositories as OWNER/NAME. Each file is run by `crosscheck run` in a process of its own, with
-a limit of time; what it found is kept in a JSON file beside the results, and with `--only TEXT` files whose
-path holds no such text keep what was found before. The list says why a model that does not agree does not: who
-is right is for people to find out.
+FOLDER holds the repositories as OWNER/NAME. Each file is run by `crosscheck run` in a process of its own,
+which has a limit of time. What it found is kept in a JSON file beside the results; with `--only TEXT`, files
+whose path holds no such text keep what was found before. Who is right where models do not agree, and why, is
+for people to find out, and for the list to say.
 """
 
 from __future__ import annotations

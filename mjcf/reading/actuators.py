@@ -167,25 +167,38 @@ class Actuators:
             ctrl = float(np.clip(ctrl, *model.actuator_ctrlrange[actuator]))
         return ctrl
 
+    def _activation(self, actuator: int) -> float | None:
+        """The factor of its gain with the control held; None if that changes with time."""
+        kind, ctrl = DYNAMICS(self._model.actuator_dyntype[actuator]), self._control(actuator)
+        if kind == DYNAMICS.mjDYN_NONE:
+            return ctrl
+        first = int(self._model.actuator_actadr[actuator])
+        activation = float(self._data.act[first]) if first >= 0 else np.nan
+        rests = {
+            DYNAMICS.mjDYN_INTEGRATOR: ctrl == 0.0,
+            DYNAMICS.mjDYN_FILTER: ctrl == activation,
+            DYNAMICS.mjDYN_FILTEREXACT: ctrl == activation,
+        }
+        return activation if rests.get(kind, False) else None
+
     def _affine(self, actuator: int, element: str) -> Affine | None:
         """Its force with the control held; None if it is no affine function of length and rate."""
         model = self._model
         known = (
             model.actuator_plugin[actuator] < 0
             and not model.actuator_delay[actuator]
-            and DYNAMICS(model.actuator_dyntype[actuator]) == DYNAMICS.mjDYN_NONE
             and GAIN(model.actuator_gaintype[actuator]) in (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE)
             and BIAS(model.actuator_biastype[actuator]) in (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE)
         )
-        if not known:
+        activation = self._activation(actuator)
+        if not known or activation is None:
             self._leave(
                 actuator,
                 element,
-                "has dynamics, a delay, a plugin, or gain or bias that is no affine function",
+                "has dynamics that do not rest, a delay, a plugin, or no affine gain or bias",
             )
             return None
-        ctrl = self._control(actuator)
-        gain, bias = model.actuator_gainprm[actuator][:3] * ctrl, model.actuator_biasprm[actuator][:3]
+        gain, bias = model.actuator_gainprm[actuator][:3] * activation, model.actuator_biasprm[actuator][:3]
         if GAIN(model.actuator_gaintype[actuator]) == GAIN.mjGAIN_FIXED:
             gain = gain * [1.0, 0.0, 0.0]
         if BIAS(model.actuator_biastype[actuator]) == BIAS.mjBIAS_AFFINE:
