@@ -26,6 +26,9 @@ RANGE = "range from the start"
 CONTROL, FORCE, ROTOR = "control law", "force", "rotor"
 """What elements became that not every format has; all have dampers along hinges and slides."""
 
+ACTING = (("equality", "equalities"), ("actuator", "actuators"), ("tendon", "tendons"))
+"""First words of elements that act wherever a model is."""
+
 CLOSE, TINY = 1e-9, 1e-12
 """Relative to the largest number of a value, and SI: round-off of a file's digits, degrees and frames."""
 
@@ -137,7 +140,8 @@ class Mapping:
     def counts(self) -> str:
         """How many elements were approximated, inactive and left out that could move something, in words.
 
-        Each element counts once, as the worst that became of it; "" if there are none.
+        Each element counts once, as the worst that became of it; "" if there are none. Those of `ACTING` that
+        are left out are named: without them a model moves otherwise from the start.
         """
         worst: dict[str, Fate] = {}
         for fate in FATES[1:]:
@@ -146,7 +150,10 @@ class Mapping:
         for fate, count in sorted(Counter(worst.values()).items(), key=lambda item: FATES.index(item[0])):
             what = "element is" if count == 1 else "elements are"
             found.append(f"{count} {'' if found else what + ' '}{fate}")
-        return ", ".join(found)
+        whole = {entry.element for entry in self.of("left out") if not entry.inert and not entry.topic}
+        acting = Counter(element.split()[0] for element in whole)
+        named = [f"{acting[one]} {one if acting[one] == 1 else many}" for one, many in ACTING if acting[one]]
+        return ", ".join(found) + (f" ({', '.join(named)})" if named else "")
 
 
 def differing(one: dict[str, Value], two: dict[str, Value], close: float = CLOSE) -> Iterator[str]:
