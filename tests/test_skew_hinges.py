@@ -12,6 +12,8 @@ import pytest
 
 import mjcf
 import urdf
+from crosscheck.against.compare import Model, against
+from crosscheck.model_files.read import read_model
 from crosscheck.scenes.scene_file import read_scene
 from crosscheck.scenes.write_file import write_scene
 from mjcf.read import read
@@ -164,3 +166,23 @@ def test_offsets_are_checked():
         Compound(*ends, hinges=hinges, offsets=5)
     joint = Compound(*ends, hinges=hinges, offsets=[[0, 0, 1]])
     assert joint.reaction_point.tolist() == [0, 0, 1]
+
+
+def test_where_on_their_axes_the_file_puts_the_hinges_makes_no_difference(tmp_path):
+    """Moved along their axes, the anchors of a triple are those of the same joint; moved off, of another."""
+    text = MODELS["pair after triple"].format(key="")
+    moved = {
+        '"0.05 0.1 -0.02"': '"0.25 0.14 -0.02"',
+        '"-0.1 0.02 0.2"': '"-0.08 0.22 0.26"',
+        '"0.1 0.15 0.07"': '"0.1 0.21 0.27"',
+    }
+    other = text.replace('"-0.1 0.02 0.2"', '"-0.1 0.03 0.2"')
+    for old, new in moved.items():
+        assert old in text
+        text = text.replace(old, new)
+    paths = [tmp_path / name for name in ("one.xml", "two.xml", "three.xml")]
+    for path, content in zip(paths, (MODELS["pair after triple"].format(key=""), text, other), strict=True):
+        path.write_text(content)
+    models = [Model(path.stem, str(path), {}, *read_model(str(path), {"duration": 0.1})) for path in paths]
+    assert against(models[0], models[1], lambda _: None).agrees
+    assert not against(models[0], models[2], lambda _: None).agrees
