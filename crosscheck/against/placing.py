@@ -77,7 +77,7 @@ def held(joint: Joint, body: str) -> Held:
         loose += [axis for axis in _axes(motions, "hinge") if any(axis is other for other in others)]
         if isinstance(joint, Compound) and np.any(
             joint.offsets
-        ):  # the point of a first hinge and of a last one
+        ):  # of a first hinge or a last one
             loose += _axes(motions, "hinge")[:1]
     axes = [("hinge", axis) for axis in _axes(motions, "hinge")]
     if len(slides) == 2 and _carries_plane(motions, _normal(*slides)):
