@@ -75,9 +75,7 @@ def held(joint: Joint, body: str) -> Held:
         # a hinge that both bodies carry leaves open where on its line the point is
         others = _axes(motions[::-1], "hinge")
         loose += [axis for axis in _axes(motions, "hinge") if any(axis is other for other in others)]
-        if isinstance(joint, Compound) and np.any(
-            joint.offsets
-        ):  # of a first hinge or a last one
+        if isinstance(joint, Compound) and np.any(joint.offsets):  # of a first hinge or a last one
             loose += _axes(motions, "hinge")[:1]
     axes = [("hinge", axis) for axis in _axes(motions, "hinge")]
     if len(slides) == 2 and _carries_plane(motions, _normal(*slides)):
