@@ -26,6 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.model_files.read import is_urdf
+from newton_euler.mapping import FATES, Mapped, Mapping
 from newton_euler.trajectory import atomic_file
 
 LIMIT = 600.0
@@ -74,12 +75,14 @@ class Found(BaseModel):
         verdict: one of `VERDICTS`.
         line: the verdict as `crosscheck run` has it, or the error.
         fates: how many elements became what, each as the worst that became of it.
+        lacks: what of the file the run lacks, in words.
         seconds: wall time.
     """
 
     verdict: str
     line: str
     fates: dict[str, int]
+    lacks: str = ""
     seconds: float
 
 
@@ -119,22 +122,24 @@ def run_model(
     if done.returncode in (0, 1) and summary.exists():
         content = json.loads(summary.read_text(encoding="utf-8"))
         verdict = "AGREE" if content["agrees"] else "DISAGREE"
-        fates = _fates(content["mapping"] or [])
-        return Found(verdict=verdict, line=content["verdict"], fates=fates, seconds=seconds)
+        report = Mapping()
+        report.entries = [Mapped(**entry) for entry in content["mapping"] or []]
+        fates, still = _fates(report), "nothing moves" if "nothing moves" in content["verdict"] else ""
+        lacks = "; ".join(filter(None, [still, report.counts()]))
+        return Found(verdict=verdict, line=content["verdict"], fates=fates, lacks=lacks, seconds=seconds)
     lines = [line for line in done.stderr.splitlines() if line.strip()] or [f"status {done.returncode}"]
     stopped = (output / "summary.partial.json").exists()
     line = lines[-1].replace(str(folder / repository.repository) + "/", "")
     return Found(verdict="stopped" if stopped else "refused", line=line, fates={}, seconds=seconds)
 
 
-def _fates(mapping: Sequence[dict[str, Any]]) -> dict[str, int]:
-    order = ("exactly", "approximated", "inactive", "left out")
+def _fates(report: Mapping) -> dict[str, int]:
     worst: dict[str, int] = {}
-    for entry in mapping:
-        if not (entry["inert"] and entry["fate"] == "left out"):
-            worst[entry["element"]] = max(worst.get(entry["element"], 0), order.index(entry["fate"]))
+    for entry in report.entries:
+        if not (entry.inert and entry.fate == "left out"):
+            worst[entry.element] = max(worst.get(entry.element, 0), FATES.index(entry.fate))
     counts = Counter(worst.values())
-    return {name: counts[k] for k, name in enumerate(order)}
+    return {fate: counts[k] for k, fate in enumerate(FATES)}
 
 
 def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterator[str]:
@@ -152,7 +157,7 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
     yield f"{total['approximated']} approximated, {total['inactive']} left out and inactive in the run,"
     yield f"{total['left out']} left out and active or not watched."
     yield ""
-    yield "| model | options | verdict | approximated, inactive, left out | s |"
+    yield "| model | options | verdict | of the file | s |"
     yield "|---|---|---|---|---|"
     for repository in repositories:
         yield f"| **{repository.repository}** | | | | |"
@@ -165,9 +170,7 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
             verdict = model.verdict
             if verdict != "AGREE":
                 verdict += f": {entry.why or model.line}".replace("|", "\\|")
-            told = ("approximated", "inactive", "left out") if model.fates else ()
-            fates = ", ".join(str(model.fates[fate]) for fate in told)
-            yield f"| {entry.file} | {options} | {verdict} | {fates} | {model.seconds:.0f} |"
+            yield f"| {entry.file} | {options} | {verdict} | {model.lacks} | {model.seconds:.0f} |"
 
 
 def write(path: Path, lines: Sequence[str]) -> None:
