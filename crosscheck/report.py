@@ -19,6 +19,7 @@ from crosscheck.comparison.samples import admissible_basis, body_units
 from crosscheck.model_files.read import report_lines
 from crosscheck.run import Crosscheck
 from crosscheck.stiffness import explicit_steps, fastest_decay
+from newton_euler.mapping import Mapping
 from newton_euler.redundancy import mobility
 from newton_euler.relative import Relative
 from newton_euler.scene import Scene
@@ -123,6 +124,7 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
         )
     if result.mapping and result.runs:
         yield _start_line(result)
+        yield from _activity_lines(result.mapping)
     if result.rests:
         yield _rest_line(result)
     count, joints = undetermined_joints(result.scene, result.scene.initial_state)
@@ -145,6 +147,18 @@ def redundancy_lines(scene: Scene) -> Iterator[str]:
         yield f"nearly redundant, {weak}; {other}"
     if decided.nearly and decided.degrees_of_freedom == 0:
         yield "the mechanism has no degree of freedom"
+
+
+def _activity_lines(mapping: Mapping) -> Iterator[str]:
+    """Which of the limits, contacts and dry friction that were left out did nothing in the run."""
+    watched = {number: mapping.entries[number] for number in mapping.watches}
+    inactive = [entry for entry in watched.values() if entry.fate == "inactive"]
+    for entry in watched.values():
+        if entry.fate != "inactive":
+            yield f"active, and left out: {entry.element}: {entry.how}"
+    if inactive:
+        texts = "; ".join(f"{entry.element}: {entry.how}" for entry in inactive)
+        yield f"inactive in this run, {len(inactive)} of {len(watched)} watched: {texts}"
 
 
 def _start_line(result: Crosscheck) -> str:

@@ -22,6 +22,7 @@ from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, TooLongError, limited
 from crosscheck.scenes.options import titled
+from newton_euler.activity import Course
 from newton_euler.errors import NewtonEulerError
 from newton_euler.mapping import Mapping as Report
 from newton_euler.scene import Scene
@@ -228,6 +229,10 @@ def crosscheck(
             what = f"{engine.name}: known figures"
             with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
                 measured.extend(measure(source, scene, engine, runs[engine.name], known))
+    if mapping and runs:
+        what = "watching what was left out"
+        with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
+            mapping = mapping.after(Course(scene, next(iter(runs.values()))))
     advice: tuple[Advice, ...] = ()
     if not stops:
         what = "working out advice"

@@ -100,9 +100,8 @@ def reactions(compiled: CompiledScene) -> tuple[Array, Array]:
 def joint_wrenches(compiled: CompiledScene) -> Array:
     """(nbody, 6) force and torque on each of MuJoCo's bodies by what drives the joint above it.
 
-    That is its actuators, springs and rotors. What pushes a slide does so along a line through the
-    joint point, so it has no torque there. Of several hinges or slides, each is driven so that no work is
-    done on the others.
+    That is its actuators, springs and rotors. Of several hinges or slides, each is driven so that no work
+    is done on the others: what pushes a slide has no torque about the joint point where all hinges meet.
     """
     model, data = compiled.model, compiled.data
     places, velocities = model.jnt_qposadr, model.jnt_dofadr
@@ -127,6 +126,14 @@ def joint_wrenches(compiled: CompiledScene) -> Array:
         )
         axes = dual_axes(data.xaxis[together])
         wrenches[model.jnt_bodyid[joint], part] += force * axes[together.tolist().index(joint)]
+    hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+    for kept in compiled.tree.joints:
+        child = compiled.body_id[kept.child]
+        together, push = np.flatnonzero(hinges & (model.jnt_bodyid == child)), wrenches[child, :3]
+        if len(together) > 1 and np.any(push):
+            axes, arms = data.xaxis[together], compiled.joint_point(kept.joint) - data.xanchor[together]
+            work = np.sum(np.cross(axes, arms) * push, axis=1)
+            wrenches[child, 3:] -= work @ dual_axes(axes)
     return wrenches
 
 

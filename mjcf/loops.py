@@ -98,10 +98,19 @@ class Loop:
         return np.concatenate([linear[0] - linear[1], turned])
 
 
+def closes(model: Any, index: int) -> bool:
+    """Whether an equality closes a loop; others couple joint coordinates, through a tendon if several."""
+    kind = model.eq_type[index]
+    if kind == mujoco.mjtEq.mjEQ_TENDON:
+        first = model.wrap_type[model.tendon_adr[model.eq_obj1id[index]]]
+        return bool(first != mujoco.mjtWrap.mjWRAP_JOINT)
+    return bool(kind != mujoco.mjtEq.mjEQ_JOINT)
+
+
 def all_loops(model: Any, data: Any) -> list[Loop]:
     """All active loops at the state that `data` holds, whether MuJoCo has rows for them or not."""
-    closing = np.flatnonzero((model.eq_type != mujoco.mjtEq.mjEQ_JOINT) & (data.eq_active != 0))
-    return [Loop(model, data, int(index)) for index in closing]
+    closing = [index for index in np.flatnonzero(data.eq_active).tolist() if closes(model, index)]
+    return [Loop(model, data, index) for index in closing]
 
 
 def loops(model: Any, data: Any) -> list[Loop]:

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from mjcf.evaluate import constraint_jacobian, evaluation, mass_and_force
-from mjcf.loops import loops
+from mjcf.loops import closes, loops
 from mjcf.model import CompiledScene
 from newton_euler.redundancy import constraint_rank
 from newton_euler.scalars import Array
@@ -39,8 +39,8 @@ class RigidMuJoCo(CompiledScene):
             mujoco.mjtEq.mjEQ_CONNECT: of_weld[:3],
             mujoco.mjtEq.mjEQ_TENDON: of_weld[:1],
         }
-        kinds = map(mujoco.mjtEq, self.model.eq_type)
-        units = [closing[kind] for kind in kinds if kind in closing]
+        cut = [index for index in range(self.model.neq) if closes(self.model, index)]
+        units = [closing[mujoco.mjtEq(self.model.eq_type[index])] for index in cut]
         units += list(self.couplings.units[:, None])
         self._constraint = np.repeat(np.arange(len(units)), [len(unit) for unit in units])
         self.phi_units = np.concatenate([np.zeros(0), *units])

@@ -34,6 +34,7 @@ from newton_euler.control import Sampled
 from newton_euler.couplings import Coupling, couplings
 from newton_euler.euler_parameters import conjugate, from_rotation, product, rotation
 from newton_euler.joints import Pose, Rod, Spherical
+from newton_euler.measured import Key
 from newton_euler.mechanism import Body
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -226,9 +227,10 @@ def _body(
     )
     _inertial(element, body)
     joint = welded.tree.joint(kept.joint)
-    for name, motion in zip(motion_names(joint, kept.forward), kept.motions, strict=True):
+    named = zip(motion_names(joint, kept.forward), kept.motions, kept.points, strict=True)
+    for name, motion, point in named:
         attributes = {"name": name, "type": motion.kind}
-        attributes["pos"] = numbers(body.pose.point_to_body(joint.reaction_point))
+        attributes["pos"] = numbers(body.pose.point_to_body(point))
         if motion.kind != "ball":
             attributes["axis"] = numbers(body.pose.vector_to_body(motion.axis))
         ET.SubElement(element, "joint", attributes | springs.get(name, {}))
@@ -304,6 +306,11 @@ def rods(welded: WeldedMechanism) -> list[Rod]:
 def _tendons(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None:
     tendons = ET.Element("tendon")
     add_springs(tendons, scene)
+    for coupling in couplings(scene):
+        if len(coupling.factors) > 2:
+            sum_of = ET.SubElement(tendons, "fixed", name=f"coupling {coupling.name}")
+            for key, factor in coupling.factors.items():
+                ET.SubElement(sum_of, "joint", joint=_coordinate(scene, key), coef=number(factor))
     for rod in rods(welded):
         add_tendon(tendons, welded.mechanism, f"rod {rod.name}", (rod.first, rod.second), {})
     if len(tendons):
@@ -322,8 +329,11 @@ def _equalities(root: ET.Element, scene: Scene, welded: WeldedMechanism) -> None
 
 def _add_coupling(equality: ET.Element, scene: Scene, coupling: Coupling) -> None:
     """x_1 = constant + factor x_2; the constant is where a prescribed motion begins."""
-    mechanism = scene.mechanism
-    names = [coordinate_name(mechanism.joints[mechanism.joint_index(j)], k) for j, k in coupling.factors]
+    names = [_coordinate(scene, key) for key in coupling.factors]
+    if len(names) > 2:
+        attributes = {"name": f"coupling {coupling.name}", "tendon1": f"coupling {coupling.name}"}
+        ET.SubElement(equality, "tendon", attributes, polycoef="0 0 0 0 0")
+        return
     first, *second = coupling.factors.values()
     constant = coupling.function.value(0.0) / first if coupling.function else 0.0
     factor = -second[0] / first if second else 0.0
@@ -332,6 +342,11 @@ def _add_coupling(equality: ET.Element, scene: Scene, coupling: Coupling) -> Non
     attributes["name"] = f"{coupling.what} {coupling.name if second else names[0]}"
     attributes["polycoef"] = numbers([constant, factor, 0.0, 0.0, 0.0])
     ET.SubElement(equality, "joint", attributes)
+
+
+def _coordinate(scene: Scene, key: Key) -> str:
+    mechanism = scene.mechanism
+    return coordinate_name(mechanism.joints[mechanism.joint_index(key[0])], key[1])
 
 
 def _add_cuts(equality: ET.Element, welded: WeldedMechanism) -> None:

@@ -4,7 +4,7 @@ from newton_euler.armature import Armature, BallArmature
 from newton_euler.assemble import assemble
 from newton_euler.batch import simulate_batch
 from newton_euler.control import PD, Sampled
-from newton_euler.couplings import Gear
+from newton_euler.couplings import Gear, LinearCoupling
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.mechanism import Body, Mechanism
@@ -22,6 +22,7 @@ __all__ = [
     "Body",
     "Gear",
     "JointSpring",
+    "LinearCoupling",
     "Mechanism",
     "NearlyRedundantWarning",
     "NewtonEulerError",

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
@@ -39,8 +39,24 @@ SAME_POSE = 1e-6
 little that other numbers of turns hardly ever agree by chance."""
 
 
+class JointCoupling:
+    """A sum of joint coordinates, each times a factor, that stays 0.
+
+    Attributes:
+        name: unique among the joints and couplings of a mechanism.
+        kind: what errors call it.
+    """
+
+    name: str
+    kind: ClassVar[str]
+
+    def factors(self) -> dict[Key, float]:
+        """The factor of each coordinate; violations are those of the first, m or rad."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True)
-class Gear:
+class Gear(JointCoupling):
     """Two joint coordinates in a constant ratio: x_follower = ratio * x_driver.
 
     Hinges make a pair of gears, a hinge and a slide a rack and pinion.
@@ -62,6 +78,11 @@ class Gear:
     ratio: float
     driver_coordinate: int = 0
     follower_coordinate: int = 0
+    kind: ClassVar[str] = "gear"
+
+    def factors(self) -> dict[Key, float]:
+        follower = self.follower, self.follower_coordinate
+        return {follower: 1.0, (self.driver, self.driver_coordinate): -self.ratio}
 
     def __post_init__(self) -> None:
         where = f"gear {self.name!r:.100}"
@@ -73,6 +94,42 @@ class Gear:
         check_key(where, self.follower, self.follower_coordinate)
         if (self.driver, self.driver_coordinate) == (self.follower, self.follower_coordinate):
             raise MechanismError(where, f"couples joint {self.driver!r} to itself", "two joint coordinates")
+
+
+@dataclass(frozen=True)
+class LinearCoupling(JointCoupling):
+    """A sum of joint coordinates that stays 0, each times a factor of its own: a differential, for one.
+
+    Attributes:
+        name: unique among the joints and couplings of a mechanism.
+        terms: name of a joint, which of its coordinates, and the factor; at least two.
+
+    Raises:
+        MechanismError: naming the coupling and the value at fault.
+    """
+
+    name: str
+    terms: tuple[tuple[str, int, float], ...]
+    kind: ClassVar[str] = "coupling"
+
+    def factors(self) -> dict[Key, float]:
+        return {(joint, coordinate): factor for joint, coordinate, factor in self.terms}
+
+    def __post_init__(self) -> None:
+        where = f"coupling {self.name!r:.100}"
+        check_texts(where, self, "name")
+        try:
+            terms = tuple((joint, coordinate, factor) for joint, coordinate, factor in self.terms)
+        except (TypeError, ValueError) as error:
+            needed = "(joint, coordinate, factor) of each term"
+            raise MechanismError(where, f"terms is {self.terms!r:.100}", needed) from error
+        for joint, coordinate, factor in terms:
+            check_key(where, joint, coordinate)
+            if not is_finite_number(factor) or factor == 0.0:
+                raise MechanismError(where, f"factor of {joint!r} is {factor!r}", "a finite number, not 0")
+        if len(terms) < 2 or len({term[:2] for term in terms}) < len(terms):
+            raise MechanismError(where, f"has the terms {terms!r:.100}", "two joint coordinates or more")
+        object.__setattr__(self, "terms", tuple((joint, k, float(factor)) for joint, k, factor in terms))
 
 
 class Seen(Protocol):
@@ -96,8 +153,8 @@ class Coupling:
     """One equation, sum of factor * x = f(t).
 
     Attributes:
-        what: "motion of joint", "joint" or "gear".
-        name: of the joint or gear that it belongs to.
+        what: "motion of joint", "joint", "gear" or "coupling".
+        name: of the joint, gear or coupling that it belongs to.
         joint: name of the joint that it opens when violated.
         factors: of the joint coordinates.
         function: f; None for 0.
@@ -137,7 +194,7 @@ class Coupling:
 
 
 def couplings(scene: Scene) -> tuple[Coupling, ...]:
-    """All couplings of a scene: motions, screws, gears."""
+    """All couplings of a scene: motions, screws, gears and other linear ones."""
     mechanism = scene.mechanism
     found = []
     for motion in scene.motions:
@@ -149,14 +206,11 @@ def couplings(scene: Scene) -> tuple[Coupling, ...]:
         if isinstance(joint, Screw):
             factors = {(joint.name, 0): 1.0, (joint.name, 1): -joint.pitch}
             found.append(Coupling("joint", joint.name, joint.name, factors, None, True))
-    for gear in mechanism.couplings:
-        follower, driver = (
-            (gear.follower, gear.follower_coordinate),
-            (gear.driver, gear.driver_coordinate),
-        )
-        slides = _kind(mechanism, *follower) == "slide"
-        factors = {follower: 1.0, driver: -gear.ratio}
-        found.append(Coupling("gear", gear.name, gear.follower, factors, None, slides))
+    for coupling in mechanism.couplings:
+        factors = coupling.factors()
+        first = next(iter(factors))
+        slides = _kind(mechanism, *first) == "slide"
+        found.append(Coupling(coupling.kind, coupling.name, first[0], factors, None, slides))
     return tuple(found)
 
 
@@ -264,17 +318,14 @@ def residuals(
     return np.array(phi), np.array([c.combine(rates) + c.phi_t(time) for c in couplings])
 
 
-def check_gears(gears: Sequence[Gear], mechanism: Mechanism) -> None:
-    """Raise `MechanismError` or `UnknownNameError` unless the mechanism has what the gears couple."""
-    names = Counter([*mechanism.joint_names, *(gear.name for gear in gears)])
-    for gear in gears:
-        where = f"gear {gear.name!r}"
-        if names[gear.name] > 1:
-            raise MechanismError(where, f"{names[gear.name]} of that name", "unique names")
-        for joint, coordinate in (
-            (gear.driver, gear.driver_coordinate),
-            (gear.follower, gear.follower_coordinate),
-        ):
+def check_couplings(couplings: Sequence[JointCoupling], mechanism: Mechanism) -> None:
+    """Raise `MechanismError` or `UnknownNameError` unless the mechanism has what is coupled."""
+    names = Counter([*mechanism.joint_names, *(coupling.name for coupling in couplings)])
+    for coupling in couplings:
+        where = f"{coupling.kind} {coupling.name!r}"
+        if names[coupling.name] > 1:
+            raise MechanismError(where, f"{names[coupling.name]} of that name", "unique names")
+        for joint, coordinate in coupling.factors():
             _check_coordinate(where, mechanism.joints[mechanism.joint_index(joint)], coordinate)
 
 

@@ -25,7 +25,8 @@ class JointGeometry(NamedTuple):
     axes: Array
     """(n, 3) unit axes of the hinges and slides."""
     points: Array
-    """(2, 3) joint point on the first body and on the second, m; NaN where a model has none."""
+    """(2 + h, 3) joint point on the first body and on the second, then on each of h hinges, m; NaN where a
+    model has none."""
 
 
 NOWHERE = np.full(3, np.nan)
@@ -38,7 +39,12 @@ def stated(mechanism: Mechanism) -> dict[str, JointGeometry]:
         motions = joint.motions
         kinds = ("rod",) if joint.only_closes else tuple(motion.kind for motion in motions)
         axes = [motion.axis for motion in motions if motion.kind != "ball"]
-        points = np.array([joint.point, joint.reaction_point])
+        hinges = [
+            point
+            for motion, point in zip(motions, joint.motion_points, strict=True)
+            if motion.kind == "hinge"
+        ]
+        points = np.array([joint.point, joint.reaction_point, *hinges])
         found[joint.name] = JointGeometry(kinds, np.reshape(axes, (-1, 3)), points)
     return found
 
@@ -62,7 +68,8 @@ def _from_first(kept: TreeJoint, motions: list[tuple[str, Array, Array]]) -> Joi
     sense = 1.0 if kept.forward else -1.0
     ordered = motions if kept.forward else motions[::-1]
     axes = [sense * axis for kind, axis, _ in ordered if kind != "ball"]
-    points = np.array([NOWHERE, ordered[-1][2] if ordered else NOWHERE])
+    hinges = [point for kind, _, point in ordered if kind == "hinge"]
+    points = np.array([NOWHERE, ordered[-1][2] if ordered else NOWHERE, *hinges])
     return JointGeometry(tuple(kind for kind, _, _ in ordered), np.reshape(axes, (-1, 3)), points)
 
 

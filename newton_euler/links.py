@@ -56,7 +56,6 @@ def _child(
     mechanism: Mechanism, tree: SpanningTree, joint: TreeJoint, parent: Link, q: Array, v: Array
 ) -> Link:
     """Kinematics of a joint's child, motion by motion from its parent."""
-    point = tree.joint(joint.joint).reaction_point
     r, a, velocity, omega = parent.frame
     acceleration, alpha = parent.acceleration, parent.angular_acceleration
     orientation = parent.orientation
@@ -69,10 +68,14 @@ def _child(
         velocity = velocity + turning
         acceleration = acceleration + cross(alpha, s) + cross(omega, turning)
 
-    move(a @ (point - mechanism.bodies[joint.parent].center_of_mass))
+    here = joint.points[0] if joint.motions else tree.joint(joint.joint).reaction_point
+    move(a @ (here - mechanism.bodies[joint.parent].center_of_mass))
     columns: list[tuple[Array, Array | None]] = []  # an axis, and the point it turns about
     iq = iv = 0
-    for motion in joint.motions:
+    for motion, point in zip(joint.motions, joint.points, strict=True):
+        if np.any(point != here):
+            move(a @ (point - here))
+            here = point
         if motion.kind == "slide":
             axis = a @ motion.axis
             coriolis = 2.0 * cross(omega, axis * v[iv])
@@ -98,7 +101,7 @@ def _child(
             omega = omega + relative
             columns.extend((a[:, k], r) for k in range(3))
             iq, iv = iq + 4, iv + 3
-    move(a @ (mechanism.bodies[joint.child].center_of_mass - point))
+    move(a @ (mechanism.bodies[joint.child].center_of_mass - here))
 
     arm = r - parent.frame.position
     angular = list(parent.angular.T)

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from newton_euler.activity import Course, Watch, judged
 from newton_euler.measured import Key
 
 if TYPE_CHECKING:
     from newton_euler.scene import Scene
     from newton_euler.verification.original import Original
 
-Fate = Literal["exactly", "approximated", "left out"]
+Fate = Literal["exactly", "approximated", "inactive", "left out"]
 
-FATES: tuple[Fate, ...] = ("exactly", "approximated", "left out")
+FATES: tuple[Fate, ...] = ("exactly", "approximated", "inactive", "left out")
 
 CONTACTS, LIMITS, FRICTION = "contacts", "limits", "dry friction"
 """Topics of what files of several formats hold."""
@@ -27,6 +29,9 @@ RANGE = "range from the start"
 
 CONTROL, FORCE, ROTOR = "control law", "force", "rotor"
 """What elements became that not every format has; all have dampers along hinges and slides."""
+
+ACTING = (("equality", "equalities"), ("actuator", "actuators"), ("tendon", "tendons"))
+"""First words of elements that act wherever a model is."""
 
 CLOSE, TINY = 1e-9, 1e-12
 """Relative to the largest number of a value, and SI: round-off of a file's digits, degrees and frames."""
@@ -65,7 +70,8 @@ class Mapped:
 
     Attributes:
         element: its kind and name, such as "equality 'close'".
-        fate: carried over exactly, approximated, or left out.
+        fate: carried over exactly, approximated, or left out; inactive if it is left out and a run has shown
+            that it did nothing there.
         how: what it became, how it was approximated, or why it was left out.
         became: `CONTROL`, `FORCE`, `ROTOR`, or "" for anything else.
         topic: which of the things that a file can say of the element it is about, "" for all that it says.
@@ -93,12 +99,14 @@ class Mapping:
         start: lines about the pose and the velocities that the scene starts from.
         originals: what the scene, and others that are read from the file to verify the reading, are verified
             against, see `newton_euler.verification.verify`; the scene's first.
+        watches: what tells of entries, by their numbers, whether they are active in a run.
     """
 
     def __init__(self) -> None:
         self.entries: list[Mapped] = []
         self.start: list[str] = []
         self.originals: list[tuple[Original, Scene]] = []
+        self.watches: dict[int, Sequence[Watch]] = {}
 
     def exactly(self, element: str, how: str, became: str = "", unseen: Part | None = None) -> None:
         """`unseen` is what the file says that moves nothing as it is, such as the gear of an idle motor."""
@@ -108,22 +116,52 @@ class Mapping:
     def approximated(self, element: str, how: str, *parts: Part, became: str = "", topic: str = "") -> None:
         self.entries.append(Mapped(element, "approximated", how, became, topic, parts=parts))
 
-    def left_out(self, element: str, why: str, *parts: Part, topic: str = "", inert: bool = False) -> None:
+    def left_out(
+        self,
+        element: str,
+        why: str,
+        *parts: Part,
+        topic: str = "",
+        inert: bool = False,
+        watches: Sequence[Watch] = (),
+    ) -> None:
+        """`watches` tell of a limit and the like whether it is active; all of it has to be watched."""
+        if watches and not inert:
+            self.watches[len(self.entries)] = watches
         self.entries.append(Mapped(element, "left out", why, "", topic, inert, parts))
+
+    def after(self, course: Course) -> Mapping:
+        """The report with what a run shows of what was left out."""
+        found = Mapping()
+        found.start, found.entries, found.watches = self.start, list(self.entries), self.watches
+        found.originals = self.originals
+        for number, watches in self.watches.items():
+            seen, entry = judged(watches, course), self.entries[number]
+            fate: Fate = "left out" if seen.active else "inactive"
+            found.entries[number] = replace(entry, fate=fate, how=f"{entry.how}; {seen.words}")
+        return found
 
     def of(self, fate: Fate) -> list[Mapped]:
         """The entries of one fate."""
         return [entry for entry in self.entries if entry.fate == fate]
 
     def counts(self) -> str:
-        """How many elements were approximated and left out that move something, in words; "" if none."""
-        found: list[str] = []
+        """How many elements were approximated, inactive and left out that could move something, in words.
+
+        Each element counts once, as the worst that became of it; "" if there are none. Those of `ACTING` that
+        are left out are named: without them a model moves otherwise from the start.
+        """
+        worst: dict[str, Fate] = {}
         for fate in FATES[1:]:
-            elements = {entry.element for entry in self.of(fate) if not entry.inert}
-            if elements:
-                what = "element is" if len(elements) == 1 else "elements are"
-                found.append(f"{len(elements)} {'' if found else what + ' '}{fate}")
-        return ", ".join(found)
+            worst.update((entry.element, fate) for entry in self.of(fate) if not entry.inert)
+        found: list[str] = []
+        for fate, count in sorted(Counter(worst.values()).items(), key=lambda item: FATES.index(item[0])):
+            what = "element is" if count == 1 else "elements are"
+            found.append(f"{count} {'' if found else what + ' '}{fate}")
+        whole = {entry.element for entry in self.of("left out") if not entry.inert and not entry.topic}
+        acting = Counter(element.split()[0] for element in whole)
+        named = [f"{acting[one]} {one if acting[one] == 1 else many}" for one, many in ACTING if acting[one]]
+        return ", ".join(found) + (f" ({', '.join(named)})" if named else "")
 
 
 def differing(one: dict[str, Value], two: dict[str, Value], close: float = CLOSE) -> Iterator[str]:

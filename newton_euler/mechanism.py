@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from newton_euler.constraints import Frame
-from newton_euler.couplings import Gear, check_gears
+from newton_euler.couplings import JointCoupling, check_couplings
 from newton_euler.errors import MechanismError, check_choice, elements_of
 from newton_euler.euler_parameters import rotation
 from newton_euler.joints import Joint, JointEquations, Pose
@@ -126,25 +126,26 @@ class Mechanism:
     Attributes:
         bodies: `bodies[0]` is the ground; it never moves.
         joints: in the order in which constraint rows and reactions are listed.
-        couplings: gears between joint coordinates.
+        couplings: gears between joint coordinates, and sums of several that stay 0.
     """
 
     DEFINED_BY = ("bodies", "joints", "couplings")
 
     @np.errstate(all="ignore")  # what overflows is refused
     def __init__(
-        self, bodies: Iterable[Body], joints: Iterable[Joint], couplings: Iterable[Gear] = ()
+        self, bodies: Iterable[Body], joints: Iterable[Joint], couplings: Iterable[JointCoupling] = ()
     ) -> None:
         self.bodies = elements_of("mechanism", "bodies", bodies, Body)
         self.joints = elements_of("mechanism", "joints", joints, Joint)
-        self.couplings = elements_of("mechanism", "couplings", couplings, Gear)
+        self.couplings = elements_of("mechanism", "couplings", couplings, JointCoupling)
         if len(self.bodies) < 2:
             raise MechanismError(
                 "mechanism", f"has {len(self.bodies)} bodies", "the ground and at least one more"
             )
-        for what, elements in (("joint", self.joints), ("gear", self.couplings)):
-            for element in elements:
-                check_name(what, element.name)
+        for joint in self.joints:
+            check_name("joint", joint.name)
+        for coupling in self.couplings:
+            check_name(coupling.kind, coupling.name)
         for what, named in (("body", self.bodies), ("joint", self.joints)):
             for name, count in Counter(element.name for element in named).items():
                 if count > 1:
@@ -158,7 +159,7 @@ class Mechanism:
         for body in self.bodies[1:]:
             body.check()
         self._check_joints()
-        check_gears(self.couplings, self)
+        check_couplings(self.couplings, self)
 
     def __setattr__(self, name: str, value: object) -> None:
         """Once only: what is worked out of a mechanism is kept."""

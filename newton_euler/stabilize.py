@@ -52,6 +52,7 @@ def largest(residuals: Array) -> float:
     return float(np.max(np.abs(residuals), initial=0.0))
 
 
+@np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation
 def project_position(system: System, q: Array) -> Array:
     """Find the coordinates near q that meet phi(q) = 0 to round-off, by Newton's steps of least length.
 
@@ -69,7 +70,7 @@ def project_position(system: System, q: Array) -> Array:
         worse = 0 if open_by < least else worse + 1
         if worse == 0:
             best, least = at, open_by
-        if least < ROUND_OFF * system.mechanism.size or worse == 2:
+        if not np.isfinite(phi).all() or least < ROUND_OFF * system.mechanism.size or worse == 2:
             break
         rank = constraint_rank(system)
         step = minimum_norm(jacobian, phi, system.phi_units, system.velocity_units, rank)

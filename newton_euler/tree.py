@@ -36,9 +36,9 @@ class TreeJoint:
         joint: number of the joint, as of `SpanningTree.joint`.
         parent, child: body indices.
         forward: True if the child is the joint's second body.
-        motions: from parent to child, at the joint's `reaction_point`; hinge and slide axes are
-            signed so that coordinates keep the joint's own sense. A ball turns the child against
-            the parent.
+        motions: from parent to child; hinge and slide axes are signed so that coordinates keep the
+            joint's own sense. A ball turns the child against the parent.
+        points: of the motions, (3,) each, as of `Joint.motion_points`.
         q, v: where its coordinates and velocities are. A ball has a quaternion w-x-y-z in q and
             in v the angular velocity against the parent, in the child's tree frame.
     """
@@ -48,6 +48,7 @@ class TreeJoint:
     child: int
     forward: bool
     motions: tuple[Motion, ...]
+    points: tuple[Array, ...]
     q: slice
     v: slice
 
@@ -118,14 +119,22 @@ class SpanningTree:
             child = equations.second if forward else equations.first
             if child in reached:
                 continue
-            motions = equations.joint.motions
+            motions, points = equations.joint.motions, equations.joint.motion_points
             if not forward:
                 motions = tuple(Motion(m.kind, -m.axis) for m in reversed(motions))
+                points = points[::-1]
             q_size = sum(4 if m.kind == "ball" else 1 for m in motions)
             v_size = sum(3 if m.kind == "ball" else 1 for m in motions)
             kept.append(
                 TreeJoint(
-                    index, parent, child, forward, motions, slice(nq, nq + q_size), slice(nv, nv + v_size)
+                    index,
+                    parent,
+                    child,
+                    forward,
+                    motions,
+                    points,
+                    slice(nq, nq + q_size),
+                    slice(nv, nv + v_size),
                 )
             )
             nq, nv = nq + q_size, nv + v_size

@@ -105,7 +105,8 @@ HOLDING = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/>
  <inertial pos="0.1 0 0" mass="1" diaginertia="0.01 0.01 0.01"/><geom type="sphere" size="0.03"/>
  <site name="t" pos="0.1 0 0"/><site name="u" pos="0.1 0 0.1"/></body></worldbody>
 <tendon><spatial name="cord" stiffness="5"><site site="s"/><site site="t"/><site site="u"/></spatial></tendon>
-<actuator><general name="m" joint="a" dyntype="filter" dynprm="0.1" gainprm="3"/></actuator></mujoco>"""
+<actuator><general name="m" joint="a" dyntype="filter" dynprm="0.1" gainprm="3"/></actuator>
+<keyframe><key ctrl="1"/></keyframe></mujoco>"""
 
 LIMITED = """<robot name="arm"><link name="base"/><link name="rod"><inertial><origin xyz="0.1 0 0"/>
 <mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>

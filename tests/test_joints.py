@@ -9,7 +9,16 @@ from finite_difference import derivative, jacobian
 from newton_euler.constraints import Frame
 from newton_euler.errors import MechanismError
 from newton_euler.euler_parameters import from_rotation_vector, rotation
-from newton_euler.joints import JOINT_KINDS, Pose, Revolute, Rod, Screw, Universal, perpendicular_pair
+from newton_euler.joints import (
+    JOINT_KINDS,
+    Compound,
+    Pose,
+    Revolute,
+    Rod,
+    Screw,
+    Universal,
+    perpendicular_pair,
+)
 
 AXIS = np.array([0.48, -0.6, 0.64])
 AXES = {
@@ -32,6 +41,19 @@ COUNTS = {
     "fixed": 6,
     "free": 0,
 }
+HINGES = np.array([[0.8, 0.1, 0.3], [-0.2, 0.9, 0.1], [0.1, -0.3, 1.0]])
+SLIDES = np.array([[0.2, 0.7, -0.4], [1.0, 0.1, 0.3]])
+OFFSETS = np.array([[0.3, -0.4, 0.7], [-0.5, 0.2, 0.1]])
+SKEW = {
+    f"{slides} slides and {hinges} skew hinges": {
+        "slides": SLIDES[:slides],
+        "hinges": HINGES[:hinges],
+        "offsets": OFFSETS[: hinges - 1],
+    }
+    for slides in (0, 1, 2)
+    for hinges in (2, 3)
+}
+"""Options of compound joints, by name."""
 
 
 @pytest.mark.parametrize("axis", [[0.0, 0.0, 1.0], [1.0, 1.0, 1.0], [1.0, -1.0, 0.0], [0.6, 0.6, 0.8]])
@@ -51,8 +73,9 @@ def turn(vector):
 
 def make(kind, rng):
     """A joint of that kind between two bodies at random reference poses."""
-    cls = JOINT_KINDS[kind]
-    more = {"screw": {"pitch": 0.3}, "rod": {"point_on_second": rng.standard_normal(3)}}.get(kind, {})
+    cls = Compound if kind in SKEW else JOINT_KINDS[kind]
+    more = {"screw": {"pitch": 0.3}, "rod": {"point_on_second": rng.standard_normal(3)}} | SKEW
+    more = more.get(kind, {})
     joint = cls("j", "a", "b", rng.standard_normal(3), **{n: AXES[n] for n in cls.axis_names}, **more)
     first, second = (Pose(rng.standard_normal(3), turn(rng.standard_normal(3))) for _ in "ab")
     return joint.attach(0, first, 1, second), first, second
@@ -78,7 +101,7 @@ class Path:
         return np.cross(self.one, self.start @ self.two)
 
 
-@pytest.fixture(params=sorted(set(JOINT_KINDS) - {"free"}))
+@pytest.fixture(params=[*sorted(set(JOINT_KINDS) - {"free"}), *SKEW])
 def moving(request):
     rng = np.random.default_rng(sum(map(ord, request.param)))
     equations, first, second = make(request.param, rng)
@@ -100,7 +123,8 @@ DIFFERENCE = 1e-10
 
 def test_count_of_equations_and_rank():
     rng = np.random.default_rng(3)
-    for kind, count in COUNTS.items():
+    skew = {name: 6 - len(more["slides"]) - len(more["hinges"]) for name, more in SKEW.items()}
+    for kind, count in (COUNTS | skew).items():
         equations, first, second = make(kind, rng)
         frames = [Frame(p.position, p.rotation, np.zeros(3), np.zeros(3)) for p in (first, second)]
         stacked = np.hstack(equations.jacobian(*frames))

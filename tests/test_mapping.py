@@ -52,6 +52,15 @@ def test_elements_that_move_something_are_counted_once() -> None:
     assert report.counts() == "1 element is approximated, 2 left out"
 
 
+def test_what_acts_wherever_a_model_is_is_named_where_it_is_left_out() -> None:
+    report = Mapping()
+    report.left_out("actuator 'a'", "its limit of the force", topic="limit of the force")
+    assert report.counts() == "1 element is left out"
+    for element in ("actuator 'b'", "actuator 'c'", "equality 'd'"):
+        report.left_out(element, "it has dynamics")
+    assert report.counts() == "4 elements are left out (1 equality, 2 actuators)"
+
+
 def test_the_verdict_tells_how_much_of_the_file_is_not_in_it(capsys, tmp_path: Path) -> None:
     model = """<mujoco><compiler angle="radian"/><worldbody>
         <body name="l"><joint name="a" axis="0 1 0" limited="true" range="-1 1" frictionloss="0.1"/>

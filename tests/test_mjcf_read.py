@@ -190,8 +190,8 @@ def test_names_that_are_not_for_scenes(tmp_path: Path) -> None:
     [
         (model(""), "no body can move"),
         (
-            model(arm('<joint name="x" axis="1 0 0"/><joint name="y" axis="0 1 0" pos="0 0 0.1"/>')),
-            "axes of its joints 'x', 'y' do not meet",
+            model(arm('<joint name="x" axis="1 0 0"/><joint name="y" axis="1 0 0" pos="0 0 0.1"/>')),
+            "joint 'lower_joints': its hinges",
         ),
         (
             model(arm('<joint type="slide"/><joint axis="0 1 0"/><joint type="slide" axis="1 0 0"/>')),

@@ -371,7 +371,8 @@ def test_a_model_file_is_guarded_with_what_is_in_no_figure(capsys, tmp_path, mon
     monkeypatch.chdir(tmp_path)
     text = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="leg" pos="0 0 1">
         <joint name="hip" axis="0 1 0"/><geom name="foot" size="0.1" pos="0 0 -0.5"/></body></worldbody>
-        <actuator><general name="m" joint="hip" dyntype="filter" dynprm="0.1"/></actuator></mujoco>"""
+        <actuator><general name="m" joint="hip" dyntype="filter" dynprm="0.1"/></actuator>
+        <keyframe><key ctrl="1"/></keyframe></mujoco>"""
     model, stored = Path("model.xml"), Path("model.baseline.json")
     model.write_text(text)
     assert run(capsys, "regress", model, "--update", "--reason", "first")[0] == 0

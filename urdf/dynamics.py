@@ -30,7 +30,14 @@ from urdf.forces import PointForces
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia
 from urdf.proximal import SHARE, converged, plain, regularised
-from urdf.reactions import actuator, driven, external_forces, joint_wrenches, reactions
+from urdf.reactions import (
+    actuator,
+    driven,
+    external_forces,
+    joint_points,
+    joint_wrenches,
+    reactions,
+)
 from urdf.rotors import Rotors
 from urdf.rows import Rows, solve
 from urdf.write import closures, to_loops, to_urdf
@@ -392,7 +399,8 @@ class PinocchioSystem:
         columns = self.map.v_from_pinocchio(np.reshape(self._data.J, (6, self.nv)))
         forces_on = list(zip(self._actuators, actuation, strict=True))
         forces_on += self._rotors.forces(qddot)
-        forces, torques = reactions(self.scene, wrenches, state, driven(self._tree, columns, forces_on))
+        points = joint_points(self.scene, state)
+        forces, torques = reactions(wrenches, points, driven(self._tree, columns, points, forces_on))
         for joint, torque in self._rotors.torques(state.frames(), accelerations[:, 3:]):
             torques[joint] -= torque
         kinetic = pin.computeKineticEnergy(self._model, self._data, pin_q, pin_v) + self._rotors.energy(v)

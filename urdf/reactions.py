@@ -48,25 +48,47 @@ def actuator(mechanism: Mechanism, tree: SpanningTree, joint: str, coordinate: i
 
 
 def driven(
-    tree: SpanningTree, columns: Array, forces: Iterable[tuple[Actuator, float]]
-) -> list[tuple[Actuator, float, Array]]:
-    """Actuators with their forces and the world axes these act along or about.
+    tree: SpanningTree, columns: Array, points: Array, forces: Iterable[tuple[Actuator, float]]
+) -> list[tuple[int, Array]]:
+    """Joints with the wrenches (6,) on their second bodies by what drives them, about the joint points.
 
     Of several hinges or slides of a joint, each is driven so that no work is done on the others.
 
     Args:
         tree: that numbers the velocities.
         columns: (6, nv) Pinocchio's joint Jacobians in the tree's order.
+        points: (j, 3) where the joint points are.
         forces: N or N m.
     """
     found = []
     for actuator, u in forces:
-        kind, part = ("slide", columns[:3]) if actuator.slides else ("hinge", columns[3:])
         (kept,) = (kept for kept in tree.joints if kept.joint == actuator.joint)
-        together = [on_v.start for motion, _, on_v in kept.places if motion.kind == kind]
-        axes = dual_axes(part[:, together].T)
-        found.append((actuator, u, axes[together.index(actuator.on_v)]))
+        of_kind = {
+            kind: [on_v.start for motion, _, on_v in kept.places if motion.kind == kind]
+            for kind in ("slide", "hinge")
+        }
+        linear, angular = columns[:3, of_kind["slide"]].T, columns[3:, of_kind["hinge"]].T
+        wrench = np.zeros(6)
+        if actuator.slides:
+            wrench[:3] = dual_axes(linear)[of_kind["slide"].index(actuator.on_v)]
+            at_origin = columns[:3, of_kind["hinge"]].T
+            work = (at_origin + np.cross(angular, points[actuator.joint])) @ wrench[:3]
+            wrench[3:] = -work @ dual_axes(angular)
+        else:
+            wrench[3:] = dual_axes(angular)[of_kind["hinge"].index(actuator.on_v)]
+        found.append((actuator.joint, actuator.sign * u * wrench))
     return found
+
+
+def joint_points(scene: Scene, state: State) -> Array:
+    """(j, 3) the joint points on the second bodies, world frame."""
+    mechanism = scene.mechanism
+    points = np.zeros((len(mechanism.joints), 3))
+    for index, joint in enumerate(mechanism.joints):
+        second = mechanism.body_index(joint.second)
+        local = mechanism.bodies[second].pose.point_to_body(joint.reaction_point)
+        points[index] = state.position[second] + rotation(state.quaternion[second]) @ local
+    return points
 
 
 def external_forces(model: Any, data: Any, wrenches: Iterable[tuple[int, Any]]) -> Any:
@@ -143,26 +165,17 @@ def _needed_wrench(
     return np.concatenate([force, torque + np.cross(state.position[whole], force)])
 
 
-def reactions(
-    scene: Scene, wrenches: Array, state: State, actuation: list[tuple[Actuator, float, Array]]
-) -> tuple[Array, Array]:
+def reactions(wrenches: Array, points: Array, actuation: list[tuple[int, Array]]) -> tuple[Array, Array]:
     """Forces and torques (j, 3) on the second bodies at the joint points, without those of actuators.
 
     Args:
-        scene: whose mechanism has the j joints.
         wrenches: (j, 6), or more rows, as of `joint_wrenches`.
-        state: of the bodies.
-        actuation: what is driven, the force, and the world axis (3,) it acts along or about.
+        points: (j, 3) of the joints.
+        actuation: as of `driven`.
     """
-    mechanism = scene.mechanism
-    count = len(mechanism.joints)
-    forces, torques = wrenches[:count, :3].copy(), wrenches[:count, 3:].copy()
-    for actuator, force, axis in actuation:
-        driven = forces if actuator.slides else torques
-        driven[actuator.joint] -= actuator.sign * force * axis
-    for index, joint in enumerate(mechanism.joints):
-        second = mechanism.body_index(joint.second)
-        local = mechanism.bodies[second].pose.point_to_body(joint.reaction_point)
-        point = state.position[second] + rotation(state.quaternion[second]) @ local
-        torques[index] -= np.cross(point, wrenches[index, :3])
+    forces = wrenches[: len(points), :3].copy()
+    torques = wrenches[: len(points), 3:] - np.cross(points, forces)
+    for joint, wrench in actuation:
+        forces[joint] -= wrench[:3]
+        torques[joint] -= wrench[3:]
     return forces, torques

@@ -21,11 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
-from newton_euler.couplings import Gear
+from newton_euler.activity import Bounds, Rest, Watch
+from newton_euler.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.errors import NewtonEulerError, check_choice
 from newton_euler.forces import JointSpring
 from newton_euler.joints import Fixed, Joint, Rod, Spherical
-from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, Part, unique_name, value
+from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, RANGE, Mapping, Part, unique_name, value
 from newton_euler.measured import Key
 from newton_euler.mechanism import Mechanism
 from newton_euler.scene import REDUNDANCY_TOLERANCE, Scene
@@ -221,9 +222,10 @@ def _closure_name(pair: tuple[str, str]) -> str:
 
 def _gears(
     start: Start, loops: Loops, tree: Tree, mimics: list[Mimic], taken: list[str], report: Mapping
-) -> Iterator[Gear]:
-    """Gears of mimics and of coupled joints."""
+) -> Iterator[JointCoupling]:
+    """Gears of mimics, and those and other couplings of coupled joints."""
     pairs: list[tuple[str, Key, Key, float]] = []
+    sums: list[LinearCoupling] = []
     for mimic in mimics:
         element = f"mimic of joint {mimic.follower!r}"
         if mimic.follower in tree.keys and mimic.driver in tree.keys:
@@ -235,9 +237,14 @@ def _gears(
     for coupling in loops.coupled:
         terms = [(tree.keys[name], c) for name, c in coupling.items() if c and name in tree.keys]
         element = f"coupled {', '.join(coupling)}"
+        if len(terms) > 2:
+            name = unique_name(f"coupling_{len(sums) + 1}", "coupling", taken)
+            sums.append(LinearCoupling(name, tuple((*key, factor) for key, factor in terms)))
+            report.exactly(element, f"coupling {name!r} of {len(terms)} joint coordinates")
+            continue
         if len(terms) != 2:
             told = {name: value(factor) for name, factor in coupling.items()}
-            report.left_out(element, f"couples {len(terms)} joints, gears couple two", Part(element, told))
+            report.left_out(element, f"couples {len(terms)} joints that move", Part(element, told))
             continue
         (follower, own), (driver, other) = terms
         pairs.append((element, follower, driver, -other / own))
@@ -245,6 +252,7 @@ def _gears(
         name = unique_name(f"gear_{number + 1}", "gear", taken)
         yield Gear(name, driver[0], follower[0], ratio, driver[1], follower[1])
         report.exactly(element, f"gear {name!r} of ratio {ratio:.6g}")
+    yield from sums
 
 
 def _springs(root: ET.Element, tree: Tree, held: Held, report: Mapping) -> Iterator[JointSpring]:
@@ -262,6 +270,19 @@ def _springs(root: ET.Element, tree: Tree, held: Held, report: Mapping) -> Itera
             report.left_out(part.element, why, part, topic="damping")
 
 
+def _limits(joint: ET.Element, part: Part) -> list[Watch]:
+    """Watches how far a joint goes and how fast; what it may be driven with limits nothing: nothing does."""
+    if not part.joints:
+        return []
+    low, high = (float(x) for x in part.values[RANGE])
+    (speed,) = part.values["velocity"]
+    terms, unit = ((part.joints[0], 1.0),), "m" if joint.get("type") == "prismatic" else "rad"
+    found: list[Watch] = [Bounds(terms, low, high, unit)]
+    if isinstance(speed, float):
+        found.append(Bounds(terms, -speed, speed, f"{unit}/s", by_value=0.0, by_rate=1.0))
+    return found
+
+
 def _report_leftovers(root: ET.Element, held: Held, report: Mapping) -> None:
     """Tell of everything that is no rigid body and no bilateral constraint."""
     for joint in root.findall("joint"):
@@ -269,10 +290,13 @@ def _report_leftovers(root: ET.Element, held: Held, report: Mapping) -> None:
         friction = 0.0 if dynamics is None else float(dynamics.get("friction", 0.0))
         if friction:
             why = f"its dry friction {friction:g}"
-            report.left_out(element, why, held.friction(joint), topic=FRICTION)
+            keys = held.keys(str(joint.get("name")))
+            watches = [Rest(keys)] if keys else []
+            report.left_out(element, why, held.friction(joint), topic=FRICTION, watches=watches)
         if joint.find("limit") is not None and joint.get("type") in ("revolute", "prismatic"):
             why = "its limits: limits are no bilateral constraints"
-            report.left_out(element, why, held.limits(joint), topic=LIMITS)
+            part = held.limits(joint)
+            report.left_out(element, why, part, topic=LIMITS, watches=_limits(joint, part))
         if joint.find("safety_controller") is not None:
             part = held.joint(joint, "safety_controller")
             report.left_out(element, "its safety controller", part, topic="safety controller")

@@ -58,7 +58,7 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
     add_materials(robot)
     origins = [np.zeros(3)] * len(mechanism.bodies)
     for kept in tree.joints:
-        origins[kept.child] = tree.joint(kept.joint).reaction_point
+        origins[kept.child] = kept.points[-1] if kept.points else tree.joint(kept.joint).reaction_point
 
     for index, body in enumerate(mechanism.bodies):
         link = SubElement(robot, "link", name=body.name)
@@ -185,21 +185,22 @@ def _add_chain(
     """One joint of the tree: a chain from its parent's link to its child's, `dampings` by URDF joint."""
     names, joint = welded.mechanism.body_names, welded.tree.joint(kept.joint)
     parent, child = names[kept.parent], names[kept.child]
-    offset = origins[kept.child] - origins[kept.parent]
+    origin = origins[kept.parent]
     if not kept.motions:
-        _add_joint(robot, "fixed", joint.name, parent, child, offset)
-    for name, motion in zip(motion_names(joint, kept.forward), kept.motions, strict=True):
+        _add_joint(robot, "fixed", joint.name, parent, child, origins[kept.child] - origin)
+    named = zip(motion_names(joint, kept.forward), kept.motions, kept.points, strict=True)
+    for name, motion, point in named:
         last = motion is kept.motions[-1]
         link = child if last else f"{name}_link"
         if not last:
             SubElement(robot, "link", name=link)
         kind = "prismatic" if motion.kind == "slide" else "revolute"
-        element = _add_joint(robot, kind, name, parent, link, offset)
+        element = _add_joint(robot, kind, name, parent, link, point - origin)
         SubElement(element, "axis", xyz=numbers(_axis(motion)))
         SubElement(element, "limit", lower=f"-{LIMIT}", upper=LIMIT, effort=LIMIT, velocity=LIMIT)
         if name in dampings:
             SubElement(element, "dynamics", damping=repr(dampings[name]))
-        parent, offset = link, np.zeros(3)
+        parent, origin = link, point
 
 
 def _axis(motion: Motion) -> Array:

@@ -8,12 +8,12 @@ motion is the same.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
 from typing import Any
 
 from crosscheck.advice.measured import Advice, Found
 from crosscheck.comparison.reactions import undetermined
 from newton_euler.assemble import random_states
+from newton_euler.couplings import couplings
 from newton_euler.errors import NewtonEulerError
 from newton_euler.joints import Cylindrical, Joint, Spherical
 from newton_euler.mechanism import Mechanism
@@ -43,7 +43,7 @@ def redundancy_advice(found: Found) -> Iterator[Advice]:
     if redundant == 0:
         return
     driven = _driven(scene)
-    coupled = set(chain.from_iterable((c.driver, c.follower) for c in scene.mechanism.couplings))
+    coupled = {joint for coupling in couplings(scene) for joint, _ in coupling.factors}
     joints = zip(scene.mechanism.joints, scene.mechanism.equations, strict=True)
     holding = [joint for joint, equations in joints if equations.count and joint.name not in coupled]
     holding.sort(key=lambda joint: (joint.name in driven, joint.actuated))

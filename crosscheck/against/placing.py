@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.euler_parameters import rotation
-from newton_euler.joints import Joint
+from newton_euler.joints import Compound, Joint
 from newton_euler.joints.base import Motion
 from newton_euler.mechanism import Mechanism
 from newton_euler.scalars import Array
@@ -75,6 +75,8 @@ def held(joint: Joint, body: str) -> Held:
         # a hinge that both bodies carry leaves open where on its line the point is
         others = _axes(motions[::-1], "hinge")
         loose += [axis for axis in _axes(motions, "hinge") if any(axis is other for other in others)]
+        if isinstance(joint, Compound) and np.any(joint.offsets):  # of a first hinge or a last one
+            loose += _axes(motions, "hinge")[:1]
     axes = [("hinge", axis) for axis in _axes(motions, "hinge")]
     if len(slides) == 2 and _carries_plane(motions, _normal(*slides)):
         axes.append(("normal", _normal(*slides)))

@@ -221,12 +221,15 @@ def _constraints(
             continue
         opened = max(_opened(mechanism, number, changed, states, length, angle) for changed in changes)
         yield f"{'joint' if number in tree else 'loop'} {joint.name!r}", opened
-    for gear in mechanism.couplings:
-        key = (gear.driver, gear.driver_coordinate)
-        follower = mechanism.joints[mechanism.joint_index(gear.follower)]
-        unit = length if follower.coordinate_kinds[gear.follower_coordinate] == "slide" else angle
-        turned = np.array([float(moment.measured[key].x) for moment in moments])
-        yield f"gear {gear.name!r}", CHANGE * abs(gear.ratio) * float(np.ptp(turned)) / unit
+    for coupling in mechanism.couplings:
+        (first, own), *others = coupling.factors().items()
+        kinds = mechanism.joints[mechanism.joint_index(first[0])].coordinate_kinds
+        unit = length if kinds[first[1]] == "slide" else angle
+        opened = max(
+            abs(factor / own) * float(np.ptp([float(moment.measured[key].x) for moment in moments]))
+            for key, factor in others
+        )
+        yield f"{coupling.kind} {coupling.name!r}", CHANGE * opened / unit
 
 
 def _moved(joint: Joint, distance: float) -> Iterator[Joint]:

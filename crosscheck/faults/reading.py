@@ -21,6 +21,7 @@ from crosscheck.faults import plant
 from crosscheck.faults.catalogue import SKEW, Fault
 from crosscheck.faults.find import MOTION, samples_of
 from newton_euler.control import PD
+from newton_euler.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.errors import NewtonEulerError
 from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.mapping import Mapping
@@ -132,7 +133,8 @@ def _permuted(body: Body) -> dict[str, Any]:
 
 def _of_axis(scene: Scene, joint: str, detail: str, planted: plant.Plant) -> Fault:
     """One that may be blamed on gears as well, whose coordinates are about that axis."""
-    gears = (gear.name for gear in scene.mechanism.couplings if joint in (gear.driver, gear.follower))
+    joints = ((each.name, {name for name, _ in each.factors()}) for each in scene.mechanism.couplings)
+    gears = (name for name, coupled in joints if joint in coupled)
     return replace(_fault("axis", joint, detail, planted), right=frozenset({joint, *gears}))
 
 
@@ -167,11 +169,20 @@ def _other_gear(index: int, factor: float) -> plant.Plant:
         gears = list(scene.mechanism.couplings)
         gear = gears.pop(index)
         if factor:
-            gears.insert(index, replace(gear, ratio=factor * gear.ratio))
+            gears.insert(index, _with_other_factor(gear, factor))
         mechanism = type(scene.mechanism)(scene.mechanism.bodies, scene.mechanism.joints, gears)
         return replace(scene, mechanism=mechanism, initial_state=None)  # type: ignore[arg-type]
 
     return planted
+
+
+def _with_other_factor(coupling: JointCoupling, factor: float) -> JointCoupling:
+    """A coupling with its last factor against the first multiplied."""
+    if isinstance(coupling, Gear):
+        return replace(coupling, ratio=factor * coupling.ratio)
+    assert isinstance(coupling, LinearCoupling)
+    *terms, (joint, coordinate, last) = coupling.terms
+    return replace(coupling, terms=(*terms, (joint, coordinate, factor * last)))
 
 
 def find_in_reading(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.mapping import Mapped
+from newton_euler.mapping import FATES, Mapped
 from newton_euler.mapping import Mapping as MappingReport
 from newton_euler.scene import Scene
 
@@ -120,13 +120,14 @@ def read_model(
 
 def report_lines(report: MappingReport) -> Iterator[str]:
     """A mapping report as text; elements that became the same are one line."""
-    counts = ", ".join(f"{len(report.of(fate))} {fate}" for fate in ("exactly", "approximated", "left out"))
+    fates = [fate for fate in FATES if fate != "inactive" or report.of(fate)]
+    counts = ", ".join(f"{len(report.of(fate))} {fate}" for fate in fates)
     yield f"carried over: {counts}"
 
     def how(entry: Mapped) -> tuple[str, str]:
         return entry.element.split(" ")[0], entry.how
 
-    for fate in ("exactly", "approximated", "left out"):
+    for fate in fates:
         entries = report.of(fate)
         if entries:
             yield f"{fate}:"

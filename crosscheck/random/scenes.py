@@ -74,8 +74,8 @@ ALONG = ("prismatic", "translational", "cylindrical", "screw", "point_on_line")
 class _Draft:
     """A mechanism that grows; lengths are of the order of `length`, m, and masses of `mass`, kg."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
-        self.rng = rng
+    def __init__(self, rng: np.random.Generator, of_offsets: np.random.Generator) -> None:
+        self.rng, self.of_offsets = rng, of_offsets
         self.length, self.mass = 10.0 ** rng.uniform(-1.0, 1.0, 2)
         self.normal = _direction(rng) if rng.random() < FLAT else None
         self.bodies = [Body.ground()]
@@ -133,7 +133,13 @@ class _Draft:
             options["point_on_second"] = point + shift
         elif kind.kind == "compound":
             options = _compound(rng)
-            options["point_on_second"] = point + shift[: len(options["slides"])] @ options["slides"]
+            beyond = shift[: len(options["slides"])] @ options["slides"]
+            missing = max(len(options["hinges"]) - 1, 0)
+            if missing and self.of_offsets.random() < 0.5:  # hinges whose axes do not meet
+                reach = 0.3 * self.length
+                options["offsets"] = self.of_offsets.uniform(-reach, reach, (missing, 3))
+                beyond = beyond + options["offsets"].sum(axis=0)
+            options["point_on_second"] = point + beyond
         return kind(name, first.name, second.name, point, **options)
 
     def _close(self, name: str) -> None:
@@ -321,9 +327,9 @@ def _motion(rng: np.random.Generator, scene: Scene) -> Scene:
 def random_scene(seed: int, number: int) -> Scene:
     """Random mechanism number `number` of a seed, in a random consistent state as its initial one."""
     rng = np.random.default_rng([seed, number])
-    draft = _Draft(rng)
+    # streams of their own: what was there before them stays
+    draft = _Draft(rng, np.random.default_rng([seed, number, 2]))
     forces, control = draft.forces()
-    # a stream of their own: what was there before them stays
     springs, rotors = _of_balls(np.random.default_rng([seed, number, 1]), draft)
     mechanism = draft.mechanism
     scene = Scene(

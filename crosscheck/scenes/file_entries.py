@@ -14,7 +14,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.scenes.size import check_counts, check_mechanism, check_motions
 from newton_euler.armature import Armature, BallArmature
 from newton_euler.control import PD
-from newton_euler.couplings import Gear
+from newton_euler.couplings import Gear, LinearCoupling
 from newton_euler.errors import NewtonEulerError
 from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.joints import JOINT_KINDS, Compound, Joint, Screw
@@ -113,6 +113,7 @@ class JointEntry(_Strict):
     pitch: Number | None = None
     slides: list[Vector] | None = None
     hinges: list[Vector] | None = None
+    offsets: list[Vector] | None = None
     ball: bool | None = None
     actuated: bool = False
 
@@ -129,7 +130,7 @@ class JointEntry(_Strict):
             if getattr(self, name) is not None
         }
         needed = (*kind.axis_names, "pitch") if kind is Screw else kind.axis_names
-        for name in ("slides", "hinges", "ball"):
+        for name in ("slides", "hinges", "offsets", "ball"):
             value = getattr(self, name)
             if value is not None and kind is not Compound:
                 raise CrosscheckError(f"{where}: {name} are of compound joints only")
@@ -140,6 +141,7 @@ class JointEntry(_Strict):
             )
         if kind is Compound:
             given |= {"slides": self.slides or (), "hinges": self.hinges or (), "ball": self.ball or False}
+            given |= {"offsets": self.offsets}
         arguments: dict[str, Any] = given | {
             "point_on_second": self.point_on_second,
             "actuated": self.actuated,
@@ -160,6 +162,17 @@ class GearEntry(_Strict):
 
     def build(self) -> Gear:
         return Gear(**self.model_dump(exclude={"kind"}))
+
+
+class LinearEntry(_Strict):
+    """A sum of joint coordinates, each times a factor, that stays 0."""
+
+    kind: Literal["linear"]
+    name: str
+    terms: list[tuple[str, Index, Number]]
+
+    def build(self) -> LinearCoupling:
+        return LinearCoupling(self.name, tuple(self.terms))
 
 
 class ControlEntry(_Strict):
@@ -323,7 +336,7 @@ class SceneEntry(_Strict):
     ground: str = "ground"
     bodies: list[BodyEntry]
     joints: list[JointEntry]
-    couplings: list[GearEntry] = []
+    couplings: list[Annotated[GearEntry | LinearEntry, Field(discriminator="kind")]] = []
     control: list[ControlEntry] = []
     forces: list[ForceEntry] = []
     motions: list[MotionEntry] = []

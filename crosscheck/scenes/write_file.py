@@ -14,6 +14,7 @@ import yaml
 from crosscheck.errors import CrosscheckError
 from newton_euler.armature import BallArmature
 from newton_euler.control import PD
+from newton_euler.couplings import Gear
 from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.joints import Compound, Joint, Screw
 from newton_euler.motions import Polynomial, Sine, TimeFunction
@@ -75,7 +76,16 @@ def entries(scene: Scene) -> dict[str, Any]:
         "ground": mechanism.body_names[0],
         "bodies": bodies,
         "joints": [_joint(joint) for joint in mechanism.joints],
-        "couplings": [{"kind": "gear", **_plain(gear)} for gear in mechanism.couplings],
+        "couplings": [
+            {"kind": "gear", **_plain(each)}
+            if isinstance(each, Gear)
+            else {
+                "kind": "linear",
+                "name": each.name,
+                "terms": [[*key, x] for key, x in each.factors().items()],
+            }
+            for each in mechanism.couplings
+        ],
         "control": [_plain(law) for law in scene.control if isinstance(law, PD)],
         "forces": [{"kind": KINDS[type(force)], **_plain(force)} for force in scene.forces],
         "motions": [
@@ -120,7 +130,8 @@ def _joint(joint: Joint) -> dict[str, Any]:
         entry["point_on_second"] = joint.reaction_point.tolist()
     more = [*joint.axis_names]
     more += ["pitch"] if isinstance(joint, Screw) else []
-    more += ["slides", "hinges", "ball"] if isinstance(joint, Compound) else []
+    if isinstance(joint, Compound):
+        more += ["slides", "hinges", "ball", *(["offsets"] if np.any(joint.offsets) else [])]
     entry |= {name: _number(getattr(joint, name)) for name in more}
     if joint.actuated:
         entry["actuated"] = True

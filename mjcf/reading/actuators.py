@@ -25,6 +25,7 @@ from mjcf.reading.joints import FREE, Joints
 from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
+from newton_euler.activity import Bounds
 from newton_euler.control import PD
 from newton_euler.forces import Wrench
 from newton_euler.mapping import CONTROL, FORCE, ROTOR, Mapping
@@ -118,7 +119,7 @@ class Actuators:
         if law is None:
             return
         self._report_damping(actuator, element)
-        law, limited = self._limited(actuator, element, law)
+        law, limited = self._limited(actuator, element, law, moments)
         if moments is not None:
             self._add_to_joints(actuator, element, law, limited, moments)
         elif law == Affine(0.0, 0.0, 0.0) and not model.actuator_armature[actuator]:
@@ -166,25 +167,38 @@ class Actuators:
             ctrl = float(np.clip(ctrl, *model.actuator_ctrlrange[actuator]))
         return ctrl
 
+    def _activation(self, actuator: int) -> float | None:
+        """The factor of its gain with the control held; None if that changes with time."""
+        kind, ctrl = DYNAMICS(self._model.actuator_dyntype[actuator]), self._control(actuator)
+        if kind == DYNAMICS.mjDYN_NONE:
+            return ctrl
+        first = int(self._model.actuator_actadr[actuator])
+        activation = float(self._data.act[first]) if first >= 0 else np.nan
+        rests = {
+            DYNAMICS.mjDYN_INTEGRATOR: ctrl == 0.0,
+            DYNAMICS.mjDYN_FILTER: ctrl == activation,
+            DYNAMICS.mjDYN_FILTEREXACT: ctrl == activation,
+        }
+        return activation if rests.get(kind, False) else None
+
     def _affine(self, actuator: int, element: str) -> Affine | None:
         """Its force with the control held; None if it is no affine function of length and rate."""
         model = self._model
         known = (
             model.actuator_plugin[actuator] < 0
             and not model.actuator_delay[actuator]
-            and DYNAMICS(model.actuator_dyntype[actuator]) == DYNAMICS.mjDYN_NONE
             and GAIN(model.actuator_gaintype[actuator]) in (GAIN.mjGAIN_FIXED, GAIN.mjGAIN_AFFINE)
             and BIAS(model.actuator_biastype[actuator]) in (BIAS.mjBIAS_NONE, BIAS.mjBIAS_AFFINE)
         )
-        if not known:
+        activation = self._activation(actuator)
+        if not known or activation is None:
             self._leave(
                 actuator,
                 element,
-                "has dynamics, a delay, a plugin, or gain or bias that is no affine function",
+                "has dynamics that do not rest, a delay, a plugin, or no affine gain or bias",
             )
             return None
-        ctrl = self._control(actuator)
-        gain, bias = model.actuator_gainprm[actuator][:3] * ctrl, model.actuator_biasprm[actuator][:3]
+        gain, bias = model.actuator_gainprm[actuator][:3] * activation, model.actuator_biasprm[actuator][:3]
         if GAIN(model.actuator_gaintype[actuator]) == GAIN.mjGAIN_FIXED:
             gain = gain * [1.0, 0.0, 0.0]
         if BIAS(model.actuator_biastype[actuator]) == BIAS.mjBIAS_AFFINE:
@@ -198,7 +212,9 @@ class Actuators:
     def _leave(self, actuator: int, element: str, why: str) -> None:
         self._report.left_out(element, why, self._held.actuator(actuator))
 
-    def _limited(self, actuator: int, element: str, law: Affine) -> tuple[Affine, str]:
+    def _limited(
+        self, actuator: int, element: str, law: Affine, moments: dict[int, float] | None
+    ) -> tuple[Affine, str]:
         """The law and "", or the limit where the law is above that at the start, and the words for it."""
         model, data = self._model, self._data
         length, rate = data.actuator_length[actuator], data.actuator_velocity[actuator]
@@ -209,7 +225,12 @@ class Actuators:
             if held == force:
                 part = self._held.actuator(actuator, "forcerange gear")
                 why = f"its limit of the force, {low:g} to {high:g}"
-                self._report.left_out(element, why, part, topic="limit of the force")
+                terms = tuple((self._joints.keys[k], moment) for k, moment in (moments or {}).items())
+                constant = law.constant + law.by_length * length
+                watch = Bounds(terms, low, high, "N or N m", constant, law.by_length, law.by_rate)
+                known = moments is not None or not (law.by_length or law.by_rate)
+                watches = [watch] if known else []
+                self._report.left_out(element, why, part, topic="limit of the force", watches=watches)
         held = self._limited_by_tendon(actuator, element, held)
         if held == force:
             return law, ""
@@ -245,8 +266,12 @@ class Actuators:
         if key is None or law is None or held == force:
             if law is not None or data.qfrc_actuator[dof]:
                 part = self._held.joint(joint, "actfrcrange")
-                why = f"its limit of actuator forces, {low:g} to {high:g}"
-                self._report.left_out(element, why, part, topic="limit of actuator forces")
+                why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
+                watches = []
+                if key is not None and law is not None:
+                    gains = -law.stiffness, -law.damping
+                    watches.append(Bounds(((key, 1.0),), low, high, "N or N m", law.feedforward, *gains))
+                self._report.left_out(element, why, part, topic=topic, watches=watches)
             return False
         self._laws[key] = PD(key[0], 0.0, 0.0, 0.0, key[1], held)
         why = (

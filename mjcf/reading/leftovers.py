@@ -8,7 +8,10 @@ import numpy as np
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.held import Held, summed
 from mjcf.reading.joints import Joints
+from mjcf.reading.loops import fixed
+from mjcf.reading.poses import Poses, Stretched, Touching
 from mjcf.reading.start import Start
+from newton_euler.activity import Bounds, Rest, Watch
 from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, Part, value
 
 UNSEEN = {
@@ -35,7 +38,8 @@ FLEX = (
 def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Mapping) -> None:
     """Tell of everything else in the model."""
     model, held = start.model, Held(start, bodies, joints)
-    _report_contacts(start, held, report)
+    poses = Poses(start, bodies)
+    _report_contacts(start, held, poses, report)
     meshes = int(np.sum(model.geom_dataid >= 0))
     if meshes:
         report.exactly(f"{meshes} geoms of meshes", "drawn where visible; their masses are in the bodies")
@@ -46,14 +50,17 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Mappi
         if model.tendon_limited[tendon]:
             part = held.tendon(tendon, "range margin solref_lim solimp_lim")
             why, off = "its limits: limits are no bilateral constraints", start.disabled("LIMIT")
-            report.left_out(element, why, part, topic=LIMITS, inert=off)
+            watches = [_of_tendon(start, joints, poses, tendon)]
+            report.left_out(element, why, part, topic=LIMITS, inert=off, watches=watches)
         if model.tendon_frictionloss[tendon]:
             part = held.tendon(tendon, "frictionloss solref_fri solimp_fri")
             why, off = (
                 f"its dry friction {model.tendon_frictionloss[tendon]:g}",
                 start.disabled("FRICTIONLOSS"),
             )
-            report.left_out(element, why, part, topic=FRICTION, inert=off)
+            keys = [joints.keys.get(joint) for joint in fixed(start, tendon) or {-1: 0.0}]
+            watches_of = [Rest(tuple(key for key in keys if key))] if all(keys) else []
+            report.left_out(element, why, part, topic=FRICTION, inert=off, watches=watches_of)
     option = model.opt
     shapes = [held.geom(int(k), "fluid") for k in np.flatnonzero(model.geom_fluid[:, 0])]
     for name, number in (("density", option.density), ("viscosity", option.viscosity)):
@@ -83,7 +90,18 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Mappi
     report.left_out("options of solver and integrator", "every engine has its own", inert=True)
 
 
-def _report_contacts(start: Start, held: Held, report: Mapping) -> None:
+def _of_tendon(start: Start, joints: Joints, poses: Poses, tendon: int) -> Watch:
+    """Watches the limits of a tendon."""
+    model, weights = start.model, fixed(start, tendon)
+    if weights is None or any(joint not in joints.keys for joint in weights):
+        return Stretched(poses, tendon)
+    low, high = (float(x) for x in model.tendon_range[tendon])
+    margin, length = float(model.tendon_margin[tendon]), float(start.data.ten_length[tendon])
+    terms = tuple((joints.keys[joint], weight) for joint, weight in weights.items())
+    return Bounds(terms, low + margin, high - margin, "m or rad", length)
+
+
+def _report_contacts(start: Start, held: Held, poses: Poses, report: Mapping) -> None:
     model, off = start.model, start.disabled("CONTACT")
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     options = Part("option", {"cone": value(model.opt.cone), "impratio": value(model.opt.impratio)})
@@ -94,25 +112,33 @@ def _report_contacts(start: Start, held: Held, report: Mapping) -> None:
         parts = [held.geom(int(k)) for k in np.flatnonzero(touching)]
         parts += [held.exclude(k) for k in range(model.nexclude)]
         element = f"{len(parts) - model.nexclude} geoms that can touch"
-        report.left_out(element, NO_CONTACTS, options, *parts, topic=CONTACTS, inert=off)
+        watches = [Touching(poses)]
+        report.left_out(element, NO_CONTACTS, options, *parts, topic=CONTACTS, inert=off, watches=watches)
     if model.npair:
         paired = {int(k) for k in (*model.pair_geom1, *model.pair_geom2) if not touching[k]}
         parts = [held.pair(k) for k in range(model.npair)] + [held.geom(k) for k in sorted(paired)]
         element = f"{model.npair} contact pairs"
-        report.left_out(element, NO_CONTACTS, options, *parts, topic=CONTACTS, inert=off)
+        watches = [Touching(poses)]
+        report.left_out(element, NO_CONTACTS, options, *parts, topic=CONTACTS, inert=off, watches=watches)
 
 
 def _report_joint(start: Start, joints: Joints, held: Held, number: int, report: Mapping) -> None:
     model, element = start.model, joints.element(number)
     if model.jnt_limited[number]:
         low, high = model.jnt_range[number]
-        where = ""
+        where, watches = "", list[Watch]()
         if number in joints.keys:
             x = float(start.data.qpos[model.jnt_qposadr[number]])
             where = "" if low <= x <= high else f"; the start is outside of them, at {x:.4g}"
+            unit = "m" if model.jnt_type[number] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
+            margin = float(model.jnt_margin[number])
+            watches.append(Bounds(((joints.keys[number], 1.0),), low + margin, high - margin, unit, x))
         why = f"its limits {low:.4g} to {high:.4g}{where}: limits are no bilateral constraints"
-        report.left_out(element, why, held.limits(number), topic=LIMITS, inert=start.disabled("LIMIT"))
+        part, off = held.limits(number), start.disabled("LIMIT")
+        report.left_out(element, why, part, topic=LIMITS, inert=off, watches=watches)
     dof = int(model.jnt_dofadr[number])
     if friction := float(model.dof_frictionloss[dof]):
         part, off = held.friction(number), start.disabled("FRICTIONLOSS")
-        report.left_out(element, f"its dry friction {friction:g}", part, topic=FRICTION, inert=off)
+        why, key = f"its dry friction {friction:g}", joints.keys.get(number)
+        resting = [Rest((key,))] if key else []
+        report.left_out(element, why, part, topic=FRICTION, inert=off, watches=resting)

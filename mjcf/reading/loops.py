@@ -9,7 +9,7 @@ from mjcf.reading.bodies import Bodies, site_point
 from mjcf.reading.held import Held
 from mjcf.reading.joints import Joints
 from mjcf.reading.start import TORQUE_SCALE, Start
-from newton_euler.couplings import Gear
+from newton_euler.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.joints import Fixed, Joint, Rod, Spherical
 from newton_euler.mapping import Mapping, unique_name
 from newton_euler.measured import Key
@@ -33,7 +33,7 @@ class Loops:
         self._bodies, self._joints, self._report = bodies, joints, report
         self._held = Held(start, bodies, joints)
         self.joints: list[Joint] = []
-        self.gears: list[Gear] = []
+        self.gears: list[JointCoupling] = []
         self.held: list[PrescribedMotion] = []
         self._taken = [joint.name for joint in joints.joints]
         off = start.disabled("EQUALITY") or start.disabled("CONSTRAINT")
@@ -130,7 +130,7 @@ class Loops:
             self._report.approximated(self._start.equality(index), told, self._held.equality(index))
 
     def _add_tendon(self, index: int) -> None:
-        """A rod, if it is straight and keeps its length; a gear, if it is a sum of two joint coordinates."""
+        """A rod, if it is straight and keeps its length; a gear or coupling, if a sum of coordinates."""
         model = self._model
         tendons = [int(t) for t in (model.eq_obj1id[index], model.eq_obj2id[index]) if t >= 0]
         polynomial = model.eq_data[index][:5]
@@ -162,8 +162,13 @@ class Loops:
         elif len(terms) == 2:
             (follower, own), (driver, other) = terms
             self._couple(index, follower, driver, -other / own, RIGID)
+        elif terms:
+            name = self._name(index)
+            self.gears.append(LinearCoupling(name, tuple((*key, weight) for key, weight in terms)))
+            told = f"coupling {name!r} of {len(terms)} joint coordinates, {RIGID}"
+            self._report.exactly(self._start.equality(index), told)
         else:
-            self._leave(index, f"couples {len(terms)} joint coordinates, gears couple two")
+            self._leave(index, "couples nothing", inert=True)
 
 
 def straight(start: Start, tendon: int) -> tuple[tuple[int, Array], tuple[int, Array]] | None:

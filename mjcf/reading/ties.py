@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from newton_euler.couplings import Gear
+from newton_euler.couplings import Gear, JointCoupling
 from newton_euler.measured import Key
 
 
 class Ties:
     """Groups of joint coordinates, zero at the start, each in a constant ratio to the first of its group."""
 
-    def __init__(self, gears: Iterable[Gear]) -> None:
+    def __init__(self, gears: Iterable[JointCoupling]) -> None:
         self._of: dict[Key, tuple[Key, float]] = {}
         for gear in gears:
+            if not isinstance(gear, Gear):
+                continue  # which leaves its coordinates a freedom
             driver = (gear.driver, gear.driver_coordinate)
             follower = (gear.follower, gear.follower_coordinate)
             (first, a), (second, b) = self._member(driver), self._member(follower)

@@ -102,7 +102,8 @@ def perpendicular_pair(axis: Array) -> tuple[Array, Array]:
     return cross(w, axis), w
 
 
-def _vector(joint: str, name: str, value: object) -> Array:
+def finite_vector(joint: str, name: str, value: object) -> Array:
+    """A read-only array (3,) of finite numbers; raises `MechanismError`."""
     try:
         vector = np.array(value, dtype=float)
     except (TypeError, ValueError, OverflowError):
@@ -115,7 +116,7 @@ def _vector(joint: str, name: str, value: object) -> Array:
 
 def unit_vector(joint: str, name: str, value: object) -> Array:
     """A read-only array (3,) of norm 1 along an axis of a joint; raises `MechanismError`."""
-    vector = _vector(joint, name, value)
+    vector = finite_vector(joint, name, value)
     largest = float(np.max(np.abs(vector)))
     if largest < 1e-12:
         raise MechanismError(f"joint {joint!r}", f"{name} is {vector.tolist()}", "a non-zero axis")
@@ -156,9 +157,9 @@ class Joint:
             raise MechanismError(
                 f"joint {self.name!r:.100}", f"actuated is {self.actuated!r:.100}", "a truth value"
             )
-        object.__setattr__(self, "point", _vector(self.name, "point", self.point))
+        object.__setattr__(self, "point", finite_vector(self.name, "point", self.point))
         second = self.point if self.point_on_second is None else self.point_on_second
-        object.__setattr__(self, "point_on_second", _vector(self.name, "point_on_second", second))
+        object.__setattr__(self, "point_on_second", finite_vector(self.name, "point_on_second", second))
         for name in self.axis_names:
             object.__setattr__(self, name, unit_vector(self.name, name, getattr(self, name)))
 
@@ -172,6 +173,12 @@ class Joint:
     def motions(self) -> tuple[Motion, ...]:
         """The elementary motions of the second body against the first, in their order."""
         return ()
+
+    @property
+    def motion_points(self) -> tuple[Array, ...]:
+        """For each of `motions` (3,) a point on a hinge's axis, a ball's center or where a slide pushes, in
+        the world at the initial pose."""
+        return (self.reaction_point,) * len(self.motions)
 
     @property
     def coordinate_kinds(self) -> tuple[str, ...]:

@@ -54,7 +54,7 @@ def combined(
         the motions' own: of the child against the parent, zero at the initial pose.
 
     Raises:
-        MechanismError: for a row that no joint is: slides between hinges, hinges that miss each other.
+        MechanismError: for a row that no joint is: slides between hinges, axes that depend on each other.
     """
     ends, row = (parent, child), list(parts)
     turned = [part.kind != "slide" for part in row]
@@ -67,7 +67,9 @@ def combined(
         )
     turning = [part for part in row if part.kind != "slide"]
     single = [part for part in row if part.kind != "ball"]
-    point = _meeting(child, turning) if turning else row[-1].anchor
+    anchors = [part.anchor for part in turning]
+    meeting = _meeting(turning) if turning else row[-1].anchor
+    point = anchors[0] if meeting is None else meeting
     axes = [part.axis for part in single]
     coordinates = {part.name: k for k, part in enumerate(single)}
     joint: Joint
@@ -78,7 +80,7 @@ def combined(
             joint = Prismatic(name, *ends, point, axis=axes[0], actuated=actuated)
         case ["ball"]:
             joint = Spherical(name, *ends, point, actuated=actuated)
-        case ["hinge", "hinge"] if abs(axes[0] @ axes[1]) < ALIGNED:
+        case ["hinge", "hinge"] if meeting is not None and abs(axes[0] @ axes[1]) < ALIGNED:
             a, b = axes
             joint = Universal(name, *ends, point, axis_on_first=a, axis_on_second=b, actuated=actuated)
         case ["slide", "hinge"] if np.linalg.norm(axes[0] - axes[1]) < ALIGNED:
@@ -90,22 +92,20 @@ def combined(
                 point,
                 slides=np.array([part.axis for part in row if part.kind == "slide"]),
                 hinges=np.array([part.axis for part in row if part.kind == "hinge"]),
+                offsets=None if meeting is not None else np.diff(anchors, axis=0),
                 ball=any(part.kind == "ball" for part in row),
                 actuated=actuated,
             )
     return joint, coordinates
 
 
-def _meeting(child: str, parts: Sequence[Part]) -> Array:
-    """The point that lies on all axes."""
+def _meeting(parts: Sequence[Part]) -> Array | None:
+    """The point that lies on all axes; None if there is none."""
     first = parts[0].anchor
     if all(np.linalg.norm(part.anchor - first) <= MEET for part in parts):
         return first
     across = [np.eye(3) - (part.kind != "ball") * np.outer(part.axis, part.axis) for part in parts]
     lines = [p @ part.anchor for p, part in zip(across, parts, strict=True)]
     point = np.linalg.lstsq(np.vstack(across), np.concatenate(lines), rcond=None)[0]
-    if max(np.linalg.norm(p @ point - line) for p, line in zip(across, lines, strict=True)) > MEET:
-        names = ", ".join(repr(part.name) for part in parts)
-        problem = f"the axes of its joints {names} do not meet in one point"
-        raise MechanismError(f"body {child!r}", problem, "a body between them, with some mass of its own")
-    return np.asarray(point)
+    missed = max(np.linalg.norm(p @ point - line) for p, line in zip(across, lines, strict=True))
+    return None if missed > MEET else np.asarray(point)

@@ -1,0 +1,234 @@
+"""Runs public model files one by one and writes the table of docs/models.md.
+
+    python -m crosscheck.studies.models docs/models.yaml FOLDER --write docs/models.md
+
+FOLDER holds the repositories as OWNER/NAME. Each file is run by `crosscheck run` in a process of its own,
+which has a limit of time. What it found is kept in a JSON file beside the results; with `--only TEXT`, files
+whose path holds no such text keep what was found before. Who is right where models do not agree, and why, is
+for people to find out, and for the list to say.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.model_files.read import is_urdf
+from newton_euler.mapping import FATES, Mapped, Mapping
+from newton_euler.trajectory import atomic_file
+
+LIMIT = 600.0
+"""s of wall time for one model."""
+
+BEGIN, END = "<!-- models: begin -->", "<!-- models: end -->"
+"""Between them stands what is written."""
+
+VERDICTS = ("AGREE", "DISAGREE", "refused", "stopped", "too long")
+"""Of a model; `stopped` are those of which an engine's run did not come to its end."""
+
+
+class Entry(BaseModel):
+    """A file of the list.
+
+    Attributes:
+        file: path in its repository.
+        options: of `crosscheck run`, see `crosscheck list`.
+        why: who is right and why, of a model that does not agree.
+        ours: whether that is a fault or a lack of crosscheck.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    file: str
+    options: dict[str, Any] = Field(default_factory=dict)
+    why: str = ""
+    ours: bool = False
+
+
+class Repository(BaseModel):
+    """Files of one repository, OWNER/NAME."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    repository: str
+    options: dict[str, Any] = Field(default_factory=dict)
+    """Of all its files."""
+    files: list[Entry]
+
+
+class Found(BaseModel):
+    """What a run found.
+
+    Attributes:
+        verdict: one of `VERDICTS`.
+        line: the verdict as `crosscheck run` has it, or the error.
+        fates: how many elements became what, each as the worst that became of it.
+        lacks: what of the file the run lacks, in words.
+        seconds: wall time.
+    """
+
+    verdict: str
+    line: str
+    fates: dict[str, int]
+    lacks: str = ""
+    seconds: float
+
+
+def read_list(path: Path) -> list[Repository]:
+    """The list of a YAML file.
+
+    Raises:
+        CrosscheckError: for a file that is no such list.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return [Repository.model_validate(each) for each in content["models"]]
+    except (OSError, yaml.YAMLError, ValidationError, TypeError, KeyError) as error:
+        raise CrosscheckError(f"{path} is no list of models: {error}") from error
+
+
+def run_model(
+    folder: Path, repository: Repository, entry: Entry, output: Path, limit: float = LIMIT
+) -> Found:
+    """Run one file of a repository that is in `folder`, results to `output`."""
+    path = folder / repository.repository / entry.file
+    options = repository.options | entry.options
+    if not is_urdf(entry.file):
+        options = {"root": str(folder / repository.repository)} | options
+    if "loops" in options:
+        options["loops"] = str(path.parent / str(options["loops"]))
+    settings = [part for name, value in options.items() for part in ("--set", f"{name}={value}")]
+    shutil.rmtree(output, ignore_errors=True)
+    command = [sys.executable, "-m", "crosscheck", "run", str(path), *settings, "--output", str(output)]
+    start = time.perf_counter()
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
+    except subprocess.TimeoutExpired:
+        return Found(verdict="too long", line=f"more than {limit:g} s", fates={}, seconds=limit)
+    seconds = time.perf_counter() - start
+    summary = output / "summary.json"
+    if done.returncode in (0, 1) and summary.exists():
+        content = json.loads(summary.read_text(encoding="utf-8"))
+        verdict = "AGREE" if content["agrees"] else "DISAGREE"
+        report = Mapping()
+        report.entries = [Mapped(**entry) for entry in content["mapping"] or []]
+        fates, still = _fates(report), "nothing moves" if "nothing moves" in content["verdict"] else ""
+        lacks = "; ".join(filter(None, [still, report.counts()]))
+        return Found(verdict=verdict, line=content["verdict"], fates=fates, lacks=lacks, seconds=seconds)
+    lines = [line for line in done.stderr.splitlines() if line.strip()] or [f"status {done.returncode}"]
+    stopped = (output / "summary.partial.json").exists()
+    line = lines[-1].replace(str(folder / repository.repository) + "/", "")
+    return Found(verdict="stopped" if stopped else "refused", line=line, fates={}, seconds=seconds)
+
+
+def _fates(report: Mapping) -> dict[str, int]:
+    worst: dict[str, int] = {}
+    for entry in report.entries:
+        if not (entry.inert and entry.fate == "left out"):
+            worst[entry.element] = max(worst.get(entry.element, 0), FATES.index(entry.fate))
+    counts = Counter(worst.values())
+    return {fate: counts[k] for k, fate in enumerate(FATES)}
+
+
+def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterator[str]:
+    """The counts and the table in Markdown, models in the order of the list."""
+    pairs = [(entry, found.get(f"{r.repository}/{entry.file}")) for r in repositories for entry in r.files]
+    known = [(entry, each) for entry, each in pairs if each is not None]
+    counts = Counter(each.verdict for _, each in known)
+    verdicts = ", ".join(f"{counts[verdict]} {verdict}" for verdict in VERDICTS if counts[verdict])
+    ours = sum(entry.ours for entry, each in known if each.verdict != "AGREE")
+    total = Counter[str]()
+    for _, each in known:
+        total.update(each.fates)
+    yield f"{len(known)} models of {len(repositories)} repositories: {verdicts}; {ours} of these for a reason"
+    yield f"that is crosscheck's own. Of their elements {total['exactly']} are carried over exactly,"
+    yield f"{total['approximated']} approximated, {total['inactive']} left out and inactive in the run,"
+    yield f"{total['left out']} left out and active or not watched."
+    yield ""
+    yield "| model | options | verdict | of the file | s |"
+    yield "|---|---|---|---|---|"
+    for repository in repositories:
+        yield f"| **{repository.repository}** | | | | |"
+        for entry in repository.files:
+            name = f"{repository.repository}/{entry.file}"
+            if name not in found:
+                continue
+            model = found[name]
+            options = ", ".join(f"{k}={v}" for k, v in (repository.options | entry.options).items())
+            verdict = model.verdict
+            if verdict != "AGREE":
+                verdict += f": {entry.why or model.line}".replace("|", "\\|")
+            yield f"| {entry.file} | {options} | {verdict} | {model.lacks} | {model.seconds:.0f} |"
+
+
+def write(path: Path, lines: Sequence[str]) -> None:
+    """Put lines between the marks of a Markdown file.
+
+    Raises:
+        CrosscheckError: for a file without them.
+    """
+    text = path.read_text(encoding="utf-8")
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise CrosscheckError(f"{path} has no lines {BEGIN} and {END}")
+    with atomic_file(path) as temporary:
+        temporary.write_text("\n".join([before + begin, *lines, end + after]), encoding="utf-8")
+
+
+@click.command()
+@click.argument("models", type=click.Path(path_type=Path))
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False, exists=True))
+@click.option("--only", default=None, help="Run files whose path holds this text; the others stay as found.")
+@click.option("--write", "target", type=click.Path(path_type=Path), help="Markdown file to write into.")
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path),
+    default=Path("output/models"),
+    show_default=True,
+    help="Folder.",
+)
+@click.option("--limit", default=LIMIT, show_default=True, help="s for one model.")
+def main(
+    models: Path, folder: Path, only: str | None, target: Path | None, output: Path, limit: float
+) -> None:
+    """Run the files of the list MODELS, whose repositories are in FOLDER as OWNER/NAME."""
+    try:
+        repositories = read_list(models)
+        store = output / "models.json"
+        found: dict[str, Found] = {}
+        if store.exists():
+            content = json.loads(store.read_text(encoding="utf-8"))
+            found = {name: Found.model_validate(each) for name, each in content.items()}
+        output.mkdir(parents=True, exist_ok=True)
+        for repository in repositories:
+            for entry in repository.files:
+                name = f"{repository.repository}/{entry.file}"
+                if only is not None and only not in name:
+                    continue
+                found[name] = run_model(folder, repository, entry, output / "run", limit)
+                click.echo(f"{name}: {found[name].seconds:.0f} s: {found[name].line}")
+                with atomic_file(store) as temporary:
+                    kept = {key: each.model_dump() for key, each in found.items()}
+                    temporary.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+        if target is not None:
+            write(target, list(table(repositories, found)))
+            click.echo(f"wrote {target}")
+    except CrosscheckError as error:
+        raise click.ClickException(str(error)) from error
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""The study that runs public model files and writes their table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.studies.models import BEGIN, END, Found, main, read_list, table, write
+
+LIST = """models:
+  - repository: some/robots
+    options: {duration: 0.05}
+    files:
+      - file: arm.xml
+      - file: broken.xml
+        why: it is no XML
+      - file: other.urdf
+        options: {base: free}
+        why: one of the engines | is wrong
+        ours: true
+      - file: not/run/yet.xml
+"""
+
+ARM = """<mujoco><worldbody><body><joint name="j" axis="0 1 0" range="-90 90"/>
+<geom size="0.1" pos="0.3 0 0"/></body></worldbody></mujoco>"""
+
+
+def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
+    (tmp_path / "list.yaml").write_text(LIST)
+    repositories = read_list(tmp_path / "list.yaml")
+    fates = {"exactly": 5, "approximated": 1, "inactive": 2, "left out": 3}
+    found = {
+        "some/robots/arm.xml": Found(
+            verdict="AGREE", line="AGREE: all", fates=fates, lacks="3 elements are left out", seconds=3.2
+        ),
+        "some/robots/broken.xml": Found(verdict="refused", line="error", fates={}, seconds=1.0),
+        "some/robots/other.urdf": Found(verdict="DISAGREE", line="part", fates=fates, seconds=2.0),
+    }
+    lines = list(table(repositories, found))
+    counts = " ".join(lines[: lines.index("")])
+    assert counts.startswith(
+        "3 models of 1 repositories: 1 AGREE, 1 DISAGREE, 1 refused; 1 of these for a reason that is "
+    )
+    assert "10 are carried over exactly, 2 approximated, 4 left out and inactive in the run, 6" in counts
+    assert lines[-3:] == [
+        "| arm.xml | duration=0.05 | AGREE | 3 elements are left out | 3 |",
+        "| broken.xml | duration=0.05 | refused: it is no XML |  | 1 |",
+        "| other.urdf | duration=0.05, base=free | DISAGREE: one of the engines \\| is wrong |  | 2 |",
+    ]
+    target = tmp_path / "models.md"
+    target.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
+    write(target, ["new", "lines"])
+    assert target.read_text() == f"before\n{BEGIN}\nnew\nlines\n{END}\nafter\n"
+    target.write_text("no marks")
+    with pytest.raises(CrosscheckError, match="has no lines"):
+        write(target, [])
+
+
+@pytest.mark.slow
+def test_files_are_run_each_by_itself(tmp_path: Path) -> None:
+    (tmp_path / "list.yaml").write_text(LIST.split("      - file: other")[0])
+    robots = tmp_path / "some" / "robots"
+    robots.mkdir(parents=True)
+    (robots / "arm.xml").write_text(ARM)
+    (robots / "broken.xml").write_text("<mujoco>")
+    (tmp_path / "models.md").write_text(f"{BEGIN}\n{END}\n")
+    arguments = ["list.yaml", str(tmp_path), "--write", "models.md", "--output", "out"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path)
+        done = CliRunner().invoke(main, arguments)
+        assert done.exit_code == 0, done.output
+        text = (tmp_path / "models.md").read_text()
+        assert "| arm.xml | duration=0.05 | AGREE | nothing moves; 2 elements are inactive |" in text
+        assert "| broken.xml | duration=0.05 | refused: it is no XML |" in text
+        again = CliRunner().invoke(main, [*arguments, "--only", "broken"])
+        assert "arm.xml" not in again.output
+        assert "| arm.xml | duration=0.05 | AGREE" in (tmp_path / "models.md").read_text()
