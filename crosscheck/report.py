@@ -25,6 +25,9 @@ from newton_euler.relative import Relative
 from newton_euler.scene import Scene
 from newton_euler.stabilize import RK4_LIMIT
 
+MOST_NAMED = 12
+"""Elements in one line."""
+
 IMPLICIT = ("Radau", "implicitfast")
 """Integrators that engines take for stiff scenes by themselves."""
 
@@ -132,6 +135,10 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
         rows = "a redundant row" if count == 1 else f"{count} redundant rows"
         yield f"reactions not unique: {rows} at joints {', '.join(joints)}; each engine has its own"
     yield from redundancy_lines(result.scene)
+    if result.coverage and result.coverage.untested:
+        names = [covered.element for covered in result.coverage.untested]
+        more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+        yield f"untested by the motion, 10 % more would not show: {', '.join(names[:MOST_NAMED])}{more}"
     yield from not_compared(result.rows)
     yield from (f"advice, {advice}" for advice in result.advice)
 

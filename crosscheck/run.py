@@ -12,6 +12,7 @@ from importlib.metadata import version
 from typing import Any
 
 from crosscheck.advice import Advice, Found, advise
+from crosscheck.comparison.coverage import Coverage, coverage
 from crosscheck.comparison.diagnosis import Diagnosis, diagnose
 from crosscheck.comparison.known_figures import Measured, known_of, measure
 from crosscheck.comparison.levels import in_order, stages
@@ -51,6 +52,7 @@ class Crosscheck:
         mapping: what became of the elements of a model file; None for a scene of this package's own.
         advice: what to do about what was measured.
         unfinished: engines that stopped, and parts of the comparison that did not come to their end.
+        coverage: elements that the compared runs test; None where no trajectories were compared.
     """
 
     source: str
@@ -65,6 +67,7 @@ class Crosscheck:
     mapping: Report | None = None
     advice: tuple[Advice, ...] = ()
     unfinished: tuple[Stop, ...] = ()
+    coverage: Coverage | None = None
 
     @property
     def title(self) -> str:
@@ -157,6 +160,7 @@ class Crosscheck:
         said = f", and the reference in all {len(self.measured)}" if self.measured else ""
         said += not_judged(self.rows)
         said += "; nothing moves" if self.rests else ""
+        said += f"; {self.coverage}" if self.coverage else ""
         if self.mapping and (counts := self.mapping.counts()):
             said += f"; of the file {counts}"
         return said
@@ -181,6 +185,7 @@ class Crosscheck:
             "figures": [asdict(row) | {"agrees": row.agrees} for row in self.rows],
             "known_figures": [measured.summary() for measured in self.measured],
             "advice": [asdict(advice) for advice in self.advice],
+            "coverage": self.coverage.summary() if self.coverage else None,
         }
 
     def _ran(self, name: str) -> dict[str, Any]:
@@ -229,6 +234,10 @@ def crosscheck(
             what = f"{engine.name}: known figures"
             with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
                 measured.extend(measure(source, scene, engine, runs[engine.name], known))
+    found: Coverage | None = None
+    what = "working out what the motion covers"
+    with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
+        found = coverage(scene, runs, rows)
     if mapping and runs:
         what = "watching what was left out"
         with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
@@ -252,6 +261,7 @@ def crosscheck(
         mapping,
         advice,
         tuple(stops),
+        found,
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 from mechanisms import pendulum
 
 import newton_euler
-from crosscheck.comparison.coverage import CHANGE, coverage
+from crosscheck.comparison.coverage import CHANGE, covered_by
 from crosscheck.scenes import load
 from newton_euler.armature import Armature
 from newton_euler.euler_parameters import angle_between
@@ -85,7 +85,7 @@ def test_tested_elements_show_and_untested_ones_do_not(name):
     scene = SCENES[name]()
     found = {
         covered.element: covered
-        for covered in coverage(scene, newton_euler.simulate(scene), *[TOLERANCE] * 2).elements
+        for covered in covered_by(scene, newton_euler.simulate(scene), *[TOLERANCE] * 2).elements
     }
     for element, other in changed(scene):
         assert (moved(scene, other) > 1.0) == found[element].tested, element
@@ -95,11 +95,11 @@ def test_joints_that_do_not_move_are_untested():
     scene = replace(load("tracker"), duration=0.5)
     still = replace(scene, control=tuple(replace(law, target=0.0) for law in scene.control))
     for each, tested in ((scene, True), (still, False)):
-        found = coverage(each, newton_euler.simulate(each), TOLERANCE, TOLERANCE).elements
+        found = covered_by(each, newton_euler.simulate(each), TOLERANCE, TOLERANCE).elements
         joints = [covered for covered in found if covered.element.split()[0] in ("joint", "loop")]
         assert len(joints) == len(scene.mechanism.joints)
         assert all(covered.tested == tested for covered in joints)
     assert (
-        str(coverage(still, newton_euler.simulate(still), TOLERANCE, TOLERANCE))
+        str(covered_by(still, newton_euler.simulate(still), TOLERANCE, TOLERANCE))
         == "motion covers 0 of 22 elements"
     )

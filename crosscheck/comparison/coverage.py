@@ -15,13 +15,14 @@ would make is estimated along the run and held against the tolerance of trajecto
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from crosscheck.comparison.rows import POSES, Row
 from newton_euler.armature import BallArmature
 from newton_euler.constraints import Frame
 from newton_euler.control import Law
@@ -42,7 +43,7 @@ from newton_euler.trajectory import Trajectory
 CHANGE = 0.1
 """Relative change of an element; of a joint's axes in rad, of its points in sizes of the longest body."""
 
-SAMPLES = 25
+SAMPLES = 16
 """Times of the run at which changes are worked out."""
 
 
@@ -75,12 +76,31 @@ class Coverage:
         """Elements that a change of 10 % would not show of."""
         return tuple(covered for covered in self.elements if not covered.tested)
 
+    def summary(self) -> list[dict[str, object]]:
+        """All elements, for JSON."""
+        return [asdict(covered) | {"tested": covered.tested} for covered in self.elements]
+
     def __str__(self) -> str:
         tested = len(self.elements) - len(self.untested)
         return f"motion covers {tested} of {len(self.elements)} elements"
 
 
-def coverage(scene: Scene, run: Trajectory, length: float, angle: float) -> Coverage:
+def coverage(scene: Scene, runs: Mapping[str, Trajectory], rows: Sequence[Row]) -> Coverage | None:
+    """Work out what compared runs cover, of the first one, to the least tolerance of trajectories.
+
+    None where no trajectories were compared.
+    """
+    compared = [row for row in rows if row.level == "trajectories" and not row.informs]
+    length, angle = (
+        min((row.tolerance for row in compared if row.quantity == quantity), default=None)
+        for quantity in POSES
+    )
+    if length is None or angle is None:
+        return None
+    return covered_by(scene, next(iter(runs.values())), length, angle)
+
+
+def covered_by(scene: Scene, run: Trajectory, length: float, angle: float) -> Coverage:
     """Work out the coverage of a run.
 
     Args:

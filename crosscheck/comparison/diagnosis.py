@@ -13,19 +13,16 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from crosscheck.comparison.known_figures import Measured
-from crosscheck.comparison.rows import LEVELS, Row
+from crosscheck.comparison.rows import FILE, LEVELS, Row
 from newton_euler.compiled import FORMULATIONS
 
 SYSTEMS = tuple(FORMULATIONS)
 """Formulations of `OWNER`; its runs are those of the first."""
 
-FILE = "file"
-"""The participant that a model file is, compared with engines at the level `READING` alone."""
-
-READING, REFERENCE = "reading", "reference"
+READING, REFERENCE = LEVELS[0], "reference"
 """Levels before and after those of engines: what a file says, and figures that are known from elsewhere."""
 
-ORDER = (READING, *(level for level in LEVELS if level != READING), REFERENCE)
+ORDER = (*LEVELS, REFERENCE)
 
 OWNER = "newton_euler"
 """The engine of `SYSTEMS`."""

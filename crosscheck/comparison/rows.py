@@ -24,6 +24,9 @@ LEVELS = (
 FILE = "file"
 """What engines are compared with at the level "reading", see `newton_euler.verification.verify`."""
 
+POSES = ("positions, m", "orientations, rad")
+"""Quantities of trajectories."""
+
 START = "start"
 """Of two models, the level after "model": engines start from one scene, models where each file says."""
 

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from crosscheck.comparison.energy import energy_balance
-from crosscheck.comparison.rows import NOISE, OWN_ERROR, ROUND_OFF, UNRESOLVED, Row, in_full, reach
+from crosscheck.comparison.rows import NOISE, OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Row, in_full, reach
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
 from newton_euler.errors import NewtonEulerError, StoppedError
@@ -207,8 +207,8 @@ def compare_runs(
     def trajectories(a: Engine, b: Engine) -> Iterator[Row]:
         fixed = a.trajectory_error + b.trajectory_error + noise
         for quantity, apart, unit in (
-            ("positions, m", _positions_apart, length((a, b))),
-            ("orientations, rad", _orientations_apart, 1.0),
+            (POSES[0], _positions_apart, length((a, b))),
+            (POSES[1], _orientations_apart, 1.0),
         ):
             found = row("trajectories", quantity, (a, b), between_two(a, b, apart), apart, fixed, unit)
             if not found.agrees:
