@@ -227,7 +227,10 @@ class Scene:
     def _is_closed_but_for_noise(self, state: State) -> bool:
         """Whether a state opens nearly redundant joints alone, and no more than it has to."""
         from newton_euler.assemble import assemble  # which needs scenes
+        from newton_euler.redundancy import mobility
 
+        if mobility(self).residual == 0.0:
+            return False
         try:
             closed = assemble(self, state)
         except AssemblyError:

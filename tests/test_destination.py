@@ -169,7 +169,7 @@ def test_a_recording_is_no_text_for_a_terminal(tmp_path, good):
         (("--spawn",), "no display for --spawn to open a viewer on; --serve shows it in a browser"),
         (("--spawn", "--serve"), "--spawn and --serve: a recording goes to one place; choose one"),
         (("--save", "x.rrd", "--stdout"), "--save and --stdout: a recording goes to one place"),
-        (("--connect", ""), "--connect '' is no address of a viewer; needed: one of rerun://, rerun+http://"),
+        (("--connect", ""), "the argument after '--connect' is empty; give a value or leave it out"),
         (("--connect", "127.0.0.1:9876"), "is no address of a viewer"),
         (("--connect", "rerun+http://127.0.0.1:9876"), "is no address of a viewer"),
         (("--connect", "rerun+http://127.0.0.1:99999/proxy"), "Port out of range"),

@@ -84,7 +84,8 @@ def _acceleration_figures(placed: Placed, found: Sequence[Evaluation]) -> Iterat
         certain = place.sample.freedom.certain
         onto = certain @ np.linalg.pinv(certain)
         left.append(onto.T @ (basis.T @ (mass @ a - push)))
-        scales.append(np.abs(basis).T @ (np.abs(mass) @ np.abs(a) + np.abs(forces).sum(axis=0)))
+        usual = np.abs(a) + RATE**2 * original.units  # where nothing pushes, the rest is round-off
+        scales.append(np.abs(basis).T @ (np.abs(mass) @ usual + np.abs(forces).sum(axis=0)))
     yield worst(across)
     if loops:
         yield worst(loops)
