@@ -69,6 +69,9 @@ SUSPECT = 1e-2, 100.0
 """Singular value below which, and distance to the next larger one from which, a row that is taken literally
 looks like one of a design that was meant to be redundant."""
 
+MOST_NAMED = 20
+"""Constraints of a scene that is too large for its singular values."""
+
 DENSE_LIMIT = 1_000_000
 """Largest number of elements of a Jacobian whose singular values are computed to name them."""
 
@@ -117,8 +120,10 @@ class Configuration(NamedTuple):
     rows: Rows
     """Dimensionless."""
     independent: list[int]
-    doubtful: bool
-    """Whether a row adds so little to the others, or nothing but for noise, that it is worth naming."""
+    weak: bool
+    """Whether an independent row adds little to the others."""
+    noise: float
+    """What the others together add to the independent rows, dimensionless."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,8 +210,19 @@ def _mobility(system: RelativeTerms) -> Mobility:
 
 
 def _nearly(system: RelativeTerms, seen: Sequence[Configuration]) -> Iterator[NearlyRedundant]:
-    """Small singular values on both sides of the rank, where no configuration has larger ones."""
-    if not all(at.doubtful for at in seen) or len(seen[0].rows) * system.nv > DENSE_LIMIT:
+    """Small singular values on both sides of the rank, where no configuration has larger ones.
+
+    Of a scene too large for these, what rows add that are taken as redundant.
+    """
+    if not all(at.weak or at.noise > NAMED for at in seen):
+        return
+    if len(seen[0].rows) * system.nv > DENSE_LIMIT:
+        rows, used = seen[0].rows, set(seen[0].independent)
+        factor = factorise(gram(rows, rows), seen[0].independent)
+        left = {k: _remainder(rows, factor, row) for k, row in enumerate(rows) if k not in used}
+        for row in sorted(left, key=lambda row: -left[row])[:MOST_NAMED]:
+            if left[row] > NAMED:
+                yield NearlyRedundant(system.row_owners[row], left[row], "redundant")
         return
     found = [singular_values(dense(at.rows, system.nv))[:2] for at in seen]
     rank, (smallest, apart) = len(seen[0].independent), SUSPECT
@@ -240,14 +256,14 @@ def _examine(system: RelativeTerms) -> tuple[list[Configuration], set[int]]:
     seen: list[Configuration] = []
     for number in range(CONFIGURATIONS):
         phi, rows = _scaled(system, q)
-        factor, doubtful = _independent(rows, tolerance)
+        factor, weak, noise = _independent(rows, tolerance)
         found = sorted(factor.order)
         others = np.delete(phi, found)
         if number == 0 or (
             _largest(phi[found]) < CLOSED and _largest(others) < max(CLOSED, LOOSE * tolerance)
         ):
             alive.update(i for i, row in enumerate(rows) if _length(row) > ROUND_OFF)
-            seen.append(Configuration(q, rows, found, doubtful))
+            seen.append(Configuration(q, rows, found, weak, noise))
         best = max(seen, key=lambda at: len(at.independent))
         if number > 0 and len(best.independent) == len(alive):
             break  # all that can be
@@ -286,32 +302,36 @@ def _length(row: dict[int, float]) -> float:
     return float(np.sqrt(sum(x * x for x in row.values())))
 
 
-def _independent(rows: Rows, tolerance: float) -> tuple[Factor, bool]:
-    """Factor the Gram matrix of independent rows; `Factor.order` are these rows. Also whether there is doubt.
+def _independent(rows: Rows, tolerance: float) -> tuple[Factor, bool, float]:
+    """Factor the Gram matrix of independent rows; `Factor.order` are these rows.
 
-    Rows are added by what is new in them, the most first, until less than `tolerance` is new and a gap
-    separates it; where there is none, until the rest is round-off.
+    Also `Configuration.weak` and `Configuration.noise`. Rows are added by what is new in them, the most
+    first, until less than `tolerance` is new and a gap separates it; where there is none, until the rest is
+    round-off.
     """
-    doubt = any(NAMED < _length(row) <= ROUND_OFF for row in rows)
-    rows = [row if _length(row) > ROUND_OFF else {} for row in rows]
+    lengths = [_length(row) for row in rows]
+    noise = max((length for length in lengths if length <= ROUND_OFF), default=0.0)
+    rows = [row if length > ROUND_OFF else {} for row, length in zip(rows, lengths, strict=True)]
     products = gram(rows, rows)
     order = [i for i in pattern_order(products) if rows[i]]
     factor = factorise(products, order, scales=[1.0] * len(rows), drop=CERTAIN)
     used = set(factor.order)
     doubtful = [i for i in order if i not in used]
-    least = np.sqrt(CERTAIN)
+    certain = least = float(np.sqrt(CERTAIN))
     while doubtful and (new := _together(rows, factor, doubtful)) > NAMED:
-        doubt = True
-        if new <= ROUND_OFF:
+        if new <= ROUND_OFF or GAP * new <= min(tolerance, least / GAP):
+            noise = max(noise, new)
             break
-        shares = [_remainder(rows, factor, rows[i]) for i in doubtful]
-        share = max(shares)
+        shares = {i: _remainder(rows, factor, rows[i]) for i in doubtful}
+        found = max(shares, key=lambda i: shares[i])
+        share = shares[found]
         if share <= ROUND_OFF or (share <= tolerance and GAP * share <= least):
+            noise = max(noise, share)
             break
         least = min(least, share)
-        found = doubtful.pop(int(np.argmax(shares)))
+        doubtful.remove(found)
         factor = factorise(products, [*factor.order, found])
-    return factor, doubt
+    return factor, least < certain, noise
 
 
 def _together(rows: Rows, factor: Factor, doubtful: list[int]) -> float:
@@ -359,7 +379,7 @@ def _neighbour(system: RelativeTerms, q: Array, direction: Array) -> Array:
     q = system.retract(q, step - _least(rows, _independent(rows, tolerance)[0], rate, unit))
     for _ in range(NEWTON_STEPS):
         phi, rows = _scaled(system, q)
-        factor, _ = _independent(rows, tolerance)
+        factor = _independent(rows, tolerance)[0]
         if _largest(phi[factor.order]) < 0.01 * CLOSED:
             break
         q = system.retract(q, -_least(rows, factor, phi, unit))
