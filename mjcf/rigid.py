@@ -18,7 +18,7 @@ import numpy as np
 from mjcf.evaluate import constraint_jacobian, evaluation, mass_and_force
 from mjcf.loops import closes, loops
 from mjcf.model import CompiledScene
-from newton_euler.redundancy import constraint_rank
+from newton_euler.redundancy import rows_left_out, without
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.solve import solve_constrained
@@ -115,12 +115,12 @@ class RigidMuJoCo(CompiledScene):
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """vdot (nv,) and the multipliers (k,) of MuJoCo's constraint rows."""
+        unused = rows_left_out(self)
         gamma = -self.velocity_product(q, v)
         gamma[self._coupled] += self.couplings.acceleration(self.time)
         mass, force = self.mass_and_force()
-        return solve_constrained(
-            mass, force, self._jacobian(), gamma, self.phi_units, self.velocity_units, constraint_rank(self)
-        )
+        rows, gamma = without(self._jacobian(), unused), without(gamma, unused)
+        return solve_constrained(mass, force, rows, gamma, self.phi_units, self.velocity_units)
 
     def mass_and_force(self) -> tuple[Array, Array]:
         """M (nv, nv) and f (nv,) of M vdot = f + J^T lambda at the state that MuJoCo has, by MuJoCo."""

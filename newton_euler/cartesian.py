@@ -26,7 +26,7 @@ from newton_euler.euler_parameters import matrix_g, matrix_l
 from newton_euler.force_terms import power, rotors_energy, springs_energy
 from newton_euler.measured import carried_angles, carried_rates
 from newton_euler.reactions import at_joint_points, pushes
-from newton_euler.redundancy import constraint_rank
+from newton_euler.redundancy import rows_left_out, without
 from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros
 from newton_euler.solve import independent_rows, singular_values
 from newton_euler.sparse import Rows, RowsInUse, Solution, add, dense, factorise, sparse_vector
@@ -77,12 +77,10 @@ class Cartesian(CartesianTerms):
         """
         matrix, right = self.system(q, qdot)
         n = self.nv
-        used = np.ones(self.rows)
-        used[self.omitted] = 0.0
-        matrix[n:], right[n:] = used[:, None] * matrix[n:], used * right[n:]
+        unused = rows_left_out(self)
+        matrix[n:], right[n:] = without(matrix[n:], unused), without(right[n:], unused)
         phi_q = matrix[n:, :n]
-        rank = constraint_rank(self) - len(self.bodies)  # without the norms of p
-        combine = independent_rows(phi_q, self.row_units, self.velocity_units, rank)
+        combine = independent_rows(phi_q, self.row_units, self.velocity_units)
         force_rows = np.concatenate([self.force_units, np.ones(len(self.bodies))])
         left = np.zeros((n + combine.shape[1],) * 2)
         left[:n, :n] = matrix[:n, :n] * self.velocity_units / force_rows[:, None]

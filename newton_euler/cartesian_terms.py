@@ -60,7 +60,7 @@ class CartesianTerms:
         self.nq = self.nv = 7 * len(self.bodies)
         self.time: Scalar = 0.0
         self.in_use: RowsInUse | None = None
-        self.omitted: list[int] = []
+        self.omitted: list[int] | None = None
         self.couplings = couplings(scene)
         self.rows = sum(equations.count for equations in self.equations) + len(self.couplings)
         self.damping, self.stiffness = 2.0 * alpha, alpha * alpha

@@ -21,7 +21,7 @@ from newton_euler.errors import UnknownNameError
 from newton_euler.expression import Graph, Program, differentiate
 from newton_euler.fingerprint import fingerprint
 from newton_euler.parameters import parameter_values, place_of, with_values
-from newton_euler.redundancy import LOOSE, NearlyRedundant, mobility, rows_in_use
+from newton_euler.redundancy import NearlyRedundant, loosely_closed, mobility, rows_in_use
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array, Scalar, minimum
 from newton_euler.scene import Scene
@@ -310,7 +310,7 @@ class Code:
         """Square of dimensionless residuals (k,); rows that are omitted may open by more than the others."""
         weights = np.ones(len(phi))
         if self.omitted:
-            weights[self.omitted] = OPEN_TOLERANCE / (LOOSE * self.scene.redundancy_tolerance)
+            weights[self.omitted] = OPEN_TOLERANCE / loosely_closed(self.scene)
         weighted = weights * phi
         return weighted @ weighted
 

@@ -15,6 +15,7 @@ from scipy.integrate import DOP853
 
 from newton_euler.errors import IntegrationError, NewtonEulerError
 from newton_euler.euler_parameters import rotations
+from newton_euler.redundancy import rows_left_out, without
 from newton_euler.scalars import Array
 from newton_euler.solve import rank
 from newton_euler.steppers.adaptive import HOPS, SAFETY, crossing_factor, error_on_constraints
@@ -57,7 +58,8 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         super().__init__(watched, t, y, end, **tolerances)
 
     def _jacobian(self, y: Array) -> Array:
-        return dimensionless_jacobian(self._system, y[: self._system.nq])
+        jacobian = dimensionless_jacobian(self._system, y[: self._system.nq])
+        return without(jacobian, rows_left_out(self._system))
 
     def _health(self, y: Array) -> float:
         """1 at the best so far; near a singular configuration it falls with the square of the distance.
@@ -132,11 +134,13 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
 
 def close_densely(system: System, t: float, y: Array) -> Array:
     """`newton_euler.steppers.closing.close_by` for any system at a time."""
-    now = at_time(system, t)
+    now, unused = at_time(system, t), rows_left_out(system)
 
     def surface(y: Array) -> Surface:
         q, v = y[: system.nq], y[system.nq :]
-        return Surface(now.phi(q), opening(now, q, v), now.phi_jacobian(q), mass_matrix(now, q))
+        parts = (now.phi(q), opening(now, q, v), now.phi_jacobian(q))
+        phi, opens, jacobian = (without(part, unused) for part in parts)
+        return Surface(phi, opens, jacobian, mass_matrix(now, q))
 
     return close_by(surface, now, y)
 

@@ -18,11 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from newton_euler.mechanism import CLOSURE_TOLERANCE
 from newton_euler.relative_terms import RelativeTerms
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -89,10 +90,24 @@ class Equations(Protocol):
     nv: int
 
 
-class Eliminated(Equations, Protocol):
-    """A form that sparse elimination solves."""
+class Dense(Equations, Protocol):
+    """A form with a dense Jacobian; see `newton_euler.system.System`."""
+
+    name: str
+    phi_units: Array
+    velocity_units: Array
 
     def coordinates(self, state: State) -> tuple[Array, Array]: ...
+
+    def phi_jacobian(self, q: Array) -> Array: ...
+
+
+@runtime_checkable
+class Eliminated(Dense, Protocol):
+    """A form that sparse elimination solves."""
+
+    omitted: list[int] | None
+    """Rows to leave out instead of those that are chosen here."""
 
     def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution: ...
 
@@ -153,6 +168,7 @@ class Mobility:
 
 
 _KNOWN: WeakKeyDictionary[Scene, Mobility] = WeakKeyDictionary()
+_LEFT_OUT: WeakKeyDictionary[Scene, dict[str, list[int]]] = WeakKeyDictionary()
 
 
 def mobility(scene: Scene) -> Mobility:
@@ -166,6 +182,45 @@ def mobility(scene: Scene) -> Mobility:
 def constraint_rank(system: Equations) -> int:
     """Number of independent constraints of any form of a scene's equations."""
     return system.nv - mobility(system.scene).degrees_of_freedom
+
+
+def rows_left_out(system: Dense) -> list[int]:
+    """Rows of `phi` that noise keeps from being redundant, left out the same everywhere.
+
+    Of a form that knows the rows of the joint-coordinate form, all but those; of another one those that a
+    factorization with pivoting leaves at a configuration where no others are redundant.
+    """
+    decided, count = mobility(system.scene), len(system.phi_units)
+    if decided.residual == 0.0:
+        return []
+    known = _LEFT_OUT.setdefault(system.scene, {})
+    if isinstance(system, Eliminated):
+        if system.omitted is not None:
+            return system.omitted
+        used = system.rows_of(decided.independent)
+    elif system.name in known:
+        return known[system.name]
+    else:
+        from scipy.linalg import qr
+
+        best = max(range(len(decided.states)), key=lambda k: len(decided.configurations[k].independent))
+        q, _ = system.coordinates(decided.states[best])
+        jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
+        used = qr(jacobian.T, mode="r", pivoting=True)[1][: constraint_rank(system)].tolist()
+    known[system.name] = sorted(set(range(count)) - set(used))
+    return known[system.name]
+
+
+def loosely_closed(scene: Scene) -> float:
+    """Residual, sizes or rad, up to which constraints that are redundant but for noise may be open."""
+    return max(LOOSE * scene.redundancy_tolerance, CLOSURE_TOLERANCE)
+
+
+def without(rows: Array, left_out: Sequence[int]) -> Array:
+    """A copy of an array (k, ...) with some of its rows zero."""
+    changed = np.array(rows)
+    changed[list(left_out)] = 0.0
+    return changed
 
 
 def inherit_mobility(scene: Scene, of: Scene) -> None:
@@ -314,10 +369,11 @@ def _independent(rows: Rows, tolerance: float) -> tuple[Factor, bool, float]:
     rows = [row if length > ROUND_OFF else {} for row, length in zip(rows, lengths, strict=True)]
     products = gram(rows, rows)
     order = [i for i in pattern_order(products) if rows[i]]
-    factor = factorise(products, order, scales=[1.0] * len(rows), drop=CERTAIN)
+    certain = max(CERTAIN, (GAP * tolerance) ** 2)
+    factor = factorise(products, order, scales=[1.0] * len(rows), drop=certain)
     used = set(factor.order)
     doubtful = [i for i in order if i not in used]
-    certain = least = float(np.sqrt(CERTAIN))
+    least = float(np.sqrt(min((factor.pivots[i] for i in factor.order), default=1.0)))
     while doubtful and (new := _together(rows, factor, doubtful)) > NAMED:
         if new <= ROUND_OFF or GAP * new <= min(tolerance, least / GAP):
             noise = max(noise, new)
@@ -331,7 +387,7 @@ def _independent(rows: Rows, tolerance: float) -> tuple[Factor, bool, float]:
         least = min(least, share)
         doubtful.remove(found)
         factor = factorise(products, [*factor.order, found])
-    return factor, least < certain, noise
+    return factor, least < np.sqrt(CERTAIN), noise
 
 
 def _together(rows: Rows, factor: Factor, doubtful: list[int]) -> float:

@@ -29,7 +29,7 @@ from newton_euler.force_terms import power, rotors_energy, springs_energy
 from newton_euler.links import Link
 from newton_euler.measured import carried_rates
 from newton_euler.reactions import tree_reactions
-from newton_euler.redundancy import constraint_rank
+from newton_euler.redundancy import rows_left_out, without
 from newton_euler.relative_terms import RelativeTerms
 from newton_euler.scalars import Array, Scalar
 from newton_euler.solve import solve_constrained
@@ -70,12 +70,10 @@ class Relative(RelativeTerms):
     def _solve(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
         mass, force = self.mass_and_force(q, v, links)
         _, rows, gamma = self.loop_terms(q, v, links)
-        jacobian = dense(rows, self.nv)
-        jacobian[self.omitted], gamma[self.omitted] = 0.0, 0.0
+        unused = rows_left_out(self)
+        jacobian, gamma = without(dense(rows, self.nv), unused), without(gamma, unused)
         try:
-            return solve_constrained(
-                mass, force, jacobian, gamma, self.phi_units, self.velocity_units, constraint_rank(self)
-            )
+            return solve_constrained(mass, force, jacobian, gamma, self.phi_units, self.velocity_units)
         except np.linalg.LinAlgError as error:
             raise self._singularity(mass, force) from error
 

@@ -70,7 +70,7 @@ class RelativeTerms:
         self._last: tuple[Any, tuple[Array, Array], list[Link]] | None = None
         self.time: Scalar = 0.0
         self.in_use: RowsInUse | None = None
-        self.omitted: list[int] = []
+        self.omitted: list[int] | None = None
         self.couplings = couplings(scene)
         counted = wanted(scene, self.couplings)
         rotors = (armature.key for armature in scene.armatures if isinstance(armature, Armature))

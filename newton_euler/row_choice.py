@@ -52,7 +52,7 @@ def other_rows(scene: Scene, used: Sequence[int], states: Sequence[State]) -> li
     for k in np.unique(np.linspace(0, len(states) - 1, LOOKS).round().astype(int)):
         q, _ = system.coordinates(states[k])
         left, values, _ = singular_values(dimensionless_jacobian(system, q)[alive], full=True)
-        if numerical_rank(values, rank) < rank:
+        if numerical_rank(values[:rank]) < rank:
             return None
         spaces.append(left[:, rank:])
     now = _share(spaces, [k for k, row in enumerate(alive) if row not in used])

@@ -2,8 +2,8 @@
 
 Ranks are decided on dimensionless matrices: rows in meters are divided by the mechanism's size and so
 are velocities in m/s. Entries of a constraint Jacobian are then of order 1 whatever the size of the
-mechanism, and a row of round-off is told from a constraint. A rank is at most the one that
-`newton_euler.redundancy` decided for the scene; in a singular configuration it is less.
+mechanism, and a row of round-off is told from a constraint. Rows that are redundant but for noise are left
+out before, see `newton_euler.redundancy`; what is left is of full rank but in singular configurations.
 """
 
 from __future__ import annotations
@@ -27,10 +27,9 @@ def singular_values(matrix: Array, full: bool = False) -> tuple[Array, Array, Ar
     return u, s, vt
 
 
-def numerical_rank(singular_values: Array, most: int | None = None) -> int:
-    """Number of singular values of a dimensionless matrix that are not round-off, `most` if that is less."""
-    found = int(np.sum(singular_values > RANK_TOLERANCE * max(1.0, np.max(singular_values, initial=0.0))))
-    return found if most is None else min(found, most)
+def numerical_rank(singular_values: Array) -> int:
+    """Number of singular values of a dimensionless matrix that are not round-off."""
+    return int(np.sum(singular_values > RANK_TOLERANCE * max(1.0, np.max(singular_values, initial=0.0))))
 
 
 def rank(matrix: Array) -> int:
@@ -39,32 +38,30 @@ def rank(matrix: Array) -> int:
 
 
 def minimum_norm(
-    matrix: Array, right: Array, row_units: Array, column_units: Array, most: int | None = None
+    matrix: Array, right: Array, row_units: Array, column_units: Array, rank: int | None = None
 ) -> Array:
     """Compute the x (n,) of least dimensionless length with matrix @ x = right in the least-squares sense.
 
     Args:
         matrix: (k, n); right: (k,).
         row_units, column_units: (k,) and (n,) units of the rows and of x.
-        most: the largest rank that the matrix is taken to have.
+        rank: that the matrix is taken to have; its numerical one if None.
     """
     if not matrix.size:
         return np.zeros(matrix.shape[1])
     u, s, vt = singular_values(matrix * column_units / row_units[:, None])
-    r = numerical_rank(s, most)
+    r = numerical_rank(s) if rank is None else rank
     return np.asarray(column_units * (vt[:r].T @ ((u[:, :r].T @ (right / row_units)) / s[:r])))
 
 
-def independent_rows(
-    jacobian: Array, row_units: Array, column_units: Array, most: int | None = None
-) -> Array:
-    """(k, r) combinations of the rows of a Jacobian that imply all of them, r at `most` so many.
+def independent_rows(jacobian: Array, row_units: Array, column_units: Array) -> Array:
+    """(k, r) combinations of the rows of a Jacobian that imply all of them.
 
     With them as C, constraints J a = gamma become C^T J a = C^T gamma, and multipliers mu of those are
     lambda = C mu: of all equivalent multipliers the smallest, in dimensionless terms.
     """
     u, s, _ = singular_values(jacobian * column_units / row_units[:, None])
-    return np.asarray(u[:, : numerical_rank(s, most)] / row_units[:, None])
+    return np.asarray(u[:, : numerical_rank(s)] / row_units[:, None])
 
 
 def solve_constrained(
@@ -74,7 +71,6 @@ def solve_constrained(
     gamma: Array,
     row_units: Array,
     column_units: Array,
-    most: int | None = None,
 ) -> tuple[Array, Array]:
     """Acceleration a (n,) and multipliers lambda (k,) of M a = f + J^T lambda, J a = gamma.
 
@@ -88,7 +84,7 @@ def solve_constrained(
     lower = np.linalg.cholesky(mass)
     if not jacobian.size:
         return np.linalg.solve(lower.T, np.linalg.solve(lower, force)), np.zeros(len(gamma))
-    combine = independent_rows(jacobian, row_units, column_units, most)
+    combine = independent_rows(jacobian, row_units, column_units)
     columns = np.linalg.solve(lower, np.column_stack([force, jacobian.T @ combine]))
     free = columns[:, 0]
     q, r = np.linalg.qr(columns[:, 1:])
@@ -102,9 +98,9 @@ def orthonormal_range(matrix: Array) -> Array:
     return np.asarray(u[:, : numerical_rank(s)])
 
 
-def orthonormal_null(matrix: Array, most: int | None = None) -> Array:
-    """Orthonormal columns that span the null space of a dimensionless matrix of at `most` this rank."""
+def orthonormal_null(matrix: Array, rank: int | None = None) -> Array:
+    """Orthonormal columns that span the null space of a dimensionless matrix; of its numerical rank if None."""
     if not matrix.size:
         return np.eye(matrix.shape[1])
     _, s, vt = singular_values(matrix, full=True)
-    return np.asarray(vt[numerical_rank(s, most) :].T)
+    return np.asarray(vt[numerical_rank(s) if rank is None else rank :].T)

@@ -13,10 +13,10 @@ from newton_euler.control import is_finite_number
 from newton_euler.couplings import couplings, residuals, row_owners, row_units
 from newton_euler.errors import AssemblyError, IntegrationError, OptionError, check_choice
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
-from newton_euler.redundancy import LOOSE, constraint_rank, mobility
+from newton_euler.redundancy import loosely_closed, rows_left_out, without
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
-from newton_euler.solve import minimum_norm, singular_values
+from newton_euler.solve import minimum_norm
 from newton_euler.state import State
 from newton_euler.system import Rheonomic, System, opening
 
@@ -62,49 +62,37 @@ def project_position(system: System, q: Array) -> Array:
         AssemblyError: if the independent constraints stay open by more than `CLOSURE_TOLERANCE`, or nearly
             redundant ones by more than the scene's tolerance.
     """
+    unused = rows_left_out(system)
     at = best = system.retract(q, np.zeros(system.nv))
     worse, least = 0, np.inf
     for _ in range(NEWTON_STEPS + 1):
-        phi, jacobian = system.phi(at), system.phi_jacobian(at)
-        open_by = largest(independent_residuals(system, phi, jacobian))
+        phi, jacobian = system.phi(at), without(system.phi_jacobian(at), unused)
+        open_by = largest(without(phi, unused))
         worse = 0 if open_by < least else worse + 1
         if worse == 0:
             best, least = at, open_by
         if not np.isfinite(phi).all() or least < ROUND_OFF * system.mechanism.size or worse == 2:
             break
-        rank = constraint_rank(system)
-        step = minimum_norm(jacobian, phi, system.phi_units, system.velocity_units, rank)
+        step = minimum_norm(jacobian, without(phi, unused), system.phi_units, system.velocity_units)
         at = system.retract(at, -step)
-    if not is_closed(system, system.phi(best), system.phi_jacobian(best)):
+    if not is_closed(system, system.phi(best)):
         joint, gap = worst_joint(system, system.state(best, np.zeros(system.nv)))
         raise AssemblyError(joint, gap, CLOSURE_TOLERANCE)
     return best
 
 
-def independent_residuals(system: System, phi: Array, jacobian: Array) -> Array:
-    """Residuals (k,) that the independent constraints can remove: all but those of nearly redundant ones."""
-    if mobility(system.scene).residual == 0.0:
-        return phi
-    u, _, _ = singular_values(jacobian * system.velocity_units / system.phi_units[:, None])
-    independent = u[:, : constraint_rank(system)]
-    return np.asarray(system.phi_units * (independent @ (independent.T @ (phi / system.phi_units))))
-
-
-def is_closed(system: System, phi: Array, jacobian: Array) -> bool:
-    """Whether residuals (k,) are within `CLOSURE_TOLERANCE`, those of nearly redundant constraints within the
-    scene's tolerance."""
-    loose = CLOSURE_TOLERANCE
-    if mobility(system.scene).residual > 0.0:
-        loose = LOOSE * system.scene.redundancy_tolerance * max(1.0, system.mechanism.size)
-    strict = largest(independent_residuals(system, phi, jacobian))
-    return strict <= CLOSURE_TOLERANCE and largest(phi) <= loose
+def is_closed(system: System, phi: Array) -> bool:
+    """Whether residuals (k,) are within `CLOSURE_TOLERANCE`, or noise of rows that are left out."""
+    unused = rows_left_out(system)
+    loose = loosely_closed(system.scene) * max(1.0, system.mechanism.size)
+    return largest(without(phi, unused)) <= CLOSURE_TOLERANCE and largest(phi[unused]) <= loose
 
 
 def project_velocity(system: System, q: Array, v: Array) -> Array:
     """The velocities nearest to v that meet the constraints' rate, Phi_q v + Phi_t = 0."""
-    excess = opening(system, q, v)
-    rank = constraint_rank(system)
-    step = minimum_norm(system.phi_jacobian(q), excess, system.phi_units, system.velocity_units, rank)
+    unused = rows_left_out(system)
+    jacobian, excess = without(system.phi_jacobian(q), unused), without(opening(system, q, v), unused)
+    step = minimum_norm(jacobian, excess, system.phi_units, system.velocity_units)
     return np.asarray(v - step)
 
 

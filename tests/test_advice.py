@@ -315,7 +315,7 @@ def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None
     result = crosscheck(resting, engines, lambda _: None, "a_scene", {})
     assert result.rests
     assert result.agrees
-    assert result.verdict.endswith("figures; nothing moves")
+    assert result.verdict.endswith("figures; nothing moves; motion covers 0 of 10 elements")
     assert [advice.topic for advice in result.advice] == ["redundancy"]  # of the equations, not the run
     (line,) = (line for line in settings_lines(result) if line.startswith("nothing moves"))
     assert "it starts at rest in equilibrium" in line

@@ -78,5 +78,7 @@ def test_the_verdict_tells_how_much_of_the_file_is_not_in_it(capsys, tmp_path: P
     assert status == 0
     *_, verdict = text.splitlines()
     assert verdict.startswith("AGREE: newton_euler, mujoco agree on ")
-    assert verdict.endswith(" figures; of the file 1 element is approximated, 1 left out")
+    assert verdict.endswith(
+        "; motion covers 7 of 7 elements; of the file 1 element is approximated, 1 left out"
+    )
     assert json.loads((out / "summary.json").read_text())["verdict"] == verdict

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import newton_euler
+import urdf
 from crosscheck.engines import ENGINES
 from crosscheck.report import redundancy_lines
 from crosscheck.run import crosscheck
@@ -17,7 +18,7 @@ from mjcf.read import read
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.assemble import assemble, random_states
 from newton_euler.cartesian import Cartesian
-from newton_euler.errors import NearlyRedundantWarning
+from newton_euler.errors import IntegrationError, NearlyRedundantWarning
 from newton_euler.redundancy import apparent_rank, mobility
 from newton_euler.relative import Relative
 from newton_euler.scene import Scene
@@ -51,10 +52,25 @@ def test_noise_of_files_moves_bodies_by_its_own_size(name, noise):
 
 def test_a_parallelogram_passes_its_flat_configuration():
     """Where a second singular value vanishes beside the one that noise has left."""
+    wanted = run(flat_four_bar(0.0, 0.5))
     for formulation in ("relative", "cartesian"):  # without projection runs stop there, tilted or not
-        found = run(flat_four_bar(1e-7, 0.5), formulation)
         # the tilt has no effect to first order; at a bifurcation round-off is magnified
-        assert np.abs(found - run(flat_four_bar(0.0, 0.5))).max() < 1e-7, formulation
+        assert np.abs(run(flat_four_bar(1e-7, 0.5), formulation) - wanted).max() < 1e-7, formulation
+
+
+@pytest.mark.parametrize("tilt", [1e-9, 1e-7, 1e-5])
+def test_pinocchio_stops_next_to_a_bifurcation_rather_than_go_astray(tilt):
+    """It regularizes what is left out, by more than the design's own constraint counts there."""
+    scene = flat_four_bar(tilt, 0.5)
+    try:
+        found = urdf.simulate(scene).position
+    except IntegrationError as stopped:
+        assert stopped.time > 0.36
+        assert stopped.partial is not None
+        found = stopped.partial.position
+    wanted = run(flat_four_bar(0.0, 0.5))
+    # errors of the regularization, magnified next to the bifurcation
+    assert np.abs(found - wanted[: len(found)]).max() < 1e-4
 
 
 @pytest.mark.parametrize("name", MECHANISMS)
@@ -95,6 +111,23 @@ def test_taken_literally_the_mechanism_is_locked_and_says_so():
     first, last = redundancy_lines(scene)
     assert first.endswith("redundancy_tolerance=1e-06 takes it as redundant")
     assert last == "the mechanism has no degree of freedom"
+
+
+@pytest.mark.parametrize("tilt", [1e-12, 1e-11])
+def test_what_is_below_round_off_is_never_taken_literally(tilt):
+    scene = replace(flat_four_bar(tilt), redundancy_tolerance=0.0)
+    assert [weak.taken for weak in mobility(scene).nearly] == ["redundant"]
+    for formulation in ("relative", "cartesian"):
+        assert np.abs(run(scene, formulation) - run(flat_four_bar(0.0))).max() < 1e-9, formulation
+
+
+@pytest.mark.parametrize("tilt", [1e-3, 2e-3, 1.2e-2])
+def test_the_advice_of_the_report_is_true(tilt):
+    scene = flat_four_bar(tilt)
+    line, _ = redundancy_lines(scene)
+    advised = float(line.split("redundancy_tolerance=")[1].split()[0])
+    assert mobility(scene).degrees_of_freedom == 0
+    assert mobility(replace(scene, redundancy_tolerance=advised)).degrees_of_freedom == 1
 
 
 def test_larger_tilts_are_taken_literally_unless_told_otherwise():

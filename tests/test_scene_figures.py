@@ -152,7 +152,7 @@ def test_run_prints_and_stores_known_figures(capsys, tmp_path):
     status, out, _ = run(capsys, "run", "free_top", *arguments)
     assert status == 0
     assert "figures against the reference" in out
-    assert out.splitlines()[-1].endswith(", and the reference in all 28")
+    assert out.splitlines()[-1].endswith(", and the reference in all 28; motion covers 0 of 2 elements")
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert {figure["engine"] for figure in summary["known_figures"]} == {"newton_euler", "pinocchio"}
     (first, *_) = summary["known_figures"]

@@ -31,7 +31,7 @@ from newton_euler.force_terms import body_wrenches
 from newton_euler.forces import BallSpring, Force, JointSpring, Wrench
 from newton_euler.joints import Joint
 from newton_euler.mechanism import Mechanism
-from newton_euler.redundancy import constraint_rank
+from newton_euler.redundancy import rows_left_out, without
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -138,8 +138,8 @@ class _Moment:
         self.measured = system.measured(q, v, self.links)
         acceleration = system.acceleration(q, v)
         mass, _ = system.mass_and_force(q, v, self.links)
-        jacobian = dimensionless_jacobian(system, q)
-        free = system.velocity_units[:, None] * orthonormal_null(jacobian, constraint_rank(system))
+        jacobian = without(dimensionless_jacobian(system, q), rows_left_out(system))
+        free = system.velocity_units[:, None] * orthonormal_null(jacobian)
         self._free, self._inertia = free, free.T @ mass @ free
         self.motions = system.velocity_transformation(q).reshape(-1, 6, system.nv)
         self.linear = np.array([k.acceleration + k.linear @ acceleration[k.path] for k in self.links])

@@ -15,7 +15,7 @@ from crosscheck.comparison.reactions import undetermined
 from crosscheck.comparison.terms import mass_and_force
 from crosscheck.errors import CrosscheckError
 from newton_euler.joint_geometry import JointGeometry
-from newton_euler.redundancy import constraint_rank, mobility
+from newton_euler.redundancy import mobility, rows_left_out, without
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -203,12 +203,11 @@ def admissible_basis(system: System, q: Array, units: Array) -> tuple[Array, flo
     is the constraint Jacobian in a form that depends on no choice of coordinates or rows. The condition is
     that of the independent constraint rows, 1 without constraints.
     """
-    jacobian = dimensionless_jacobian(system, q)
+    jacobian = without(dimensionless_jacobian(system, q), rows_left_out(system))
     transformation = system.velocity_transformation(q) * system.velocity_units
-    most = constraint_rank(system)
-    basis = orthonormal_range(transformation / units[:, None] @ orthonormal_null(jacobian, most))
+    basis = orthonormal_range(transformation / units[:, None] @ orthonormal_null(jacobian))
     values = singular_values(jacobian)[1] if jacobian.size else np.ones(1)
-    rank = numerical_rank(values, most)
+    rank = numerical_rank(values)
     return basis, float(values[0] / values[rank - 1]) if rank else 1.0
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import AssemblyError
 from newton_euler.mechanism import CLOSURE_TOLERANCE
-from newton_euler.redundancy import constraint_rank
 from newton_euler.scalars import Array
 from newton_euler.solve import singular_values
 from newton_euler.stabilize import is_closed, largest, worst_joint
@@ -77,7 +76,7 @@ def close_by(surface: Callable[[Array], Surface], system: System, x: Array) -> A
         if not largest(here.phi) < 0.5 * largest(found.phi):
             break
         found, best = here, x.copy()
-    if not is_closed(system, found.phi, found.jacobian):
+    if not is_closed(system, found.phi):
         joint, gap = worst_joint(system, system.state(best[on_q], np.zeros(system.nv)))
         raise AssemblyError(joint, gap, CLOSURE_TOLERANCE)
     correct = _correction(system, found)
@@ -95,7 +94,6 @@ def _correction(system: System, found: Surface) -> Callable[[Array], Array]:
     lower = np.linalg.cholesky(mass / np.max(np.diag(mass)) + jacobian.T @ jacobian)
     u, s, vt = singular_values(np.linalg.solve(lower, jacobian.T).T)
     strong = s > WEAK * np.max(s, initial=0.0)
-    strong[constraint_rank(system) :] = False
     back = np.linalg.solve(lower.T, vt[strong].T) / s[strong]
 
     def correct(residual: Array) -> Array:
