@@ -68,6 +68,8 @@ def exceeded(name: str, value: float) -> str:
     if value <= most:
         return ""
     unit = LIMITS[name].unit
+    if not math.isfinite(value):
+        return f"more {unit} than a number can hold, at most {most:.7g}"
     return f"{value:.9g} {unit}, at most {most:.7g}; to allow it: --set {name}={math.ceil(value):d}"
 
 

@@ -99,7 +99,7 @@ def orthonormal_range(matrix: Array) -> Array:
 
 
 def orthonormal_null(matrix: Array, rank: int | None = None) -> Array:
-    """Orthonormal columns that span the null space of a dimensionless matrix; of its numerical rank if None."""
+    """Orthonormal columns that span the null space of a dimensionless matrix; of its own rank if None."""
     if not matrix.size:
         return np.eye(matrix.shape[1])
     _, s, vt = singular_values(matrix, full=True)

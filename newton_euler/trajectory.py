@@ -143,12 +143,16 @@ def _unpacked(archive: ZipFile) -> dict[str, Array]:
     Raises:
         ValueError: for what no trajectory has; and whatever the archive raises.
     """
+    from zipfile import ZIP_DEFLATED, ZIP_STORED
+
     found: dict[str, Array] = {}
     unpacked = 0
     for entry in archive.infolist():
         name = entry.filename.removesuffix(".npy")
         if name not in SHAPES or name in found:
             raise ValueError(f"{entry.filename!r:.100} is none of its arrays")
+        if entry.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+            raise ValueError(f"{entry.filename!r:.100} is compressed in a way that NumPy does not use")
         with archive.open(entry) as stream:
             shape, order, dtype = _header(stream)
             size = dtype.itemsize * math.prod(shape)

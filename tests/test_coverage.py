@@ -12,7 +12,9 @@ from mechanisms import pendulum
 import newton_euler
 from crosscheck.comparison.coverage import CHANGE, covered_by
 from crosscheck.scenes import load
+from crosscheck.stress.noise import flat_four_bar
 from newton_euler.armature import Armature
+from newton_euler.control import Sampled
 from newton_euler.euler_parameters import angle_between
 from newton_euler.forces import JointSpring
 from newton_euler.mechanism import Mechanism
@@ -103,3 +105,23 @@ def test_joints_that_do_not_move_are_untested():
         str(covered_by(still, newton_euler.simulate(still), TOLERANCE, TOLERANCE))
         == "motion covers 0 of 22 elements"
     )
+
+
+def test_sampled_controllers_cover_what_they_move():
+    """Discrete controllers that push as the declared laws do where they are sampled."""
+    scene = replace(load("tracker"), duration=0.2)
+    laws = [
+        Sampled(law.joint, lambda t, x, rate, law=law, k=k: law.force(x[k], rate[k]), 0.01, law.coordinate)
+        for k, law in enumerate(scene.control)
+    ]
+    sampled = replace(scene, control=tuple(laws))
+    declared, held = (
+        covered_by(each, newton_euler.simulate(each), TOLERANCE, TOLERANCE) for each in (scene, sampled)
+    )
+    assert [each.tested for each in held.elements] == [each.tested for each in declared.elements]
+
+
+def test_welds_are_no_elements():
+    """Where two bodies are one, another point of the joint between them is the same mechanism."""
+    found = covered_by(flat_four_bar(0.0), newton_euler.simulate(flat_four_bar(0.0)), TOLERANCE, TOLERANCE)
+    assert not [each for each in found.elements if "'weld'" in each.element]

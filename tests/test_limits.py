@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import resource
@@ -152,3 +153,8 @@ def test_little_memory_is_told(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "crosscheck: error: the limit of memory is 500 MB (ulimit -v); needed: 2000 MB\n"
     assert not list(tmp_path.iterdir())
+
+
+def test_numbers_that_no_double_holds_exceed_limits() -> None:
+    assert exceeded("cycles", math.inf) == "more cycles than a number can hold, at most 1000"
+    assert exceeded("cycles", math.nan) == "more cycles than a number can hold, at most 1000"

@@ -157,3 +157,12 @@ def test_a_run_that_grinds_is_stopped_with_a_line(monkeypatch: pytest.MonkeyPatc
     scene = replace(pendulum(), duration=10.0)
     (stop,) = crosscheck(scene, choose(["newton_euler"]), lambda _: None, "x", {}).unfinished
     assert re.fullmatch("newton_euler: integration stopped at t = .*: more than 4 steps.*", str(stop))
+
+
+def test_undamped_motions_whose_decay_is_round_off_bound_the_step() -> None:
+    """RK4 swings on up to 2.83 / |mode|; a real part of either sign is what an eigenvalue solver leaves."""
+    for real in (-1e-3, 0.0, 1e-3):
+        swings = np.array([real + 1e4j, real - 1e4j])
+        assert not is_stable_in_rk4(swings, 1e-3)
+        assert is_stable_in_rk4(swings, 2e-4)
+    assert is_stable_in_rk4(np.array([50.0]), 1e-2)  # what grows may

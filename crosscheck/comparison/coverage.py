@@ -25,14 +25,16 @@ import numpy as np
 from crosscheck.comparison.rows import POSES, Row
 from newton_euler.armature import BallArmature
 from newton_euler.constraints import Frame
-from newton_euler.control import Law
+from newton_euler.control import Law, Sampled
 from newton_euler.errors import MechanismError
 from newton_euler.force_terms import body_wrenches
 from newton_euler.forces import BallSpring, Force, JointSpring, Wrench
-from newton_euler.joints import Joint
+from newton_euler.joints import Fixed, Joint
 from newton_euler.mechanism import Mechanism
+from newton_euler.parameters import place_of
 from newton_euler.redundancy import rows_left_out, without
 from newton_euler.relative import Relative
+from newton_euler.sampling import holding
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.solve import orthonormal_null
@@ -133,6 +135,10 @@ class _Moment:
             run.position[row], run.quaternion[row], run.linear_velocity[row], run.angular_velocity[row]
         )
         system = at_time(Relative(scene), float(run.time[row]))
+        if scene.sampled and run.actuator_force is not None:
+            laws = zip(scene.control, run.actuator_force[row], strict=True)
+            held = {f"{place_of(law)}.held": float(u) for law, u in laws if isinstance(law, Sampled)}
+            system = holding(system, held)
         q, v = system.coordinates(self.state)
         self.system, self.links = system, system.links(q, v)
         self.measured = system.measured(q, v, self.links)
@@ -176,7 +182,7 @@ def _forces(scene: Scene, moment: _Moment) -> Iterator[tuple[str, Array]]:
         torque = inertia @ moment.angular[k] + np.cross(omega, inertia @ omega)
         yield f"mass of body {body.name!r}", -CHANGE * (force @ moment.motions[k, :3])
         yield f"inertia of body {body.name!r}", -CHANGE * (torque @ moment.motions[k, 3:])
-    for law in scene.control:
+    for law in system.scene.control:
         yield f"actuator of joint {law.joint!r}", CHANGE * _along(moment, law)
     for force in scene.forces:
         for what, part in _parts(force):
@@ -237,8 +243,8 @@ def _constraints(
     states = [moment.state.frames() for moment in moments]
     for number, joint in enumerate(mechanism.joints):
         changes = list(_moved(joint, CHANGE * mechanism.longest))
-        if not mechanism.equations[number].count or not changes:
-            continue
+        if isinstance(joint, Fixed) or not mechanism.equations[number].count:
+            continue  # where two bodies are one, another point or axis changes nothing
         opened = max(_opened(mechanism, number, changed, states, length, angle) for changed in changes)
         yield f"{'joint' if number in tree else 'loop'} {joint.name!r}", opened
     for coupling in mechanism.couplings:

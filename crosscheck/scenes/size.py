@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
+import numpy as np
+
 from crosscheck.errors import CrosscheckError
 from newton_euler.limits import exceeded
 from newton_euler.mechanism import Mechanism
@@ -68,8 +70,10 @@ def _cycles(function: TimeFunction, duration: float, per_cycle: float) -> float:
         per_cycle: rad, or infinite for a slide.
     """
     if isinstance(function, Polynomial):
-        way = sum(abs(c) * duration**k for k, c in enumerate(function.coefficients))
-        return way / per_cycle
+        with np.errstate(all="ignore"):  # what overflows is too large as well
+            powers = np.float64(duration) ** np.arange(len(function.coefficients))
+            ways = np.abs(function.coefficients) * powers
+        return float(np.sum(np.where(np.equal(function.coefficients, 0.0), 0.0, ways))) / per_cycle
     if isinstance(function, Sine):
         periods = abs(function.angular_frequency) * duration / (2.0 * math.pi)
         return periods * (1.0 + 4.0 * abs(function.amplitude) / per_cycle) + abs(function.offset) / per_cycle

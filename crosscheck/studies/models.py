@@ -119,18 +119,17 @@ def run_model(
         return Found(verdict="too long", line=f"more than {limit:g} s", fates={}, seconds=limit)
     seconds = time.perf_counter() - start
     summary = output / "summary.json"
-    if done.returncode in (0, 1) and summary.exists():
+    if done.returncode in (0, 1, 3) and summary.exists():
         content = json.loads(summary.read_text(encoding="utf-8"))
-        verdict = "AGREE" if content["agrees"] else "DISAGREE"
+        verdict = "AGREE" if content["agrees"] else "stopped" if content["unfinished"] else "DISAGREE"
         report = Mapping()
         report.entries = [Mapped(**entry) for entry in content["mapping"] or []]
         fates, still = _fates(report), "nothing moves" if "nothing moves" in content["verdict"] else ""
         lacks = "; ".join(filter(None, [still, report.counts()]))
         return Found(verdict=verdict, line=content["verdict"], fates=fates, lacks=lacks, seconds=seconds)
     lines = [line for line in done.stderr.splitlines() if line.strip()] or [f"status {done.returncode}"]
-    stopped = (output / "summary.partial.json").exists()
     line = lines[-1].replace(str(folder / repository.repository) + "/", "")
-    return Found(verdict="stopped" if stopped else "refused", line=line, fates={}, seconds=seconds)
+    return Found(verdict="refused", line=line, fates={}, seconds=seconds)
 
 
 def _fates(report: Mapping) -> dict[str, int]:
