@@ -151,20 +151,22 @@ def _exercised(where: str, model: Any, key: str | None, found: Reading) -> Readi
     times = scene.duration, scene.output_period
     driven = _reading(where, model, key, plan.control, *times, scene.redundancy_tolerance, plan.swings)
     report, said = driven.report, []
-    if plan.swings:
-        sines = f"sines of {LOWEST:g} to {HIGHEST:g} Hz within their ranges"
-        said.append(f"{len(plan.swings)} actuators driven by {sines}")
-    if plan.moved:
-        said.append(f"{len(plan.moved)} controls moved off the ends of their ranges")
+    if count := len(plan.swings):
+        several = f"s driven by sines of {LOWEST:g} to {HIGHEST:g} Hz within their ranges"
+        said.append(f"{count} actuator{several if count > 1 else ' driven by a sine within its range'}")
+    if count := len(plan.moved):
+        several = "s moved off the ends of their ranges"
+        said.append(f"{count} control{several if count > 1 else ' moved off the end of its range'}")
     if kept := [k for k in range(model.nactuator) if k not in plan.swings]:
         names = ", ".join(model.actuator(k).name or repr(k) for k in kept[:MOST_NAMES])
         more = ", ..." if kept[MOST_NAMES:] else ""
-        said.append(f"{len(kept)} actuators keep their controls ({names}{more})")
+        several = "s keep their controls" if len(kept) > 1 else " keeps its control"
+        said.append(f"{len(kept)} actuator{several} ({names}{more})")
     if not np.any(start.data.qvel):
-        moved, spin, speed = moving(driven.scene)
+        moved, fastest = moving(driven.scene)
         driven = replace(driven, scene=moved)
-        said.append(f"start velocities up to {spin:.2g} rad/s and {speed:.2g} m/s")
-    report.start.append(f"exercised: {', '.join(said)}")
+        said.append(fastest)
+    report.start.append(f"exercised: {', '.join(said) or 'the velocities of the start are enough'}")
     return driven
 
 

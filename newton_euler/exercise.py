@@ -42,11 +42,11 @@ AT_REST = 1e-9
 """rad/s and sizes/s, below which a mechanism that is given velocities cannot move."""
 
 
-def moving(scene: Scene) -> tuple[Scene, float, float]:
+def moving(scene: Scene) -> tuple[Scene, str]:
     """Give a scene consistent start velocities of all its joints.
 
     Returns:
-        The scene, and the fastest that a joint turns (rad/s) and slides (m/s).
+        The scene, and how fast joints turn and slide, in words.
 
     Raises:
         AssemblyError: where velocities cannot be made to fit the constraints.
@@ -63,11 +63,15 @@ def moving(scene: Scene) -> tuple[Scene, float, float]:
     spins = _spins(scene, system, q, v)
     fastest = max(np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / SPIN)
     if fastest * SPIN < AT_REST:
-        return scene, 0.0, 0.0
-    v /= max(1.0, fastest)
+        return scene, "no start velocities, as constraints leave none"
+    v /= fastest
     state = assemble(scene, system.state(q, v))
-    spin = float(np.max(_spins(scene, system, q, v), initial=0.0))
-    return replace(scene, initial_state=state), spin, float(np.max(np.abs(v[lengths]), initial=0.0))
+    speeds = {
+        "rad/s": float(np.max(_spins(scene, system, q, v), initial=0.0)),
+        "m/s": float(np.max(np.abs(v[lengths]), initial=0.0)),
+    }
+    said = " and ".join(f"{speed:.2g} {unit}" for unit, speed in speeds.items() if speed > AT_REST)
+    return replace(scene, initial_state=state), f"start velocities up to {said}"
 
 
 def _lengths(system: Relative) -> Array:
@@ -101,7 +105,7 @@ def swings(scene: Scene, forces: Sequence[Mapping[Key, float]]) -> Iterator[Swin
 
     Args:
         scene: at its start.
-        forces: on joint coordinates, N or N m, for each unit of what is to swing.
+        forces: on joint coordinates that have control laws, N or N m, for each unit of what is to swing.
     """
     system = Relative(scene)
     assert scene.initial_state is not None

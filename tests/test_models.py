@@ -43,7 +43,8 @@ def test_an_mjcf_is_run_with_its_report(capsys, tmp_path):
     assert lines[0].startswith("carried over: 7 exactly, 0 approximated, 1 left out")
     assert "  equality 'c': spherical joint 'c', held rigidly" in out
     assert re.fullmatch(
-        r"AGREE: newton_euler, mujoco, pinocchio agree on model \(duration=0.1\) in all \d+ figures",
+        r"AGREE: newton_euler, mujoco, pinocchio agree on model \(duration=0.1\) in all \d+ figures; "
+        r"motion covers 10 of 10 elements",
         lines[-1],
     )
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
@@ -231,7 +232,7 @@ def test_options_of_models(capsys, tmp_path):
         (["--set", "key=up"], "no keyframe 'up'; choose from: qpos0"),
         (
             ["--set", "colour=red"],
-            "has no option 'colour'; choose from: duration, output_period, redundancy_tolerance, key, root",
+            "has no option 'colour'; choose from: duration, output_period, redundancy_tolerance, exercise",
         ),
         (["--set", "duration=long"], "duration is 'long'; needed: a number of seconds"),
         (["--loops", "x.yaml"], "--loops x.yaml: only a URDF has a loop file"),

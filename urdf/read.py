@@ -127,8 +127,8 @@ def read(
         if verified:
             report.start.append(check(report))
         if exercise:
-            scene, spin, speed = exercised(scene)
-            report.start.append(f"exercised: start velocities up to {spin:.2g} rad/s and {speed:.2g} m/s")
+            scene, fastest = exercised(scene)
+            report.start.append(f"exercised: {fastest}")
         root_link = "is the ground" if base == "fixed" else "floats"
         pull = " ".join(f"{g:g}" for g in gravity)
         report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")

@@ -123,10 +123,13 @@ def _run(
 
     chosen = choose(engines)
     folder = output or _own_folder(Path(scene).stem.strip(".") or "scene", [scene])
-    options = exercised(scene, scene_options(scene, settings, loops))
-    loaded, mapping = load_scene(scene, options, verified=False)  # the run says all that is not right
+    options = scene_options(scene, settings, loops)
+    taken = exercised(scene, options)
+    loaded, mapping = load_scene(scene, taken, verified=False)  # the run says all that is not right
     for line in report_lines(mapping) if mapping else ():
         click.echo(line)
+    if taken.get("exercise") == "on":
+        click.echo("--set exercise=off runs the file as it stands")
 
     def work(progress: Progress) -> Crosscheck:
         return crosscheck(loaded, chosen, progress, scene, options, mapping)

@@ -66,8 +66,8 @@ def _switch(name: str, value: str) -> bool:
 COMMON = {
     "duration": Option("SECONDS", "1", _SECONDS),
     "output_period": Option("SECONDS", "0.01", _SECONDS),
-    "exercise": Option("on|off, whether to drive actuators and to move at the start", "on in run", _switch),
     "redundancy_tolerance": Option("NUMBER, 0 takes all constraints literally", "1e-4", _number("a number")),
+    "exercise": Option("on|off, moving joints and driven actuators; on in run and regress", "off", _switch),
 }
 """Options of all model files."""
 
