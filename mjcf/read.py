@@ -24,11 +24,12 @@ from typing import Any
 import numpy as np
 
 from mjcf.original import MjcfOriginal, random_control
-from mjcf.reading.actuators import Actuators, Drive, driven_joints
+from mjcf.reading.actuators import Actuators, driven_joints
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.exercise import exercise as exercised
 from mjcf.reading.forces import Forces, armatures
 from mjcf.reading.joints import Joints
+from mjcf.reading.laws import Drive
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
 from mjcf.reading.sag import sag_line

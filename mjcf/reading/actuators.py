@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from collections.abc import Mapping as Given
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -25,16 +25,16 @@ from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.forces import Forces, reduced_inertia
 from mjcf.reading.held import Held
 from mjcf.reading.joints import FREE, Joints
+from mjcf.reading.laws import Acting, Affine, Drive, control_for, swinging
 from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
 from newton_euler.activity import Bounds
 from newton_euler.control import PD
-from newton_euler.exercise import HIGHEST
 from newton_euler.forces import Wrench
 from newton_euler.mapping import CONTROL, FORCE, ROTOR, Mapping
 from newton_euler.measured import Key
-from newton_euler.motions import Sine, Sum
+from newton_euler.motions import Sine
 from newton_euler.scalars import Array
 
 TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
@@ -46,55 +46,6 @@ GROUPS = 31
 
 AT_LIMIT = 1e-12
 """Relative, of a sum of forces that MuJoCo has scaled to be at its limit."""
-
-
-class Affine(NamedTuple):
-    """constant + by_length l + by_rate dl/dt, N or N m."""
-
-    constant: float
-    by_length: float
-    by_rate: float
-
-
-class Acting(NamedTuple):
-    """Forces of all actuators on a joint coordinate: -(stiffness x + damping dx/dt) + constant + swings."""
-
-    stiffness: float = 0.0
-    damping: float = 0.0
-    constant: float = 0.0
-    swings: tuple[Sine, ...] = ()
-
-    def law(self, key: Key) -> PD:
-        """One with a stiffness has its constant force as a target."""
-        joint, coordinate = key
-        target = self.constant / self.stiffness if self.stiffness else 0.0
-        constant = 0.0 if self.stiffness else self.constant
-        return PD(joint, self.stiffness, self.damping, target, coordinate, _swinging(constant, self.swings))
-
-
-def _swinging(constant: float, swings: tuple[Sine, ...]) -> float | Sine | Sum:
-    if not swings:
-        return constant
-    first = replace(swings[0], offset=constant)
-    return Sum((first, *swings[1:])) if swings[1:] else first
-
-
-class Drive(NamedTuple):
-    """An actuator of fixed gain that is part of control laws.
-
-    Attributes:
-        control: of the start; the activation of an actuator that has one.
-        gains: N or N m on joint coordinates for each unit of it.
-        low, high: how far it may swing by the ranges of control, activation and force, infinite if there are
-            none, and by what control that takes where it has dynamics.
-        rests: whether its dynamics rest at the start, so that no other control will do there.
-    """
-
-    control: float
-    gains: dict[Key, float]
-    low: float
-    high: float
-    rests: bool
 
 
 def driven_joints(model: Any) -> set[int]:
@@ -284,7 +235,7 @@ class Actuators:
                 terms = tuple((self._joints.keys[k], moment) for k, moment in (moments or {}).items())
                 constant = law.constant + law.by_length * length
                 swings = tuple(self._of_control(actuator, 1.0))
-                moving = _swinging(constant, swings)
+                moving = swinging(constant, swings)
                 watch = Bounds(terms, low, high, "N or N m", moving, law.by_length, law.by_rate)
                 known = moments is not None or not (law.by_length or law.by_rate)
                 watches = [watch] if known else []
@@ -303,15 +254,20 @@ class Actuators:
         if not on_tendons[actuator] or not model.tendon_actfrclimited[tendon]:
             return force
         low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
-        # MuJoCo has scaled them already
-        outputs = model.actuator_outadr[on_tendons & (model.actuator_trnid[:, 0] == tendon)]
-        total = float(np.sum(data.actuator_force[outputs]))
+        total = self._pull(tendon)
         if not np.any(np.isclose(total, [low, high], rtol=AT_LIMIT, atol=0.0)):
             why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
             part = self._held.tendon(tendon, "actfrcrange")
             self._report.left_out(element, why, part, topic="limit of its tendon")
             return force
         return float(data.actuator_force[model.actuator_outadr[actuator]])
+
+    def _pull(self, tendon: int) -> float:
+        """Of all actuators on a tendon together, which MuJoCo has scaled already where it is limited."""
+        model = self._model
+        on_tendons = model.actuator_trntype == TRANSMISSION.mjTRN_TENDON
+        outputs = model.actuator_outadr[on_tendons & (model.actuator_trnid[:, 0] == tendon)]
+        return float(np.sum(self._data.actuator_force[outputs]))
 
     def _limit(self, joint: int) -> bool:
         """Whether what drives a joint is above the joint's limit at the start, and so held there."""
@@ -328,7 +284,7 @@ class Actuators:
                 watches = []
                 if key is not None and law is not None:
                     gains = -law.stiffness, -law.damping
-                    moving = _swinging(law.constant, law.swings)
+                    moving = swinging(law.constant, law.swings)
                     watches.append(Bounds(((key, 1.0),), low, high, "N or N m", moving, *gains))
                 self._report.left_out(element, why, part, topic=topic, watches=watches)
             return False
@@ -411,7 +367,7 @@ class Actuators:
             return
         model, data, low, high = self._model, self._data, -np.inf, np.inf
         if model.actuator_ctrllimited[actuator] and not self._start.disabled("CLAMPCTRL"):
-            needed, now = self._control_for(actuator), self._control(actuator)
+            needed, now = control_for(model, actuator), self._control(actuator)
             low, high = (control + (float(x) - now) / needed for x in model.actuator_ctrlrange[actuator])
         if model.actuator_actlimited[actuator]:
             down, up = (float(x) for x in model.actuator_actrange[actuator])
@@ -420,6 +376,12 @@ class Actuators:
         if model.actuator_forcelimited[actuator]:
             force = float(data.actuator_force[model.actuator_outadr[actuator]])
             rooms.append((gain, model.actuator_forcerange[actuator] - force))
+        tendon = int(model.actuator_trnid[actuator, 0])
+        if (
+            model.actuator_trntype[actuator] == TRANSMISSION.mjTRN_TENDON
+            and model.tendon_actfrclimited[tendon]
+        ):
+            rooms.append((gain, model.tendon_actfrcrange[tendon] - self._pull(tendon)))
         for joint, moment in moments.items():
             if model.jnt_actfrclimited[joint] and moment:
                 force = float(data.qfrc_actuator[model.jnt_dofadr[joint]])
@@ -429,19 +391,6 @@ class Actuators:
             low, high = max(low, control + down), min(high, control + up)
         gains = {key: gain * x for key, x in shares.items()}
         self.drives[actuator] = Drive(control, gains, low, high, not self._is_direct(actuator))
-
-    def _control_for(self, actuator: int) -> float:
-        """Largest amplitude of control for each unit of what its activation swings by.
-
-        act = A sin(w t) takes A w cos(w t) of an integrator, and A sin(w t) + A w tau cos(w t) of a filter
-        (MuJoCo's documentation, Modeling, Actuator, attribute dyntype).
-        """
-        fastest = 2.0 * np.pi * HIGHEST
-        lag = fastest * float(self._model.actuator_dynprm[actuator, 0])
-        if self._is_direct(actuator):
-            return 1.0
-        integrates = DYNAMICS(self._model.actuator_dyntype[actuator]) == DYNAMICS.mjDYN_INTEGRATOR
-        return fastest if integrates else float(np.hypot(1.0, lag))
 
     def _add_rotor(self, actuator: int, element: str, moments: dict[int, float] | None) -> None:
         """Its armature, which MuJoCo has of disabled actuators too."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mjcf.reading.actuators import Drive
+from mjcf.reading.laws import Drive
 from newton_euler.exercise import swings
 from newton_euler.motions import Sine
 from newton_euler.scalars import Array
