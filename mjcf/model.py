@@ -32,7 +32,7 @@ class CompiledScene:
         model, data: `MjModel` and `MjData`; data is scratch that every call may overwrite.
         body_id: MuJoCo's body of each body of `welded.mechanism`, originals first.
         couplings: gears, screws and prescribed motions; MuJoCo's last equalities, in the same order.
-        time: s, at which prescribed motions are looked at.
+        time: s, at which prescribed motions and control laws are looked at.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -102,8 +102,8 @@ class CompiledScene:
         self.actuate()
 
     def actuate(self) -> None:
-        """Give MuJoCo's actuators the targets and the held forces of the scene's control laws."""
-        self.data.ctrl[:] = controls(self.scene)
+        """Give MuJoCo's actuators the controls of the scene's laws at `time`."""
+        self.data.ctrl[:] = controls(self.scene, self.time)
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
         """Coordinate (m or rad) and rate of each control law, where MuJoCo's actuators have theirs."""

@@ -7,14 +7,18 @@ loops closed. Bodies that are fixed to each other are one body.
 What was read is verified against MuJoCo's own model of the file, see `newton_euler.verification` and
 `mjcf.original`. The reading is a function of the model and of the controls, and so that all actuators show it
 is made and verified once more with all controls at random.
+
+An exercised reading is one with controls that swing, and with start velocities; see `mjcf.reading.exercise`.
 """
 
 from __future__ import annotations
 
 import copy
 import os
-from dataclasses import dataclass, replace
+from collections.abc import Mapping as Given
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,8 +26,10 @@ import numpy as np
 from mjcf.original import MjcfOriginal, random_control
 from mjcf.reading.actuators import Actuators, driven_joints
 from mjcf.reading.bodies import Bodies
+from mjcf.reading.exercise import exercise as exercised
 from mjcf.reading.forces import Forces, armatures
 from mjcf.reading.joints import Joints
+from mjcf.reading.laws import Drive
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
 from mjcf.reading.sag import sag_line
@@ -34,8 +40,10 @@ from mjcf.silence import heard_warnings
 from newton_euler.armature import Armature, BallArmature
 from newton_euler.assemble import assemble
 from newton_euler.errors import NewtonEulerError
+from newton_euler.exercise import HIGHEST, LOWEST, moving
 from newton_euler.mapping import Mapping, unique_name
 from newton_euler.mechanism import Mechanism
+from newton_euler.motions import Sine
 from newton_euler.scalars import Array
 from newton_euler.scene import REDUNDANCY_TOLERANCE, Scene
 from newton_euler.state import State
@@ -48,6 +56,9 @@ DURATION = 1.0
 
 OUTPUT_PERIOD = 0.01
 """s"""
+
+MOST_NAMES = 5
+"""Of actuators in one line of a report."""
 
 AT_REST = 1e-12
 """m/s and rad/s, below which velocities are round-off."""
@@ -64,11 +75,13 @@ class Reading:
         scene: what was read.
         report: what became of every element.
         start: MuJoCo's model at the start, without contacts, limits and dry friction.
+        drives: actuators that can be driven, by number.
     """
 
     scene: Scene
     report: Mapping
     start: Start
+    drives: dict[int, Drive] = field(default_factory=dict)
 
 
 def read(
@@ -79,6 +92,7 @@ def read(
     root: str | None = None,
     redundancy_tolerance: float = REDUNDANCY_TOLERANCE,
     verified: bool = True,
+    exercise: bool = False,
 ) -> Reading:
     """Read an MJCF file.
 
@@ -89,6 +103,8 @@ def read(
         root: folder that all files have to be in that it refers to, see `mjcf.reading.source`.
         redundancy_tolerance: of the scene, see `newton_euler.Scene`.
         verified: whether to verify the reading. If not, `report.originals` is what to verify it against.
+        exercise: whether to drive actuators by sines and to let joints move at the start. What is verified is
+            the file as it stands.
 
     Raises:
         MjcfError: naming the file and the element at fault, one that was not read right among them.
@@ -98,12 +114,15 @@ def read(
         model = compiled(where, root)
         found = _reading(where, copy.copy(model), key, None, duration, output_period, redundancy_tolerance)
         report = found.report
-        if sag := sag_line(found.start, duration):
-            report.start.append(sag)
         try:
-            report.originals.extend(_originals(where, model, key, found))
+            report.originals.extend(_originals(where, copy.copy(model), key, found))
+            said = [line] if (line := sag_line(found.start, duration)) else []
             if verified:
-                report.start.append(check(report))
+                said.append(check(report))
+            if exercise:
+                found = _exercised(where, model, key, found)
+                found.report.originals, report = report.originals, found.report
+            report.start.extend(said)
         except SourceError:
             raise
         except (NewtonEulerError, np.linalg.LinAlgError) as error:
@@ -125,6 +144,33 @@ def _originals(where: str, model: Any, key: str | None, found: Reading) -> list[
     return [(MjcfOriginal(model, key, found.report, found.scene), found.scene), *originals]
 
 
+@np.errstate(all="ignore")  # what overflows is refused
+def _exercised(where: str, model: Any, key: str | None, found: Reading) -> Reading:
+    """A reading with actuators driven, and with start velocities unless the file has some."""
+    scene, start = found.scene, found.start
+    plan = exercised(scene, found.drives, np.array(start.data.ctrl), start.model.actuator_ctrladr)
+    times = scene.duration, scene.output_period
+    driven = _reading(where, model, key, plan.control, *times, scene.redundancy_tolerance, plan.swings)
+    report, said = driven.report, []
+    if count := len(plan.swings):
+        several = f"s driven by sines of {LOWEST:g} to {HIGHEST:g} Hz within their ranges"
+        said.append(f"{count} actuator{several if count > 1 else ' driven by a sine within its range'}")
+    if count := len(plan.moved):
+        several = "s moved off the ends of their ranges"
+        said.append(f"{count} control{several if count > 1 else ' moved off the end of its range'}")
+    if kept := [k for k in range(model.nactuator) if k not in plan.swings]:
+        names = ", ".join(model.actuator(k).name or repr(k) for k in kept[:MOST_NAMES])
+        more = ", ..." if kept[MOST_NAMES:] else ""
+        several = "s keep their controls" if len(kept) > 1 else " keeps its control"
+        said.append(f"{len(kept)} actuator{several} ({names}{more})")
+    if not np.any(start.data.qvel):
+        moved, fastest = moving(driven.scene)
+        driven = replace(driven, scene=moved)
+        said.append(fastest)
+    report.start.append(f"exercised: {', '.join(said) or 'the velocities of the start are enough'}")
+    return driven
+
+
 def _reading(
     where: str,
     model: Any,
@@ -133,17 +179,18 @@ def _reading(
     duration: float,
     output_period: float,
     tolerance: float,
+    swings: Given[int, Sine] = MappingProxyType({}),
 ) -> Reading:
     report = Mapping()
     start = Start(where, model, key, report, control)
     try:
         bodies = Bodies(start, report)
-        scene = _scene(where, start, bodies, report, duration, output_period, tolerance)
+        scene, drives = _scene(where, start, bodies, report, duration, output_period, tolerance, swings)
     except SourceError:
         raise
     except NewtonEulerError as error:
         raise SourceError(where, str(error)) from error
-    return Reading(scene, report, start)
+    return Reading(scene, report, start, drives)
 
 
 def _scene(
@@ -154,7 +201,8 @@ def _scene(
     duration: float,
     output_period: float,
     tolerance: float,
-) -> Scene:
+    swings: Given[int, Sine],
+) -> tuple[Scene, dict[int, Drive]]:
     model: Any = start.model
     if len(bodies.bodies) < 2:
         raise SourceError(path, "no body can move")
@@ -163,7 +211,7 @@ def _scene(
     gravity = np.array(model.opt.gravity)
     ties = Ties(loops.gears)
     forces = Forces(start, bodies, joints, ties, gravity, report)
-    actuators = Actuators(start, bodies, joints, ties, forces, report)
+    actuators = Actuators(start, bodies, joints, ties, forces, report, swings)
     rotors, of_balls = armatures(start, bodies, joints, ties, report)
     for key, inertia in actuators.armatures.items():
         rotors[key] = rotors.get(key, 0.0) + inertia
@@ -186,7 +234,7 @@ def _scene(
         description=f"{Path(path).name} from {start.key}",
         redundancy_tolerance=tolerance,
     )
-    return _moving(scene, start, bodies, report)
+    return _moving(scene, start, bodies, report), actuators.drives
 
 
 def model_name(model: Any) -> str:

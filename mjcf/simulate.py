@@ -247,7 +247,7 @@ def _divergence(time: float, warning: str, rows: Sequence[Output]) -> Divergence
     """MuJoCo's warning, with the joint that was fastest and the force that was largest at the last output."""
     system, q, v = rows[-1][:3]
     state = system.state(q, v)
-    joint, force = fastest_joint(system.mechanism, state), strongest_force(system.scene, state)
+    joint, force = fastest_joint(system.mechanism, state), strongest_force(system.scene, state, time)
     return DivergenceError(time, blamed(warning, joint, force))
 
 

@@ -11,6 +11,8 @@ import numpy as np
 
 from mjcf.evaluate import evaluation
 from mjcf.model import CompiledScene
+from mjcf.write import controls
+from newton_euler.control import PD
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import Evaluation
@@ -21,6 +23,7 @@ class SoftMuJoCo(CompiledScene):
 
     Attributes:
         moved: (m,) places in MuJoCo's velocities of the joint coordinates that follow prescribed motions.
+        driven: (a,) actuators whose laws depend on time.
     """
 
     name = "mujoco"
@@ -31,6 +34,7 @@ class SoftMuJoCo(CompiledScene):
         first = self.model.neq - len(self.couplings.couplings)
         self._motions = np.arange(first, first + len(scene.motions))  # the first of the couplings
         self.moved = self.model.jnt_dofadr[self.model.eq_obj1id[self._motions]]
+        self.driven = np.flatnonzero([isinstance(law, PD) and law.is_driven for law in scene.control])
         # of the evaluations in a step; shared by copies of this object, one of which MuJoCo calls
         self._asked: list[tuple[Array, Array]] = []
         self._stages: list[Array] = []
@@ -45,7 +49,10 @@ class SoftMuJoCo(CompiledScene):
 
     @contextmanager
     def following(self) -> Iterator[None]:
-        """Within it MuJoCo's joints follow the prescribed motions of the scene.
+        """Within it MuJoCo's actuators and joints follow the scene's functions of time.
+
+        Each of MuJoCo's evaluations, those of the stages of RK4 too, gets the controls at its own time. What
+        is held for a step instead would be of second order at best, and its power would jump.
 
         MuJoCo's equalities do not depend on time. But all that a constraint row knows of its residual r
         is the acceleration that it asks for (its documentation, Computation, section Reference),
@@ -56,17 +63,24 @@ class SoftMuJoCo(CompiledScene):
 
             a_ref = f'' - b (dx/dt - f') - k d (x - f).
         """
-        if not len(self.moved):
+        if not len(self.moved) and not len(self.driven):
             yield
             return
         before = mujoco.get_mjcb_control()
-        mujoco.set_mjcb_control(self._follow)
+        mujoco.set_mjcb_control(self._act)
         try:
             yield
         finally:
             mujoco.set_mjcb_control(before)
 
-    def _follow(self, model: Any, data: Any) -> None:
+    def _act(self, model: Any, data: Any) -> None:
+        """What MuJoCo calls in each evaluation."""
+        if len(self.driven):  # of the others those that are sampled have changed since
+            data.ctrl[self.driven] = np.array(controls(self.scene, data.time))[self.driven]
+        if len(self.moved):
+            self._follow(data)
+
+    def _follow(self, data: Any) -> None:
         """Change a_ref of the rows of prescribed motions at MuJoCo's time."""
         rows, functions = self._rows_of_motions(data), slice(len(self.moved))
         if self._asked:  # accelerations are still those of the stage before

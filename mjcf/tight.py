@@ -18,6 +18,7 @@ import numpy as np
 from mjcf.errors import DivergenceError, MjcfError
 from mjcf.silence import heard_warnings
 from mjcf.soft import SoftMuJoCo
+from mjcf.write import controls
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 
@@ -117,7 +118,7 @@ class Stepper:
         """Fill `position` and `quaternion`."""
         model, data = self._system.model, self._system.data
         rows = zip(self.position, self.quaternion, strict=True)
-        with heard_warnings():
+        with heard_warnings(), self._system.following():
             for count, interval in self._intervals:
                 _use(model, interval / self._number, self._ratio)
                 self._march(model, data, rows, count, self._number)
@@ -190,7 +191,7 @@ class Rollout:
         size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
         runs = max(10 * threads, PORTION // (8 * steps * size))
         self._states = np.empty((runs, steps, size))
-        self._control = np.tile(system.data.ctrl, (runs, steps, 1)) if model.nu else None
+        self._control = np.tile(_held(system.scene, steps, model.opt.timestep), (runs, 1, 1))
 
     def start(self, q: Array, v: Array) -> Array:
         """The full physics state (size,) of tree coordinates and velocities."""
@@ -214,7 +215,7 @@ class Rollout:
                     [model] * runs,
                     self._datas,
                     portion,
-                    None if self._control is None else self._control[:runs],
+                    self._control[:runs] if model.nu else None,
                     nstep=steps,
                     state=states,
                     sensordata=np.empty((runs, steps, model.nsensordata)),
@@ -236,6 +237,11 @@ class Rollout:
             mujoco.mj_kinematics(model, data)
             position[k], quaternion[k] = data.xpos, data.xquat
         return _of_scene(self._system, position, quaternion)
+
+
+def _held(scene: Scene, steps: int, step: float) -> Array:
+    """(steps, nu) controls in the middle of each step, s, which is of second order for driven laws."""
+    return np.array([controls(scene, (n + 0.5) * step) for n in range(steps)])
 
 
 def _integrator(name: str) -> Any:

@@ -4,8 +4,9 @@ Body frames are the mechanism's own: origin at the centre of mass, orientation `
 The mechanism's ground is MuJoCo's world body. Loops close at `<connect>` and `<weld>` equality
 constraints, rods are tendons that an equality holds at their length, gears and screws are equalities of
 joints. MuJoCo has no equality that depends on time: where a motion is prescribed, the file holds the
-joint where it begins, and `mjcf.simulate` moves it. PD laws become native `<position>` actuators and
-sampled controllers `<motor>`s, whose control is the force. For springs and wrenches see `mjcf.forces`.
+joint where it begins, and `mjcf.simulate` moves it. PD laws become native `<position>` actuators,
+sampled controllers `<motor>`s, whose control is the force. The control of a law that depends on time is all
+of its force that no gain makes; `mjcf.soft` changes it. For springs and wrenches see `mjcf.forces`.
 The keyframe `start` holds the initial state with targets and held forces, so a stock viewer runs the
 scene once it loads the key.
 """
@@ -30,7 +31,7 @@ from mjcf.forces import (
 )
 from mjcf.layout import Layout, coordinate_name
 from mjcf.text import number, numbers
-from newton_euler.control import Sampled
+from newton_euler.control import Law, Sampled
 from newton_euler.couplings import Coupling, couplings
 from newton_euler.euler_parameters import conjugate, from_rotation, product, rotation
 from newton_euler.joints import Pose, Rod, Spherical
@@ -392,20 +393,29 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
             raise ModelError(scene.name, reason)
         element = ET.SubElement(actuator, "position", name=name, joint=name)
         gains = {"kp": number(law.stiffness), "kv": number(law.damping)}
-        if law.feedforward:  # what a position actuator is made of, and a constant
+        if law.feedforward:  # what a position actuator is made of, and a constant or the control
             element.tag = "general"
-            bias = numbers([law.feedforward, -law.stiffness, -law.damping])
-            gains = {"gainprm": number(law.stiffness), "biastype": "affine", "biasprm": bias}
+            gain, constant = (1.0, 0.0) if law.is_driven else (law.stiffness, law.feedforward_at(0.0))
+            bias = numbers([constant, -law.stiffness, -law.damping])
+            gains = {"gainprm": number(gain), "biastype": "affine", "biasprm": bias}
         element.attrib.update(gains)
     add_wrenches(actuator, scene)
     if len(actuator):
         root.append(actuator)
 
 
-def controls(scene: Scene) -> list[float]:
-    """What MuJoCo's actuators get as ctrl: targets of PD laws (m or rad), held forces, 1 for wrenches."""
-    laws = [law.held if isinstance(law, Sampled) else law.target for law in scene.control]
-    return laws + [1.0] * len(wrenches(scene))
+def controls(scene: Scene, time: float) -> list[float]:
+    """What MuJoCo's actuators get as ctrl at a time in s, see `_control`; 1 for wrenches."""
+    return [_control(law, time) for law in scene.control] + [1.0] * len(wrenches(scene))
+
+
+def _control(law: Law, time: float) -> float:
+    """A held force (N or N m), the part of a driven law that no gain makes, or a target (m or rad)."""
+    if isinstance(law, Sampled):
+        return law.held
+    if law.is_driven:
+        return float(law.feedforward_at(time) + law.stiffness * law.target)
+    return law.target
 
 
 def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
@@ -415,8 +425,8 @@ def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
     if len(q):
         attributes["qpos"] = numbers(layout.to_qpos @ q)
         attributes["qvel"] = numbers(layout.to_qvel @ v)
-    if controls(scene):
-        attributes["ctrl"] = numbers(controls(scene))
+    if ctrl := controls(scene, 0.0):
+        attributes["ctrl"] = numbers(ctrl)
     if len(resting := rests(scene, welded.tree, layout)):
         attributes["plastic"] = numbers(resting)
     ET.SubElement(ET.SubElement(root, "keyframe"), "key", attributes)

@@ -15,6 +15,7 @@ import numpy as np
 
 from newton_euler.constraints import Frame
 from newton_euler.measured import Key
+from newton_euler.motions import TimeFunction
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.state import State
@@ -74,6 +75,8 @@ class Watch(Protocol):
 class Bounds:
     """A limit: constant + by_value * x + by_rate * dx/dt stays within low and high, x a sum of coordinates.
 
+    The constant may be a function of time.
+
     Attributes:
         terms: joint coordinates with what they count in x.
         low, high: may be infinite.
@@ -84,12 +87,17 @@ class Bounds:
     low: float
     high: float
     unit: str
-    constant: float = 0.0
+    constant: float | TimeFunction = 0.0
     by_value: float = 1.0
     by_rate: float = 0.0
 
     def judge(self, course: Course) -> Judged:
-        found = np.full(len(course.time), self.constant)
+        found = np.array(
+            [
+                self.constant.value(float(time)) if isinstance(self.constant, TimeFunction) else self.constant
+                for time in course.time
+            ]
+        )
         for key, factor in self.terms:
             x, rate = course.coordinate(key)
             found += factor * (self.by_value * x + self.by_rate * rate)

@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from newton_euler.control import check_key, is_finite_number
-from newton_euler.errors import MechanismError, check_texts
+from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number
 from newton_euler.forces import check_ball, check_coordinate, check_known
 from newton_euler.mechanism import Mechanism
 

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.control import is_count
 from newton_euler.conversion import check, coordinates
-from newton_euler.errors import IntegrationError, OptionError, UnknownNameError
+from newton_euler.errors import IntegrationError, OptionError, UnknownNameError, is_count
 from newton_euler.integrate import Options
 from newton_euler.parameters import checked
 from newton_euler.scalars import Array

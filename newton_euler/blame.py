@@ -24,8 +24,8 @@ def fastest_joint(mechanism: Mechanism, state: State) -> str:
     return mechanism.joint_names[int(np.argmax(np.nan_to_num(gaps, nan=np.inf)))]
 
 
-def strongest_force(scene: Scene, state: State) -> str | None:
-    """What errors call the largest of a scene's forces at a state; None if it has none.
+def strongest_force(scene: Scene, state: State, time: float) -> str | None:
+    """What errors call the largest of a scene's forces at a state and a time in s; None if it has none.
 
     Angles count within half a turn.
     """
@@ -37,7 +37,7 @@ def strongest_force(scene: Scene, state: State) -> str | None:
         coordinate = joint.coordinates[law.coordinate]
         rate = coordinate.jacobian(first, second).rate(first, second)[0]
         measured[law.joint, law.coordinate] = coordinate.phi(first, second)[0], rate
-    return strongest(scene, ([body.pose for body in scene.mechanism.bodies], frames, measured))
+    return strongest(scene, ([body.pose for body in scene.mechanism.bodies], frames, measured, time))
 
 
 def strongest(scene: Scene, seen: Surroundings) -> str | None:

@@ -143,7 +143,7 @@ class CartesianTerms:
         for law in self.scene.joint_forces:
             driven = self.measured[law.joint, law.coordinate]
             x, rate, (r_i, theta_i, r_j, theta_j), _ = driven.measure(q, frames)
-            u = law.force(x, rate)
+            u = law.force(x, rate, self.time)
             for body, r, theta in ((driven.first, r_i, theta_i), (driven.second, r_j, theta_j)):
                 wrenches[body] = wrenches[body] + u * np.concatenate([r[0], theta[0]])
             forces.append(u)
@@ -164,7 +164,7 @@ class CartesianTerms:
     def seen(self, q: Array, qdot: Array) -> Surroundings:
         """What forces depend on at a state."""
         frames = self.frames(q, qdot)
-        return self.poses, frames, self._measurements(q, frames)
+        return self.poses, frames, self._measurements(q, frames), self.time
 
     def joint_phi(self, q: Array) -> Array:
         """Phi(q) (k,), eq. (4): joints, then couplings."""

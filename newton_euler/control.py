@@ -4,26 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from numbers import Integral, Real
 from typing import ClassVar
 
-import numpy as np
-
-from newton_euler.errors import MechanismError
+from newton_euler.errors import MechanismError, check_key, is_finite_number
+from newton_euler.motions import TimeFunction
 from newton_euler.scalars import Array, Scalar
-
-
-def is_finite_number(value: object) -> bool:
-    """Whether a value is a real number of Python or NumPy that a float can hold; truth values are none."""
-    try:
-        return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))
-    except OverflowError:
-        return False
-
-
-def is_count(value: object) -> bool:
-    """Whether a value is a whole number of Python or NumPy, 1 or more; truth values are none."""
-    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1
 
 
 @dataclass(frozen=True)
@@ -36,7 +21,7 @@ class PD:
         damping: K_d in N s/m or N m s/rad.
         target: wanted joint coordinate, m or rad from the initial pose.
         coordinate: which of the joint's coordinates, from 0.
-        feedforward: u_0 in N or N m.
+        feedforward: u_0 in N or N m, a number or a function of time.
 
     Raises:
         MechanismError: naming the joint and the value at fault.
@@ -47,9 +32,7 @@ class PD:
     damping: float
     target: float
     coordinate: int = 0
-    feedforward: float = 0.0
-
-    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "target", "feedforward")
+    feedforward: float | TimeFunction = 0.0
 
     def __post_init__(self) -> None:
         where = self.element
@@ -65,13 +48,28 @@ class PD:
         """What errors call it."""
         return f"control of joint {self.joint!r}"
 
-    def force(self, x: Scalar, x_rate: Scalar) -> Scalar:
-        """The generalized force (N or N m) at coordinate x (m or rad) and its rate."""
-        return self.feedforward - (self.stiffness * (x - self.target) + self.damping * x_rate)
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the attributes that are numbers."""
+        return ("stiffness", "damping", "target", *(() if self.is_driven else ("feedforward",)))
 
-    def power(self, x: Scalar, x_rate: Scalar) -> Scalar:
+    @property
+    def is_driven(self) -> bool:
+        """Whether the law depends on time."""
+        return isinstance(self.feedforward, TimeFunction)
+
+    def feedforward_at(self, time: Scalar) -> Scalar:
+        """u_0 (N or N m) at a time in s."""
+        u_0 = self.feedforward
+        return u_0.value(time) if isinstance(u_0, TimeFunction) else u_0
+
+    def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
+        """The generalized force (N or N m) at coordinate x (m or rad), its rate, and a time in s."""
+        return self.feedforward_at(time) - (self.stiffness * (x - self.target) + self.damping * x_rate)
+
+    def power(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
         """Power of the actuator, W."""
-        return self.force(x, x_rate) * x_rate
+        return self.force(x, x_rate, time) * x_rate
 
 
 Controller = Callable[[float, Array, Array], float]
@@ -121,21 +119,13 @@ class Sampled:
         """What errors call it."""
         return f"control of joint {self.joint!r}"
 
-    def force(self, x: Scalar, x_rate: Scalar) -> Scalar:
+    def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
         """The generalized force (N or N m): what is held."""
         return self.held
 
-    def power(self, x: Scalar, x_rate: Scalar) -> Scalar:
+    def power(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
         """Power of the actuator, W."""
         return self.held * x_rate
 
 
 Law = PD | Sampled
-
-
-def check_key(where: str, joint: object, coordinate: object) -> None:
-    """Raise `MechanismError` for what is no name of a joint, and no whole number."""
-    if not isinstance(joint, str):
-        raise MechanismError(where, f"joint is {joint!r:.100}", "a name")
-    if not isinstance(coordinate, Integral) or isinstance(coordinate, bool):
-        raise MechanismError(where, f"coordinate is {coordinate!r}", "an index from 0")

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 import numpy as np
 
 from newton_euler.constraints import Frame
-from newton_euler.control import check_key, is_finite_number
-from newton_euler.errors import MechanismError, check_texts
+from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number
 from newton_euler.joints import Joint, JointEquations, Screw
 from newton_euler.measured import Key
 from newton_euler.motions import PrescribedMotion, TimeFunction

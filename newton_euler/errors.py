@@ -6,7 +6,10 @@ Every error keeps the raw values it was raised with as attributes and reads as o
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
 
 if TYPE_CHECKING:
     from newton_euler.trajectory import Trajectory
@@ -30,6 +33,27 @@ class MechanismError(NewtonEulerError):
         self.problem = problem
         self.needed = needed
         super().__init__(f"{element}: {problem}; needed: {needed}")
+
+
+def is_finite_number(value: object) -> bool:
+    """Whether a value is a real number of Python or NumPy that a float can hold; truth values are none."""
+    try:
+        return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))
+    except OverflowError:
+        return False
+
+
+def is_count(value: object) -> bool:
+    """Whether a value is a whole number of Python or NumPy, 1 or more; truth values are none."""
+    return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1
+
+
+def check_key(where: str, joint: object, coordinate: object) -> None:
+    """Raise `MechanismError` for what is no name of a joint, and no whole number."""
+    if not isinstance(joint, str):
+        raise MechanismError(where, f"joint is {joint!r:.100}", "a name")
+    if not isinstance(coordinate, Integral) or isinstance(coordinate, bool):
+        raise MechanismError(where, f"coordinate is {coordinate!r}", "an index from 0")
 
 
 def check_texts(where: str, thing: object, *fields: str) -> None:

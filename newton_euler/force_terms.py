@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 Measurements = Mapping[Key, tuple[Scalar, ...]]
 """Joint coordinates (m or rad), their rates, and what else may follow."""
 
-Surroundings = tuple[list[Pose], list[Frame], Measurements]
-"""What forces depend on: reference poses and frames of all bodies, and joint coordinates."""
+Surroundings = tuple[list[Pose], list[Frame], Measurements, Scalar]
+"""What forces depend on: reference poses and frames of all bodies, joint coordinates, and the time, s."""
 
 
 def turned(
@@ -95,11 +95,18 @@ def rotors_energy(scene: Scene, frames: Sequence[Frame], measured: Measurements)
     return energy
 
 
-def power(scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured: Measurements) -> Scalar:
+def power(
+    scene: Scene,
+    poses: Sequence[Pose],
+    frames: Sequence[Frame],
+    measured: Measurements,
+    time: Scalar,
+) -> Scalar:
     """Power, W, of what has no energy of its own: control laws, dampers and wrenches."""
     power: Scalar = 0.0
     for law in scene.joint_forces:
-        power = power + law.power(*measured[law.joint, law.coordinate][:2])
+        x, rate = measured[law.joint, law.coordinate][:2]
+        power = power + law.power(x, rate, time)
     for force in scene.forces:
         if isinstance(force, PointSpring):
             line = line_of(force, scene.mechanism, poses, frames)
@@ -118,7 +125,11 @@ def power(scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured
 
 
 def pulls(
-    scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured: Measurements
+    scene: Scene,
+    poses: Sequence[Pose],
+    frames: Sequence[Frame],
+    measured: Measurements,
+    time: Scalar,
 ) -> dict[str, float]:
     """N, how strong each of a scene's forces is, by what errors call it; a torque as a force at the
     mechanism's size."""
@@ -128,7 +139,7 @@ def pulls(
         joint = scene.mechanism.joints[scene.mechanism.joint_index(law.joint)]
         turns = joint.coordinate_kinds[law.coordinate] == "hinge"
         x, rate = measured[law.joint, law.coordinate][:2]
-        found[law.element] = abs(law.force(x, rate)) / (size if turns else 1.0)
+        found[law.element] = abs(law.force(x, rate, time)) / (size if turns else 1.0)
     for force in scene.forces:
         if isinstance(force, PointSpring):
             pull = pull_along(force, line_of(force, scene.mechanism, poses, frames))

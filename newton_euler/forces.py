@@ -16,8 +16,7 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 
 from newton_euler.constraints import Frame
-from newton_euler.control import check_key, is_finite_number
-from newton_euler.errors import MechanismError, check_texts
+from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number
 from newton_euler.joints import Joint, Pose
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism, check_name
 from newton_euler.scalars import Array, Scalar, cross, sqrt
@@ -64,11 +63,11 @@ class JointSpring:
         joint = mechanism.joints[mechanism.joint_index(self.joint)]
         check_coordinate(self.element, joint, self.coordinate)
 
-    def force(self, x: Scalar, x_rate: Scalar) -> Scalar:
-        """The generalized force (N or N m) at coordinate x (m or rad) and its rate."""
+    def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
+        """The generalized force (N or N m) at coordinate x (m or rad) and its rate, at any time."""
         return -(self.stiffness * (x - self.rest) + self.damping * x_rate)
 
-    def power(self, x: Scalar, x_rate: Scalar) -> Scalar:
+    def power(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
         """Power of the damper, W."""
         return -self.damping * (x_rate * x_rate)
 

@@ -10,8 +10,14 @@ from typing import Any
 import numpy as np
 
 from newton_euler.blame import blamed, fastest_joint, strongest_force
-from newton_euler.control import is_count, is_finite_number
-from newton_euler.errors import IntegrationError, NewtonEulerError, OptionError, check_choice
+from newton_euler.errors import (
+    IntegrationError,
+    NewtonEulerError,
+    OptionError,
+    check_choice,
+    is_count,
+    is_finite_number,
+)
 from newton_euler.scalars import Array
 from newton_euler.stabilize import project_position, project_velocity
 from newton_euler.system import System, at_time
@@ -111,9 +117,9 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
         try:
             rates = np.concatenate([now.rate(q, v), now.acceleration(q, v)])
         except (NewtonEulerError, np.linalg.LinAlgError) as error:
-            raise IntegrationError(t, _with_blame(system, good, str(error))) from error
+            raise IntegrationError(t, _with_blame(system, t, good, str(error))) from error
         if not np.all(np.isfinite(rates)):
-            raise IntegrationError(t, _with_blame(system, good, "accelerations are not finite"))
+            raise IntegrationError(t, _with_blame(system, t, good, "accelerations are not finite"))
         good = y
         return rates
 
@@ -136,7 +142,7 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
             for step, y in march(system, derivative, project, rows[0], times, options):
                 steps = step
                 if not np.all(np.isfinite(y)):
-                    reason = _with_blame(system, good, "the solution is not finite")
+                    reason = _with_blame(system, float(times[len(rows)]), good, "the solution is not finite")
                     raise IntegrationError(float(times[len(rows)]), reason)
                 rows.append(y)
     except IntegrationError as error:
@@ -145,10 +151,10 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
     return Solution(table[:, : system.nq], table[:, system.nq :], steps, evaluations, stopped)
 
 
-def _with_blame(system: System, y: Array, reason: str) -> str:
-    """A reason with the joint that moves fastest and the largest force."""
+def _with_blame(system: System, time: float, y: Array, reason: str) -> str:
+    """A reason with the joint that moves fastest and the largest force at a time in s."""
     state = system.state(y[: system.nq], y[system.nq :])
-    return blamed(reason, fastest_joint(system.mechanism, state), strongest_force(system.scene, state))
+    return blamed(reason, fastest_joint(system.mechanism, state), strongest_force(system.scene, state, time))
 
 
 Derivative = Callable[[float, Array], Array]
@@ -183,14 +189,16 @@ def _march_adaptive(
         try:
             message = solver.step()
         except ValueError as error:  # scipy's, of a Jacobian that is not finite
-            raise IntegrationError(float(solver.t), _with_blame(system, solver.y, str(error))) from error
+            raise IntegrationError(
+                float(solver.t), _with_blame(system, solver.t, solver.y, str(error))
+            ) from error
         if solver.status == "failed":
-            raise IntegrationError(float(solver.t), _with_blame(system, solver.y, str(message)))
+            raise IntegrationError(float(solver.t), _with_blame(system, solver.t, solver.y, str(message)))
         steps += 1
         most = options.most_steps or MOST_STEPS
         if steps > most:
             reason = f"more than {most} steps of {options.integrator}; for stiff equations use Radau"
-            raise IntegrationError(float(solver.t), _with_blame(system, solver.y, reason))
+            raise IntegrationError(float(solver.t), _with_blame(system, solver.t, solver.y, reason))
         if times[due] <= solver.t:
             dense = solver.dense_output()
             while due < len(times) and times[due] <= solver.t:
@@ -214,7 +222,7 @@ def _march_fixed(
         for k in range(count):
             moved = advance(system, derivative, begin + k * h, y, h)
             if not np.all(np.isfinite(moved)):
-                reason = _with_blame(system, y, "the solution is not finite")
+                reason = _with_blame(system, float(begin + k * h), y, "the solution is not finite")
                 raise IntegrationError(float(begin + (k + 1) * h), reason)
             y = project(begin + (k + 1) * h, moved)
         steps += count

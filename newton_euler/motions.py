@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from newton_euler.control import check_key, is_finite_number
-from newton_euler.errors import MechanismError
+from newton_euler.errors import MechanismError, check_key, is_finite_number
 from newton_euler.scalars import Scalar, cos, sin
 
 HIGHEST = 1e15

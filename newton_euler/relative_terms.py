@@ -265,7 +265,7 @@ class RelativeTerms:
     def seen(self, q: Array, v: Array) -> Surroundings:
         """What forces depend on at a state."""
         links = self.links(q, v)
-        return self.tree.poses, [link.frame for link in links], self.measured(q, v, links)
+        return self.tree.poses, [link.frame for link in links], self.measured(q, v, links), self.time
 
     def actuation(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
         """Forces of `Scene.joint_forces`, and what they do to the joint coordinates (nv,)."""
@@ -273,7 +273,7 @@ class RelativeTerms:
         measured = self.measured(q, v, links)
         for law in self.scene.joint_forces:
             seen = measured[law.joint, law.coordinate]
-            u = law.force(seen.x, seen.rate)
+            u = law.force(seen.x, seen.rate, self.time)
             for k, entry in seen.jacobian.items():
                 generalized[k] += entry * u
             forces.append(u)

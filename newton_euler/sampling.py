@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from newton_euler.control import Sampled, is_finite_number
-from newton_euler.errors import IntegrationError
+from newton_euler.control import Sampled
+from newton_euler.errors import IntegrationError, is_finite_number
 from newton_euler.integrate import Options
 from newton_euler.parameters import place_of, with_values
 from newton_euler.scalars import Array

@@ -11,9 +11,9 @@ from functools import cached_property
 import numpy as np
 
 from newton_euler.armature import Armature, BallArmature, check_armatures
-from newton_euler.control import Law, Sampled, is_finite_number
+from newton_euler.control import Law, Sampled
 from newton_euler.couplings import check_motions, couplings, residuals
-from newton_euler.errors import AssemblyError, MechanismError, check_choice
+from newton_euler.errors import AssemblyError, MechanismError, check_choice, is_finite_number
 from newton_euler.forces import BallSpring, Force, JointSpring, check_forces
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.motions import PrescribedMotion

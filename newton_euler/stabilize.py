@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from newton_euler.control import is_finite_number
 from newton_euler.couplings import couplings, residuals, row_owners, row_units
-from newton_euler.errors import AssemblyError, IntegrationError, OptionError, check_choice
+from newton_euler.errors import AssemblyError, IntegrationError, OptionError, check_choice, is_finite_number
 from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.redundancy import loosely_closed, rows_left_out, without
 from newton_euler.scalars import Array

@@ -364,4 +364,4 @@ def test_a_spring_and_a_law_on_one_coordinate(formulation):
     assert np.abs(runs[0].position - runs[1].position).max() < TIGHT
     assert runs[0].actuator_force.shape == (len(runs[0].time), 1)
     x, v = runs[0].position[:, 1, 2], runs[0].linear_velocity[:, 1, 2]
-    assert runs[0].actuator_force[:, 0] == pytest.approx(law.force(x, v), abs=1e-11)
+    assert runs[0].actuator_force[:, 0] == pytest.approx(law.force(x, v, 0.0), abs=1e-11)

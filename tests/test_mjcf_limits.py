@@ -45,8 +45,8 @@ def test_joints_and_tendons_at_their_limits_of_actuator_forces(tmp_path: Path) -
     # 1 + 20 (0.4 - 0.1) is above 1; of 4 and 8 the tendon lets 3 through, in their proportion, 0.5 and 1 of
     # which make forces of 2 each on the joint
     laws = {(law.joint, law.coordinate): law for law in found.scene.control}
-    assert laws["p", 0].force(0.1, 0.2) == 1.0
-    assert laws["two_joints", 1].force(0.1, 0.2) == pytest.approx(2.0 * (0.5 * 1.0 + 2.0), rel=1e-14)
+    assert laws["p", 0].force(0.1, 0.2, 0.0) == 1.0
+    assert laws["two_joints", 1].force(0.1, 0.2, 0.0) == pytest.approx(2.0 * (0.5 * 1.0 + 2.0), rel=1e-14)
     approximated = {entry.element: entry.how for entry in found.report.of("approximated")}
     assert approximated["joint 'p'"] == (
         "its actuators' force would be 7 at the start and is held at its limit there, 1"
@@ -67,7 +67,7 @@ def test_limits_are_those_of_a_start_that_moves(tmp_path: Path) -> None:
     assert {law.joint: law.damping for law in within.scene.control}["p"] == 5.0
     assert verified(within)
     below = reading(tmp_path, LIMITED.format(qvel="3").replace("1 0.4 4 8", "0.5 0.1 4 8"))
-    assert {law.joint: law.force(0.0, 0.0) for law in below.scene.control}["p"] == -2.0
+    assert {law.joint: law.force(0.0, 0.0, 0.0) for law in below.scene.control}["p"] == -2.0
 
 
 GROUP = '<option actuatorgroupdisable="1 30"/>'
@@ -86,7 +86,7 @@ def test_disabled_actuators(option: str, why: str, tmp_path: Path) -> None:
     found = reading(tmp_path, model(PAIR, motors, option))
     assert verified(found)
     assert f"actuator 'off': left out: {why}" in [str(entry) for entry in found.report.of("left out")]
-    assert {law.joint: law.force(0.0, 0.0) for law in found.scene.control} == (
+    assert {law.joint: law.force(0.0, 0.0, 0.0) for law in found.scene.control} == (
         {"two_joints": 4.0} if option == GROUP else {}
     )
     # MuJoCo has the rotor all the same

@@ -66,9 +66,9 @@ def test_a_control_law_has_the_target_and_the_gains_of_the_file(tmp_path: Path) 
     # gear 3, control 5 clamped to 1; and gain 2 of 0.3, bias 0.5 - 3 q - 0.1 dq/dt; q = 0.2 at the start
     first = laws["p", 0]
     assert (first.stiffness, first.damping) == pytest.approx((3.0, 0.1))
-    assert first.force(0.0, 0.0) == pytest.approx(3.0 + 0.6 + 0.5 - 0.6)
+    assert first.force(0.0, 0.0, 0.0) == pytest.approx(3.0 + 0.6 + 0.5 - 0.6)
     # gear 0.5: g (kp ctrl - kp g q) at q = -0.3
-    assert laws["two_joints", 1].force(0.0, 0.0) == pytest.approx(0.5 * (20 * 0.4 - 20 * 0.5 * -0.3))
+    assert laws["two_joints", 1].force(0.0, 0.0, 0.0) == pytest.approx(0.5 * (20 * 0.4 - 20 * 0.5 * -0.3))
 
 
 @pytest.mark.parametrize("pair", [(0, 1), (0, 2), (1, 2)])
@@ -236,7 +236,7 @@ def test_gains_of_a_tendon_of_tied_joints_are_not_negative(tmp_path: Path) -> No
     # a joint with a limit keeps its own share, to be held at that
     limited = reading(tmp_path, OPPOSED.replace('name="q"', 'name="q" actuatorfrcrange="-9 9"'))
     assert verified(limited)
-    held = {law.joint: (law.stiffness, law.force(0.1, 0.2)) for law in limited.scene.control}
+    held = {law.joint: (law.stiffness, law.force(0.1, 0.2, 0.0)) for law in limited.scene.control}
     assert held["two_joints"] == (0.0, 9.0)
     assert held["p"][0] == pytest.approx(40.0 * 2.0 * slope)
 

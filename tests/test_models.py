@@ -232,7 +232,7 @@ def test_options_of_models(capsys, tmp_path):
         (["--set", "key=up"], "no keyframe 'up'; choose from: qpos0"),
         (
             ["--set", "colour=red"],
-            "has no option 'colour'; choose from: duration, output_period, redundancy_tolerance, key, root",
+            "has no option 'colour'; choose from: duration, output_period, redundancy_tolerance, exercise",
         ),
         (["--set", "duration=long"], "duration is 'long'; needed: a number of seconds"),
         (["--loops", "x.yaml"], "--loops x.yaml: only a URDF has a loop file"),

@@ -34,7 +34,12 @@ def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
     fates = {"exactly": 5, "approximated": 1, "inactive": 2, "left out": 3}
     found = {
         "some/robots/arm.xml": Found(
-            verdict="AGREE", line="AGREE: all", fates=fates, lacks="3 elements are left out", seconds=3.2
+            verdict="AGREE",
+            line="AGREE: all",
+            fates=fates,
+            covered="4 of 5",
+            lacks="3 elements are left out",
+            seconds=3.2,
         ),
         "some/robots/broken.xml": Found(verdict="refused", line="error", fates={}, seconds=1.0),
         "some/robots/other.urdf": Found(verdict="DISAGREE", line="part", fates=fates, seconds=2.0),
@@ -46,9 +51,9 @@ def test_the_table_has_counts_and_reasons(tmp_path: Path) -> None:
     )
     assert "10 are carried over exactly, 2 approximated, 4 left out and inactive in the run, 6" in counts
     assert lines[-3:] == [
-        "| arm.xml | duration=0.05 | AGREE | 3 elements are left out | 3 |",
-        "| broken.xml | duration=0.05 | refused: it is no XML |  | 1 |",
-        "| other.urdf | duration=0.05, base=free | DISAGREE: one of the engines \\| is wrong |  | 2 |",
+        "| arm.xml | duration=0.05 | AGREE | 4 of 5 | 3 elements are left out | 3 |",
+        "| broken.xml | duration=0.05 | refused: it is no XML |  |  | 1 |",
+        "| other.urdf | duration=0.05, base=free | DISAGREE: one of the engines \\| is wrong |  |  | 2 |",
     ]
     target = tmp_path / "models.md"
     target.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
@@ -73,7 +78,7 @@ def test_files_are_run_each_by_itself(tmp_path: Path) -> None:
         done = CliRunner().invoke(main, arguments)
         assert done.exit_code == 0, done.output
         text = (tmp_path / "models.md").read_text()
-        assert "| arm.xml | duration=0.05 | AGREE | 2 elements are inactive |" in text
+        assert "| arm.xml | duration=0.05 | AGREE | 3 of 3 | 2 elements are inactive |" in text
         assert "| broken.xml | duration=0.05 | refused: it is no XML |" in text
         again = CliRunner().invoke(main, [*arguments, "--only", "broken"])
         assert "arm.xml" not in again.output

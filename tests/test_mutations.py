@@ -112,8 +112,8 @@ MISTAKES = {
     ),
     "positive feedback, erratum 2": (
         "newton_euler/control.py",
-        "return self.feedforward - (self.stiffness",
-        "return self.feedforward + (self.stiffness",
+        "return self.feedforward_at(time) - (self.stiffness",
+        "return self.feedforward_at(time) + (self.stiffness",
         "test_formulations.py",
     ),
     "Baumgarte's gains swapped, erratum 1": (

@@ -174,7 +174,7 @@ def discrete_pd(law: PD, place: int, period: float) -> Sampled:
     """The same law as a digital controller."""
 
     def controller(time: float, x: np.ndarray, x_rate: np.ndarray) -> float:
-        return float(law.force(x[place], x_rate[place]))
+        return float(law.force(x[place], x_rate[place], time))
 
     return Sampled(law.joint, controller, period, law.coordinate)
 

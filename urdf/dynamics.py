@@ -183,7 +183,7 @@ class PinocchioSystem:
     def power(self, q: Array, v: Array) -> float:
         """Power of what is not in the potential energy, W."""
         laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
-        power = float(sum(law.power(*seen) for law, seen in laws))
+        power = float(sum(law.power(*seen, self.time) for law, seen in laws))
         if self._forces:
             self._move(q, v)
             power += self._forces.power(self._data)
@@ -206,7 +206,7 @@ class PinocchioSystem:
     def actuation(self, q: Array, v: Array) -> Array:
         """Forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""
         laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
-        return np.array([law.force(*seen) for law, seen in laws])
+        return np.array([law.force(*seen, self.time) for law, seen in laws])
 
     def _move(self, q: Array, v: Array) -> None:
         """Give Pinocchio's joints and frames a state."""

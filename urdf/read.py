@@ -24,6 +24,7 @@ import numpy as np
 from newton_euler.activity import Bounds, Rest, Watch
 from newton_euler.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.errors import NewtonEulerError, check_choice
+from newton_euler.exercise import moving as exercised
 from newton_euler.forces import JointSpring
 from newton_euler.joints import Fixed, Joint, Rod, Spherical
 from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, RANGE, Mapping, Part, unique_name, value
@@ -79,6 +80,7 @@ def read(
     gravity: Sequence[float] = GRAVITY,
     redundancy_tolerance: float = REDUNDANCY_TOLERANCE,
     verified: bool = True,
+    exercise: bool = False,
 ) -> Reading:
     """Read a URDF.
 
@@ -90,6 +92,7 @@ def read(
         gravity: (3,) of the scene, m/s^2.
         redundancy_tolerance: of the scene, see `newton_euler.Scene`.
         verified: whether to verify the reading. If not, `report.originals` is what to verify it against.
+        exercise: whether to let joints move at the start. What is verified is the file as it stands.
 
     Raises:
         UrdfError: naming the file and the element at fault, one that was not read right among them.
@@ -123,6 +126,9 @@ def read(
             report.originals.append((UrdfOriginal(text, closing, base, report, scene), scene))
         if verified:
             report.start.append(check(report))
+        if exercise:
+            scene, fastest = exercised(scene)
+            report.start.append(f"exercised: {fastest}")
         root_link = "is the ground" if base == "fixed" else "floats"
         pull = " ".join(f"{g:g}" for g in gravity)
         report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")

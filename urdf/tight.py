@@ -143,6 +143,7 @@ def _checked_equations(system: PinocchioSystem) -> Equations:
 def _outside(scene: Scene) -> list[str]:
     """What is not gravity, a closure of Pinocchio's or an affine law of joint coordinates."""
     found = [force.element for force in scene.forces if not isinstance(force, JointSpring)]
+    found += [law.element for law in scene.control if isinstance(law, PD) and law.is_driven]
     found += [f"joint {joint.name!r}" for joint in scene.mechanism.joints if isinstance(joint, Rod)]
     return found + [f"{coupling.what} {coupling.name!r}" for coupling in couplings(scene)]
 
@@ -161,7 +162,7 @@ def _laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
         gains[row, order_q.index(place[0])] -= law.stiffness
         gains[row, tree.nq + row] -= law.damping
         if isinstance(law, PD):
-            constant[row] += law.feedforward + law.stiffness * law.target
+            constant[row] += law.feedforward_at(0.0) + law.stiffness * law.target
         else:
             constant[row] += law.stiffness * law.rest
     return gains, constant

@@ -97,7 +97,7 @@ def _forces(scene: Scene, laws: Iterable[Law | JointSpring], samples: Samples) -
         for law in laws:
             key = law.joint, law.coordinate
             seen = equations.measured[key].measure(q, frames)
-            found.setdefault(key, []).append(float(law.force(seen.x, seen.rate)))
+            found.setdefault(key, []).append(float(law.force(seen.x, seen.rate, 0.0)))
     return {key: np.array(values) for key, values in found.items()}
 
 

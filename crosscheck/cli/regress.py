@@ -11,6 +11,7 @@ from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
     cli,
+    exercised,
     load_scene,
     progress_shown,
     rendered,
@@ -107,6 +108,7 @@ def _guarded(sources: tuple[str, ...], options: dict[str, str], baseline: Path |
             raise CrosscheckError(
                 f"the baseline of {source!r} is of its defaults; --set needs --baseline FILE"
             )
+        options = exercised(source, options)
         scene, mapping = load_scene(source, options)
         tell(source, mapping)
         for other in guarded:

@@ -15,6 +15,7 @@ from crosscheck.cli.shared import (
     DISAGREE,
     UNFINISHED,
     cli,
+    exercised,
     load_scene,
     progress_shown,
     recording_options,
@@ -123,9 +124,12 @@ def _run(
     chosen = choose(engines)
     folder = output or _own_folder(Path(scene).stem.strip(".") or "scene", [scene])
     options = scene_options(scene, settings, loops)
-    loaded, mapping = load_scene(scene, options, verified=False)  # the run says all that is not right
+    taken = exercised(scene, options)
+    loaded, mapping = load_scene(scene, taken, verified=False)  # the run says all that is not right
     for line in report_lines(mapping) if mapping else ():
         click.echo(line)
+    if taken.get("exercise") == "on":
+        click.echo("--set exercise=off runs the file as it stands")
 
     def work(progress: Progress) -> Crosscheck:
         return crosscheck(loaded, chosen, progress, scene, options, mapping)

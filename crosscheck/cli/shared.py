@@ -89,6 +89,13 @@ def scene_options(
     return options
 
 
+def exercised(scene: str, options: dict[str, str]) -> dict[str, str]:
+    """Options with which model files are exercised unless the options say otherwise."""
+    from crosscheck.model_files.read import is_model
+
+    return {"exercise": "on"} | options if is_model(scene) else options
+
+
 def _by_name(settings: tuple[str, ...], prefix: str) -> dict[str, str]:
     options = {}
     for setting in settings:

@@ -220,7 +220,7 @@ def _along(moment: _Moment, law: Law | JointSpring) -> Array:
     """(nv,) force on a joint coordinate."""
     seen, force = moment.measured[law.joint, law.coordinate], np.zeros(moment.system.nv)
     for k, x in seen.jacobian.items():
-        force[k] += x * law.force(seen.x, seen.rate)
+        force[k] += x * law.force(seen.x, seen.rate, moment.system.time)
     return force
 
 

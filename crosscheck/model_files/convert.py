@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.control import Sampled
+from newton_euler.control import PD, Sampled
 from newton_euler.forces import JointSpring
 from newton_euler.mapping import CONTROL, FORCE, ROTOR, Mapping
 from newton_euler.scene import Scene
@@ -68,6 +68,9 @@ def write_as(scene: Scene, path: Path, report: Mapping) -> list[Path]:
             report.left_out(
                 f"motion of joint {motion.joint!r}", "MJCF has none; the joint is held where it begins"
             )
+        for law in scene.control:
+            if isinstance(law, PD) and law.is_driven:
+                report.left_out(law.element, "MJCF has no function of time; its control is that of the start")
         _report_sampled(scene, "a motor", report)
         report.left_out("duration and outputs", "an MJCF has none")
         return [path]

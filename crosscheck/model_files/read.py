@@ -56,10 +56,18 @@ class Option(NamedTuple):
 
 _SECONDS = _number("a number of seconds")
 
+
+def _switch(name: str, value: str) -> bool:
+    if value not in ("on", "off"):
+        raise CrosscheckError(f"{name} is {value!r}; needed: on or off")
+    return value == "on"
+
+
 COMMON = {
     "duration": Option("SECONDS", "1", _SECONDS),
     "output_period": Option("SECONDS", "0.01", _SECONDS),
     "redundancy_tolerance": Option("NUMBER, 0 takes all constraints literally", "1e-4", _number("a number")),
+    "exercise": Option("on|off, moving joints and driven actuators; on in run and regress", "off", _switch),
 }
 """Options of all model files."""
 

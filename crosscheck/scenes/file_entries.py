@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.scenes.size import check_counts, check_mechanism, check_motions
+from crosscheck.scenes.size import check_counts, check_functions, check_mechanism
 from newton_euler.armature import Armature, BallArmature
 from newton_euler.control import PD
 from newton_euler.couplings import Gear, LinearCoupling
@@ -175,17 +175,6 @@ class LinearEntry(_Strict):
         return LinearCoupling(self.name, tuple(self.terms))
 
 
-class ControlEntry(_Strict):
-    """A PD law; `target` is a joint coordinate, zero at the initial pose."""
-
-    joint: str
-    stiffness: Number
-    damping: Number
-    target: Number
-    coordinate: Index = 0
-    feedforward: Number = 0.0
-
-
 class JointSpringEntry(_Strict):
     """A spring and damper on a joint coordinate."""
 
@@ -304,6 +293,22 @@ class SumEntry(_Strict):
 FunctionEntry = Annotated[PolynomialEntry | SineEntry | SumEntry, Field(discriminator="kind")]
 
 
+class ControlEntry(_Strict):
+    """A PD law; `target` is a joint coordinate, zero at the initial pose."""
+
+    joint: str
+    stiffness: Number
+    damping: Number
+    target: Number
+    coordinate: Index = 0
+    feedforward: Number | FunctionEntry = 0.0
+
+    def build(self) -> PD:
+        given = self.feedforward
+        u_0: float | TimeFunction = given if isinstance(given, int | float) else given.build()
+        return PD(self.joint, self.stiffness, self.damping, self.target, self.coordinate, u_0)
+
+
 class MotionEntry(_Strict):
     """A joint coordinate that follows a function of time."""
 
@@ -354,14 +359,15 @@ class SceneEntry(_Strict):
         mechanism = Mechanism(bodies, joints, [gear.build() for gear in self.couplings])
         check_mechanism("file", mechanism)
         motions = tuple(motion.build() for motion in self.motions)
-        check_motions("file", mechanism, motions, self.duration)
+        control = tuple(law.build() for law in self.control)
+        check_functions("file", mechanism, motions, control, self.duration)
         return Scene(
             self.name,
             mechanism,
             self.duration,
             self.output_period,
             gravity=self.gravity,  # type: ignore[arg-type]
-            control=tuple(PD(**law.model_dump()) for law in self.control),
+            control=control,
             initial_state=self._state(mechanism) if self.initial_state else None,  # type: ignore[arg-type]
             outputs=frozenset(self.outputs),
             forces=tuple(force.build() for force in self.forces),

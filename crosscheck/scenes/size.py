@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
+from newton_euler.control import PD, Law
 from newton_euler.limits import exceeded
 from newton_euler.mechanism import Mechanism
 from newton_euler.motions import Polynomial, PrescribedMotion, Sine, TimeFunction
@@ -21,7 +22,7 @@ def check_scene(scene: Scene) -> None:
     forces = len(scene.control) + len(scene.forces) + len(scene.armatures)
     check_counts(where, {"bodies": len(scene.mechanism.bodies), "forces": forces})
     check_mechanism(where, scene.mechanism)
-    check_motions(where, scene.mechanism, scene.motions, scene.duration)
+    check_functions(where, scene.mechanism, scene.motions, scene.control, scene.duration)
 
 
 def check_mechanism(where: str, mechanism: Mechanism) -> None:
@@ -33,10 +34,14 @@ def check_mechanism(where: str, mechanism: Mechanism) -> None:
     check_counts(where, {"closures": loops, "velocities": tree.nv})
 
 
-def check_motions(
-    where: str, mechanism: Mechanism, motions: Iterable[PrescribedMotion], duration: float
+def check_functions(
+    where: str,
+    mechanism: Mechanism,
+    motions: Iterable[PrescribedMotion],
+    control: Iterable[Law],
+    duration: float,
 ) -> None:
-    """Raise `CrosscheckError` for motions of too many terms, or that go round too often in `duration` (s)."""
+    """Raise `CrosscheckError` for functions of time of too many terms, or cycles in `duration` (s)."""
     terms = cycles = 0.0
     for motion in motions:
         joint = mechanism.joints[mechanism.joint_index(motion.joint)]
@@ -46,6 +51,10 @@ def check_motions(
         )
         terms += _terms(motion.function)
         cycles += _cycles(motion.function, duration, per_cycle)
+    for law in control:
+        if isinstance(law, PD) and isinstance(law.feedforward, TimeFunction):
+            terms += _terms(law.feedforward)
+            cycles += _cycles(law.feedforward, duration, math.inf)
     check_counts(where, {"terms": terms, "cycles": cycles})
 
 

@@ -86,7 +86,7 @@ def entries(scene: Scene) -> dict[str, Any]:
             }
             for each in mechanism.couplings
         ],
-        "control": [_plain(law) for law in scene.control if isinstance(law, PD)],
+        "control": [_law(law) for law in scene.control if isinstance(law, PD)],
         "forces": [{"kind": KINDS[type(force)], **_plain(force)} for force in scene.forces],
         "motions": [
             {"joint": m.joint, "coordinate": m.coordinate, "function": _function(m.function)}
@@ -135,6 +135,13 @@ def _joint(joint: Joint) -> dict[str, Any]:
     entry |= {name: _number(getattr(joint, name)) for name in more}
     if joint.actuated:
         entry["actuated"] = True
+    return entry
+
+
+def _law(law: PD) -> dict[str, Any]:
+    entry = _plain(law)
+    if isinstance(law.feedforward, TimeFunction):
+        entry["feedforward"] = _function(law.feedforward)
     return entry
 
 

@@ -75,6 +75,7 @@ class Found(BaseModel):
         verdict: one of `VERDICTS`.
         line: the verdict as `crosscheck run` has it, or the error.
         fates: how many elements became what, each as the worst that became of it.
+        covered: how many of the scene's elements the motion covers, and of how many.
         lacks: what of the file the run lacks, in words.
         seconds: wall time.
     """
@@ -82,6 +83,7 @@ class Found(BaseModel):
     verdict: str
     line: str
     fates: dict[str, int]
+    covered: str = ""
     lacks: str = ""
     seconds: float
 
@@ -126,7 +128,15 @@ def run_model(
         report.entries = [Mapped(**entry) for entry in content["mapping"] or []]
         fates, still = _fates(report), "nothing moves" if "nothing moves" in content["verdict"] else ""
         lacks = "; ".join(filter(None, [still, report.counts()]))
-        return Found(verdict=verdict, line=content["verdict"], fates=fates, lacks=lacks, seconds=seconds)
+        tested = [covered["tested"] for covered in content["coverage"] or []]
+        return Found(
+            verdict=verdict,
+            line=content["verdict"],
+            fates=fates,
+            covered=f"{sum(tested)} of {len(tested)}" if tested else "",
+            lacks=lacks,
+            seconds=seconds,
+        )
     lines = [line for line in done.stderr.splitlines() if line.strip()] or [f"status {done.returncode}"]
     line = lines[-1].replace(str(folder / repository.repository) + "/", "")
     return Found(verdict="refused", line=line, fates={}, seconds=seconds)
@@ -156,10 +166,10 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
     yield f"{total['approximated']} approximated, {total['inactive']} left out and inactive in the run,"
     yield f"{total['left out']} left out and active or not watched."
     yield ""
-    yield "| model | options | verdict | of the file | s |"
-    yield "|---|---|---|---|---|"
+    yield "| model | options | verdict | covered | of the file | s |"
+    yield "|---|---|---|---|---|---|"
     for repository in repositories:
-        yield f"| **{repository.repository}** | | | | |"
+        yield f"| **{repository.repository}** | | | | | |"
         for entry in repository.files:
             name = f"{repository.repository}/{entry.file}"
             if name not in found:
@@ -169,7 +179,8 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
             verdict = model.verdict
             if verdict != "AGREE":
                 verdict += f": {entry.why or model.line}".replace("|", "\\|")
-            yield f"| {entry.file} | {options} | {verdict} | {model.lacks} | {model.seconds:.0f} |"
+            said = f"{verdict} | {model.covered} | {model.lacks}"
+            yield f"| {entry.file} | {options} | {said} | {model.seconds:.0f} |"
 
 
 def write(path: Path, lines: Sequence[str]) -> None:

@@ -1,4 +1,4 @@
-"""Actuators of a compiled model with the controls of the start, held: forces and PD laws.
+"""Actuators of a compiled model with the controls of the start, held or swinging: forces and PD laws.
 
 MuJoCo's force on a transmission of length l is gain * ctrl + b_0 + b_1 l + b_2 dl/dt. With l = g q of a
 joint coordinate and x = q less its value at the start, the force on the joint is
@@ -7,13 +7,16 @@ joint coordinate and x = q less its value at the start, the force on the joint i
 
 a PD law of stiffness -g^2 b_1, damping -g^2 b_2 and target 0, and the rest as its feedforward. Where l is
 a sum of coordinates that gears tie to each other, l - l_start = s x for each of them: a law on the first of
-them with s in the place of g does the same work.
+them with s in the place of g does the same work. A control that swings about that of the start, by a function
+of time, adds g gain times that to the feedforward.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from collections.abc import Mapping as Given
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -22,6 +25,7 @@ from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.forces import Forces, reduced_inertia
 from mjcf.reading.held import Held
 from mjcf.reading.joints import FREE, Joints
+from mjcf.reading.laws import Acting, Affine, Drive, control_for, swinging
 from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
@@ -30,6 +34,7 @@ from newton_euler.control import PD
 from newton_euler.forces import Wrench
 from newton_euler.mapping import CONTROL, FORCE, ROTOR, Mapping
 from newton_euler.measured import Key
+from newton_euler.motions import Sine
 from newton_euler.scalars import Array
 
 TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
@@ -41,14 +46,6 @@ GROUPS = 31
 
 AT_LIMIT = 1e-12
 """Relative, of a sum of forces that MuJoCo has scaled to be at its limit."""
-
-
-class Affine(NamedTuple):
-    """constant + by_length l + by_rate dl/dt, N or N m."""
-
-    constant: float
-    by_length: float
-    by_rate: float
 
 
 def driven_joints(model: Any) -> set[int]:
@@ -71,22 +68,35 @@ class Actuators:
 
     Attributes:
         armatures: what actuators' rotors add to those of joints, by joint and coordinate.
+        drives: actuators of fixed gain that are part of the laws, by number.
     """
 
     def __init__(
-        self, start: Start, bodies: Bodies, joints: Joints, ties: Ties, forces: Forces, report: Mapping
+        self,
+        start: Start,
+        bodies: Bodies,
+        joints: Joints,
+        ties: Ties,
+        forces: Forces,
+        report: Mapping,
+        swings: Given[int, Sine],
     ) -> None:
+        """`swings` are what controls of actuators, by number, swing by about those of the start."""
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._ties = bodies, joints, ties
         self._forces, self._report, self._held = forces, report, Held(start, bodies, joints)
-        self._laws: dict[Key, PD] = {}
+        self._swings = swings
+        self._acting: dict[Key, Acting] = {}
         self.armatures: dict[Key, float] = {}
+        self.drives: dict[int, Drive] = {}
         self._told: list[tuple[int, str, str, str, tuple[int, ...]]] = []
         mujoco.mj_fwdActuation(self._model, self._data)
         for actuator in range(self._model.nactuator):
             self._add(actuator)
         limited = [int(joint) for joint in np.flatnonzero(self._model.jnt_actfrclimited)]
         held = [joint for joint in limited if self._limit(joint)]
+        stuck = {self._joints.keys[joint] for joint in held}
+        self.drives = {k: drive for k, drive in self.drives.items() if not stuck & drive.gains.keys()}
         for actuator, how, became, limit, driven in self._told:
             part = self._held.actuator(actuator)
             limits = [limit, *(f"the limit of {joints.element(k)} holds it" for k in driven if k in held)]
@@ -95,16 +105,13 @@ class Actuators:
                     part.element, "; ".join([how, *filter(None, limits)]), part, became=became
                 )
             else:
-                silent = self._control(actuator) == 0.0
+                silent = self._control(actuator) == 0.0 and actuator not in self._swings
                 report.exactly(part.element, how, became, part if silent else None)
 
     @property
     def laws(self) -> tuple[PD, ...]:
-        """Laws with a stiffness have their constant force as a target."""
-        return tuple(
-            replace(law, target=law.feedforward / law.stiffness, feedforward=0.0) if law.stiffness else law
-            for law in self._laws.values()
-        )
+        """One for each joint coordinate."""
+        return tuple(acting.law(key) for key, acting in self._acting.items())
 
     def _add(self, actuator: int) -> None:
         model = self._model
@@ -227,7 +234,9 @@ class Actuators:
                 why = f"its limit of the force, {low:g} to {high:g}"
                 terms = tuple((self._joints.keys[k], moment) for k, moment in (moments or {}).items())
                 constant = law.constant + law.by_length * length
-                watch = Bounds(terms, low, high, "N or N m", constant, law.by_length, law.by_rate)
+                swings = tuple(self._of_control(actuator, 1.0))
+                moving = swinging(constant, swings)
+                watch = Bounds(terms, low, high, "N or N m", moving, law.by_length, law.by_rate)
                 known = moments is not None or not (law.by_length or law.by_rate)
                 watches = [watch] if known else []
                 self._report.left_out(element, why, part, topic="limit of the force", watches=watches)
@@ -245,9 +254,7 @@ class Actuators:
         if not on_tendons[actuator] or not model.tendon_actfrclimited[tendon]:
             return force
         low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
-        # MuJoCo has scaled them already
-        outputs = model.actuator_outadr[on_tendons & (model.actuator_trnid[:, 0] == tendon)]
-        total = float(np.sum(data.actuator_force[outputs]))
+        total = self._pull(tendon)
         if not np.any(np.isclose(total, [low, high], rtol=AT_LIMIT, atol=0.0)):
             why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
             part = self._held.tendon(tendon, "actfrcrange")
@@ -255,13 +262,20 @@ class Actuators:
             return force
         return float(data.actuator_force[model.actuator_outadr[actuator]])
 
+    def _pull(self, tendon: int) -> float:
+        """Of all actuators on a tendon together, which MuJoCo has scaled already where it is limited."""
+        model = self._model
+        on_tendons = model.actuator_trntype == TRANSMISSION.mjTRN_TENDON
+        outputs = model.actuator_outadr[on_tendons & (model.actuator_trnid[:, 0] == tendon)]
+        return float(np.sum(self._data.actuator_force[outputs]))
+
     def _limit(self, joint: int) -> bool:
         """Whether what drives a joint is above the joint's limit at the start, and so held there."""
         model, data, dof = self._model, self._data, int(self._model.jnt_dofadr[joint])
         key, element = self._joints.keys.get(joint), self._joints.element(joint)
         low, high = (float(x) for x in model.jnt_actfrcrange[joint])
-        law = None if key is None else self._laws.get(key)
-        force = 0.0 if law is None else law.feedforward - law.damping * float(data.qvel[dof])
+        law = None if key is None else self._acting.get(key)
+        force = 0.0 if law is None else law.constant - law.damping * float(data.qvel[dof])
         held = min(max(force, low), high)
         if key is None or law is None or held == force:
             if law is not None or data.qfrc_actuator[dof]:
@@ -270,10 +284,11 @@ class Actuators:
                 watches = []
                 if key is not None and law is not None:
                     gains = -law.stiffness, -law.damping
-                    watches.append(Bounds(((key, 1.0),), low, high, "N or N m", law.feedforward, *gains))
+                    moving = swinging(law.constant, law.swings)
+                    watches.append(Bounds(((key, 1.0),), low, high, "N or N m", moving, *gains))
                 self._report.left_out(element, why, part, topic=topic, watches=watches)
             return False
-        self._laws[key] = PD(key[0], 0.0, 0.0, 0.0, key[1], held)
+        self._acting[key] = Acting(constant=held)
         why = (
             f"its actuators' force would be {force:.4g} at the start and is held at its limit there, {held:g}"
         )
@@ -309,18 +324,73 @@ class Actuators:
                 return
             shares = {key: slope}
         for key, share in shares.items():
-            before = self._laws.get(key, PD(key[0], 0.0, 0.0, 0.0, key[1]))
-            self._laws[key] = PD(
-                key[0],
+            before = self._acting.get(key, Acting())
+            self._acting[key] = Acting(
                 before.stiffness - share * rates[key] * law.by_length,
                 before.damping - share * rates[key] * law.by_rate,
-                0.0,
-                key[1],
-                before.feedforward + share * constant,
+                before.constant + share * constant,
+                (*before.swings, *(self._of_control(actuator, share) if not limited else ())),
             )
+        if not limited:
+            self._note_drive(actuator, shares, moments)
         names = ", ".join(repr(joint) for joint, _ in shares)
-        how = f"control law of joint {names}, its control held at {self._control(actuator):g}"
+        how = f"control law of joint {names}, its {self._course(actuator, bool(limited))}"
         self._tell(actuator, how, CONTROL, limited, tuple(moments))
+
+    def _gain(self, actuator: int) -> float:
+        """N or N m for each unit of control or activation; 0 if it has no fixed gain."""
+        fixed_gain = GAIN(self._model.actuator_gaintype[actuator]) == GAIN.mjGAIN_FIXED
+        return float(self._model.actuator_gainprm[actuator, 0]) if fixed_gain else 0.0
+
+    def _of_control(self, actuator: int, share: float) -> Iterator[Sine]:
+        """What the swing of its control adds to a force of `share` times its own."""
+        if swing := self._swings.get(actuator):
+            yield replace(swing, amplitude=share * self._gain(actuator) * swing.amplitude)
+
+    def _course(self, actuator: int, held: bool) -> str:
+        """Its control, in words."""
+        swing = self._swings.get(actuator)
+        if swing is None or held:
+            return f"control held at {self._control(actuator):g}"
+        what = "control" if self._is_direct(actuator) else "activation"
+        sine = f"{swing.amplitude:.3g} sin({swing.angular_frequency:.4g} t)"
+        return f"{what} {self._activation(actuator):g} + {sine}"
+
+    def _is_direct(self, actuator: int) -> bool:
+        """Whether it has no dynamics."""
+        return DYNAMICS(self._model.actuator_dyntype[actuator]) == DYNAMICS.mjDYN_NONE
+
+    def _note_drive(self, actuator: int, shares: dict[Key, float], moments: dict[int, float]) -> None:
+        """Note how far its control, or the activation that makes, may go from that of the start."""
+        gain, control = self._gain(actuator), self._activation(actuator)
+        if not gain or control is None:
+            return
+        model, data, low, high = self._model, self._data, -np.inf, np.inf
+        if model.actuator_ctrllimited[actuator] and not self._start.disabled("CLAMPCTRL"):
+            needed, now = control_for(model, actuator), self._control(actuator)
+            low, high = (control + (float(x) - now) / needed for x in model.actuator_ctrlrange[actuator])
+        if model.actuator_actlimited[actuator]:
+            down, up = (float(x) for x in model.actuator_actrange[actuator])
+            low, high = max(low, down), min(high, up)
+        rooms = []
+        if model.actuator_forcelimited[actuator]:
+            force = float(data.actuator_force[model.actuator_outadr[actuator]])
+            rooms.append((gain, model.actuator_forcerange[actuator] - force))
+        tendon = int(model.actuator_trnid[actuator, 0])
+        if (
+            model.actuator_trntype[actuator] == TRANSMISSION.mjTRN_TENDON
+            and model.tendon_actfrclimited[tendon]
+        ):
+            rooms.append((gain, model.tendon_actfrcrange[tendon] - self._pull(tendon)))
+        for joint, moment in moments.items():
+            if model.jnt_actfrclimited[joint] and moment:
+                force = float(data.qfrc_actuator[model.jnt_dofadr[joint]])
+                rooms.append((gain * moment, model.jnt_actfrcrange[joint] - force))
+        for each, room in rooms:
+            down, up = sorted(float(x) / each for x in room)
+            low, high = max(low, control + down), min(high, control + up)
+        gains = {key: gain * x for key, x in shares.items()}
+        self.drives[actuator] = Drive(control, gains, low, high, not self._is_direct(actuator))
 
     def _add_rotor(self, actuator: int, element: str, moments: dict[int, float] | None) -> None:
         """Its armature, which MuJoCo has of disabled actuators too."""

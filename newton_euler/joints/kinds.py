@@ -9,8 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from newton_euler.constraints import Constraint, Distance, Perpendicular, Reversed
-from newton_euler.control import is_finite_number
-from newton_euler.errors import MechanismError
+from newton_euler.errors import MechanismError, is_finite_number
 from newton_euler.joints.base import Joint, Motion, Pose, perpendicular_pair
 from newton_euler.joints.compound import Compound
 from newton_euler.scalars import Array

@@ -181,7 +181,7 @@ def _wrenches(scene: Scene, state: State) -> tuple[Array, Array]:
         coordinate = equations.coordinates[law.coordinate]
         first, second = frames[equations.first], frames[equations.second]
         rows = coordinate.jacobian(first, second)
-        u = law.force(coordinate.phi(first, second)[0], rows.rate(first, second)[0])
+        u = law.force(coordinate.phi(first, second)[0], rows.rate(first, second)[0], 0.0)
         for body, r, theta in (
             (equations.first, rows.r_first, rows.theta_first),
             (equations.second, rows.r_second, rows.theta_second),

@@ -1,0 +1,78 @@
+"""What actuators are made into: forces of one, of all on a joint coordinate, and what may drive it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from newton_euler.control import PD
+from newton_euler.exercise import HIGHEST
+from newton_euler.measured import Key
+from newton_euler.motions import Sine, Sum
+
+
+class Affine(NamedTuple):
+    """constant + by_length l + by_rate dl/dt, N or N m."""
+
+    constant: float
+    by_length: float
+    by_rate: float
+
+
+class Acting(NamedTuple):
+    """Forces of all actuators on a joint coordinate: -(stiffness x + damping dx/dt) + constant + swings."""
+
+    stiffness: float = 0.0
+    damping: float = 0.0
+    constant: float = 0.0
+    swings: tuple[Sine, ...] = ()
+
+    def law(self, key: Key) -> PD:
+        """One with a stiffness has its constant force as a target."""
+        joint, coordinate = key
+        target = self.constant / self.stiffness if self.stiffness else 0.0
+        constant = 0.0 if self.stiffness else self.constant
+        return PD(joint, self.stiffness, self.damping, target, coordinate, swinging(constant, self.swings))
+
+
+def swinging(constant: float, swings: tuple[Sine, ...]) -> float | Sine | Sum:
+    """A constant with sines, if there are any, about it."""
+    if not swings:
+        return constant
+    first = replace(swings[0], offset=constant)
+    return Sum((first, *swings[1:])) if swings[1:] else first
+
+
+class Drive(NamedTuple):
+    """An actuator of fixed gain that is part of control laws.
+
+    Attributes:
+        control: of the start; the activation of an actuator that has one.
+        gains: N or N m on joint coordinates for each unit of it.
+        low, high: how far it may swing by the ranges of control, activation and force, infinite if there are
+            none, and by what control that takes where it has dynamics.
+        rests: whether its dynamics rest at the start, so that no other control will do there.
+    """
+
+    control: float
+    gains: dict[Key, float]
+    low: float
+    high: float
+    rests: bool
+
+
+def control_for(model: Any, actuator: int) -> float:
+    """Largest amplitude of control for each unit of what an actuator's activation swings by.
+
+    act = A sin(w t) takes A w cos(w t) of an integrator, and A sin(w t) + A w tau cos(w t) of a filter
+    (MuJoCo's documentation, Modeling, Actuator, attribute dyntype). 1 without dynamics.
+    """
+    fastest, kind = 2.0 * np.pi * HIGHEST, mujoco.mjtDyn(model.actuator_dyntype[actuator])
+    if kind == mujoco.mjtDyn.mjDYN_NONE:
+        return 1.0
+    if kind == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+        return fastest
+    return float(np.hypot(1.0, fastest * float(model.actuator_dynprm[actuator, 0])))

@@ -1,0 +1,149 @@
+"""Exercise: small motions that make a run depend on as much of a scene as it can.
+
+Models stand still or fall freely as their files have them, and engines that agree on such runs show little.
+Everything here is a function of the scene alone, the same in every process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.assemble import assemble
+from newton_euler.control import PD
+from newton_euler.forces import JointSpring
+from newton_euler.measured import Key
+from newton_euler.redundancy import constraint_rank
+from newton_euler.relative import Relative
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.solve import orthonormal_null
+from newton_euler.system import dimensionless_jacobian
+
+SPIN, SPEED = 0.5, 0.1
+"""rad/s and sizes/s, at most, of joints at the start."""
+
+SWING, SHIFT = 0.2, 0.05
+"""rad and sizes, about as far as a driven joint moves."""
+
+LOWEST, HIGHEST = 0.7, 1.9
+"""Hz, between which frequencies are spread."""
+
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+"""Its multiples, less whole numbers, are spread evenly however many there are."""
+
+SEED = 0
+"""Of the directions of start velocities."""
+
+AT_REST = 1e-9
+"""rad/s and sizes/s, below which a mechanism that is given velocities cannot move."""
+
+
+def moving(scene: Scene) -> tuple[Scene, str]:
+    """Give a scene consistent start velocities of all its joints.
+
+    Returns:
+        The scene, and how fast joints turn and slide, in words.
+
+    Raises:
+        AssemblyError: where velocities cannot be made to fit the constraints.
+    """
+    system = Relative(scene)
+    assert scene.initial_state is not None
+    q, _ = system.coordinates(scene.initial_state)
+    lengths = _lengths(system)
+    limits = np.where(lengths, SPEED * scene.mechanism.size, SPIN)
+    rng = np.random.default_rng(SEED)
+    wanted = limits * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv)
+    free = orthonormal_null(dimensionless_jacobian(system, q), constraint_rank(system))
+    v = system.velocity_units * (free @ (free.T @ (wanted / system.velocity_units)))
+    spins = _spins(scene, system, q, v)
+    fastest = max(np.max(np.abs(v) / limits, initial=0.0), np.max(spins, initial=0.0) / SPIN)
+    if fastest * SPIN < AT_REST:
+        return scene, "no start velocities, as constraints leave none"
+    v /= fastest
+    state = assemble(scene, system.state(q, v))
+    speeds = {
+        "rad/s": float(np.max(_spins(scene, system, q, v), initial=0.0)),
+        "m/s": float(np.max(np.abs(v[lengths]), initial=0.0)),
+    }
+    said = " and ".join(f"{speed:.2g} {unit}" for unit, speed in speeds.items() if speed > AT_REST)
+    return replace(scene, initial_state=state), f"start velocities up to {said}"
+
+
+def _lengths(system: Relative) -> Array:
+    """(nv,) which velocities are m/s."""
+    found = np.zeros(system.nv, dtype=bool)
+    for motion, _, on_v in system.tree.motions:
+        found[on_v] = motion.kind == "slide"
+    return found
+
+
+def _spins(scene: Scene, system: Relative, q: Array, v: Array) -> Array:
+    """(joints,) rad/s between the bodies of each joint."""
+    omega = system.state(q, v).angular_velocity
+    return np.array(
+        [np.linalg.norm(omega[each.second] - omega[each.first]) for each in scene.mechanism.equations]
+    )
+
+
+class Swing(NamedTuple):
+    """A sine of time: amplitude, and angular frequency in rad/s."""
+
+    amplitude: float
+    angular_frequency: float
+
+
+def swings(scene: Scene, forces: Sequence[Mapping[Key, float]]) -> Iterator[Swing]:
+    """Sines that drive joints so that each moves by about `SWING` or `SHIFT`.
+
+    A force of amplitude F and frequency w moves a mass m that is at rest by up to F (w T + 1) / (m w^2) in a
+    time T, a spring by F / k and a damper by F / (d w). Constraints hold, and everything else may move.
+
+    Args:
+        scene: at its start.
+        forces: on joint coordinates that have control laws, N or N m, for each unit of what is to swing.
+    """
+    system = Relative(scene)
+    assert scene.initial_state is not None
+    q, v = system.coordinates(scene.initial_state)
+    links = system.links(q, v)
+    measured = system.measured(q, v, links)
+    mass, _ = system.mass_and_force(q, v, links)
+    free = orthonormal_null(dimensionless_jacobian(system, q), constraint_rank(system))
+    free = system.velocity_units[:, None] * free
+    inertia = free.T @ mass @ free
+    for number, pushes in enumerate(forces):
+        w = 2.0 * np.pi * (LOWEST + (HIGHEST - LOWEST) * ((0.5 + number * GOLDEN) % 1.0))
+        push = np.zeros(system.nv)
+        for key, force in pushes.items():
+            for k, x in measured[key].jacobian.items():
+                push[k] += x * force
+        answer = free @ np.linalg.solve(inertia, free.T @ push) if free.size else np.zeros(system.nv)
+        amplitude = np.inf
+        for key, force in pushes.items():
+            acceleration = abs(float(sum(x * answer[k] for k, x in measured[key].jacobian.items())))
+            if not force or not acceleration:
+                continue
+            stiffness, damping, servo = _at(scene, key)
+            impedance = abs(force) * w**2 / (acceleration * (1.0 + w * scene.duration))
+            impedance = servo or impedance + stiffness + damping * w
+            amplitude = min(amplitude, _reach(scene, key) * impedance / abs(force))
+        yield Swing(float(amplitude) if np.isfinite(amplitude) else 0.0, float(w))
+
+
+def _at(scene: Scene, key: Key) -> tuple[float, float, float]:
+    """Stiffness and damping at a joint coordinate, SI, and the stiffness of the control law alone."""
+    found = [law for law in scene.joint_forces if (law.joint, law.coordinate) == key]
+    gains = [law for law in found if isinstance(law, PD | JointSpring)]
+    servo = sum(law.stiffness for law in gains if isinstance(law, PD))
+    return sum(law.stiffness for law in gains), sum(law.damping for law in gains), max(servo, 0.0)
+
+
+def _reach(scene: Scene, key: Key) -> float:
+    """How far a joint coordinate is to move, m or rad."""
+    joint = scene.mechanism.joints[scene.mechanism.joint_index(key[0])]
+    return SHIFT * scene.mechanism.size if joint.coordinate_kinds[key[1]] == "slide" else SWING
