@@ -111,7 +111,7 @@ def test_sampled_controllers_cover_what_they_move():
     """Discrete controllers that push as the declared laws do where they are sampled."""
     scene = replace(load("tracker"), duration=0.2)
     laws = [
-        Sampled(law.joint, lambda t, x, rate, law=law, k=k: law.force(x[k], rate[k]), 0.01, law.coordinate)
+        Sampled(law.joint, lambda t, x, rate, law=law, k=k: law.force(x[k], rate[k], t), 0.01, law.coordinate)
         for k, law in enumerate(scene.control)
     ]
     sampled = replace(scene, control=tuple(laws))
