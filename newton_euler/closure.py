@@ -15,6 +15,7 @@ from newton_euler.redundancy import apparent_rank
 from newton_euler.scalars import Array
 from newton_euler.scene import REDUNDANCY_TOLERANCE
 from newton_euler.solve import minimum_norm, singular_values
+from newton_euler.stabilize import largest
 
 CLOSED = 1e-12
 """m or rad, of what is closed as it stands: round-off of the file's own numbers."""
@@ -43,12 +44,12 @@ class Closure(NamedTuple):
     @property
     def is_closed(self) -> bool:
         """Whether what is left is no more than rounding of the file explains."""
-        return _largest(self.independent) <= MUST_CLOSE and self.offset <= LARGEST_OFFSET
+        return largest(self.independent) <= MUST_CLOSE and self.offset <= LARGEST_OFFSET
 
     @property
     def offset(self) -> float:
         """The largest residual, m or rad."""
-        return _largest(self.residuals)
+        return largest(self.residuals)
 
 
 def close(
@@ -67,16 +68,12 @@ def close(
         u, s, _ = singular_values(jacobian)
         rank = apparent_rank(s, REDUNDANCY_TOLERANCE)
         found = Closure(q, phi, u[:, :rank] @ (u[:, :rank].T @ phi))
-        if best is None or _largest(found.independent) < _largest(best.independent):
+        if best is None or largest(found.independent) < largest(best.independent):
             best = found
-        elif _largest(best.independent) < MUST_CLOSE:
+        elif largest(best.independent) < MUST_CLOSE:
             break
         step = minimum_norm(jacobian, phi, np.ones(len(phi)), np.ones(jacobian.shape[1]), rank)
-        step *= min(1.0, LONGEST_STEP / max(_largest(step), 1e-300))
+        step *= min(1.0, LONGEST_STEP / max(largest(step), 1e-300))
         q = move(q, -step)
     assert best is not None
     return best
-
-
-def _largest(values: Array) -> float:
-    return float(np.max(np.abs(values), initial=0.0))

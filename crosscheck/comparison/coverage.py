@@ -113,9 +113,10 @@ def covered_by(scene: Scene, run: Trajectory, length: float, angle: float) -> Co
     rows = np.unique(np.linspace(0, len(run.time) - 1, SAMPLES).astype(int))
     moments = [_Moment(scene, run, row) for row in rows]
     units = np.tile([length] * 3 + [angle] * 3, len(scene.mechanism.bodies))
-    names = [name for name, _ in _forces(scene, moments[0])]
+    forces = [list(_forces(scene, moment)) for moment in moments]
+    names = [name for name, _ in forces[0]]
     changed = np.array(
-        [moment.change(np.array([df for _, df in _forces(scene, moment)])) for moment in moments]
+        [moment.change(np.array([df for _, df in of])) for moment, of in zip(moments, forces, strict=True)]
     )
     moved = _twice_integrated(run.time[rows], changed) / units
     found = [
