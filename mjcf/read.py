@@ -182,7 +182,7 @@ def _reading(
     swings: Given[int, Sine] = MappingProxyType({}),
 ) -> Reading:
     report = Mapping()
-    start = Start(where, model, key, report, control)
+    start = Start(where, model, key, report, tolerance, control)
     try:
         bodies = Bodies(start, report)
         scene, drives = _scene(where, start, bodies, report, duration, output_period, tolerance, swings)

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from newton_euler.closure import MUST_CLOSE
+from newton_euler.closure import Closure
+from newton_euler.independence import independent
+from newton_euler.mechanism import CLOSURE_TOLERANCE
 from newton_euler.scalars import Array
-from newton_euler.solve import RANK_TOLERANCE
+from newton_euler.sparse import sparse_vector
 
 NEAR = 1e-3
 """Of the least of the factors of a determinant to the largest: nearer to a dead centre no side is told."""
@@ -42,7 +44,7 @@ class Branch:
 
 
 def assembled(
-    start: str, side: Branch, joints: Sequence[str], closed: float, moved: Array, apart: float
+    start: str, side: Branch, joints: Sequence[str], closed: Closure, moved: Array, apart: float
 ) -> list[str]:
     """Lines for a report on a start that was open and is closed.
 
@@ -50,40 +52,41 @@ def assembled(
         start: what it is called.
         side: how it lies to the closed configuration.
         joints: names of the joints that the velocities belong to, by number.
-        closed: m or rad, by which it is open still.
+        closed: the closed configuration.
         moved: (nv,) how far coordinates moved, m or rad.
         apart: m, how far bodies moved at most.
     """
     dof = int(np.argmax(np.abs(moved)))
     bending = ", ".join(dict.fromkeys(repr(joints[k]) for k in side.columns[:MOST_NAMES]))
     offset = [
-        f"loops keep an offset of {closed:.1e} (m or rad): the digits of the file do not close them better"
+        f"loops keep an offset of {closed.offset:.1e} (m or rad), {closed.noise:.1e} of their reach: "
+        "the digits of the file do not close them better"
     ]
     return [
-        f"assembled next to {start}: closed to {closed:.1e}, joint {joints[dof]!r} moved most, "
+        f"assembled next to {start}: closed to {closed.offset:.1e}, joint {joints[dof]!r} moved most, "
         f"by {moved[dof]:.3g}, bodies by up to {apart:.3g} m",
         f"branch: {SIDES[side.same].format(start, bending)}",
-        *(offset if closed > MUST_CLOSE else []),
+        *(offset if closed.noise > CLOSURE_TOLERANCE else []),
     ]
 
 
-def branch(first: Array, second: Array) -> Branch:
-    """Compare two configurations by the derivatives (k, nv) of the same constraint equations in them.
+def branch(first: Array, second: Array, tolerance: float) -> Branch:
+    """Compare two configurations by the dimensionless derivatives (k, nv) of the same constraints in them.
 
-    The dependent velocities are those that the second one's derivative determines best.
+    The dependent velocities are those that the second one's derivative determines best, or the first one's
+    where the second is near a dead centre; what is redundant in both but for noise of the size of `tolerance`
+    is left out.
     """
     from scipy.linalg import qr
 
     if first.shape != second.shape or not second.size:
         return Branch((), None)
-    _, triangle, rows = qr(second.T, mode="economic", pivoting=True)
-    factors = np.abs(np.diag(triangle))
-    rank = int(np.sum(factors > RANK_TOLERANCE * factors[0])) if factors[0] > 0.0 else 0
-    if rank == 0:
+    chosen = [(independent([sparse_vector(row) for row in at], tolerance).rows, at) for at in (second, first)]
+    used, reference = max(chosen, key=lambda each: len(each[0]))
+    if not used:
         return Branch((), None)
-    rows = np.sort(rows[:rank])
-    _, triangle, columns = qr(second[rows], mode="economic", pivoting=True)
-    columns = np.sort(columns[:rank])
+    rows = np.array(used)
+    columns = np.sort(qr(reference[rows], mode="r", pivoting=True)[1][: len(rows)])
     signs = []
     for jacobian in (first, second):
         square = jacobian[np.ix_(rows, columns)]

@@ -310,7 +310,7 @@ class Code:
         """Square of dimensionless residuals (k,); rows that are omitted may open by more than the others."""
         weights = np.ones(len(phi))
         if self.omitted:
-            weights[self.omitted] = OPEN_TOLERANCE / loosely_closed(self.scene)
+            weights[self.omitted] = OPEN_TOLERANCE / loosely_closed(self.scene.redundancy_tolerance)
         weighted = weights * phi
         return weighted @ weighted
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -29,6 +29,12 @@ REALISABLE_TOLERANCE = 1e-12
 """Relative slack of A + B >= C, for the round-off of an eigenvalue."""
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]+")
+
+
+def spread(points: Sequence[Array]) -> float:
+    """How far points (3,) lie from their mean at most, m; 1 if they are one."""
+    found = float(np.max(np.linalg.norm(np.array(points) - np.mean(points, axis=0), axis=1)))
+    return found if found > 0.0 else 1.0
 
 
 def check_name(what: str, name: object) -> None:
@@ -221,11 +227,7 @@ class Mechanism:
     @cached_property
     def size(self) -> float:
         """A characteristic length, m: how far joint points and centres of mass lie from their mean."""
-        points = np.array(
-            [body.center_of_mass for body in self.bodies[1:]] + [joint.point for joint in self.joints]
-        )
-        spread = float(np.max(np.linalg.norm(points - points.mean(axis=0), axis=1)))
-        return spread if spread > 0.0 else 1.0
+        return spread([*(body.center_of_mass for body in self.bodies[1:]), *(j.point for j in self.joints)])
 
     @cached_property
     def longest(self) -> float:

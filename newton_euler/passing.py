@@ -15,9 +15,8 @@ from scipy.integrate import DOP853
 
 from newton_euler.errors import IntegrationError, NewtonEulerError
 from newton_euler.euler_parameters import rotations
-from newton_euler.redundancy import rows_left_out, without
+from newton_euler.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.scalars import Array
-from newton_euler.solve import rank
 from newton_euler.steppers.adaptive import HOPS, SAFETY, crossing_factor, error_on_constraints
 from newton_euler.steppers.closing import Surface, close_by
 from newton_euler.steppers.dop853 import STAGES
@@ -45,7 +44,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
     ) -> None:
         """As scipy's, for the equations of a system, with its usual projection of a state at a time."""
         self._system, self._project = system, project
-        self._rank = rank(self._jacobian(y))
+        self._rank = constraint_rank(system)
         self._best = 0.0
         self._states: deque[Array] = deque(maxlen=STAGES)
         self._hops = 0
@@ -64,7 +63,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
     def _health(self, y: Array) -> float:
         """1 at the best so far; near a singular configuration it falls with the square of the distance.
 
-        By the smallest singular value that is not zero where the run begins.
+        By the smallest singular value that is not zero where no configuration is singular.
         """
         if self._rank == 0 or not np.all(np.isfinite(y)):
             return 1.0

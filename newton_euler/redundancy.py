@@ -6,41 +6,38 @@ the others in one configuration only, as in a dead center, is none. So several c
 Files are rarely exact: axes tilted by 1e-12 to 1e-7 rad and points rounded to 1e-6 m leave rows that add
 very little to the others, although the design is plainly redundant. Taken literally they would lock the
 mechanism. Rows whose independent part is smaller than `Scene.redundancy_tolerance` count as redundant
-where a gap sets them apart, and are named with their singular value (on such models see J. Garcia de Jalon
-and M. D. Gutierrez-Lopez, Multibody System Dynamics 30, 2013). The decision is made in joint coordinates,
-with each row in units of the motions that it is a difference of; all other forms of the equations, dense
-and sparse, of every engine, take the degrees of freedom from it.
+where a gap sets them apart (`newton_euler.independence`), and are named with their singular value (on such
+models see J. Garcia de Jalon and M. D. Gutierrez-Lopez, Multibody System Dynamics 30, 2013). The decision is
+made in joint coordinates, with each row in units of the motions that it is a difference of; all other forms
+of the equations, dense and sparse, of every engine, take the degrees of freedom from it.
 
 Everything is sparse: scenes may have thousands of rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from newton_euler.independence import (
+    NAMED,
+    ROUND_OFF,
+    Independent,
+    independent,
+    least_step,
+    length,
+    remainder,
+)
 from newton_euler.mechanism import CLOSURE_TOLERANCE
 from newton_euler.relative_terms import RelativeTerms
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
-from newton_euler.solve import singular_values
-from newton_euler.sparse import (
-    Factor,
-    Rows,
-    RowsInUse,
-    Solution,
-    add,
-    dense,
-    dot,
-    factorise,
-    gram,
-    pattern_order,
-    sparse_vector,
-)
+from newton_euler.solve import largest, singular_values
+from newton_euler.sparse import Rows, RowsInUse, Solution, dense
 from newton_euler.state import State
 
 CONFIGURATIONS = 4
@@ -48,19 +45,6 @@ CONFIGURATIONS = 4
 
 REACH = 0.1
 """Distance between them: radians, and sizes of the mechanism."""
-
-ROUND_OFF = 1e-10
-"""Independent part of a row below which it is round-off, whatever the scene's tolerance."""
-
-NAMED = 1e-13
-"""Singular value of a closed initial pose above which a redundant row is not exactly redundant."""
-
-CERTAIN = 1e-4
-"""Pivot of the Gram matrix above which its row is independent: a pivot is the square of what the row adds to
-those before it, so that smaller ones leave doubt."""
-
-GAP = 10.0
-"""Least ratio of the weakest independent row to the strongest redundant one."""
 
 LOOSE = 10.0
 """Residual of a nearly redundant constraint in units of the scene's tolerance: noise of that size times the
@@ -71,7 +55,7 @@ SUSPECT = 1e-2, 100.0
 looks like one of a design that was meant to be redundant."""
 
 MOST_NAMED = 20
-"""Constraints of a scene that is too large for its singular values."""
+"""Redundant constraints of a scene that is too large for its singular values."""
 
 DENSE_LIMIT = 1_000_000
 """Largest number of elements of a Jacobian whose singular values are computed to name them."""
@@ -134,11 +118,11 @@ class Configuration(NamedTuple):
     q: Array
     rows: Rows
     """Dimensionless."""
-    independent: list[int]
-    weak: bool
-    """Whether an independent row adds little to the others."""
-    noise: float
-    """What the others together add to the independent rows, dimensionless."""
+    chosen: Independent
+
+    @property
+    def rank(self) -> int:
+        return len(self.chosen.factor.order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +168,20 @@ def constraint_rank(system: Equations) -> int:
     return system.nv - mobility(system.scene).degrees_of_freedom
 
 
+def loop_rank(system: Equations, but: Collection[str]) -> int:
+    """Number of independent constraints of any form that close loops, which couplings may follow from.
+
+    Args:
+        but: names of joints whose constraints do not count either.
+    """
+    relative, tolerance = RelativeTerms(system.scene), system.scene.redundancy_tolerance
+    loops = relative.row_owners[: len(relative.row_owners) - len(relative.couplings)]
+    kept = [row for row, owner in enumerate(loops) if owner not in but]
+    seen = mobility(system.scene).configurations
+    ranks = [len(independent([at.rows[row] for row in kept], tolerance).rows) for at in seen]
+    return system.nv - relative.nv + max(ranks)
+
+
 def rows_left_out(system: Dense) -> list[int]:
     """Rows of `phi` that noise keeps from being redundant, left out the same everywhere.
 
@@ -203,7 +201,7 @@ def rows_left_out(system: Dense) -> list[int]:
     else:
         from scipy.linalg import qr
 
-        best = max(range(len(decided.states)), key=lambda k: len(decided.configurations[k].independent))
+        best = max(range(len(decided.states)), key=lambda k: decided.configurations[k].rank)
         q, _ = system.coordinates(decided.states[best])
         jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
         used = qr(jacobian.T, mode="r", pivoting=True)[1][: constraint_rank(system)].tolist()
@@ -211,9 +209,9 @@ def rows_left_out(system: Dense) -> list[int]:
     return known[system.name]
 
 
-def loosely_closed(scene: Scene) -> float:
+def loosely_closed(tolerance: float) -> float:
     """Residual, sizes or rad, up to which constraints that are redundant but for noise may be open."""
-    return max(LOOSE * scene.redundancy_tolerance, CLOSURE_TOLERANCE)
+    return max(LOOSE * tolerance, CLOSURE_TOLERANCE)
 
 
 def without(rows: Array, left_out: Sequence[int]) -> Array:
@@ -229,18 +227,18 @@ def inherit_mobility(scene: Scene, of: Scene) -> None:
         _KNOWN[scene] = _KNOWN[of]
 
 
-def rows_in_use(system: Eliminated, independent: Sequence[int] | None = None) -> RowsInUse:
+def rows_in_use(system: Eliminated, used: Sequence[int] | None = None) -> RowsInUse:
     """Select rows of a form of the equations that are independent and imply all others.
 
-    They hold `independent` rows of the joint-coordinate form, those of its mobility if None.
+    They hold the `used` rows of the joint-coordinate form, the independent ones of its mobility if None.
     """
     decided = mobility(system.scene)
-    independent = decided.independent if independent is None else list(independent)
-    numbers = system.rows_of(independent)
+    used = decided.independent if used is None else list(used)
+    numbers = system.rows_of(used)
     pivots = []
     for at, state in zip(decided.configurations, decided.states, strict=True):
         # elsewhere, as where the four-bar is flat, pivots are zero or round-off
-        if len(_independent([at.rows[i] for i in independent], 0.0)[0].order) == len(independent):
+        if len(independent([at.rows[i] for i in used], 0.0).rows) == len(used):
             q, _ = system.coordinates(state)
             solution = system.sparse_solution(q, np.zeros(system.nv), RowsInUse(numbers))
             pivots.append((solution.pivots, solution.mass_pivots))
@@ -252,52 +250,72 @@ def rows_in_use(system: Eliminated, independent: Sequence[int] | None = None) ->
 
 def _mobility(system: RelativeTerms) -> Mobility:
     seen, alive = _examine(system)
-    best = max(seen, key=lambda at: len(at.independent))
-    independent, rest = best.independent, np.zeros(system.nv)
+    best = max(seen, key=lambda at: at.rank)
+    used, rest = best.chosen.rows, np.zeros(system.nv)
     return Mobility(
-        system.nv - len(independent),
-        independent,
-        sorted(alive - set(independent)),
-        tuple(_nearly(system, [at for at in seen if len(at.independent) == len(independent)])),
+        system.nv - len(used),
+        used,
+        sorted(alive - set(used)),
+        tuple(_nearly(system, [at for at in seen if at.rank == len(used)])),
         seen,
         [system.state(at.q, rest) for at in seen],
     )
 
 
 def _nearly(system: RelativeTerms, seen: Sequence[Configuration]) -> Iterator[NearlyRedundant]:
-    """Small singular values on both sides of the rank, where no configuration has larger ones.
+    """Small singular values on both sides of the rank.
 
-    Of a scene too large for these, what rows add that are taken as redundant.
+    Those taken literally where no configuration has larger ones, those of redundant rows where they are
+    largest: in some poses noise does nothing.
     """
-    if not all(at.weak or at.noise > NAMED for at in seen):
-        return
-    if len(seen[0].rows) * system.nv > DENSE_LIMIT:
-        rows, used = seen[0].rows, set(seen[0].independent)
-        factor = factorise(gram(rows, rows), seen[0].independent)
-        left = {k: _remainder(rows, factor, row) for k, row in enumerate(rows) if k not in used}
-        for row in sorted(left, key=lambda row: -left[row])[:MOST_NAMED]:
-            if left[row] > NAMED:
-                yield NearlyRedundant(system.row_owners[row], left[row], "redundant")
-        return
-    found = [singular_values(dense(at.rows, system.nv))[:2] for at in seen]
-    rank, (smallest, apart) = len(seen[0].independent), SUSPECT
     own, _ = system.coordinates(State.initial(system.scene.mechanism))
-    exact = NAMED if np.array_equal(seen[0].q, own) else CLOSED
+    exact = [NAMED if np.array_equal(at.q, own) else CLOSED for at in seen]
+    if all(at.chosen.weak for at in seen):
+        spectra = [_spectrum(system, at) for at in seen]
+        values, rank, owner = max(spectra, key=lambda each: each.values[each.rank - 1])
+        smallest, apart = SUSPECT
+        for k in range(1, rank):
+            if values[k] < smallest and values[k] * apart < values[k - 1]:
+                yield NearlyRedundant(owner(k), values[k], "literally")
+    noisiest = max(range(len(seen)), key=lambda k: seen[k].chosen.noise / exact[k])
+    if seen[noisiest].chosen.noise > exact[noisiest]:
+        values, rank, owner = _spectrum(system, seen[noisiest])
+        for k in range(rank, len(values)):
+            if values[k] > exact[noisiest]:
+                yield NearlyRedundant(owner(k), values[k], "redundant")
 
-    def named(u: Array, value: float, taken: Literal["redundant", "literally"]) -> NearlyRedundant:
-        weights: dict[str, float] = {}
-        for owner, share in zip(system.row_owners, u**2, strict=True):
-            weights[owner] = weights.get(owner, 0.0) + share
-        return NearlyRedundant(max(weights, key=lambda owner: weights[owner]), float(value), taken)
 
-    u, s = max(found, key=lambda each: float(each[1][rank - 1]))
-    for k in range(1, rank):
-        if s[k] < smallest and s[k] * apart < s[k - 1]:
-            yield named(u[:, k], s[k], "literally")
-    u, s = found[0]
-    for k in range(rank, len(s)):
-        if s[k] > exact:
-            yield named(u[:, k], s[k], "redundant")
+class Spectrum(NamedTuple):
+    """How much the rows of a configuration say, strongest first: singular values of their Jacobian.
+
+    Of one too large for these, what rows add to those before them, and what redundant ones add to all others.
+    """
+
+    values: list[float]
+    rank: int
+    """Number of values that are not taken as redundant."""
+    owner: Callable[[int], str]
+    """Name of the joint or gear with the largest share in one."""
+
+
+def _spectrum(system: RelativeTerms, at: Configuration) -> Spectrum:
+    rows, chosen, owners = at.rows, at.chosen, system.row_owners
+    if len(rows) * system.nv <= DENSE_LIMIT:
+        u, s, _ = singular_values(dense(rows, system.nv))
+
+        def largest_share(k: int) -> str:
+            weights: dict[str, float] = {}
+            for owner, share in zip(owners, u[:, k] ** 2, strict=True):
+                weights[owner] = weights.get(owner, 0.0) + share
+            return max(weights, key=lambda owner: weights[owner])
+
+        return Spectrum(s.tolist(), at.rank, largest_share)
+    others = set(range(len(rows))) - set(chosen.factor.order)
+    left = {k: remainder(rows, chosen.factor, rows[k]) for k in others}
+    redundant = sorted(left, key=lambda k: -left[k])[:MOST_NAMED]
+    named = [*chosen.weak, *redundant]
+    values = [chosen.strong, *chosen.weak.values(), *(left[k] for k in redundant)]
+    return Spectrum(values, 1 + len(chosen.weak), lambda k: owners[named[k - 1]])
 
 
 def _examine(system: RelativeTerms) -> tuple[list[Configuration], set[int]]:
@@ -311,32 +329,21 @@ def _examine(system: RelativeTerms) -> tuple[list[Configuration], set[int]]:
     seen: list[Configuration] = []
     for number in range(CONFIGURATIONS):
         phi, rows = _scaled(system, q)
-        factor, weak, noise = _independent(rows, tolerance)
-        found = sorted(factor.order)
-        others = np.delete(phi, found)
+        found = independent(rows, tolerance)
+        others = np.delete(phi, found.rows)
         if number == 0 or (
-            _largest(phi[found]) < CLOSED and _largest(others) < max(CLOSED, LOOSE * tolerance)
+            largest(phi[found.rows]) < CLOSED and largest(others) < max(CLOSED, LOOSE * tolerance)
         ):
-            alive.update(i for i, row in enumerate(rows) if _length(row) > ROUND_OFF)
-            seen.append(Configuration(q, rows, found, weak, noise))
-        best = max(seen, key=lambda at: len(at.independent))
-        if number > 0 and len(best.independent) == len(alive):
+            alive.update(i for i, row in enumerate(rows) if length(row) > ROUND_OFF)
+            seen.append(Configuration(q, rows, found))
+        best = max(seen, key=lambda at: at.rank)
+        if number > 0 and best.rank == len(alive):
             break  # all that can be
         if number == 0 and not np.array_equal(own, q):
             q = own
         else:
             q = _neighbour(system, best.q, next(directions))
     return seen, alive
-
-
-def apparent_rank(values: Array, tolerance: float) -> int:
-    """Rank that the singular values (n,) of a matrix suggest, by the rule for the rows of a scene."""
-    largest = float(np.max(values, initial=0.0))
-    exact = int(np.sum(values > ROUND_OFF * max(1.0, largest)))
-    for rank in range(1, exact):
-        if values[rank] <= tolerance * largest and GAP * values[rank] <= values[rank - 1]:
-            return rank
-    return exact
 
 
 def _scaled(system: RelativeTerms, q: Array) -> tuple[Array, Rows]:
@@ -347,69 +354,6 @@ def _scaled(system: RelativeTerms, q: Array) -> tuple[Array, Rows]:
         {k: x * units[k] / scale for k, x in row.items()} for row, scale in zip(jacobian, scales, strict=True)
     ]
     return phi / scales, rows
-
-
-def _largest(residuals: Array) -> float:
-    return float(np.max(np.abs(residuals), initial=0.0))
-
-
-def _length(row: dict[int, float]) -> float:
-    return float(np.sqrt(sum(x * x for x in row.values())))
-
-
-def _independent(rows: Rows, tolerance: float) -> tuple[Factor, bool, float]:
-    """Factor the Gram matrix of independent rows; `Factor.order` are these rows.
-
-    Also `Configuration.weak` and `Configuration.noise`. Rows are added by what is new in them, the most
-    first, until less than `tolerance` is new and a gap separates it; where there is none, until the rest is
-    round-off.
-    """
-    lengths = [_length(row) for row in rows]
-    noise = max((length for length in lengths if length <= ROUND_OFF), default=0.0)
-    rows = [row if length > ROUND_OFF else {} for row, length in zip(rows, lengths, strict=True)]
-    products = gram(rows, rows)
-    order = [i for i in pattern_order(products) if rows[i]]
-    certain = max(CERTAIN, (GAP * tolerance) ** 2)
-    factor = factorise(products, order, scales=[1.0] * len(rows), drop=certain)
-    used = set(factor.order)
-    doubtful = [i for i in order if i not in used]
-    least = float(np.sqrt(min((factor.pivots[i] for i in factor.order), default=1.0)))
-    while doubtful and (new := _together(rows, factor, doubtful)) > NAMED:
-        if new <= ROUND_OFF or GAP * new <= min(tolerance, least / GAP):
-            noise = max(noise, new)
-            break
-        shares = {i: _remainder(rows, factor, rows[i]) for i in doubtful}
-        found = max(shares, key=lambda i: shares[i])
-        share = shares[found]
-        if share <= ROUND_OFF or (share <= tolerance and GAP * share <= least):
-            noise = max(noise, share)
-            break
-        least = min(least, share)
-        doubtful.remove(found)
-        factor = factorise(products, [*factor.order, found])
-    return factor, least < np.sqrt(CERTAIN), noise
-
-
-def _together(rows: Rows, factor: Factor, doubtful: list[int]) -> float:
-    """Length of what is new in a random combination of rows: round-off only if nothing is new in any."""
-    weights = np.random.default_rng(1).uniform(1.0, 2.0, len(doubtful))
-    together: dict[int, float] = {}
-    for i, weight in zip(doubtful, weights, strict=True):
-        for k, x in rows[i].items():
-            add(together, k, weight * x)
-    return _remainder(rows, factor, together)
-
-
-def _remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
-    """Length of the part of a row that is new to those of a factor; solved twice, for digits that squaring
-    loses."""
-    left = dict(row)
-    for _ in range(2):
-        right = {j: dot(rows[j], left) for j in factor.order}
-        for j, share in factor.solve({j: x for j, x in right.items() if x != 0.0}).items():
-            for k, x in rows[j].items() if share != 0.0 else ():
-                left[k] = left.get(k, 0.0) - share * x
-    return _length(left)
 
 
 def _directions(system: RelativeTerms, v: Array) -> Iterator[Array]:
@@ -432,22 +376,12 @@ def _neighbour(system: RelativeTerms, q: Array, direction: Array) -> Array:
     step = REACH * direction
     _, rows = _scaled(system, q)
     rate = np.array([sum(x * step[k] / unit[k] for k, x in row.items()) for row in rows])
-    q = system.retract(q, step - _least(rows, _independent(rows, tolerance)[0], rate, unit))
+    back = least_step(rows, independent(rows, tolerance).factor, rate, system.nv)
+    q = system.retract(q, step - unit * back)
     for _ in range(NEWTON_STEPS):
         phi, rows = _scaled(system, q)
-        factor = _independent(rows, tolerance)[0]
-        if _largest(phi[factor.order]) < 0.01 * CLOSED:
+        factor = independent(rows, tolerance).factor
+        if largest(phi[factor.order]) < 0.01 * CLOSED:
             break
-        q = system.retract(q, -_least(rows, factor, phi, unit))
+        q = system.retract(q, -unit * least_step(rows, factor, phi, system.nv))
     return q
-
-
-def _least(rows: Rows, factor: Factor, right: Array, unit: Array) -> Array:
-    """The shortest step (nv,), in dimensionless terms, with rows @ (step / unit) = right."""
-    used = set(factor.order)
-    weights = factor.solve({i: x for i, x in sparse_vector(right).items() if i in used})
-    step = np.zeros(len(unit))
-    for i in factor.order:
-        for k, x in rows[i].items():
-            step[k] += x * weights.get(i, 0.0) * unit[k]
-    return step

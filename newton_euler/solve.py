@@ -16,6 +16,11 @@ RANK_TOLERANCE = 1e-9
 """Singular values of a dimensionless matrix below this, or this share of the largest, count as zero."""
 
 
+def largest(residuals: Array) -> float:
+    """The largest of a set of residuals, 0 for none."""
+    return float(np.max(np.abs(residuals), initial=0.0))
+
+
 def singular_values(matrix: Array, full: bool = False) -> tuple[Array, Array, Array]:
     """U, s and V^T of a matrix, reduced or `full`.
 
@@ -45,12 +50,12 @@ def minimum_norm(
     Args:
         matrix: (k, n); right: (k,).
         row_units, column_units: (k,) and (n,) units of the rows and of x.
-        rank: that the matrix is taken to have; its numerical one if None.
+        rank: that the matrix has at most, but for noise.
     """
     if not matrix.size:
         return np.zeros(matrix.shape[1])
     u, s, vt = singular_values(matrix * column_units / row_units[:, None])
-    r = numerical_rank(s) if rank is None else rank
+    r = numerical_rank(s) if rank is None else min(numerical_rank(s), rank)
     return np.asarray(column_units * (vt[:r].T @ ((u[:, :r].T @ (right / row_units)) / s[:r])))
 
 

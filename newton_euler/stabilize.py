@@ -15,7 +15,7 @@ from newton_euler.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.redundancy import loosely_closed, rows_left_out, without
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
-from newton_euler.solve import minimum_norm
+from newton_euler.solve import largest, minimum_norm
 from newton_euler.state import State
 from newton_euler.system import Rheonomic, System, opening
 
@@ -44,11 +44,6 @@ def baumgarte_alpha(stabilization: str, alpha: float) -> float:
         raise OptionError("alpha", alpha, "a number of 1/s, zero or more")
     check_choice("stabilization", stabilization, STABILIZATIONS)
     return alpha if stabilization == "baumgarte" else 0.0
-
-
-def largest(residuals: Array) -> float:
-    """The largest of a set of residuals, 0 for none."""
-    return float(np.max(np.abs(residuals), initial=0.0))
 
 
 @np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation
@@ -83,8 +78,9 @@ def project_position(system: System, q: Array) -> Array:
 def is_closed(system: System, phi: Array) -> bool:
     """Whether residuals (k,) are within `CLOSURE_TOLERANCE`, or noise of rows that are left out."""
     unused = rows_left_out(system)
-    loose = loosely_closed(system.scene) * max(1.0, system.mechanism.size)
-    return largest(without(phi, unused)) <= CLOSURE_TOLERANCE and largest(phi[unused]) <= loose
+    noise = largest(phi[unused] / system.phi_units[unused])
+    loose = loosely_closed(system.scene.redundancy_tolerance)
+    return largest(without(phi, unused)) <= CLOSURE_TOLERANCE and noise <= loose
 
 
 def project_velocity(system: System, q: Array, v: Array) -> Array:

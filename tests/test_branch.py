@@ -20,12 +20,12 @@ def arm(first: float, elbow: float) -> Array:
     ("elbows", "same"), [((0.9, 0.4), True), ((0.9, -0.4), False), ((-2.0, -0.1), True), ((0.9, 1e-5), None)]
 )
 def test_the_side_of_an_elbow(elbows: tuple[float, float], same: bool | None) -> None:
-    found = branch(arm(0.3, elbows[0]), arm(-0.2, elbows[1]))
+    found = branch(arm(0.3, elbows[0]), arm(-0.2, elbows[1]), 1e-4)
     assert found.same is same
     assert found.columns == (0, 1)
 
 
 def test_without_constraints_or_with_others_nothing_is_told() -> None:
-    assert branch(np.zeros((0, 2)), np.zeros((0, 2))).same is None
-    assert branch(arm(0.0, 1.0)[:2], arm(0.0, 1.0)).same is None
-    assert branch(np.zeros((3, 2)), np.zeros((3, 2))).same is None
+    assert branch(np.zeros((0, 2)), np.zeros((0, 2)), 0.0).same is None
+    assert branch(arm(0.0, 1.0)[:2], arm(0.0, 1.0), 0.0).same is None
+    assert branch(np.zeros((3, 2)), np.zeros((3, 2)), 0.0).same is None

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import scaled
 
 import newton_euler
 import urdf
@@ -16,15 +18,21 @@ from crosscheck.run import crosscheck
 from crosscheck.stress.noise import MECHANISMS, SENSITIVITY, flat_four_bar
 from mjcf.read import read
 from mjcf.rigid import RigidMuJoCo
+from newton_euler import redundancy
 from newton_euler.assemble import assemble, random_states
 from newton_euler.cartesian import Cartesian
+from newton_euler.couplings import Gear
 from newton_euler.errors import IntegrationError, NearlyRedundantWarning
-from newton_euler.redundancy import apparent_rank, mobility
+from newton_euler.independence import independent
+from newton_euler.mechanism import Mechanism
+from newton_euler.redundancy import mobility
 from newton_euler.relative import Relative
 from newton_euler.scene import Scene
+from newton_euler.sparse import sparse_vector
 from newton_euler.state import State
 from newton_euler.trajectory import Trajectory
 from urdf.dynamics import PinocchioSystem
+from urdf.read import read as read_urdf
 
 FREEDOMS = {"flat_four_bar": 1, "sarrus": 1, "double_wishbone": 2, "bricard": 1}
 FORMS = list(product(["relative", "cartesian"], ["projection", "baumgarte", "none"]))
@@ -149,38 +157,133 @@ def test_a_state_that_noise_leaves_open_may_be_a_start_and_others_not():
         replace(scene, initial_state=shifted)
 
 
+def rows_of(matrix):
+    return independent([sparse_vector(row) for row in np.array(matrix, dtype=float)], 1e-4).rows
+
+
 def test_ranks_lie_at_gaps():
-    assert apparent_rank(np.array([2.0, 1.0, 1e-8, 1e-17]), 1e-4) == 2
-    assert apparent_rank(np.array([2.0, 1.0, 1e-8, 1e-17]), 0.0) == 3
-    assert apparent_rank(np.array([2.0, 1e-1, 1e-2, 1e-3, 2e-4, 5e-5]), 1e-4) == 6  # no gap
-    assert apparent_rank(np.zeros(2), 1e-4) == 0
+    assert rows_of(np.diag([2.0, 1.0, 1e-8])) == [0, 1]
+    assert rows_of(np.diag([2.0, 1e-1, 1e-2, 1e-3, 2e-4, 5e-5])) == [0, 1, 2, 3, 4, 5]  # no gap
+    assert rows_of(np.zeros((2, 2))) == []
 
 
-FINGER = """
+def finger(size: float) -> str:
+    """A flat four-bar of a size, m; at its keyframe a tilt keeps the ball that closes it from the plane."""
+    inertia = " ".join(3 * [f"{0.01 * size**2:.9g}"])
+
+    def at(x: float, z: float) -> str:
+        return f'"{x * size:.9g} 0 {z * size:.9g}"'
+
+    return f"""
 <mujoco>
   <worldbody>
     <body name="crank"><joint name="motor" axis="0 1 0"/>
-      <inertial pos="0 0 .1" mass="1" diaginertia=".01 .01 .01"/>
-      <body name="coupler" pos="0 0 .2"><joint name="elbow" axis="0 1 0"/>
-        <inertial pos=".2 0 0" mass="1" diaginertia=".01 .01 .01"/>
-        <body name="rocker" pos=".4 0 0"><joint name="wrist" axis="0 1 {tilt}"/>
-          <inertial pos="0 0 -.1" mass="1" diaginertia=".01 .01 .01"/>
+      <inertial pos={at(0.0, 0.1)} mass="1" diaginertia="{inertia}"/>
+      <body name="coupler" pos={at(0.0, 0.2)}><joint name="elbow" axis="0 1 0"/>
+        <inertial pos={at(0.2, 0.0)} mass="1" diaginertia="{inertia}"/>
+        <body name="rocker" pos={at(0.4, 0.0)}><joint name="wrist" axis="0 1 1e-6"/>
+          <inertial pos={at(0.0, -0.1)} mass="1" diaginertia="{inertia}"/>
         </body>
       </body>
     </body>
   </worldbody>
-  <equality><connect body1="rocker" anchor="0 {gap} -.2"/></equality>
+  <equality><connect body1="rocker" anchor={at(0.0, -0.2)}/></equality>
   <keyframe><key name="open" qpos="0.3 -0.3 0.3000001"/></keyframe>
 </mujoco>
 """
 
 
-def test_loops_of_a_file_close_as_far_as_its_digits_go(tmp_path):
+URDF = """
+<robot name="finger">
+  <link name="base"/>{links}
+  <joint name="motor" type="continuous"><parent link="base"/><child link="crank"/><axis xyz="0 1 0"/></joint>
+  <joint name="elbow" type="continuous"><parent link="crank"/><child link="coupler"/>
+    <origin xyz="0 0 {crank:.9g}"/><axis xyz="0 1 0"/></joint>
+  <joint name="wrist" type="continuous"><parent link="coupler"/><child link="rocker"/>
+    <origin xyz="{coupler:.9g} 0 0"/><axis xyz="0 1 1e-6"/></joint>
+  <joint name="tip" type="fixed"><parent link="rocker"/><child link="toe"/>
+    <origin xyz="0 0 -{crank:.9g}"/></joint>
+  <joint name="foot" type="fixed"><parent link="base"/><child link="ground"/>
+    <origin xyz="{coupler:.9g} {gap:.9g} {open:.9g}"/></joint>
+</robot>
+"""
+LOOP = "closed_loop: [[toe, ground]]\ntype: [3d]\nname_mot: []\njoint_name: []\njoint_type: []\n"
+
+
+def urdf_finger(size: float) -> str:
+    """The same as a URDF, out of the plane by 9e-8 of its size, and open by 1e-8."""
+    inertia = " ".join(f'i{k}{k}="{0.01 * size**2:.9g}"' for k in "xyz") + ' ixy="0" ixz="0" iyz="0"'
+    links = "".join(
+        f'<link name="{name}"><inertial><mass value="1"/><inertia {inertia}/></inertial></link>'
+        for name in ("crank", "coupler", "rocker")
+    )
+    links += '<link name="toe"/><link name="ground"/>'
+    lengths = {"crank": 0.2 * size, "coupler": 0.4 * size, "gap": 9e-8 * size, "open": 1e-8 * size}
+    return URDF.format(links=links, **lengths)
+
+
+def read_finger(kind: str, size: float, folder: Path, **options: float):
+    path = folder / f"finger.{'xml' if kind == 'mjcf' else kind}"
+    if kind == "mjcf":
+        path.write_text(finger(size))
+        return read(path, **options)
+    path.write_text(urdf_finger(size))
+    (folder / "finger.yaml").write_text(LOOP)
+    return read_urdf(path, folder / "finger.yaml", gravity=(3.0, 0.0, -9.81), **options)
+
+
+@pytest.mark.parametrize("kind", ["mjcf", "urdf"])
+@pytest.mark.parametrize("size", [1e-4, 1.0, 1e4])
+def test_loops_of_a_file_of_any_size_close_as_far_as_its_digits_go(kind, size, tmp_path):
     """MuJoCo takes the anchor in the world at qpos0; at another pose it is out of the plane by a tilt."""
-    path = tmp_path / "finger.xml"
-    path.write_text(FINGER.format(tilt=1e-6, gap=0.0))
-    found = read(path, duration=0.25)  # before it lies flat, where an offset decides how it goes on
-    assert any("loops keep an offset of" in line for line in found.report.start)
-    assert mobility(found.scene).degrees_of_freedom == 1
-    moved = run(found.scene)
-    assert np.abs(moved[-1] - moved[0]).max() > 0.05
+    found = read_finger(kind, size, tmp_path, duration=0.25)  # before it lies flat
+    (kept,) = (line for line in found.report.start if line.startswith("loops keep an offset of"))
+    assert 5e-9 < float(kept.split()[5]) / size < 1e-7
+    decided = mobility(found.scene)
+    assert decided.degrees_of_freedom == 1
+    assert [weak.taken for weak in decided.nearly] == ["redundant"]
+    if size == 1.0:
+        moved = run(found.scene)
+        assert np.abs(moved[-1] - moved[0]).max() > 0.05
+
+
+def test_closing_takes_constraints_literally_where_the_scene_does(tmp_path):
+    """The only pose without an offset has the tilted hinge where it was at qpos0, 0.3 rad away."""
+    found = read_finger("mjcf", 1.0, tmp_path, redundancy_tolerance=0.0, verified=False)
+    assert not any("loops keep an offset" in line for line in found.report.start)
+    assert any("joint 'wrist' moved most, by -0.3" in line for line in found.report.start)
+
+
+@pytest.mark.parametrize("build", MECHANISMS.values(), ids=list(MECHANISMS))
+def test_decisions_do_not_depend_on_the_size_of_a_mechanism(build):
+    scene = build(1e-6)
+    wanted = mobility(scene)
+    for factor in (1e-4, 1e4):
+        found = mobility(scaled(scene, factor))
+        assert found.degrees_of_freedom == wanted.degrees_of_freedom
+        assert found.residual == pytest.approx(wanted.residual, rel=1e-3)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1e-4])
+def test_scenes_too_large_for_singular_values_say_how_constraints_are_taken(tolerance, monkeypatch):
+    monkeypatch.setattr(redundancy, "DENSE_LIMIT", 0)
+    decided = mobility(replace(flat_four_bar(1e-6), redundancy_tolerance=tolerance))
+    (weak,) = decided.nearly
+    assert weak.taken == ("redundant" if tolerance else "literally")
+    assert 1e-7 < weak.singular_value < 1e-5
+    assert decided.degrees_of_freedom == (1 if tolerance else 0)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-6, 5e-5])
+def test_a_gear_that_a_loop_implies_does_not_count(tilt):
+    """Cranks of a parallelogram turn alike, geared or not."""
+    scene = flat_four_bar(tilt)
+    bodies, joints = scene.mechanism.bodies, scene.mechanism.joints
+    mechanism = Mechanism(bodies, joints, [Gear("mimic", "motor", "pivot", 1.0)])
+    geared = replace(scene, mechanism=mechanism, initial_state=None)
+    systems = [PinocchioSystem(each) for each in (scene, geared)]
+    assert systems[1]._redundant == systems[0]._redundant
+    for state in random_states(geared, 2):
+        wanted, found = (system.evaluate(*system.coordinates(state)) for system in systems)
+        gap = np.abs(found.linear_acceleration - wanted.linear_acceleration).max()
+        assert gap < (1e-9 + 100.0 * tilt) * np.abs(wanted.linear_acceleration).max()

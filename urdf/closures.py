@@ -19,12 +19,13 @@ class Closures:
 
     Attributes:
         units: (k,) what makes the rows dimensionless: `length` (m) for lengths, 1 for angles.
+        pairs: frames of each constraint, and whether it is a weld.
     """
 
     def __init__(self, closed: ClosedLoopModel, map: CoordinateMap, length: float) -> None:
         self._model, self._map = closed.model, map
         welds = [constraint.type == pin.ContactType.CONTACT_6D for constraint in closed.constraints]
-        self._closures = list(zip(closed.frames, welds, strict=True))
+        self.pairs = list(zip(closed.frames, welds, strict=True))
         of_weld = np.repeat([length, 1.0], 3)
         units = [of_weld if weld else of_weld[:3] for weld in welds]
         self.units = np.concatenate([np.zeros(0), *units])
@@ -32,7 +33,7 @@ class Closures:
     def phi(self, data: Any) -> Array:
         """Residuals (k,); of data with frame placements."""
         rows = [np.zeros(0)]
-        for (first, second), weld in self._closures:
+        for (first, second), weld in self.pairs:
             a, b = data.oMf[first], data.oMf[second]
             rows.append(a.translation - b.translation)
             if weld:
@@ -42,7 +43,7 @@ class Closures:
     def jacobian(self, data: Any) -> Array:
         """(k, nv) in tree velocities; of data with joint Jacobians and frame placements."""
         rows = [np.zeros((0, self._model.nv))]
-        for (first, second), weld in self._closures:
+        for (first, second), weld in self.pairs:
             difference = frame_jacobian(self._model, data, first) - frame_jacobian(self._model, data, second)
             rows.append(difference[:3])
             if weld:

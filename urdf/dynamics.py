@@ -16,7 +16,7 @@ from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import from_rotation
 from newton_euler.forces import JointSpring
 from newton_euler.joints import Rod
-from newton_euler.redundancy import constraint_rank, mobility
+from newton_euler.redundancy import constraint_rank, loop_rank, mobility
 from newton_euler.scalars import Array, Scalar
 from newton_euler.scene import Scene
 from newton_euler.solve import rank
@@ -143,7 +143,9 @@ class PinocchioSystem:
         q, _ = self.coordinates(self.scene.initial_state)
         self._place(q)
         jacobian = self._dimensionless()
-        closures = constraint_rank(self) - len(self._rows.units)  # the latter are independent as a rule
+        rods = {joint.name for joint in self.mechanism.joints if isinstance(joint, Rod)}
+        closures = loop_rank(self, rods)
+        self._rows_rank = constraint_rank(self) - closures
         self._redundant = len(jacobian) - min(rank(jacobian), closures)
         if not self._redundant:
             return plain()
@@ -270,7 +272,7 @@ class PinocchioSystem:
         rows, gamma = self._rows.equations(self._data, q, v, self.time)
         units = self._rows.units
         acceleration, multipliers = solve(
-            respond, force, rows * self.velocity_units / units[:, None], gamma / units
+            respond, force, rows * self.velocity_units / units[:, None], gamma / units, self._rows_rank
         )
         return self.velocity_units * acceleration, multipliers * unit / units
 

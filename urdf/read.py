@@ -114,7 +114,7 @@ def read(
             raise SourceError(where, "no joint can move")
         moving = [j for j in root.findall("joint") if j.get("type") != "fixed"]
         mimics = [Mimic(j, m) for j in moving for m in j.findall("mimic")]
-        start = Start(where, closed, closing, mimics, report)
+        start = Start(where, closed, closing, mimics, report, redundancy_tolerance)
         tree = Tree(where, start, set(closing.name_mot), report)
         _report_held(closing, report)
         tree.bodies = dressed(where, root, start, tree, report)

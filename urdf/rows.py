@@ -119,7 +119,9 @@ class Rows:
         return np.asarray(d / np.linalg.norm(d))
 
 
-def solve(respond: Callable[[Array], Array], force: Array, rows: Array, gamma: Array) -> tuple[Array, Array]:
+def solve(
+    respond: Callable[[Array], Array], force: Array, rows: Array, gamma: Array, rank: int
+) -> tuple[Array, Array]:
     """Accelerations (nv,) and multipliers (r,) where rows of a Jacobian are to hold too.
 
     The accelerations a of a model with its own closures are affine in the generalized force, so
@@ -134,6 +136,7 @@ def solve(respond: Callable[[Array], Array], force: Array, rows: Array, gamma: A
         force: (nv,) without the multipliers'.
         rows: (r, nv).
         gamma: (r,).
+        rank: number of rows that do not follow from the closures and the others.
     """
     acceleration = respond(force)
     multipliers = np.zeros(len(rows))
@@ -142,6 +145,6 @@ def solve(respond: Callable[[Array], Array], force: Array, rows: Array, gamma: A
     compliance = rows @ np.array([respond(force + row) - acceleration for row in rows]).T
     units = np.ones(len(rows))
     for _ in range(REFINEMENTS):
-        multipliers = multipliers + minimum_norm(compliance, gamma - rows @ acceleration, units, units)
+        multipliers = multipliers + minimum_norm(compliance, gamma - rows @ acceleration, units, units, rank)
         acceleration = respond(force + rows.T @ multipliers)
     return acceleration, multipliers

@@ -34,7 +34,9 @@ def own_file_advice(found: Found) -> Iterator[Advice]:
     try:
         with heard_warnings():  # they are in the report of the reading
             model = compiled(found.source, found.options.get("root"))
-            start = Start(found.source, model, found.options.get("key"), Mapping())
+            start = Start(
+                found.source, model, found.options.get("key"), Mapping(), found.scene.redundancy_tolerance
+            )
     except SourceError as error:
         yield Advice("loop", f"none on those of the file, which is no longer what was run: {error}")
         return

@@ -26,8 +26,8 @@ from newton_euler.motions import Polynomial, PrescribedMotion
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array, cross
 from newton_euler.scene import Scene
-from newton_euler.solve import rank
-from newton_euler.stabilize import ROUND_OFF, largest, project_position, project_velocity
+from newton_euler.solve import largest, rank
+from newton_euler.stabilize import ROUND_OFF, project_position, project_velocity
 from newton_euler.state import State
 from newton_euler.system import dimensionless_jacobian
 

@@ -63,24 +63,8 @@ class Loops:
             case kind:
                 self._leave(index, f"no joint does what {kind.name.removeprefix('mjEQ_').lower()} does")
 
-    def _ends(self, index: int) -> tuple[tuple[int, int], tuple[Array, Array]]:
-        """MuJoCo's bodies of a connect or weld, and its point as each of them has it, (3,) world."""
-        model, data = self._model, self._data
-        numbers = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-        if model.eq_objtype[index] == mujoco.mjtObj.mjOBJ_SITE:
-            (first, p), (second, q) = (site_point(self._start, site) for site in numbers)
-            return (first, second), (p, q)
-        anchors = model.eq_data[index][:3], model.eq_data[index][3:6]
-        if model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD:
-            anchors = anchors[::-1]  # the anchor is in the second body's frame, its place in the first's next
-        p, q = (
-            data.xpos[body] + data.xmat[body].reshape(3, 3) @ anchor
-            for body, anchor in zip(numbers, anchors, strict=True)
-        )
-        return numbers, (p, q)
-
     def _add_closure(self, index: int) -> None:
-        numbers, (p, _) = self._ends(index)
+        numbers, (p, _) = self._start.ends(index)
         first, second = (self._bodies.names[k] for k in numbers)
         if first == second:
             self._leave(index, f"both its bodies are parts of {first!r}", inert=True)

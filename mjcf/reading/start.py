@@ -9,9 +9,11 @@ import numpy as np
 
 from mjcf.reading.source import SourceError
 from newton_euler.branch import assembled, branch
-from newton_euler.closure import CLOSED, close
+from newton_euler.closure import CLOSED, Units, close, reach
 from newton_euler.mapping import Mapping
+from newton_euler.mechanism import spread
 from newton_euler.scalars import Array
+from newton_euler.solve import largest
 
 TORQUE_SCALE = 10
 """Where `eq_data` of a weld has the factor on its last three residuals, the vector part of a quaternion."""
@@ -34,11 +36,18 @@ class Start:
     """
 
     def __init__(
-        self, path: str, model: Any, key: str | None, report: Mapping, control: Array | None = None
+        self,
+        path: str,
+        model: Any,
+        key: str | None,
+        report: Mapping,
+        tolerance: float,
+        control: Array | None = None,
     ) -> None:
         """Close the loops near the keyframe of that name; the first one, or qpos0, if None.
 
-        Actuators have the keyframe's controls unless others (nu,) are given.
+        Rows are redundant by the `redundancy_tolerance` of the scene. Actuators have the keyframe's controls
+        unless others (nu,) are given.
 
         Raises:
             SourceError: for an unknown keyframe, and for loops that do not close from there.
@@ -56,7 +65,7 @@ class Start:
         if control is not None:
             self.data.ctrl[:] = control
         mujoco.mj_normalizeQuat(model, self.data.qpos)
-        self._close(report)
+        self._close(report, tolerance)
         if others:
             report.start.append(f"keyframes of the file, as they stand, in m or rad: {'; '.join(others)}")
 
@@ -127,18 +136,55 @@ class Start:
             mujoco.mj_mulJacVec(model, data, column, unit)
         return np.asarray(columns.T[self._rows()] / self._scales())
 
-    def _close(self, report: Mapping) -> None:
+    def ends(self, index: int) -> tuple[tuple[int, int], tuple[Array, Array]]:
+        """MuJoCo's bodies of a connect or weld, and its point as each of them has it, (3,) world."""
+        model, data = self.model, self.data
+        first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+        if model.eq_objtype[index] == mujoco.mjtObj.mjOBJ_SITE:
+            bodies = int(model.site_bodyid[first]), int(model.site_bodyid[second])
+            return bodies, (data.site_xpos[first].copy(), data.site_xpos[second].copy())
+        anchors = model.eq_data[index][:3], model.eq_data[index][3:6]
+        if model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD:
+            anchors = anchors[::-1]  # the anchor is in the second body's frame, its place in the first's next
+        p, q = (
+            data.xpos[body] + data.xmat[body].reshape(3, 3) @ anchor
+            for body, anchor in zip((first, second), anchors, strict=True)
+        )
+        return (first, second), (p, q)
+
+    def _units(self) -> Units:
+        """What makes the equalities' rows dimensionless, after `gaps`."""
+        model, data = self.model, self.data
+        movable = data.xipos[np.flatnonzero(model.body_weldid)]
+        turning = np.any(data.cdof[:, :3] != 0.0, axis=1)
+        velocities = np.where(turning, 1.0, spread([*movable, *data.xanchor]))
+        rows = np.linalg.norm(self.jacobian() * velocities, axis=1)
+        numbers = data.efc_id[self._rows()]
+        for index in np.unique(numbers):
+            if mujoco.mjtEq(model.eq_type[index]) in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
+                own = np.flatnonzero(numbers == index)
+                motions, levers = [], []
+                for body, point in zip(*self.ends(index), strict=True):
+                    motion = np.zeros((6, model.nv))
+                    mujoco.mj_jacBodyCom(model, data, motion[:3], motion[3:], body)
+                    motions.append(motion)
+                    levers.append(float(np.linalg.norm(point - data.xipos[body])))
+                rows[own[:3]], rows[own[3:]] = reach(motions, levers, velocities)
+        return Units(velocities, np.where(rows > 0.0, rows, 1.0))
+
+    def _close(self, report: Mapping, tolerance: float) -> None:
         model, data = self.model, self.data
         first = data.qpos.copy()
         before = self.gaps()
-        worst = max(before.values(), default=0.0)
-        if worst <= CLOSED:
+        units = self._units() if before else None
+        if units is None or largest(self._residuals() / units.rows) <= CLOSED:
+            worst = max(before.values(), default=0.0)
             state = f"all {len(before)} equalities closed, to {worst:.1e}" if before else "no equalities"
             report.start.append(f"starts from {self.key}: {state}")
             self._finish()
             return
-        places, rows_there = data.xipos.copy(), self.jacobian()
-        found = close(first, self._at, self._moved)
+        places, rows_there = data.xipos.copy(), units.jacobian(self.jacobian())
+        found = close(first, self._at, self._moved, units, tolerance)
         data.qpos[:] = found.q
         after = self.gaps()
         lines = [f"{self.equality(i)} {gap:.3g}" for i, gap in before.items() if gap > CLOSED]
@@ -151,11 +197,11 @@ class Start:
             )
         moved = np.zeros(model.nv)
         mujoco.mj_differentiatePos(model, moved, 1.0, first, data.qpos)
-        side = branch(rows_there, self.jacobian())
+        side = branch(rows_there, units.jacobian(self.jacobian()), tolerance)
         apart = float(np.max(np.linalg.norm(data.xipos - places, axis=1)))
         report.start.append(f"{self.key} is open, in m or rad: {'; '.join(lines)}")
         joints = [self._joint(dof) for dof in range(model.nv)]
-        report.start.extend(assembled(self.key, side, joints, found.offset, moved, apart))
+        report.start.extend(assembled(self.key, side, joints, found, moved, apart))
         self._finish()
 
     def _at(self, qpos: Array) -> tuple[Array, Array]:

@@ -11,8 +11,8 @@ from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import AssemblyError
 from newton_euler.mechanism import CLOSURE_TOLERANCE
 from newton_euler.scalars import Array
-from newton_euler.solve import singular_values
-from newton_euler.stabilize import is_closed, largest, worst_joint
+from newton_euler.solve import largest, singular_values
+from newton_euler.stabilize import is_closed, worst_joint
 from newton_euler.system import System
 
 NEWTON_STEPS = 20

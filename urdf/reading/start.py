@@ -9,9 +9,11 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.branch import assembled, branch
-from newton_euler.closure import CLOSED, close
+from newton_euler.closure import CLOSED, Units, close, reach
 from newton_euler.mapping import Mapping
+from newton_euler.mechanism import spread
 from newton_euler.scalars import Array
+from newton_euler.solve import largest
 from urdf.closures import Closures
 from urdf.loops import Loops
 from urdf.model import ClosedLoopModel
@@ -44,9 +46,15 @@ class Start:
     """
 
     def __init__(
-        self, path: str, closed: ClosedLoopModel, loops: Loops, mimics: list[Mimic], report: Mapping
+        self,
+        path: str,
+        closed: ClosedLoopModel,
+        loops: Loops,
+        mimics: list[Mimic],
+        report: Mapping,
+        tolerance: float,
     ) -> None:
-        """Raises `SourceError` for loops that do not close."""
+        """Raises `SourceError` for loops that do not close; rows are redundant by the scene's `tolerance`."""
         self.closed, self.model = closed, closed.model
         self.data: Any = self.model.createData()
         self._closures = Closures(closed, _Plain(), 1.0)  # type: ignore[arg-type]
@@ -70,7 +78,7 @@ class Start:
                 "joints start where their mimics' offsets put them with their drivers at 0, m or rad: "
                 + ", ".join(followers)
             )
-        self._close(path, report)
+        self._close(path, report, tolerance)
 
     def _mimicked(self, mimics: list[Mimic]) -> Array:
         """(nv,) by which followers of mimics move, m or rad, while joints that follow none stay.
@@ -115,17 +123,39 @@ class Start:
         phi = np.concatenate([self._closures.phi(self.data), self._linear @ x + self._open])
         return phi, np.vstack([self._closures.jacobian(self.data), self._linear])
 
-    def _close(self, path: str, report: Mapping) -> None:
+    def _units(self) -> Units:
+        """What makes residuals dimensionless, after `_residual`."""
+        model, data = self.model, self.data
+        points = [*self._places()[1:], *(placement.translation for placement in list(data.oMi)[1:])]
+        velocities = np.where(np.any(data.J[3:] != 0.0, axis=0), 1.0, spread(points))
+        rows = []
+        for pair, weld in self._closures.pairs:
+            motions, levers = [], []
+            for frame in pair:
+                joint = model.frames[frame].parentJoint
+                center = data.oMi[joint].act(model.inertias[joint].lever)
+                motion = np.array(pin.getJointJacobian(model, data, joint, pin.WORLD)).reshape(6, -1)
+                motion[:3] += np.cross(motion[3:].T, center).T
+                motions.append(motion)
+                levers.append(float(np.linalg.norm(data.oMf[frame].translation - center)))
+            moves, turns = reach(motions, levers, velocities)
+            rows += [moves] * 3 + [turns] * (3 if weld else 0)
+        coupled = np.linalg.norm(self._linear * velocities, axis=1)
+        return Units(velocities, np.array([*rows, *np.where(coupled > 0.0, coupled, 1.0)]))
+
+    def _close(self, path: str, report: Mapping, tolerance: float) -> None:
         before, jacobian = self._residual(self.q)
-        worst_gap = float(np.max(np.abs(before), initial=0.0))
-        if worst_gap <= CLOSED:
-            state = f"all loops closed, to {worst_gap:.1e}" if len(before) else "no loops"
+        units = self._units()
+        if largest(before / units.rows) <= CLOSED:
+            state = f"all loops closed, to {largest(before):.1e}" if len(before) else "no loops"
             report.start.append(f"starts from {self._called}: {state}")
             return
-        places, rows_there = self._places(), jacobian
-        found = close(self.q, self._residual, lambda q, step: pin.integrate(self.model, q, step))
+        places = self._places()
+        found = close(
+            self.q, self._residual, lambda q, step: pin.integrate(self.model, q, step), units, tolerance
+        )
         self.q = found.q
-        phi, jacobian = self._residual(self.q)
+        phi, closed = self._residual(self.q)
         worst = int(np.argmax(np.abs(phi)))
         if not found.is_closed:
             raise SourceError(
@@ -138,11 +168,11 @@ class Start:
             gaps[owner] = max(gaps.get(owner, 0.0), float(gap))
         lines = "; ".join(f"{owner} {gap:.3g}" for owner, gap in gaps.items() if gap > CLOSED)
         moved = pin.difference(self.model, self._first, self.q)
-        side = branch(rows_there, jacobian)
+        side = branch(units.jacobian(jacobian), units.jacobian(closed), tolerance)
         apart = float(np.max(np.linalg.norm(self._places() - places, axis=1)))
         report.start.append(f"{self._called} are open, in m or rad: {lines}")
         joints = [self._joint(dof) for dof in range(self.model.nv)]
-        report.start.extend(assembled(self._called, side, joints, found.offset, moved, apart))
+        report.start.extend(assembled(self._called, side, joints, found, moved, apart))
 
     def _joint(self, dof: int) -> str:
         """Name of the joint that a velocity belongs to."""
