@@ -21,7 +21,7 @@ from newton_euler.errors import UnknownNameError
 from newton_euler.expression import Graph, Program, differentiate
 from newton_euler.fingerprint import fingerprint
 from newton_euler.parameters import parameter_values, place_of, with_values
-from newton_euler.redundancy import NearlyRedundant, loosely_closed, mobility, rows_in_use
+from newton_euler.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.relative import Relative
 from newton_euler.scalars import Array, Scalar, minimum
 from newton_euler.scene import Scene
@@ -219,10 +219,15 @@ class Code:
         """Constraints that are almost redundant, and how they are taken."""
         return self._decided[2]
 
+    @property
+    def noise(self) -> float:
+        """The largest singular value that is taken as redundant, 0 for none."""
+        return residual(self.nearly_redundant)
+
     @cached_property
     def omitted(self) -> list[int]:
         """Constraint rows that are taken as redundant and are not, quite: all but those in use."""
-        if all(weak.taken != "redundant" for weak in self.nearly_redundant):
+        if self.noise == 0.0:
             return []
         return sorted(set(range(len(self.system.phi_units))) - set(self.rows.numbers))
 

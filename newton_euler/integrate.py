@@ -94,6 +94,15 @@ class Options:
         elif self.step is not None:
             raise OptionError("step", self.step, f"none: {self.integrator} chooses its own steps")
 
+    def near(self, noise: float, size: float) -> tuple[float, float]:
+        """rtol and atol of steps next to a singular configuration of a mechanism of a size, m.
+
+        A motion is known no better than the noise of constraints that are taken as redundant (their largest
+        singular value). There it bends branches that meet by design around each other, and a step that saw
+        more than the noise would follow the bend.
+        """
+        return self.rtol + noise, self.atol + noise * min(1.0, size)
+
     def chosen(self) -> dict[str, Any]:
         """What a run was asked for, by name."""
         control = {"step": self.step} if self.step else {"rtol": self.rtol, "atol": self.atol}
@@ -168,6 +177,7 @@ def _march_adaptive(
     from scipy.integrate import DOP853, Radau
 
     from newton_euler.passing import PassingDOP853
+    from newton_euler.redundancy import mobility
 
     def jacobian(t: float, y: Array) -> Array:
         """By one-sided differences: scipy's own nudge grows without end for what nothing depends on."""
@@ -180,7 +190,8 @@ def _march_adaptive(
     if options.integrator == "Radau":
         solver = Radau(derivative, times[0], y, times[-1], jac=jacobian, **given)
     elif options.projection:
-        solver = PassingDOP853(system, project, derivative, times[0], y, times[-1], **given)
+        near = options.near(mobility(system.scene).residual, system.mechanism.size)
+        solver = PassingDOP853(system, project, derivative, times[0], y, times[-1], near, **given)
         project = solver.project
     else:
         solver = DOP853(derivative, times[0], y, times[-1], **given)

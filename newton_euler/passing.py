@@ -40,10 +40,14 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         t: float,
         y: Array,
         end: float,
+        near: tuple[float, float],
         **tolerances: float,
     ) -> None:
-        """As scipy's, for the equations of a system, with its usual projection of a state at a time."""
-        self._system, self._project = system, project
+        """As scipy's, for the equations of a system, with its usual projection of a state at a time.
+
+        `near` are rtol and atol next to singular configurations, see `newton_euler.integrate.Options.near`.
+        """
+        self._system, self._project, self._tolerances = system, project, near
         self._rank = constraint_rank(system)
         self._best = 0.0
         self._states: deque[Array] = deque(maxlen=STAGES)
@@ -117,9 +121,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         end = self.y + h * (k[:STAGES].T @ self.B)
         states = [np.append(y, t) for y, t in ((self.y, self.t), (end, self.t + h), (end, self.t + h))]
         now, end, at = states
-        return error_on_constraints(
-            n, h, float(self.rtol), float(self.atol), self._closing, now, end, rows.ravel(), at
-        )
+        return error_on_constraints(n, h, *self._tolerances, self._closing, now, end, rows.ravel(), at)
 
     def _closing(self, x: Array, y: Array) -> None:
         """Projection near a singular configuration, in the form that steppers call."""

@@ -16,7 +16,7 @@ Everything is sparse: scenes may have thousands of rows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
@@ -112,6 +112,11 @@ class NearlyRedundant(NamedTuple):
         return f"joint {self.joint!r}: singular value {self.singular_value:.1e}, taken {self.taken}"
 
 
+def residual(nearly: Iterable[NearlyRedundant]) -> float:
+    """The largest singular value that is taken as redundant, 0 for none."""
+    return max((weak.singular_value for weak in nearly if weak.taken == "redundant"), default=0.0)
+
+
 class Configuration(NamedTuple):
     """Constraint rows at a closed configuration."""
 
@@ -148,7 +153,7 @@ class Mobility:
 
     @property
     def residual(self) -> float:
-        return max((weak.singular_value for weak in self.nearly if weak.taken == "redundant"), default=0.0)
+        return residual(self.nearly)
 
 
 _KNOWN: WeakKeyDictionary[Scene, Mobility] = WeakKeyDictionary()

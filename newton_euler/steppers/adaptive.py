@@ -192,6 +192,8 @@ def march_dop853(
     times: Vector,
     rtol: float,
     atol: float,
+    near_rtol: float,
+    near_atol: float,
     most: int,
     nq: int,
     kept: int,
@@ -217,6 +219,7 @@ def march_dop853(
 ) -> int:
     """Integrate `now` from times[0] and write the states at all times into the table (outputs, n).
 
+    Next to a singular configuration tolerances are `near_rtol` and `near_atol`, which may be larger.
     Of these states only the first `kept` elements, nq or n, are what outputs need; the others are anything.
     `now`, `at` and `end` are states with time and parameters; k (16, n + 1) and terms (7, n) are scratch.
     """
@@ -267,7 +270,7 @@ def march_dop853(
         near = 0
         if projecting == 1 and health < NEAR and status == DONE:
             near = 1
-            error = min(error, error_on_constraints(n, h, rtol, atol, closing, now, end, k, at))
+            error = min(error, error_on_constraints(n, h, near_rtol, near_atol, closing, now, end, k, at))
         if near == 1 and hops < HOPS:
             wanted = crossing_factor(n, k, error)
             if wanted < 1.0:

@@ -152,8 +152,11 @@ class March:
         self._copies = (at, end)  # of the parameters
         self._most = options.most_steps or MOST_STEPS
         nq = code.system.nq
-        adaptive = (n, outputs, times, options.rtol, options.atol, self._most, nq, code.kept)
-        fixed = (n, outputs, times, options.step, nq)
+        tolerances = options.rtol, options.atol
+        near = options.near(code.noise, code.scene.mechanism.size)
+        limits = self._most, nq, code.kept
+        march = n, outputs, times
+        fixed = (*march, options.step, nq)
         if options.step is not None and (times[-1] - times[0]) / options.step > MOST_FIXED_STEPS:
             needed = (
                 f"at least {(times[-1] - times[0]) / MOST_FIXED_STEPS:.3g} s, {MOST_FIXED_STEPS:.0e} steps"
@@ -165,12 +168,13 @@ class March:
         result = (self.table, self.counts)
         arguments: dict[str, Callable[[], tuple[Any, ...]]] = {
             "DOP853": lambda: (
-                *adaptive, *system, self.x, at, end, empty(16 * (n + 1) + 1), empty(7 * n), *result,
+                *march, *tolerances, *near, *limits, *system, self.x, at, end, empty(16 * (n + 1) + 1),
+                empty(7 * n), *result,
             ),
             "Radau": lambda: (
-                *adaptive, code.function("jacobian"), *system, self.x, at, empty(n + 2), empty(3 * n),
-                empty(4 * n), empty(3 * n + 3), empty(3 * n + 2), empty(3 * n), empty(4 * n * n),
-                empty(2 * n), *result,
+                *march, *tolerances, *limits, code.function("jacobian"), *system, self.x, at, empty(n + 2),
+                empty(3 * n), empty(4 * n), empty(3 * n + 3), empty(3 * n + 2), empty(3 * n),
+                empty(4 * n * n), empty(2 * n), *result,
             ),
             "RK4": lambda: (*fixed, *system, self.x, at, empty(4 * (n + 1)), empty(n), *result),
             "Euler": lambda: (
