@@ -17,6 +17,7 @@ from newton_euler.independence import independent
 from newton_euler.mechanism import CLOSURE_TOLERANCE
 from newton_euler.redundancy import loosely_closed
 from newton_euler.scalars import Array
+from newton_euler.scene import REDUNDANCY_TOLERANCE
 from newton_euler.solve import largest, singular_values
 from newton_euler.sparse import sparse_vector
 
@@ -53,12 +54,14 @@ class Closure(NamedTuple):
     independent: float
     """The same of what could be closed and is not."""
     tolerance: float
-    """Dimensionless size up to which what is left counts as the file's rounding."""
+    """Dimensionless size below which constraints were taken as redundant."""
 
     @property
     def is_closed(self) -> bool:
         """Whether what is left is no more than rounding of the file explains."""
-        return self.independent <= CLOSURE_TOLERANCE and self.noise <= loosely_closed(self.tolerance)
+        # what no motion closes is rounding however constraints are taken
+        loose = loosely_closed(max(self.tolerance, REDUNDANCY_TOLERANCE))
+        return self.independent <= CLOSURE_TOLERANCE and self.noise <= loose
 
     @property
     def offset(self) -> float:

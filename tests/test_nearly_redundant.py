@@ -252,6 +252,12 @@ def test_closing_takes_constraints_literally_where_the_scene_does(tmp_path):
     assert any("joint 'wrist' moved most, by -0.3" in line for line in found.report.start)
 
 
+def test_what_no_motion_closes_is_an_offset_however_constraints_are_taken(tmp_path):
+    """In the pose of the URDF the tilt does nothing, so that no hinge moves the loop out of the plane."""
+    found = read_finger("urdf", 1.0, tmp_path, redundancy_tolerance=0.0, verified=False)
+    assert any("loops keep an offset of 9.0e-08" in line for line in found.report.start)
+
+
 @pytest.mark.parametrize("build", MECHANISMS.values(), ids=list(MECHANISMS))
 def test_decisions_do_not_depend_on_the_size_of_a_mechanism(build):
     scene = build(1e-6)
