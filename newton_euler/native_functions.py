@@ -6,10 +6,8 @@ import ctypes
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from newton_euler.compile import NativeModule
-from newton_euler.native import Signature, signature_of
+from newton_euler.native import Kind, Signature, address_of, signature_of
 from newton_euler.translate import sources, text
 
 
@@ -30,10 +28,10 @@ class NativeFunctions:
 
         What is missing of them is for each call to give.
         """
-        call, given = self._calls[function.__name__], [_address(argument) for argument in arguments]
+        call, given = self._calls[function.__name__], [address_of(argument) for argument in arguments]
 
         def bound(*more: Any, keep: tuple[Any, ...] = arguments) -> Any:  # what has an address stays alive
-            return call(*given, *map(_address, more))
+            return call(*given, *map(address_of, more))
 
         return bound
 
@@ -43,18 +41,6 @@ class NativeFunctions:
 
 
 def _ctypes(signature: Signature) -> Any:
-    kinds: dict[str, Any] = {"double": ctypes.c_double, "i64": ctypes.c_int64, "void": None}
+    kinds: dict[Kind, Any] = {"double": ctypes.c_double, "i64": ctypes.c_int64, "void": None}
     arguments = [kinds.get(kind, ctypes.c_void_p) for kind in signature.arguments.values()]
     return ctypes.CFUNCTYPE(kinds[signature.result], *arguments)
-
-
-def _address(argument: Any) -> Any:
-    if isinstance(argument, np.ndarray):
-        if argument.dtype != np.float64 or not argument.flags.c_contiguous:
-            raise TypeError(f"got an array of {argument.dtype}; needed: contiguous doubles")
-        if argument.flags.writeable and argument.size:
-            return ctypes.addressof(
-                ctypes.c_char.from_buffer(argument.data)
-            )  # far quicker than `ctypes.data`
-        return argument.ctypes.data
-    return getattr(argument, "address", argument)

@@ -19,7 +19,7 @@ from newton_euler.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.scalars import Array
 from newton_euler.steppers.adaptive import HOPS, SAFETY, crossing_factor, error_on_constraints
 from newton_euler.steppers.closing import Surface, close_by
-from newton_euler.steppers.dop853 import STAGES
+from newton_euler.steppers.dop853 import STAGES, Dop853
 from newton_euler.steppers.march import HOP, NEAR, UNSAFE
 from newton_euler.system import System, at_time, dimensionless_jacobian, opening
 
@@ -118,10 +118,20 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         n = len(self.y)
         rows = np.zeros((STAGES + 4, n + 1))
         rows[: STAGES + 1, :n] = k
-        end = self.y + h * (k[:STAGES].T @ self.B)
-        states = [np.append(y, t) for y, t in ((self.y, self.t), (end, self.t + h), (end, self.t + h))]
-        now, end, at = states
-        return error_on_constraints(n, h, *self._tolerances, self._closing, now, end, rows.ravel(), at)
+        end = np.append(self.y + h * (k[:STAGES].T @ self.B), self.t + h)
+        method = Dop853(
+            rtol=float(self.rtol),
+            atol=float(self.atol),
+            near_rtol=self._tolerances[0],
+            near_atol=self._tolerances[1],
+            most=0,
+            now=np.append(self.y, self.t),
+            at=end.copy(),
+            end=end,
+            k=rows.ravel(),
+            terms=np.zeros(0),
+        )
+        return error_on_constraints(n, h, self._closing, method)
 
     def _closing(self, x: Array, y: Array) -> None:
         """Projection near a singular configuration, in the form that steppers call."""

@@ -10,7 +10,7 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 from newton_euler import native
-from newton_euler.native import NativeError, is_native, machine_type, signature_of
+from newton_euler.native import Kind, NativeError, is_native, machine_type, signature_of
 from newton_euler.trigonometry import literal
 
 COMPARISONS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
@@ -77,9 +77,9 @@ def sources(functions: list[Callable[..., Any]]) -> str:
 
 
 class Value(NamedTuple):
-    """An LLVM operand with its type: double, i64, ptr or fn."""
+    """An LLVM operand with its type."""
 
-    type: str
+    type: Kind
     operand: str
 
 
@@ -93,6 +93,9 @@ class Translator:
         self.callees: list[Callable[..., Any]] = []
         self._lines: list[str] = []
         self._slots: list[str] = []
+        self._records: dict[str, Value] = {}
+        self._fields: dict[tuple[str, str], Value] = {}
+        self._entry: list[str] = []
         self._variables: dict[str, Value] = {}
         self._loops: list[tuple[str, str]] = []
         self._count = 0
@@ -104,7 +107,10 @@ class Translator:
         arguments = []
         for name, kind in self.signature.arguments.items():
             arguments.append(f"{machine_type(kind)} %{name}.in")
-            self._store(name, Value(kind, f"%{name}.in"))
+            if isinstance(kind, str):
+                self._store(name, Value(kind, f"%{name}.in"))
+            else:
+                self._records[name] = Value(kind, f"%{name}.in")
         self._block(definition.body)
         if self._open:
             if self.signature.result != "void":
@@ -112,7 +118,7 @@ class Translator:
             self._emit("ret void")
         result, name = machine_type(self.signature.result), self.function.__name__
         head = f"define {linkage}{result} @{name}({', '.join(arguments)}) {{"
-        return "\n".join([head, "entry:", *self._slots, *self._lines, "}"])
+        return "\n".join([head, "entry:", *self._slots, *self._entry, *self._lines, "}"])
 
     # Statements
 
@@ -268,6 +274,8 @@ class Translator:
     def _of_name(self, node: ast.Name) -> Value:
         if node.id in self._variables:
             return self._load(node.id)
+        if node.id in self._records:
+            return self._records[node.id]
         value = self._global(node)
         if isinstance(value, tuple):
             numbers = ", ".join(f"double {literal(float(x))}" for x in value)
@@ -280,6 +288,24 @@ class Translator:
             return self.function.__globals__[node.id]
         except KeyError as error:
             raise self._error(node, f"uses {node.id!r} before it has a value") from error
+
+    def _of_attribute(self, node: ast.Attribute) -> Value:
+        """A field of a record, from where it was put on entry."""
+        if not isinstance(node.value, ast.Name) or node.value.id not in self._records:
+            raise self._error(node, "holds an attribute of something else than a record")
+        record, name = self._records[node.value.id], node.attr
+        assert not isinstance(record.type, str)
+        if name not in record.type.kinds:
+            raise self._error(node, f"uses {name!r}, which {record.type.__name__} has not")
+        if (node.value.id, name) not in self._fields:
+            place, kind = list(record.type.kinds).index(name), record.type.kinds[name]
+            word, machine = f"%{node.value.id}.{name}", machine_type(kind)
+            self._entry += [
+                f"  {word}.at = getelementptr i64, ptr {record.operand}, i64 {place}",
+                f"  {word} = load {machine}, ptr {word}.at",
+            ]
+            self._fields[node.value.id, name] = Value(kind, word)
+        return self._fields[node.value.id, name]
 
     def _of_unaryop(self, node: ast.UnaryOp) -> Value:
         value = self._value(node.operand)
@@ -331,13 +357,14 @@ class Translator:
         return self._new(f"getelementptr double, ptr {vector.operand}, i64 {index.operand}")
 
     def _of_call(self, node: ast.Call) -> Value:
-        if not isinstance(node.func, ast.Name) or node.keywords:
+        if not isinstance(node.func, ast.Name | ast.Attribute) or node.keywords:
             raise self._error(node, "calls something else than a function by its name")
-        name, arguments = node.func.id, [self._value(argument) for argument in node.args]
-        if name in self._variables:
-            x, y = arguments
-            self._emit(f"call void {self._load(name).operand}(ptr {x.operand}, ptr {y.operand})")
+        arguments = [self._value(argument) for argument in node.args]
+        if isinstance(node.func, ast.Attribute) or node.func.id in self._variables:
+            callback, (x, y) = self._value(node.func), arguments
+            self._emit(f"call void {callback.operand}(ptr {x.operand}, ptr {y.operand})")
             return Value("void", "")
+        name = node.func.id
         if name == "float":
             return self._float(arguments[0])
         if name == "int":
@@ -376,6 +403,8 @@ class Translator:
 
     def _store(self, name: str, value: Value, node: ast.expr | None = None) -> None:
         known = self._variables.get(name)
+        if name in self._records:
+            raise self._error(node, f"assigns to {name!r}, which is a record")
         if known is None:
             known = self._variables[name] = Value(value.type, f"%{name}.slot")
             self._slots.append(f"  {known.operand} = alloca {machine_type(value.type)}")

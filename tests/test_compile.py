@@ -9,6 +9,7 @@ import stat
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from newton_euler.compile import NativeFunction, NativeModule
 from newton_euler.compiled import Code
 from newton_euler.emit import LANES
 from newton_euler.expression import Graph
-from newton_euler.native import Callback, NativeError, Signature, Vector, native
+from newton_euler.native import Callback, NativeError, Record, Signature, Vector, native
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.steppers.run import load, stepper
 from newton_euler.translate import text
@@ -262,18 +263,28 @@ def test_sine_and_cosine_are_the_librarys():
 TABLE = (1.0, 2.5, -3.0)
 
 
-@native
-def axpy(n: int, a: float, x: Vector, y: Vector) -> None:
-    for k in range(n):
-        y[k] += a * x[k]
+@dataclass(frozen=True, eq=False)
+class Line(Record):
+    n: int
+    slope: float
+    x: Vector
+    f: Callback
 
 
 @native
-def mixture(n: int, x: Vector, y: Vector, f: Callback) -> float:
+def axpy(line: Line, a: float, x: Vector, y: Vector) -> None:
+    for k in range(line.n - 1):
+        y[k] += a * x[k] + line.slope * line.x[k]
+
+
+@native
+def mixture(line: Line, x: Vector, y: Vector, f: Callback) -> float:
     """Every construct once."""
+    n = line.n
     total = 0.0
     k = 0
-    axpy(n - 1, 2, x[1:], y[1:])
+    axpy(line, 2, x[1:], y[1:])
+    line.f(line.x[1:], y)
     f(x, y)
     while k < n:
         if y[k] > 3.0 and x[k] != 2.0:
@@ -295,13 +306,14 @@ def test_native_functions_mean_what_python_means(cache):
     rng = np.random.default_rng(1)
     for _ in range(20):
         x, y = 2.0 * rng.standard_normal((2, 5))
-        copy = y.copy()
+        copy, longer = y.copy(), rng.standard_normal(6)
 
         def plain_f(a, b):
-            b[:5] = program.run(a)
+            b[:5] = program.run(a[:5])
 
-        expected = mixture(5, x, y, plain_f)
-        assert module(mixture, 5, x, copy, native_f) == pytest.approx(expected, rel=1e-14, abs=1e-14)
+        expected = mixture(Line(5, 0.3, longer, plain_f), x, y, plain_f)
+        line = Line(5, 0.3, longer, native_f)
+        assert module(mixture, line, x, copy, native_f) == pytest.approx(expected, rel=1e-14, abs=1e-14)
         assert copy == pytest.approx(y, rel=1e-14)
 
 
@@ -334,7 +346,24 @@ def with_a_chain(x: Vector) -> float:
     return 0.0
 
 
-@pytest.mark.parametrize("function", [with_a_list, with_a_chain])
+@native
+def with_no_field(line: Line) -> float:
+    return line.curvature
+
+
+@native
+def with_a_new_record(line: Line, x: Vector) -> None:
+    line = x  # noqa: F841
+
+
+@native
+def with_a_changed_record(line: Line) -> None:
+    line.slope = 2.0
+
+
+@pytest.mark.parametrize(
+    "function", [with_a_list, with_a_chain, with_no_field, with_a_new_record, with_a_changed_record]
+)
 def test_other_python_is_refused_with_its_line(function):
     line = function.__code__.co_firstlineno + 2  # after the decorator and the def
     with pytest.raises(NativeError, match=f"{function.__name__}, line {line}"):

@@ -1,6 +1,6 @@
 """Marches as plain Python, where an element beyond the end of an array is an error."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from crosscheck.scenes import load
 from newton_euler.compile import NativeFunction
 from newton_euler.compiled import Code
 from newton_euler.integrate import Options
+from newton_euler.native import Record
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.stabilize import STABILIZATIONS
 from newton_euler.steppers.run import MARCHES, March
@@ -18,6 +19,9 @@ OPTIONS = {name: {"step": 0.01} if name in ("RK4", "Euler") else {"rtol": 1e-4} 
 
 def plain(argument, pause):
     """What native code gets, for Python: vectors, native functions as such, and nobody who wants to stop."""
+    if isinstance(argument, Record):
+        values = {field.name: plain(getattr(argument, field.name), pause) for field in fields(argument)}
+        return type(argument)(**values)
     if isinstance(argument, np.ndarray):
         return argument.reshape(-1)
     if isinstance(argument, int) and argument == pause:

@@ -15,7 +15,7 @@ from newton_euler.joints import Prismatic
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.scene import Scene
-from newton_euler.steppers.collocation import ALPHA, BETA, GAMMA
+from newton_euler.steppers.collocation import ALPHA, BETA, GAMMA, Radau
 from newton_euler.steppers.linear import (
     factor_complex,
     factor_real,
@@ -23,7 +23,7 @@ from newton_euler.steppers.linear import (
     solve_real,
     zero_block,
 )
-from newton_euler.steppers.march import COUNTS, DONE
+from newton_euler.steppers.march import COUNTS, DONE, Equations, Table
 from newton_euler.steppers.radau import march_radau
 
 
@@ -174,29 +174,28 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         """Nobody wants to stop."""
 
     times = np.linspace(0.0, 10.0, 21)
-    table, counts, n = np.empty(len(times)), np.zeros(COUNTS), 1
-    scratch = [
-        np.empty(size) for size in (n + 2, 3 * n, 4 * n, 3 * n + 3, 3 * n + 2, 3 * n, 4 * n * n, 2 * n)
-    ]
+    table, n = np.empty(len(times)), 1
+    system = Equations(
+        n=n,
+        nq=0,
+        inputs=n + 1,
+        derivative=derivative,
+        dense=derivative,
+        projecting=0,
+        tolerance=1e-12,
+        lanes=1,
+        position=None,
+        velocity=None,
+        closing=None,
+        beside=np.zeros(0),
+        pause=pause,
+        turning=np.zeros(n),
+        counts=np.zeros(COUNTS),
+    )
+    sizes = (n, n + 2, 3 * n, 3 * n, 3 * n + 3, 3 * n + 2, 3 * n, n * n, n * n, n * n, n * n, 2 * n)
     for rtol in (1e-3, 1e-6, 1e-9):
-        system = (
-            jacobian,
-            derivative,
-            derivative,
-            0,
-            1e-12,
-            n + 1,
-            1,
-            None,
-            None,
-            None,
-            None,
-            pause,
-            np.zeros(n),
-        )
-        states = (np.zeros(2), np.zeros(2))
-        status = march_radau(
-            n, len(times), times, rtol, 1e-2 * rtol, 10**6, 0, n, *system, *states, *scratch, table, counts
-        )
+        scratch = (np.empty(size) for size in sizes)
+        method = Radau(rtol, 1e-2 * rtol, 10**6, jacobian, np.zeros(2), np.zeros(2), *scratch)
+        status = march_radau(system, Table(len(times), n, times, table), method)
         assert status == DONE
         assert np.abs(table - np.sin(times)).max() < rtol  # one tolerance: stiff errors do not add up

@@ -9,19 +9,18 @@ from newton_euler.compiled import Code
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.stabilize import ROUND_OFF
 from newton_euler.steppers import march as m
-from newton_euler.steppers.run import Fallback, Projection
+from newton_euler.steppers.run import Fallback, Projection, equations
 
 
 def recorded(code, times, table):
     """The rows after the first, and what came of it."""
-    position, python = code.function("position"), Fallback(code)
-    assert position.lanes == code.function("velocity").lanes == LANES > 1
-    beside = np.zeros((code.inputs + code.size + 2, LANES))
+    assert code.function("position").lanes == code.function("velocity").lanes == LANES > 1
     counts, table = np.zeros(m.COUNTS), table.copy()
+    system = equations(code, Fallback(code), np.zeros(code.size), counts)
+    target = m.Table(len(table), code.size, times, table)
     status = NativeFunctions([m.record_rows])(
-        m.record_rows, code.size, 1, len(table), 1, 0, ROUND_OFF, 1, code.inputs, LANES,
-        position, code.function("velocity"), python.closing, beside, times, code.start.copy(), table, counts,
-    )  # fmt: skip
+        m.record_rows, system, target, 1, len(table), 0, code.start.copy()
+    )
     return status, table, int(counts[m.WRITTEN])
 
 

@@ -222,7 +222,24 @@ def test_what_the_last_newton_step_leaves_counts(steps, status):
 
     x = np.array([march.OPEN_TOLERANCE**2 * 5.0**steps, 0.0])
     begun = x[0]
-    assert march.project(1, 1e-16, 0, 2, 1, position, None, None, np.zeros(5), x) == status
+    system = march.Equations(
+        n=1,
+        nq=1,
+        inputs=2,
+        derivative=None,
+        dense=None,
+        projecting=1,
+        tolerance=1e-16,
+        lanes=1,
+        position=position,
+        velocity=None,
+        closing=None,
+        beside=np.zeros(5),
+        pause=None,
+        turning=np.zeros(1),
+        counts=np.zeros(march.COUNTS),
+    )
+    assert march.project(system, 0, x) == status
     assert x[0] == pytest.approx(begun * 0.2**10)
 
 

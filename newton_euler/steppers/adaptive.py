@@ -13,6 +13,7 @@ from newton_euler.steppers.dop853 import (
     ERROR_5,
     NODES,
     STAGES,
+    Dop853,
     error_norm,
     interpolate,
     prepare_dense,
@@ -34,6 +35,8 @@ from newton_euler.steppers.march import (
     TINY,
     TOO_MANY_STEPS,
     UNSAFE,
+    Equations,
+    Table,
     begin,
     evaluate,
     interrupted,
@@ -99,23 +102,16 @@ def crossing_factor(n: int, k: Vector, error: float) -> float:
 
 
 @native
-def first_step(
-    n: int,
-    span: float,
-    rtol: float,
-    atol: float,
-    derivative: Callback,
-    dense: Callback,
-    now: Vector,
-    at: Vector,
-    k: Vector,
-    counts: Vector,
-) -> float:
+def first_step(system: Equations, method: Dop853, span: float) -> float:
     """A first step size (Hairer, Norsett, Wanner, section II.4); k holds the derivative at `now`."""
+    n = system.n
+    now = method.now
+    at = method.at
+    k = method.k
     d0 = 0.0
     d1 = 0.0
     for i in range(n):
-        scale = atol + rtol * abs(now[i])
+        scale = method.atol + method.rtol * abs(now[i])
         d0 += (now[i] / scale) * (now[i] / scale)
         d1 += (k[i] / scale) * (k[i] / scale)
     d0 = sqrt(d0 / n)
@@ -124,10 +120,10 @@ def first_step(
     for i in range(n):
         at[i] = now[i] + h * k[i]
     at[n] = now[n] + h
-    evaluate(n, derivative, dense, at, k[n + 1 :], counts)
+    evaluate(system, at, k[n + 1 :])
     d2 = 0.0
     for i in range(n):
-        scale = atol + rtol * abs(now[i])
+        scale = method.atol + method.rtol * abs(now[i])
         change = (k[n + 1 + i] - k[i]) / scale
         d2 += change * change
     d2 = sqrt(d2 / n) / h
@@ -137,23 +133,16 @@ def first_step(
 
 
 @native
-def error_on_constraints(
-    n: int,
-    h: float,
-    rtol: float,
-    atol: float,
-    closing: Callback,
-    now: Vector,
-    end: Vector,
-    k: Vector,
-    at: Vector,
-) -> float:
+def error_on_constraints(n: int, h: float, closing: Callback, method: Dop853) -> float:
     """The norm of the error of what a step is worth after projection; the projected end in row 13 of k.
 
     Near a singular configuration multipliers have few digits. What they add to a state in vain is off
     the constraints, and no step is short enough for it not to matter.
     """
     row = n + 1
+    at = method.at
+    end = method.end
+    k = method.k
     closing(end, k[13 * row :])
     if not k[13 * row + n] > 0.0:
         return 1e10
@@ -175,7 +164,7 @@ def error_on_constraints(
     fifth = 0.0
     third = 0.0
     for i in range(n):
-        scale = atol + rtol * max(abs(now[i]), abs(end[i]))
+        scale = method.near_atol + method.near_rtol * max(abs(method.now[i]), abs(end[i]))
         five = (k[14 * row + i] - k[13 * row + i]) / scale
         three = (k[15 * row + i] - k[13 * row + i]) / scale
         fifth += five * five
@@ -186,64 +175,33 @@ def error_on_constraints(
 
 
 @native
-def march_dop853(
-    n: int,
-    outputs: int,
-    times: Vector,
-    rtol: float,
-    atol: float,
-    near_rtol: float,
-    near_atol: float,
-    most: int,
-    nq: int,
-    kept: int,
-    derivative: Callback,
-    dense: Callback,
-    projecting: int,
-    tolerance: float,
-    inputs: int,
-    lanes: int,
-    position: Callback,
-    velocity: Callback,
-    closing: Callback,
-    beside: Vector,
-    pause: Callback,
-    turning: Vector,
-    now: Vector,
-    at: Vector,
-    end: Vector,
-    k: Vector,
-    terms: Vector,
-    table: Vector,
-    counts: Vector,
-) -> int:
-    """Integrate `now` from times[0] and write the states at all times into the table (outputs, n).
-
-    Next to a singular configuration tolerances are `near_rtol` and `near_atol`, which may be larger.
-    Of these states only the first `kept` elements, nq or n, are what outputs need; the others are anything.
-    `now`, `at` and `end` are states with time and parameters; k (16, n + 1) and terms (7, n) are scratch.
-    """
-    status = begin(
-        n, projecting, tolerance, inputs, lanes, position, velocity, closing, beside, now, table, counts
-    )
+def march_dop853(system: Equations, table: Table, method: Dop853) -> int:
+    """Integrate `now` from the first time on and write the states at all times into the table."""
+    n = system.n
+    now = method.now
+    at = method.at
+    end = method.end
+    k = method.k
+    times = table.times
+    counts = system.counts
+    status = begin(system, table, now)
     if status == DONE:
-        status = evaluate(n, derivative, dense, now, k, counts)
-    stop = times[outputs - 1]
+        status = evaluate(system, now, k)
+    stop = times[table.count - 1]
     if status == DONE and not k[n] > DENSE_HEALTH:
-        status = leave(n, nq, stop - now[n], projecting, now, k)
+        status = leave(system, stop - now[n], system.projecting, now, k)
     if status != DONE:
         return status
-    h = first_step(n, stop - now[n], rtol, atol, derivative, dense, now, at, k, counts)
-    whole = 1 if kept == n else 0
+    h = first_step(system, method, stop - now[n])
     due = 1
     growing = LARGEST
     hops = 0
     short = 0
-    while due < outputs:
+    while due < table.count:
         counts[REACHED] = now[n]
-        if counts[STEPS] + counts[REJECTED] >= most:
+        if counts[STEPS] + counts[REJECTED] >= method.most:
             return TOO_MANY_STEPS
-        if interrupted(pause, counts) == 1:
+        if interrupted(system) == 1:
             return INTERRUPTED
         if h < 10.0 * SPACING * max(abs(now[n]), h):
             return STEP_TOO_SMALL
@@ -254,7 +212,7 @@ def march_dop853(
             return STEP_TOO_SMALL
         health = HUGE
         for s in range(1, STAGES + 1):
-            status = stage(n, s, h, derivative, dense, now, end if s == STAGES else at, k, counts)
+            status = stage(system, method, s, h, end if s == STAGES else at)
             if status != DONE:
                 break
             health = min(health, k[(n + 1) * s + n])
@@ -265,12 +223,12 @@ def march_dop853(
         health = min(health, k[n])
         error = 1e10
         if status == DONE:
-            error = error_norm(n, h, rtol, atol, now, end, k)
+            error = error_norm(n, h, method)
             end[n] = now[n] + h
         near = 0
-        if projecting == 1 and health < NEAR and status == DONE:
+        if system.projecting == 1 and health < NEAR and status == DONE:
             near = 1
-            error = min(error, error_on_constraints(n, h, near_rtol, near_atol, closing, now, end, k, at))
+            error = min(error, error_on_constraints(n, h, system.closing, method))
         if near == 1 and hops < HOPS:
             wanted = crossing_factor(n, k, error)
             if wanted < 1.0:
@@ -289,34 +247,29 @@ def march_dop853(
         hops = 0
         if times[due] <= now[n] + h:
             for s in range(STAGES + 1, 16):
-                status = stage(n, s, h, derivative, dense, now, at, k, counts)
+                status = stage(system, method, s, h, at)
                 if status != DONE:
                     return status
-            prepare_dense(n, h, now, end, k, terms)
+            prepare_dense(n, h, method)
             first = due
-            while due < outputs and times[due] <= now[n] + h:
-                state = table[n * due :]
-                interpolate(n if near == 1 else kept, n, (times[due] - now[n]) / h, now, terms, state)
-                keep_norms(nq, turning, state, state)
+            while due < table.count and times[due] <= now[n] + h:
+                state = table.states[n * due :]
+                interpolate(n if near == 1 else table.kept, n, (times[due] - now[n]) / h, method, state)
+                keep_norms(system, state, state)
                 due += 1
-            status = record_rows(
-                n, first, due, projecting, near, tolerance, whole, inputs, lanes, position, velocity, closing,
-                beside, times, at, table, counts,
-            )  # fmt: skip
+            status = record_rows(system, table, first, due, near, at)
             if status != DONE:
                 return status
         for i in range(n):
             now[i] = end[i]
         now[n] = now[n] + h
-        unwind(n, turning, now, end)
-        keep_norms(nq, turning, now, now)
-        if projecting == 1:
-            if near == 1:
-                status = project_densely(n, closing, now, k[(n + 1) * 13 :])
-            else:
-                status = project(n, tolerance, 1, inputs, lanes, position, velocity, closing, beside, now)
+        unwind(system, now, end)
+        keep_norms(system, now, now)
+        if system.projecting == 1:
+            scratch = k[(n + 1) * 13 :]
+            status = project_densely(system, now, scratch) if near == 1 else project(system, 1, now)
             if status == DONE:
-                status = evaluate(n, derivative, dense, now, k, counts)
+                status = evaluate(system, now, k)
             if status != DONE:
                 return status
         else:

@@ -8,14 +8,15 @@ A^-1 make it one real system and one complex one of n unknowns each. Written for
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
 
-from newton_euler.native import Callback, Vector, native
+from newton_euler.native import Callback, Record, Vector, native
 from newton_euler.scalars import Array
 from newton_euler.steppers.linear import factor_complex, factor_real, solve_complex, solve_real
-from newton_euler.steppers.march import DONE, HUGE, SPACING, evaluate
+from newton_euler.steppers.march import DONE, HUGE, SPACING, Equations, evaluate
 
 SIXTH = sqrt(6.0)
 NODES = ((4.0 - SIXTH) / 10.0, (4.0 + SIXTH) / 10.0, 1.0)
@@ -65,26 +66,63 @@ SETTLED = 1e-2
 forces magnify: shorter steps would not have less of it."""
 
 
-@native
-def prepare(
-    n: int, m: int, h: float, jacobian: Vector, real: Vector, re: Vector, im: Vector, pivots: Vector
-) -> int:
-    """Factors of gamma/h - J and (alpha + i beta)/h - J; pivots (2, n); 1 if one is singular, else 0.
+@dataclass(frozen=True, eq=False)
+class Radau(Record):
+    """The method and its state.
 
-    J begins with a block of zeros of m rows.
+    Attributes:
+        rtol, atol, most: tolerances and the largest number of steps.
+        jacobian: derivative (n, n) of the rates by a state.
+        now, at: states with time and parameters: where a step begins, of a stage.
+        before: (n,) where the step before began.
+        slope: (n + 2) derivative at `now`, and its health.
+        z, w: (3, n) stages, and their transforms.
+        f: (3, n + 1) derivatives of the stages.
+        change: (3 n + 2) of the transforms; change[3 n] is the rate of convergence.
+        terms: (3, n) of the collocation polynomial.
+        matrix: (n, n) Jacobian.
+        real, re, im: (n, n) factors of gamma/h - J and (alpha + i beta)/h - J.
+        pivots: (2, n).
     """
+
+    rtol: float
+    atol: float
+    most: int
+    jacobian: Callback
+    now: Vector
+    at: Vector
+    before: Vector
+    slope: Vector
+    z: Vector
+    w: Vector
+    f: Vector
+    change: Vector
+    terms: Vector
+    matrix: Vector
+    real: Vector
+    re: Vector
+    im: Vector
+    pivots: Vector
+
+
+@native
+def prepare(n: int, m: int, h: float, method: Radau) -> int:
+    """Factor the matrices of a step of size h; 1 if one is singular, else 0. J begins with m zero rows."""
+    real = method.real
+    re = method.re
+    im = method.im
     for i in range(n):
         for j in range(n):
-            real[n * j + i] = -jacobian[n * i + j]
-            re[n * j + i] = -jacobian[n * i + j]
+            real[n * j + i] = -method.matrix[n * i + j]
+            re[n * j + i] = -method.matrix[n * i + j]
             im[n * j + i] = 0.0
     for i in range(n):
         real[(n + 1) * i] += GAMMA / h
         re[(n + 1) * i] += ALPHA / h
         im[(n + 1) * i] += BETA / h
-    if factor_real(n, m, real, pivots) == 1:
+    if factor_real(n, m, real, method.pivots) == 1:
         return 1
-    return factor_complex(n, m, re, im, pivots[n:])
+    return factor_complex(n, m, re, im, method.pivots[n:])
 
 
 @native
@@ -100,31 +138,16 @@ def scaled_norm(n: int, x: Vector, now: Vector, rtol: float, atol: float) -> flo
 
 
 @native
-def iterate(
-    n: int,
-    m: int,
-    h: float,
-    rtol: float,
-    atol: float,
-    derivative: Callback,
-    dense: Callback,
-    now: Vector,
-    at: Vector,
-    z: Vector,
-    w: Vector,
-    f: Vector,
-    change: Vector,
-    real: Vector,
-    re: Vector,
-    im: Vector,
-    pivots: Vector,
-    counts: Vector,
-) -> int:
-    """Newton's iteration for the stages z (3, n); the number of steps it took, negative if it failed.
-
-    w (3, n), f (3, n + 1) and change (3, n) are scratch; change[3 n] gets the rate of convergence.
-    """
-    tolerance = max(10.0 * SPACING / rtol, min(0.03, sqrt(rtol)))
+def iterate(system: Equations, method: Radau, m: int, h: float) -> int:
+    """Newton's iteration for the stages z; the number of steps it took, negative if it failed."""
+    n = system.n
+    now = method.now
+    at = method.at
+    z = method.z
+    w = method.w
+    f = method.f
+    change = method.change
+    tolerance = max(10.0 * SPACING / method.rtol, min(0.03, sqrt(method.rtol)))
     for s in range(3):
         for i in range(n):
             w[n * s + i] = (
@@ -139,7 +162,7 @@ def iterate(
             for i in range(n):
                 at[i] = now[i] + z[n * s + i]
             at[n] = now[n] + NODES[s] * h
-            if evaluate(n, derivative, dense, at, f[(n + 1) * s :], counts) != DONE:
+            if evaluate(system, at, f[(n + 1) * s :]) != DONE:
                 return -1
         for i in range(n):
             f0 = f[i]
@@ -155,11 +178,11 @@ def iterate(
             change[2 * n + i] = -(
                 FROM_STAGES[6] * f0 + FROM_STAGES[7] * f1 + FROM_STAGES[8] * f2 - (ALPHA * w2 - BETA * w1) / h
             )
-        solve_real(n, m, real, pivots, change)
-        solve_complex(n, m, re, im, pivots[n:], change[n:], change[2 * n :])
+        solve_real(n, m, method.real, method.pivots, change)
+        solve_complex(n, m, method.re, method.im, method.pivots[n:], change[n:], change[2 * n :])
         size = 0.0
         for s in range(3):
-            part = scaled_norm(n, change[n * s :], now, rtol, atol)
+            part = scaled_norm(n, change[n * s :], now, method.rtol, method.atol)
             size += part * part
         size = sqrt(size / 3.0)
         if not size < HUGE:
@@ -210,19 +233,18 @@ def prepare_dense(n: int, z: Vector, terms: Vector) -> None:
 
 
 @native
-def error_within(
-    n: int, h: float, before_h: float, rtol: float, atol: float, at: Vector, z: Vector, terms: Vector
-) -> float:
+def error_within(n: int, h: float, before_h: float, method: Radau) -> float:
     """The error of the collocation polynomial between the nodes, in units of the tolerance.
 
     Stiff components meet the nodes however long the step is, and the error estimate of the step says
     nothing of the rest. The fourth derivative is taken from the cubic terms of this polynomial and of
     the one before, whose coefficients `terms` (3, n) are; `at` is what the tolerance is relative to.
     """
+    z = method.z
     total = 0.0
     for i in range(n):
         cubic = DENSE[6] * z[i] + DENSE[7] * z[n + i] + DENSE[8] * z[2 * n + i]
-        fourth = 12.0 * (cubic / h**3.0 - terms[2 * n + i] / before_h**3.0) / (h + before_h)
-        share = WITHIN * h**4.0 * fourth / 24.0 / (atol + rtol * at[i])
+        fourth = 12.0 * (cubic / h**3.0 - method.terms[2 * n + i] / before_h**3.0) / (h + before_h)
+        share = WITHIN * h**4.0 * fourth / 24.0 / (method.atol + method.rtol * method.at[i])
         total += share * share
     return sqrt(total / n)

@@ -7,10 +7,11 @@ Written for native code, see `newton_euler.native`; it runs as plain Python as w
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import sqrt
 
-from newton_euler.native import Callback, Vector, native
-from newton_euler.steppers.march import evaluate
+from newton_euler.native import Record, Vector, native
+from newton_euler.steppers.march import Equations, evaluate
 
 STAGES = 12
 """Stages of a step; stage 12 is the derivative at its end, stages 13 to 15 serve dense output."""
@@ -92,19 +93,36 @@ DENSE = (
 # fmt: on
 
 
+@dataclass(frozen=True, eq=False)
+class Dop853(Record):
+    """The method and its state.
+
+    Attributes:
+        rtol, atol: tolerances.
+        near_rtol, near_atol: the same next to a singular configuration, which may be larger.
+        most: the largest number of steps.
+        now, at, end: states with time and parameters: where a step begins, of a stage, where it ends.
+        k: (16, n + 1) derivatives of the stages.
+        terms: (7, n) of the dense output.
+    """
+
+    rtol: float
+    atol: float
+    near_rtol: float
+    near_atol: float
+    most: int
+    now: Vector
+    at: Vector
+    end: Vector
+    k: Vector
+    terms: Vector
+
+
 @native
-def stage(
-    n: int,
-    s: int,
-    h: float,
-    derivative: Callback,
-    dense: Callback,
-    now: Vector,
-    at: Vector,
-    k: Vector,
-    counts: Vector,
-) -> int:
-    """Stage s of a step of size h from `now`, its derivative into row s of k; returns a status."""
+def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> int:
+    """Stage s of a step of size h, its state in `at` and its derivative into row s of k; returns a status."""
+    n = system.n
+    k = method.k
     for i in range(n):
         at[i] = 0.0
     for j in range(s):
@@ -114,18 +132,21 @@ def stage(
             for i in range(n):
                 at[i] += weight * rates[i]
     for i in range(n):  # once, for each sum with the state loses digits
-        at[i] = now[i] + h * at[i]
-    at[n] = now[n] + NODES[s] * h
-    return evaluate(n, derivative, dense, at, k[(n + 1) * s :], counts)
+        at[i] = method.now[i] + h * at[i]
+    at[n] = method.now[n] + NODES[s] * h
+    return evaluate(system, at, k[(n + 1) * s :])
 
 
 @native
-def error_norm(n: int, h: float, rtol: float, atol: float, now: Vector, at: Vector, k: Vector) -> float:
-    """The error of a step in units of the tolerance, root mean square; `at` is its end."""
+def error_norm(n: int, h: float, method: Dop853) -> float:
+    """The error of a step in units of the tolerance, root mean square."""
+    now = method.now
+    end = method.end
+    k = method.k
     fifth = 0.0
     third = 0.0
     for i in range(n):
-        scale = atol + rtol * max(abs(now[i]), abs(at[i]))
+        scale = method.atol + method.rtol * max(abs(now[i]), abs(end[i]))
         five = 0.0
         three = 0.0
         for j in range(STAGES + 1):
@@ -139,11 +160,13 @@ def error_norm(n: int, h: float, rtol: float, atol: float, now: Vector, at: Vect
 
 
 @native
-def prepare_dense(n: int, h: float, now: Vector, end: Vector, k: Vector, terms: Vector) -> None:
-    """The seven terms (7, n) of the dense output between `now` and `end`, all sixteen stages known."""
+def prepare_dense(n: int, h: float, method: Dop853) -> None:
+    """The terms of the dense output of a step, all sixteen stages known."""
+    k = method.k
+    terms = method.terms
     last = (n + 1) * STAGES
     for i in range(n):
-        change = end[i] - now[i]
+        change = method.end[i] - method.now[i]
         terms[i] = change
         terms[n + i] = h * k[i] - change
         terms[2 * n + i] = 2.0 * change - h * (k[last + i] + k[i])
@@ -162,8 +185,9 @@ def prepare_dense(n: int, h: float, now: Vector, end: Vector, k: Vector, terms: 
 
 
 @native
-def interpolate(count: int, n: int, share: float, now: Vector, terms: Vector, y: Vector) -> None:
+def interpolate(count: int, n: int, share: float, method: Dop853, y: Vector) -> None:
     """The first `count` of the n elements of the state at a share (0 to 1) of the step."""
+    terms = method.terms
     left = 1.0 - share
     w1 = share * left
     w2 = share * w1
@@ -174,4 +198,4 @@ def interpolate(count: int, n: int, share: float, now: Vector, terms: Vector, y:
     for i in range(count):
         low = share * terms[i] + w1 * terms[n + i] + w2 * terms[2 * n + i] + w3 * terms[3 * n + i]
         high = w4 * terms[4 * n + i] + w5 * terms[5 * n + i] + w6 * terms[6 * n + i]
-        y[i] = now[i] + (low + high)
+        y[i] = method.now[i] + (low + high)

@@ -6,7 +6,9 @@ two outputs is divided into equal steps of at most the wanted size.
 
 from __future__ import annotations
 
-from newton_euler.native import Callback, Vector, native
+from dataclasses import dataclass
+
+from newton_euler.native import Callback, Record, Vector, native
 from newton_euler.steppers.march import (
     DENSE_HEALTH,
     DONE,
@@ -16,6 +18,8 @@ from newton_euler.steppers.march import (
     STEPS,
     STRAYING,
     UNSAFE,
+    Equations,
+    Table,
     begin,
     evaluate,
     interrupted,
@@ -61,48 +65,44 @@ def contradiction(n: int, nq: int, h: float, now: Vector, k: Vector) -> float:
     return h * gap / speed if speed > 0.0 else 0.0
 
 
-@native
-def march_rk4(
-    n: int,
-    outputs: int,
-    times: Vector,
-    step: float,
-    nq: int,
-    derivative: Callback,
-    dense: Callback,
-    projecting: int,
-    tolerance: float,
-    inputs: int,
-    lanes: int,
-    position: Callback,
-    velocity: Callback,
-    closing: Callback,
-    beside: Vector,
-    pause: Callback,
-    turning: Vector,
-    now: Vector,
-    at: Vector,
-    k: Vector,
-    total: Vector,
-    table: Vector,
-    counts: Vector,
-) -> int:
-    """Integrate `now` from times[0] and write the states at all times into the table (outputs, n).
+@dataclass(frozen=True, eq=False)
+class RungeKutta4(Record):
+    """The method and its state.
 
-    `now` and `at` are states with time and parameters; k (4, n + 1) and total (n,) are scratch.
+    Attributes:
+        step: s, the largest.
+        now, at: states with time and parameters: where a step begins, of a stage.
+        k: (4, n + 1) derivatives of the stages.
+        total: (n,) change of the state in a step.
     """
+
+    step: float
+    now: Vector
+    at: Vector
+    k: Vector
+    total: Vector
+
+
+@native
+def march_rk4(system: Equations, table: Table, method: RungeKutta4) -> int:
+    """Integrate `now` from the first time on and write the states at all times into the table."""
+    n = system.n
+    now = method.now
+    at = method.at
+    k = method.k
+    total = method.total
+    times = table.times
+    counts = system.counts
     row = n + 1
-    status = begin(
-        n, projecting, tolerance, inputs, lanes, position, velocity, closing, beside, now, table, counts
-    )
+    status = begin(system, table, now)
     if status != DONE:
         return status
-    for due in range(1, outputs):
-        count = divisions(times[due] - times[due - 1], step)
+    for due in range(1, table.count):
+        count = divisions(times[due] - times[due - 1], method.step)
         h = (times[due] - times[due - 1]) / count
         for j in range(count):
             counts[REACHED] = now[n]
-            if interrupted(pause, counts) == 1:
+            if interrupted(system) == 1:
                 return INTERRUPTED
             for i in range(n):
                 at[i] = now[i]
@@ -110,7 +110,7 @@ def march_rk4(
             at[n] = now[n]
             health = NEAR
             for s in range(4):
-                status = evaluate(n, derivative, dense, at, k[row * s :], counts)
+                status = evaluate(system, at, k[row * s :])
                 if status != DONE:
                     return status
                 health = min(health, k[row * s + n])
@@ -121,54 +121,49 @@ def march_rk4(
                     at[i] = now[i] + reach * k[row * s + i]
                 at[n] = now[n] + reach
             if health < NEAR:
-                if k[n] >= UNSAFE or (projecting == 0 and counts[STEPS] > 0.0):
-                    if contradiction(n, nq, h, now, k) > CONTRADICTION:
+                if k[n] >= UNSAFE or (system.projecting == 0 and counts[STEPS] > 0.0):
+                    if contradiction(n, system.nq, h, now, k) > CONTRADICTION:
                         return STRAYING
                 elif counts[STEPS] == 0.0 and not k[n] > DENSE_HEALTH:
-                    status = leave(n, nq, times[outputs - 1] - times[0], projecting, now, k)
+                    status = leave(system, times[table.count - 1] - times[0], system.projecting, now, k)
                     if status != DONE:
                         return status
             for i in range(n):
                 now[i] += total[i]
             now[n] = times[due - 1] + (j + 1) * h
-            unwind(n, turning, now, total)
-            keep_norms(nq, turning, now, now)
+            unwind(system, now, total)
+            keep_norms(system, now, now)
             counts[STEPS] += 1.0
-            if projecting == 1:
-                status = project(n, tolerance, 1, inputs, lanes, position, velocity, closing, beside, now)
+            if system.projecting == 1:
+                status = project(system, 1, now)
                 if status != DONE:
                     return status
-        record(n, due, now, table, counts)
+        record(system, table, due, now)
     counts[REACHED] = now[n]
     return DONE
 
 
+@dataclass(frozen=True, eq=False)
+class SemiImplicitEuler(Record):
+    """The method and its state.
+
+    Attributes:
+        step: s, the largest.
+        rate: qdot of a state.
+        now: state with time and parameters.
+        k: (n + 1) derivative.
+        last: (n,) where a step began.
+    """
+
+    step: float
+    rate: Callback
+    now: Vector
+    k: Vector
+    last: Vector
+
+
 @native
-def march_euler(
-    n: int,
-    outputs: int,
-    times: Vector,
-    step: float,
-    nq: int,
-    rate: Callback,
-    derivative: Callback,
-    dense: Callback,
-    projecting: int,
-    tolerance: float,
-    inputs: int,
-    lanes: int,
-    position: Callback,
-    velocity: Callback,
-    closing: Callback,
-    beside: Vector,
-    pause: Callback,
-    turning: Vector,
-    now: Vector,
-    k: Vector,
-    last: Vector,
-    table: Vector,
-    counts: Vector,
-) -> int:
+def march_euler(system: Equations, table: Table, method: SemiImplicitEuler) -> int:
     """As `march_rk4`: velocities first, then positions with the new velocities.
 
     Near a singular configuration it loses no digits that a method of order 1 would have.
@@ -176,43 +171,46 @@ def march_euler(
     Rates of Euler parameters stand for an angular velocity, which is what goes on from step to step: left to
     point where they did, they would grow by half of their square times h^2 in a step. What gyroscopic
     torques add is the method's own, see `newton_euler.integrate.FIXED`.
-
-    k (n + 1) and last (n,) are scratch.
     """
-    status = begin(
-        n, projecting, tolerance, inputs, lanes, position, velocity, closing, beside, now, table, counts
-    )
+    n = system.n
+    nq = system.nq
+    now = method.now
+    k = method.k
+    last = method.last
+    times = table.times
+    counts = system.counts
+    status = begin(system, table, now)
     if status != DONE:
         return status
-    for due in range(1, outputs):
-        count = divisions(times[due] - times[due - 1], step)
+    for due in range(1, table.count):
+        count = divisions(times[due] - times[due - 1], method.step)
         h = (times[due] - times[due - 1]) / count
         for j in range(count):
             counts[REACHED] = now[n]
-            if interrupted(pause, counts) == 1:
+            if interrupted(system) == 1:
                 return INTERRUPTED
-            status = evaluate(n, derivative, dense, now, k, counts)
+            status = evaluate(system, now, k)
             if status != DONE:
                 return status
             if counts[STEPS] == 0.0 and not k[n] > DENSE_HEALTH:
-                status = leave(n, nq, times[outputs - 1] - times[0], 1, now, k)
+                status = leave(system, times[table.count - 1] - times[0], 1, now, k)
                 if status != DONE:
                     return status
             for i in range(nq, n):
                 now[i] += h * k[i]
-            keep_norms(nq, turning, now, now)
-            rate(now, k)
+            keep_norms(system, now, now)
+            method.rate(now, k)
             for i in range(nq):
                 last[i] = now[i]
                 now[i] += h * k[i]
             now[n] = times[due - 1] + (j + 1) * h
-            keep_norms(nq, turning, now, last)
-            unwind(n, turning, now, k)
+            keep_norms(system, now, last)
+            unwind(system, now, k)
             counts[STEPS] += 1.0
-            if projecting == 1:
-                status = project(n, tolerance, 1, inputs, lanes, position, velocity, closing, beside, now)
+            if system.projecting == 1:
+                status = project(system, 1, now)
                 if status != DONE:
                     return status
-        record(n, due, now, table, counts)
+        record(system, table, due, now)
     counts[REACHED] = now[n]
     return DONE

@@ -36,9 +36,21 @@ class Outputs:
         function = code.function("output")
         self._code, self._times, self._x, self._table = code, times, x, table
         self.shape = (len(times), function.outputs)
-        sizes = (len(times), code.size, code.inputs, function.outputs, function.lanes)
         given, found = (np.empty((size, function.lanes)) for size in (code.inputs, function.outputs))
-        self._write = loops().bind(m.map_rows, *sizes, function, x, times, table, given, found)
+        rows = m.Rows(
+            count=len(times),
+            n=code.size,
+            inputs=code.inputs,
+            m=function.outputs,
+            lanes=function.lanes,
+            function=function,
+            x=x,
+            times=times,
+            states=table,
+            given=given,
+            found=found,
+        )
+        self._write = loops().bind(m.map_rows, rows)
 
     def __call__(self, results: Array, rows: int | None = None) -> dict[str, Array]:
         """Write the results (n, outputs); returns views of them, of the first `rows` if given, by name.

@@ -8,21 +8,23 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 from newton_euler.compiled import Code, Formulation
 from newton_euler.errors import IntegrationError, OptionError
 from newton_euler.integrate import Options
+from newton_euler.native import Record
 from newton_euler.native_functions import NativeFunctions
 from newton_euler.scalars import Array
 from newton_euler.stabilize import ROUND_OFF
 from newton_euler.steppers import march as m
 from newton_euler.steppers.adaptive import march_dop853
 from newton_euler.steppers.closing import close
+from newton_euler.steppers.collocation import Radau
+from newton_euler.steppers.dop853 import Dop853
 from newton_euler.steppers.failure import failure
-from newton_euler.steppers.fixed import march_euler, march_rk4
+from newton_euler.steppers.fixed import RungeKutta4, SemiImplicitEuler, march_euler, march_rk4
 from newton_euler.steppers.outputs import Outputs, loops
 from newton_euler.steppers.radau import march_radau
 
@@ -145,46 +147,16 @@ class March:
     def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
         """Make everything ready; a run stops if `stopped`, which other threads may fill, holds something."""
         self._code, self._python, self._integrator = code, Fallback(code, stopped), options.integrator
-        self._times = times
-        n, outputs, empty = code.size, len(times), np.empty
-        self.x, self.table, self.counts = np.zeros(code.inputs), np.zeros((outputs, n)), np.zeros(m.COUNTS)
-        at, end = np.zeros(code.inputs), np.zeros(code.inputs)
-        self._copies = (at, end)  # of the parameters
-        self._most = options.most_steps or MOST_STEPS
-        nq = code.system.nq
-        tolerances = options.rtol, options.atol
-        near = options.near(code.noise, code.scene.mechanism.size)
-        limits = self._most, nq, code.kept
-        march = n, outputs, times
-        fixed = (*march, options.step, nq)
-        if options.step is not None and (times[-1] - times[0]) / options.step > MOST_FIXED_STEPS:
-            needed = (
-                f"at least {(times[-1] - times[0]) / MOST_FIXED_STEPS:.3g} s, {MOST_FIXED_STEPS:.0e} steps"
-            )
-            raise OptionError("step", options.step, needed)
-        derivative = (code.function("derivative"), self._python.derivative)
-        marks = code.marks(options.integrator)
-        system = (*derivative, *_projection(code, self._python), self._python.pause, marks)
-        result = (self.table, self.counts)
-        arguments: dict[str, Callable[[], tuple[Any, ...]]] = {
-            "DOP853": lambda: (
-                *march, *tolerances, *near, *limits, *system, self.x, at, end, empty(16 * (n + 1) + 1),
-                empty(7 * n), *result,
-            ),
-            "Radau": lambda: (
-                *march, *tolerances, *limits, code.function("jacobian"), *system, self.x, at, empty(n + 2),
-                empty(3 * n), empty(4 * n), empty(3 * n + 3), empty(3 * n + 2), empty(3 * n),
-                empty(4 * n * n), empty(2 * n), *result,
-            ),
-            "RK4": lambda: (*fixed, *system, self.x, at, empty(4 * (n + 1)), empty(n), *result),
-            "Euler": lambda: (
-                *fixed, code.function("rate"), *system, self.x, empty(n + 1), empty(n), *result,
-            ),
-        }  # fmt: skip
+        self._times, self._most = times, options.most_steps or MOST_STEPS
+        self.x, self.counts = np.zeros(code.inputs), np.zeros(m.COUNTS)
+        self.table = np.zeros((len(times), code.size))
+        system = equations(code, self._python, code.marks(options.integrator), self.counts)
+        table = m.Table(len(times), code.kept, times, self.table)
+        method = _method(code, self.x, times, options, self._most)
+        self._copies = [getattr(method, name) for name in ("at", "end") if hasattr(method, name)]
         self.outputs = Outputs(code, times, self.x, self.table)
-        self._run = stepper(options.integrator).bind(
-            MARCHES[options.integrator], *arguments[options.integrator]()
-        )
+        march = MARCHES[options.integrator]
+        self._run = stepper(options.integrator).bind(march, system, table, method)
 
     def __call__(self, x: Array) -> None:
         """Run from x (inputs,).
@@ -234,19 +206,64 @@ class March:
         return {name: int(self.counts[place]) for name, place in names.items()}
 
 
-def _projection(code: Code, python: Fallback) -> tuple[Any, ...]:
-    """What marches need to keep a state on the constraints."""
-    if not code.projects:
-        return 0, ROUND_OFF, code.inputs, 1, 0, 0, 0, np.zeros(0)
-    return 1, ROUND_OFF, *_projecting(code, python)
+def equations(code: Code, python: Fallback, turning: Array, counts: Array) -> m.Equations:
+    """A scene's native functions as steppers call them."""
+    position, velocity = (code.function(name) if code.projects else None for name in ("position", "velocity"))
+    lanes = position.lanes if position else 1
+    return m.Equations(
+        n=code.size,
+        nq=code.system.nq,
+        inputs=code.inputs,
+        derivative=code.function("derivative"),
+        dense=python.derivative,
+        projecting=int(code.projects),
+        tolerance=ROUND_OFF,
+        lanes=lanes,
+        position=position,
+        velocity=velocity,
+        closing=python.closing,
+        beside=np.zeros((code.inputs + code.size + 2, lanes)),
+        pause=python.pause,
+        turning=turning,
+        counts=counts,
+    )
 
 
-def _projecting(code: Code, python: Fallback) -> tuple[Any, ...]:
-    """What `project` needs beside a state."""
-    position, velocity = code.function("position"), code.function("velocity")
-    lanes = position.lanes
-    beside = np.zeros((code.inputs + code.size + 2, lanes))
-    return code.inputs, lanes, position, velocity, python.closing, beside
+def _method(code: Code, x: Array, times: Array, options: Options, most: int) -> Record:
+    """An integrator that begins at x (inputs,), with its scratch."""
+    n, like = code.size, np.zeros_like
+    if options.step is not None:
+        span = float(times[-1] - times[0])
+        if span / options.step > MOST_FIXED_STEPS:
+            needed = f"at least {span / MOST_FIXED_STEPS:.3g} s, {MOST_FIXED_STEPS:.0e} steps"
+            raise OptionError("step", options.step, needed)
+        if options.integrator == "RK4":
+            return RungeKutta4(options.step, x, like(x), np.empty((4, n + 1)), np.empty(n))
+        return SemiImplicitEuler(options.step, code.function("rate"), x, np.empty(n + 1), np.empty(n))
+    if options.integrator == "DOP853":
+        near = options.near(code.noise, code.scene.mechanism.size)
+        k, terms = np.empty(16 * (n + 1) + 1), np.empty((7, n))
+        return Dop853(options.rtol, options.atol, *near, most, x, like(x), like(x), k, terms)
+    return Radau(
+        rtol=options.rtol,
+        atol=options.atol,
+        most=most,
+        jacobian=code.function("jacobian"),
+        now=x,
+        at=like(x),
+        before=np.empty(n),
+        slope=np.empty(n + 2),
+        z=np.empty((3, n)),
+        w=np.empty((3, n)),
+        f=np.empty((3, n + 1)),
+        change=np.empty(3 * n + 2),
+        terms=np.empty((3, n)),
+        matrix=np.empty((n, n)),
+        real=np.empty((n, n)),
+        re=np.empty((n, n)),
+        im=np.empty((n, n)),
+        pivots=np.empty((2, n)),
+    )
 
 
 class Projection:
@@ -255,8 +272,8 @@ class Projection:
     def __init__(self, code: Code) -> None:
         self._python = Fallback(code)
         self.x = np.zeros(code.inputs)
-        arguments = _projecting(code, self._python)
-        self._run = projector().bind(m.project, code.size, ROUND_OFF, 1, *arguments, self.x)
+        system = equations(code, self._python, np.zeros(code.size), np.zeros(m.COUNTS))
+        self._run = projector().bind(m.project, system, 1, self.x)
 
     def __call__(self, x: Array) -> bool:
         """Change x (inputs,) by the least that meets the constraints; whether that could be done."""
