@@ -231,12 +231,6 @@ class Code:
             return []
         return sorted(set(range(len(self.system.phi_units))) - set(self.rows.numbers))
 
-    @property
-    def redundant_joints(self) -> tuple[str, ...]:
-        """Names of joints and gears with equations that follow from the others, in order."""
-        used = set(self.rows.numbers)
-        return tuple(dict.fromkeys(n for k, n in enumerate(self.system.row_owners) if k not in used))
-
     def packed(self, q: Array, v: Array, time: float = 0.0, values: dict[str, Array] | None = None) -> Array:
         """x (inputs,) for native functions; parameters not in `values` are the scene's own."""
         own = parameter_values(self.scene, self.parameters) | (values or {})

@@ -130,14 +130,17 @@ class CompiledScene(Code):
 
         return time_function(self.function("derivative"), self.packed(q, v), count)
 
-    def _run(self, options: Options, choices: int = ROW_CHOICES) -> Trajectory:
+    def _run(self, options: Options) -> Trajectory:
+        for weak in self.nearly_redundant:
+            warnings.warn(f"scene {self.scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=3)
+        return self._try(options, ROW_CHOICES)
+
+    def _try(self, options: Options, choices: int) -> Trajectory:
         """Run the scene, again with other constraint rows where those in use degenerate on the way."""
         from newton_euler.sampling import march_sampled
         from newton_euler.steppers.run import load
 
         load(self, options.integrator)
-        for weak in self.nearly_redundant:
-            warnings.warn(f"scene {self.scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=3)
         x = self.start.copy()
         start = time.perf_counter()
         arrays, counts, stopped = march_sampled(self, x, options)
@@ -150,7 +153,7 @@ class CompiledScene(Code):
         if stopped is None:
             return native_trajectory(self.scene, settings, wall_time, arrays)
         if choices and self.redundant and (other := self._with_other_rows(arrays)) is not None:
-            return other._run(options, choices - 1)
+            return other._try(options, choices - 1)
         if len(arrays.get("position", ())):
             stopped.partial = native_trajectory(self.scene, settings, wall_time, arrays)
         raise stopped

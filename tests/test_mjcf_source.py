@@ -13,6 +13,7 @@ from mjcf_models import PAIR, model, reading
 import mjcf.reading.source as source
 from crosscheck.advice import Found
 from crosscheck.advice.own_file import own_file_advice
+from mjcf.errors import MjcfError
 from mjcf.reading.source import compiled
 from newton_euler.limits import VARIABLE
 
@@ -80,6 +81,18 @@ def test_large_models_are_not_kept(
     compiled(str(path))
     assert len(commands) == 2
     assert not source._kept
+
+
+def test_limits_hold_for_what_is_kept(
+    tmp_path: Path, commands: list[list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "model.xml"
+    path.write_text(model(PAIR))
+    compiled(str(path))
+    monkeypatch.setenv(VARIABLE, "velocities=1")
+    with pytest.raises(MjcfError, match="velocities, at most 1; to allow it: --set velocities="):
+        compiled(str(path))
+    assert len(commands) == 1
 
 
 def test_advice_on_a_file_compiles_it_no_second_time(tmp_path: Path, commands: list[list[str]]) -> None:

@@ -14,11 +14,11 @@ from crosscheck.stress.singular import from_flat
 from newton_euler.assemble import random_states
 from newton_euler.cartesian import Cartesian
 from newton_euler.control import PD
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.euler_parameters import rotation
 from newton_euler.joints import Fixed, Revolute, Spherical
 from newton_euler.mechanism import Body, Mechanism
-from newton_euler.redundancy import mobility, rows_in_use
+from newton_euler.redundancy import NearlyRedundant, mobility, rows_in_use
 from newton_euler.relative import Relative
 from newton_euler.row_choice import other_rows
 from newton_euler.scene import Scene
@@ -223,14 +223,21 @@ def test_other_rows_are_independent_all_the_way(bricard):
     assert other_rows(scene, worst, []) is None
 
 
-def test_a_run_stops_at_rows_that_degenerate_and_goes_on_with_others(bricard):
-    """Rows that a compiled scene is told to use, of which one comes to depend on the others."""
+def test_a_run_stops_at_rows_that_degenerate_and_goes_on_with_others(bricard, monkeypatch):
+    """Rows that a compiled scene is told to use, of which one comes to depend on the others.
+
+    What there is to warn of is said once, however many rows are tried.
+    """
     scene, wanted = bricard
+    weak = NearlyRedundant("hinge", 1e-7, "literally")
+    monkeypatch.setattr(CompiledScene, "nearly_redundant", (weak,))
     decided = mobility(scene)
     alive = sorted({*decided.independent, *decided.redundant})
     for left_out in alive:
         used = [row for row in alive if row != left_out]
         code = CompiledScene(scene, "cartesian", independent=used)
-        found = code.simulate(rtol=1e-12, atol=1e-14)
+        with pytest.warns(NearlyRedundantWarning) as heard:
+            found = code.simulate(rtol=1e-12, atol=1e-14)
+        assert len(heard) == 1
         # 30 steps to 1e-12 each
         assert found.position == pytest.approx(wanted.position, abs=1e-10), left_out

@@ -169,13 +169,6 @@ def test_steps_are_counted_where_none_follows_round_off(swing, measured):
             assert found == measured.figure(group, name).array
 
 
-def test_a_group_of_an_older_version_is_told(swing, measured):
-    old = measured.figures[0].model_copy(update={"group": "speed"})
-    stored = measured.model_copy(update={"figures": [old]})
-    (found,) = compare(swing, stored, lambda _: None, no_clock).moved
-    assert found.problem == "no longer measured"
-
-
 def test_versions_that_changed_are_named():
     made = Record(date="2026-01-01", reason="first", versions={"python": "3.11.0", "numpy": "2.0.0"})
     found = Comparison("s", (), made, {"python": "3.11.0", "numpy": "2.1.0", "pin": "4.1"}, None, 0.0)

@@ -58,6 +58,7 @@ def test_a_baseline_survives_its_file(tmp_path):
         (lambda c: c.update(history=[]), "history"),
         (lambda c: c["history"][0].update(reason=""), "history.0.reason"),
         (lambda c: c["figures"][0].update(band=[-1.0]), "figures.0.band.0"),
+        (lambda c: c["figures"][0].update(group="speed"), "figures.0.group: Input should be 'relative', "),
         (lambda c: c["figures"][0].update(band=[1.0, 1.0]), "figures.0: band has 2 numbers"),
         (
             lambda c: c["figures"][0].update(value=[[1.0, 2.0]]),

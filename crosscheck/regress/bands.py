@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.regress.baseline import Baseline, Carried, Figure, Plan, Record, StoredState
+from crosscheck.regress.baseline import Baseline, Carried, Figure, GroupName, Plan, Record, StoredState
 from crosscheck.regress.measure import (
     GROUPS,
     MAIN,
@@ -100,7 +100,7 @@ def make(
 
 
 def _plan(scene: Scene) -> Plan:
-    rtol = {MAIN: _tolerance(scene, MAIN)}
+    rtol: dict[str, float] = {MAIN: _tolerance(scene, MAIN)}
     run = main_run(scene, rtol[MAIN])
     moment = _moment(run)
     # as many evaluations a second as the adaptive run needs, so that RK4 is stable and not exact
@@ -139,7 +139,7 @@ def _state(run: Trajectory, n: int) -> State:
     return State(run.position[n], run.quaternion[n], run.linear_velocity[n], run.angular_velocity[n])
 
 
-def _figures(group: str, scene: Scene, plan: Plan) -> list[Figure] | str:
+def _figures(group: GroupName, scene: Scene, plan: Plan) -> list[Figure] | str:
     """The figures of a group with their bands, or why there are none."""
     measured = []
     for variant in (PLAIN, NUDGED, TIGHTER):
@@ -155,7 +155,7 @@ def _figures(group: str, scene: Scene, plan: Plan) -> list[Figure] | str:
     return figures
 
 
-def _figure(group: str, value: Value, widths: Array) -> Figure:
+def _figure(group: GroupName, value: Value, widths: Array) -> Figure:
     return Figure(
         group=group,
         name=value.name,

@@ -29,6 +29,10 @@ PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin", "crosscheck")
 Band = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
+GroupName = Literal["relative", "cartesian", "integrators", "mujoco", "pinocchio"]
+"""Of `crosscheck.regress.measure.GROUPS`."""
+
+
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
@@ -44,7 +48,7 @@ class Figure(_Strict):
         band: how far the numbers of each row may move.
     """
 
-    group: str
+    group: GroupName
     name: str
     unit: str
     rows: list[str]
@@ -178,7 +182,7 @@ class Baseline(_Strict):
     carried: list[Carried] | None = None
     history: Annotated[list[Record], Field(min_length=1)]
     plan: Plan
-    left_out: dict[str, str]
+    left_out: dict[GroupName, str]
     figures: Annotated[list[Figure], Field(min_length=1)]
 
     @model_validator(mode="after")
@@ -195,7 +199,7 @@ class Baseline(_Strict):
         return self.history[-1]
 
     @property
-    def groups(self) -> list[str]:
+    def groups(self) -> list[GroupName]:
         """Groups that have figures, in their order."""
         return list(dict.fromkeys(figure.group for figure in self.figures))
 

@@ -85,6 +85,7 @@ def compiled(path: str, root: str | None = None) -> Any:
 
     files = tuple(scan.files.items())
     model = _kept.pop(files, None) or _compiled(path, scan.asset_bytes)
+    _check_counts(path, model)  # of one that was kept too: limits may have changed
     _kept[files] = model
     while sum(mujoco.mj_sizeModel(each) for each in _kept.values()) > KEPT:
         del _kept[next(iter(_kept))]
@@ -130,11 +131,15 @@ def _compiled(path: str, asset_bytes: int) -> Any:
         except ValueError as error:
             raise SourceError(path, f"MuJoCo cannot load what it compiled: {error}") from error
     _check_numbers(path, model)
+    return model
+
+
+def _check_counts(path: str, model: Any) -> None:
+    """Raise `SourceError` for more of anything than a limit allows."""
     counts = {"bodies": model.nbody, "velocities": model.nv, "closures": model.neq, "forces": model.nactuator}
     for name, count in counts.items():
         if problem := exceeded(name, count):
             raise SourceError(path, problem)
-    return model
 
 
 @dataclass(frozen=True)
