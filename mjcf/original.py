@@ -19,16 +19,8 @@ from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, unique_nam
 from newton_euler.scalars import Array, cross
 from newton_euler.scene import Scene
 from newton_euler.state import MassProperties
-from newton_euler.verification.original import (
-    Constraints,
-    Forces,
-    Kinematics,
-    Original,
-    Sample,
-    approximated,
-    left_out,
-    wholes,
-)
+from newton_euler.verification.original import Original, approximated, left_out, wholes
+from newton_euler.verification.sample import Constraints, Forces, Kinematics, Sample
 
 SEVERAL_HINGES = 1.2
 """rad, that hinges of a body with others are moved from the start: beyond a quarter turn of the second of

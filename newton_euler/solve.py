@@ -109,3 +109,13 @@ def orthonormal_null(matrix: Array, rank: int | None = None) -> Array:
         return np.eye(matrix.shape[1])
     _, s, vt = singular_values(matrix, full=True)
     return np.asarray(vt[numerical_rank(s) if rank is None else rank :].T)
+
+
+def least_squares(matrix: Array, right: Array, rank_tolerance: float | None = None) -> Array:
+    """The shortest of the least-squares solutions.
+
+    Raises `numpy.linalg.LinAlgError` for what is not finite: LAPACK might go on for ever.
+    """
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        raise np.linalg.LinAlgError("a matrix is not finite")
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=rank_tolerance)[0])

@@ -175,6 +175,67 @@ def test_nearly_redundant_rows_pass_whatever_is_decided_of_them(tilt: str, tmp_p
     assert (failing.quantity, failing.where) == ("dampers, rel", "joint 'a': damping")
 
 
+def stretched(gap: float) -> str:
+    """Three links of 1 m across 3 m less a gap, the middle one level: they move by the root of the gap."""
+    run = 0.5 * (2.0 - gap)
+    tip = f"{run!r} 0 {float(np.sqrt(1.0 - run**2))!r}"
+    return model(
+        f'<body><joint axis="0 1 0"/>{BOX.format("0.3 0 0.01")}<body name="middle" pos="{tip}"><joint '
+        f'axis="0 1 0"/>{BOX.format("0.3 0 0.02")}</body></body><body name="last" pos="{3.0 - gap!r} 0 0">'
+        f'<joint axis="0 1 0"/>{BOX.format("-0.2 0 0.03")}</body>',
+        '<equality><connect body1="middle" body2="last" anchor="1 0 0"/></equality>',
+    )
+
+
+TRUSS = model(
+    f'<body name="a"><joint axis="0 1 0"/>{BOX.format(".3 0 0")}</body>'
+    f'<body name="b" pos="1 0 0"><joint axis="0 1 0"/>{BOX.format("-.2 0 .4")}</body>',
+    '<equality><connect body1="a" body2="b" anchor="0.5 0 0.8"/></equality>',
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "said", "limited"),
+    [
+        (stretched(1e-4), " at 4 moving states in ", ""),
+        (
+            stretched(1e-7),
+            " at 0 moving states in ",
+            "at 4 more, next to singular configurations, little shows",
+        ),
+        (TRUSS, " at 1 state in ", "nothing can move"),
+    ],
+    ids=["a little room", "hardly any", "none"],
+)
+def test_the_line_tells_what_few_states_show(text: str, said: str, limited: str, tmp_path: Path) -> None:
+    (line,) = (line for line in reading(tmp_path, text).report.start if line.startswith("verified"))
+    assert said in line
+    assert line.partition("; ")[2] == limited
+
+
+def test_loops_that_close_nowhere_far_away_are_moved_a_little(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("newton_euler.verification.original.ATTEMPTS", 0)
+    (original, _), *_ = reading(tmp_path, stretched(1e-4)).report.originals
+    _, near = original.samples
+    assert 0.0 < np.max(np.abs(original.difference(original.start, near.q))) < 0.1
+    monkeypatch.setattr("newton_euler.verification.original.NEAR", ())
+    (line,) = (x for x in reading(tmp_path, stretched(1e-4)).report.start if x.startswith("verified"))
+    assert line.endswith("; loops close nowhere but at the start")
+
+
+def test_tolerances_are_those_of_the_line(tmp_path: Path) -> None:
+    """Of all figures of motions at a state; forces and mass properties have none that is larger."""
+    report = reading(tmp_path, ZOO).report
+    (line,) = (line for line in report.start if line.startswith("verified"))
+    loosest = float(line.split(" to ")[1].split()[0])
+    for original, scene in report.originals:
+        figures = [f for f in verify(original, Relative(scene)) if f.quantity.endswith(("rel", "rad", "1/s"))]
+        # inertias are known to as many digits less as places in the world cost; the line has one digit
+        assert max(f.tolerance for f in figures if f.quantity != "inertia, rel") <= 1.5 * loosest
+
+
 def test_every_element_has_to_be_accounted_for(tmp_path: Path) -> None:
     text = ZOO.replace('name="r" type="slide"', 'name="r" type="slide" range="-1 1" frictionloss="2"')
     report = reading(tmp_path, text).report

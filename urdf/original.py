@@ -17,15 +17,8 @@ from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, unique_nam
 from newton_euler.scalars import Array, cross, tilde
 from newton_euler.scene import Scene
 from newton_euler.state import MassProperties
-from newton_euler.verification.original import (
-    Constraints,
-    Forces,
-    Kinematics,
-    Original,
-    Sample,
-    left_out,
-    wholes,
-)
+from newton_euler.verification.original import Original, left_out, wholes
+from newton_euler.verification.sample import Constraints, Forces, Kinematics, Sample
 from urdf.loops import UNIVERSAL, Loops
 
 SEVERAL_HINGES = 1.2

@@ -13,11 +13,12 @@ import numpy as np
 
 from newton_euler.euler_parameters import angle_between
 from newton_euler.scalars import Array
+from newton_euler.solve import least_squares, singular_values
 from newton_euler.state import Evaluation
-from newton_euler.verification.figure import ROUND_OFF, Figure, figure, tolerance, worst
+from newton_euler.verification.figure import Figure, figure, worst
 from newton_euler.verification.forces import largest, row_figure
-from newton_euler.verification.original import FREE, KINDS, Sample, least_squares
 from newton_euler.verification.placed import Place, Placed
+from newton_euler.verification.sample import DOUBT, FREE, KINDS, ROUND_OFF, Sample
 
 RATE = 1.0
 """rad/s and sizes a second, of the samples' velocities: what mechanisms do at least that do nothing else."""
@@ -46,7 +47,7 @@ def _pose_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -> 
         linear = np.linalg.norm(state.linear_velocity - wanted.linear_velocity, axis=1) / reach
         angular = np.linalg.norm(state.angular_velocity - wanted.angular_velocity, axis=1)
         speed.append(np.maximum(linear, angular))
-    limits = np.array([10.0 * tolerance(place.sample) for place in placed.places])[:, None]
+    limits = np.array([place.sample.tolerance_of_motion for place in placed.places])[:, None]
     names = placed.mechanism.body_names
     yield figure("positions, rel", np.array(shift), limits, names)
     yield figure("orientations, rad", np.array(turn), limits, names)
@@ -61,7 +62,7 @@ def _energy_figures(placed: Placed, found: Sequence[Evaluation], reach: float) -
     mass = sum(body.mass for body in placed.mechanism.bodies)
     usual = 0.5 * mass * (placed.original.size * RATE) ** 2
     weight = mass * float(np.linalg.norm(placed.scene.gravity)) * reach
-    limits = np.array([10.0 * tolerance(sample) for sample in samples])
+    limits = np.array([sample.tolerance_of_motion for sample in samples])
     names = [f"state {k}" for k in range(len(found))]
     scales = np.max(np.abs([energies, wanted]), axis=(0, 1)) + np.array([usual, usual + weight])
     gaps = energies - wanted
@@ -103,17 +104,22 @@ def _own_acceleration(placed: Placed, place: Place, accelerations: Array) -> tup
     own = least_squares(rows, reached - drift)
     scale = max(RATE**2, float(np.max(np.abs([reached, drift]))))
     gaps = np.abs(rows @ own - (reached - drift)).reshape(-1, 6).max(axis=1) / scale
-    limit, names = 10.0 * tolerance(place.sample), placed.original.names
+    limit, names = place.sample.tolerance_of_motion, placed.original.names
     return own, figure("accelerations across joints, rel", gaps, limit, names)
 
 
 def _loop_figures(sample: Sample, own: Array) -> list[Figure]:
-    """How far accelerations (nv,) open the file's constraints; nothing of a file without any."""
+    """How far accelerations (nv,) open the file's constraints that hold; nothing of a file without any."""
     _, jacobian, owners = sample.constraints
     if not len(owners):
         return []
     fine, coarse = sample.velocity_products
     scale = float(np.max(np.abs(jacobian))) * max(RATE**2, float(np.max(np.abs(own))))
-    gaps = np.maximum(np.abs(jacobian @ own + fine) - np.abs(coarse - fine), 0.0) / max(scale, RATE**2)
-    limit = 10.0 * tolerance(sample)
+    opened, unsure = jacobian @ own + fine, coarse - fine
+    if sample.freedom.doubt > FREE:  # what may be taken as redundant may open
+        u, s, _ = singular_values(jacobian)
+        held = u[:, s > DOUBT * max(1.0, float(s[0]))]
+        opened, unsure = held @ (held.T @ opened), held @ (held.T @ unsure)
+    gaps = np.maximum(np.abs(opened) - np.abs(unsure), 0.0) / max(scale, RATE**2)
+    limit = sample.tolerance_of_motion
     return [figure("accelerations across loops, rel", gaps, limit, owners)]

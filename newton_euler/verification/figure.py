@@ -8,13 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.scalars import Array
-from newton_euler.verification.original import Sample
-
-ROUND_OFF = 1e-12
-"""Relative: some hundred operations in a row, each to 1e-16, on numbers that went through a compiler."""
-
-LOOSEST = 1e-4
-"""What a tolerance may be at most: beyond, a figure says nothing."""
 
 SPREAD = 1e-3
 """Share of the largest scale that any row's is at least, in forces at the size: independent velocities, and
@@ -39,15 +32,6 @@ class Figure(NamedTuple):
     def agrees(self) -> bool:
         """NaN does not agree with anything."""
         return bool(self.value <= self.tolerance)
-
-
-def tolerance(sample: Sample, of_motion: bool = True) -> float:
-    """Relative: round-off, and by how much a state is open, magnified by the condition of its constraints.
-
-    Figures `of_motion` may be off by the singular value that is in doubt as well.
-    """
-    unsure = ROUND_OFF + 10.0 * sample.opening + of_motion * sample.freedom.doubt
-    return min(unsure * sample.freedom.condition, LOOSEST)
 
 
 def figure(quantity: str, gaps: Array, tolerances: Array | float, names: Sequence[str]) -> Figure:

@@ -16,10 +16,12 @@ from newton_euler.force_terms import body_wrenches
 from newton_euler.forces import Wrench
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
+from newton_euler.solve import least_squares
 from newton_euler.state import State
-from newton_euler.verification.figure import SPREAD, Figure, figure, positive, tolerance, worst
-from newton_euler.verification.original import KINDS, Original, least_squares
+from newton_euler.verification.figure import SPREAD, Figure, figure, positive, worst
+from newton_euler.verification.original import Original
 from newton_euler.verification.placed import Place, Placed
+from newton_euler.verification.sample import KINDS
 
 ALIKE = 1e-3
 """Share of a difference (of squares) that what is blamed may leave unexplained."""
@@ -124,7 +126,9 @@ def row_figure(
         shares = (np.abs(gap).T * weights[-1]).T
         shares = shares.max(axis=1, initial=0.0) if shares.ndim == 2 else shares
         names = [original.motions[k] for k in sample.freedom.rows]
-        found.append(figure(quantity, shares, tolerance(sample, of_motion), names))
+        found.append(
+            figure(quantity, shares, sample.tolerance_of_motion if of_motion else sample.tolerance, names)
+        )
     most = worst(found)
     named = (_most_alike(left, weights, elements()) for elements in alone)
     return most if most.agrees else most._replace(where=next(filter(None, named), most.where))

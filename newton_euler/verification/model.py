@@ -8,12 +8,12 @@ import numpy as np
 
 from newton_euler.couplings import couplings, residuals
 from newton_euler.scalars import Array
-from newton_euler.solve import singular_values
+from newton_euler.solve import least_squares, singular_values
 from newton_euler.state import MassProperties
 from newton_euler.system import dimensionless_jacobian
-from newton_euler.verification.figure import ROUND_OFF, SPREAD, Figure, figure, tolerance, worst
-from newton_euler.verification.original import FREE, least_squares
+from newton_euler.verification.figure import SPREAD, Figure, figure, worst
 from newton_euler.verification.placed import Place, Placed, shifted
+from newton_euler.verification.sample import FREE, ROUND_OFF
 
 PLACES = "center of mass at the start, m"
 
@@ -80,14 +80,14 @@ def _mass_matrix_figure(placed: Placed, stated: MassProperties) -> Figure:
         scale = np.maximum(scale, SPREAD * np.max(scale * units) / units)
         gaps = np.max(np.abs(basis.T @ (mass - wanted) @ basis) / np.outer(scale, scale), axis=1)
         names = [original.motions[k] for k in chosen]
-        found.append(figure(quantity, gaps, 10.0 * ROUND_OFF, names))
+        found.append(figure(quantity, gaps, ROUND_OFF, names))
     return worst(found) if found else Figure(quantity, 0.0, ROUND_OFF, "")
 
 
 def joint_figures(placed: Placed) -> Iterator[Figure]:
     """Joints of the scene in the file's motions, and equalities of the file in the scene's."""
     found = [_joint_gaps(placed, place) for place in placed.places]
-    limits = np.array([10.0 * tolerance(place.sample) for place in placed.places])[:, None]
+    limits = np.array([place.sample.tolerance_of_motion for place in placed.places])[:, None]
     names = [e.joint.name for e in placed.mechanism.equations if e.count]
     names += [coupling.name for coupling in couplings(placed.scene)]
     yield figure("joints open, sizes or rad", np.array([gaps for gaps, _ in found]), limits, names)
@@ -125,7 +125,7 @@ def _free_figure(placed: Placed, place: Place) -> Figure:
     strange = np.abs(rows @ velocities - moved).reshape(len(placed.bodies), -1).max(axis=1, initial=0.0)
     _, jacobian, owners = sample.constraints
     opened = np.abs(jacobian @ velocities).max(axis=1, initial=0.0)
-    limit = 10.0 * tolerance(sample)
+    limit = sample.tolerance_of_motion
     names = [*original.names, *owners]
     return figure("motions free in the scene alone, rel", np.concatenate([strange, opened]), limit, names)
 

@@ -3,37 +3,29 @@
 A package for a file format says in a subclass of `Original` what its own reader's model does, in that model's
 own velocities. Closed states, and the motions that are free there, are worked out here, and with no help of
 what is verified.
-
-The one decision is which motions constraints leave free. Rows and velocities are made dimensionless with the
-model's size. A motion is *free* where a singular value of the constraint Jacobian is round-off (`FREE`), and
-*held* where it is beyond what the digits of a file leave open (`DOUBT`). In between it may be either, and a
-scene passes whichever it says: bodies and forces are compared where nothing holds them, to the singular
-value that is in doubt, accelerations along motions that are free for certain. What is free in the scene may
-open the file's constraints by no more than what is in doubt.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from newton_euler.mapping import Mapping
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
-from newton_euler.solve import singular_values
+from newton_euler.solve import least_squares
 from newton_euler.state import MassProperties
-
-FREE = 1e-10
-"""Largest singular value that is round-off, of a dimensionless Jacobian or as a share of its largest."""
-
-DOUBT = 1e-3
-"""Largest one that tilts and rounded points of a file may make of a redundant row, in whatever units of
-length its rows are: ten times what a scene takes as redundant."""
+from newton_euler.verification.sample import (
+    DOUBT,
+    Constraints,
+    Forces,
+    Kinematics,
+    Sample,
+    freedom,
+)
 
 CLOSED = 1e-12
 """Of residuals in sizes or rad that are round-off."""
@@ -54,123 +46,11 @@ WORST_CONDITION = 1e4
 
 ATTEMPTS = 12
 
-STENCIL = ((1, 4.0 / 5.0), (2, -1.0 / 5.0), (3, 4.0 / 105.0), (4, -1.0 / 280.0))
-STEPS = (2.5e-4, 1e-3)
-"""s, of derivatives of J v along a motion by central differences of eighth order: off by 1e-13 relative to
-what turns at 1 rad/s. Short rods turn faster; by how much the two steps differ is allowed for."""
+NEAR = (1e-2, 1e-3, 1e-4, 1e-5)
+"""rad or sizes, along motions that are free at the start, where loops close nowhere farther away."""
 
-
-class Constraints(NamedTuple):
-    """Rows of constraints, made dimensionless with the model's size."""
-
-    residual: Array
-    """(k,)"""
-    jacobian: Array
-    """(k, nv) for dimensionless velocities."""
-    owners: Sequence[str]
-    """What reports call the element that each row belongs to."""
-
-
-class Kinematics(NamedTuple):
-    """Rigid groups of bodies at a state; world frame, SI."""
-
-    position: Array
-    """(b, 3) centers of mass."""
-    rotation: Array
-    """(b, 3, 3) to world."""
-    transformation: Array
-    """(b, 6, nv): linear and angular velocity for each velocity."""
-    drift: Array
-    """(b, 6) accelerations where those of the coordinates are zero."""
-
-
-class Forces(NamedTuple):
-    """Generalized forces (nv,) of everything but constraints."""
-
-    gravity: Array
-    springs: Array
-    """Of joints, balls and tendons."""
-    dampers: Array
-    actuators: Array
-    """And all that is not among the others, such as gravity compensation."""
-    bias: Array
-    """What inertia adds in motion, to be moved to the other side of the equations."""
-
-
-KINDS = Forces._fields[:4]
-"""Of forces that are compared apart, so that small ones do not drown."""
-
-
-class Freedom(NamedTuple):
-    """Motions that constraints leave free at a configuration."""
-
-    basis: Array
-    """(nv, d) of velocities that are not held, SI, the identity in `rows`."""
-    rows: Array
-    """(d,) velocities that tell all others."""
-    certain: Array
-    """(d, c) of those, the ones that are free."""
-    condition: float
-    """Of the rows that hold."""
-    doubt: float
-    """Largest singular value of those that do not, which may be a constraint's all the same."""
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """A state, and what the file's own model says there, each worked out when first asked for.
-
-    Attributes:
-        original: the model.
-        q, v: configuration, and velocities (nv,), SI.
-        opening: of the constraints there, in sizes or rad.
-        freedom: motions that these do not hold.
-    """
-
-    original: Original
-    q: Array
-    v: Array
-    opening: float
-    freedom: Freedom
-
-    @cached_property
-    def kinematics(self) -> Kinematics:
-        """Of the rigid groups."""
-        return self.original.kinematics(self.q, self.v)
-
-    @cached_property
-    def constraints(self) -> Constraints:
-        """At the configuration."""
-        return self.original.constraints(self.q)
-
-    @cached_property
-    def mass_matrices(self) -> tuple[Array, Array]:
-        """(nv, nv) of the bodies, and of the rotors."""
-        return self.original.mass_matrix(self.q)
-
-    @cached_property
-    def forces(self) -> Forces:
-        """Of everything but constraints."""
-        return self.original.forces(self.q, self.v)
-
-    @cached_property
-    def energies(self) -> tuple[float, float]:
-        """Kinetic and potential, J."""
-        return self.original.energies(self.q, self.v)
-
-    @cached_property
-    def velocity_products(self) -> tuple[Array, Array]:
-        """(k,) dJ/dt v of the constraints along the motion of constant velocities, at both `STEPS`."""
-        found = []
-        for step in STEPS:
-            total = np.zeros(len(self.constraints.residual))
-            for number, weight in STENCIL:
-                for sign in (1.0, -1.0):
-                    q = self.original.moved(self.q, sign * number * step * self.v)
-                    rate = self.original.constraints(q).jacobian @ (self.v / self.original.units)
-                    total += sign * weight / step * rate
-            found.append(total)
-        return found[0], found[1]
+ELSEWHERE = 1e-9
+"""rad or sizes, from the start: less is the start itself."""
 
 
 class Original(ABC):
@@ -235,20 +115,6 @@ class Original(ABC):
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
         """Mass matrix (nv, nv) of each element's armature alone at each sample, by the element's name."""
 
-    def freedom(self, q: Array) -> Freedom:
-        """Motions that are not held."""
-        rows, count = self.constraints(q).jacobian, len(self.units)
-        if not rows.size:
-            return Freedom(np.eye(count), np.arange(count), np.eye(count), 1.0, 0.0)
-        _, s, vt = singular_values(rows, full=True)
-        s = s / max(1.0, float(s[0]))
-        held, unsure = int(np.sum(s > DOUBT)), int(np.sum(s > FREE))
-        condition = float(s[0] / s[held - 1]) if held else 1.0
-        basis, chosen = _localized(vt[held:].T)
-        certain = vt[unsure:].T[chosen] / self.units[chosen, None]
-        basis = basis * self.units[:, None] / self.units[chosen]
-        return Freedom(basis, chosen, certain, condition, float(np.max(s[held:], initial=0.0)))
-
     def closed(self, q: Array) -> tuple[Array, float]:
         """The configuration next to one where loops are closed as well as can be, and how well that is."""
         best, least = q, np.inf
@@ -298,40 +164,57 @@ class Original(ABC):
 
     @cached_property
     def samples(self) -> list[Sample]:
-        """The start, and closed states at random around it and far from it, all with random velocities."""
+        """The start, and closed states at random around it and far from it, all with random velocities.
+
+        The start alone where loops close nowhere else.
+        """
         rng = np.random.default_rng(0)
-        found = [self._sample(self.start, rng)]
-        allowed = max(CLOSED, 3.0 * found[0].opening)
+        start = self._sample(self.start, rng)
+        found = [start]
         for amplitude in AMPLITUDES:
-            for attempt in range(ATTEMPTS):
-                q, opening = self.closed(self._far(amplitude * 0.7**attempt, rng))
-                away = np.abs(self.difference(self.start, q)) / self.units
-                if opening > max(allowed, 10.0 * found[0].freedom.doubt) or np.any(away > REACH):
-                    continue
-                sample = self._sample(q, rng)
-                if sample.freedom.condition <= max(WORST_CONDITION, 10.0 * found[0].freedom.condition):
-                    found.append(sample)
-                    break
+            tried = (self._far(amplitude * 0.7**attempt, rng) for attempt in range(ATTEMPTS))
+            found += self._first_closed(tried, start, rng)
+        if len(found) == 1 and len(start.freedom.rows):
+            basis, scale = start.freedom.basis, self.units[start.freedom.rows]
+            steps = (basis @ (scale * rng.uniform(-1.0, 1.0, len(scale))) for _ in NEAR)
+            tried = (self.moved(self.start, reach * step) for reach, step in zip(NEAR, steps, strict=True))
+            found += self._first_closed(tried, start, rng)
         return found
+
+    def _first_closed(
+        self, tried: Iterable[Array], start: Sample, rng: np.random.Generator
+    ) -> Iterator[Sample]:
+        """The first configuration, if any, next to which loops close as well as at the start."""
+        allowed = max(CLOSED, 3.0 * start.opening, 10.0 * start.freedom.doubt)
+        worst = max(WORST_CONDITION, 10.0 * start.freedom.condition)
+        for q in tried:
+            q, opening = self.closed(q)
+            away = np.max(np.abs(self.difference(self.start, q)) / self.units, initial=0.0)
+            if opening > allowed or not ELSEWHERE < away <= REACH:
+                continue
+            sample = self._sample(q, rng)
+            if sample.freedom.condition <= worst and (sample.tells or not start.tells):
+                yield sample
+                return
 
     @cached_property
     def far(self) -> list[Sample]:
         """Configurations at random, loops open."""
         rng, count = np.random.default_rng(1), len(self.units)
-        freedom = Freedom(np.eye(count), np.arange(count), np.eye(count), 1.0, 0.0)
+        free = freedom(np.zeros((0, count)), self.units)
         places = [self._far(amplitude, rng) for amplitude in AMPLITUDES]
-        return [Sample(self, q, np.zeros(count), 0.0, freedom) for q in places]
+        return [Sample(self, q, np.zeros(count), 0.0, free) for q in places]
 
     def _far(self, amplitude: float, rng: np.random.Generator) -> Array:
         reach = np.minimum(amplitude, self.ranges) * self.units
         return self.moved(self.start, reach * rng.uniform(-1.0, 1.0, len(reach)))
 
     def _sample(self, q: Array, rng: np.random.Generator) -> Sample:
-        freedom = self.freedom(q)
-        v = freedom.basis @ (self.units[freedom.rows] * rng.standard_normal(len(freedom.rows)))
+        residual, jacobian, _ = self.constraints(q)
+        free = freedom(jacobian, self.units)
+        v = free.basis @ (self.units[free.rows] * rng.standard_normal(len(free.rows)))
         v = v / max(1.0, float(np.max(np.abs(v / self.units), initial=0.0)))
-        opening = float(np.max(np.abs(self.constraints(q).residual), initial=0.0))
-        return Sample(self, q, v, opening, freedom)
+        return Sample(self, q, v, float(np.max(np.abs(residual), initial=0.0)), free)
 
 
 def wholes(names: Sequence[str], bodies: Sequence[str]) -> tuple[str, ...]:
@@ -356,25 +239,3 @@ def left_out(report: Mapping) -> dict[str, set[str]]:
 def approximated(report: Mapping) -> set[str]:
     """Elements that a report says were approximated."""
     return {entry.element for entry in report.of("approximated")}
-
-
-def least_squares(matrix: Array, right: Array, rank_tolerance: float | None = None) -> Array:
-    """The shortest of the least-squares solutions.
-
-    Raises `numpy.linalg.LinAlgError` for what is not finite: LAPACK might go on for ever.
-    """
-    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
-        raise np.linalg.LinAlgError("a matrix is not finite")
-    return np.asarray(np.linalg.lstsq(matrix, right, rcond=rank_tolerance)[0])
-
-
-def _localized(null: Array) -> tuple[Array, Array]:
-    """The same space with the identity in as many rows, and those rows; independent loops stay apart."""
-    left, rows = null.copy(), []
-    for _ in range(null.shape[1]):
-        row = int(np.argmax(np.einsum("ij,ij->i", left, left)))
-        along = left[row] / np.linalg.norm(left[row])
-        left -= np.outer(left @ along, along)
-        rows.append(row)
-    chosen = np.array(sorted(rows), dtype=int)
-    return null @ np.linalg.inv(null[chosen]) if rows else null, chosen

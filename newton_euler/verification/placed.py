@@ -11,7 +11,8 @@ from newton_euler.euler_parameters import from_rotation, product
 from newton_euler.scalars import Array, cross, tilde
 from newton_euler.state import State
 from newton_euler.system import System
-from newton_euler.verification.original import Original, Sample
+from newton_euler.verification.original import Original
+from newton_euler.verification.sample import Sample
 
 
 class Place(NamedTuple):

@@ -32,6 +32,7 @@ from newton_euler.verification.forces import force_figures
 from newton_euler.verification.model import PLACES, body_figures, joint_figures
 from newton_euler.verification.original import Original
 from newton_euler.verification.placed import Placed
+from newton_euler.verification.sample import LOOSEST
 
 PARTS: tuple[Callable[[Placed], Iterator[Figure]], ...] = (
     body_figures,
@@ -84,8 +85,22 @@ def check(report: Mapping) -> str:
                 raise VerificationError(*figure)
             found.append(figure)
     nearest = worst(found)
-    states = sum(len(original.samples) for original, _ in report.originals)
-    return (
-        f"verified against the file's own model at {states} moving states in {len(found)} figures, the "
-        f"largest of them {nearest.value / nearest.tolerance:.0e} of its tolerance: {nearest.quantity}"
+    originals = [original for original, _ in report.originals]
+    samples = [sample for original in originals for sample in original.samples]
+    telling = [sample for sample in samples if sample.tells]
+    moving = "moving " if any(np.any(sample.v) for sample in samples) else ""
+    loosest = max((sample.tolerance_of_motion for sample in telling), default=LOOSEST)
+    share = nearest.value / nearest.tolerance
+    said = (
+        f"verified against the file's own model to {loosest:.0e} at {len(telling)} {moving}"
+        f"state{'s' * (len(telling) != 1)} in {len(found)} figures, the largest of them {share:.0e} of its "
+        f"tolerance: {nearest.quantity}"
     )
+    limits = []
+    if blind := len(samples) - len(telling):
+        limits.append(f"at {blind} more, next to singular configurations, little shows")
+    if not moving:
+        limits.append("nothing can move")
+    elif any(len(original.samples) == 1 for original in originals):
+        limits.append("loops close nowhere but at the start")
+    return "; ".join([said, *limits])
