@@ -49,7 +49,12 @@ class MjcfOriginal(Original):
     """A compiled MJCF file."""
 
     def __init__(
-        self, model: Any, key: str | None, report: Mapping, scene: Scene, control: Array | None = None
+        self,
+        model: Any,
+        key: str | None,
+        report: Mapping,
+        scene: Scene,
+        controls: tuple[Array, Array] | None = None,
     ) -> None:
         """Take a compiled model, which is changed.
 
@@ -58,7 +63,7 @@ class MjcfOriginal(Original):
             key: as of `mjcf.read.read`.
             report: of the reading.
             scene: what was read; its initial pose says which of the closed ones is the start.
-            control: (nu,) of the start; that of the key if None.
+            controls: (nu,) controls and (na,) activations; those of the key if None.
         """
         self._model: Any = model
         self._model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
@@ -67,14 +72,15 @@ class MjcfOriginal(Original):
         self._model.body_sameframe[self._model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         self._data = mujoco.MjData(self._model)
         self._place(key)
-        if control is not None:
-            self._data.ctrl[:] = control
+        if controls is not None:
+            self._data.ctrl[:], self._data.act[:] = controls
         mujoco.mj_normalizeQuat(self._model, self._data.qpos)
         self._velocity = self._data.qvel.copy()
+        self.stated = self._data.qpos.copy(), self._velocity
         self._group(scene)
         self._measure(scene)
         self.unaccounted = tuple(self._unaccounted(report))
-        self.start = self.aligned(self.closed(self._data.qpos.copy())[0], scene)
+        self.start = self.aligned(self.closed(self.stated[0])[0], scene)
         self._leave_out(report)
         self.start = self.aligned(self.closed(self.start)[0], scene)
 
@@ -397,10 +403,14 @@ class MjcfOriginal(Original):
         gravity = model.opt.gravity.copy()
         for name in whole:
             getattr(model, name)[:] = 0.0
-        weights = self._alone(samples)
-        for forces in weights:
-            forces[1:] = 0.0
-        yield "gravity", [weights]
+        along = []
+        for axis in np.eye(3):
+            model.opt.gravity[:] = axis
+            weights = self._alone(samples)
+            for forces in weights:
+                forces[1:] = 0.0
+            along.append(weights)
+        yield "gravity", along
         model.opt.gravity[:] = 0.0
         for kind, fields in OFF.items():
             count = model.njnt if kind == "dof" else len(kept[f"{kind}_{fields[0]}"])

@@ -5,8 +5,8 @@ the scene is made from the compiled model at the pose that it starts from: a key
 loops closed. Bodies that are fixed to each other are one body.
 
 What was read is verified against MuJoCo's own model of the file, see `newton_euler.verification` and
-`mjcf.original`. The reading is a function of the model and of the controls, and so that all actuators show it
-is made and verified once more with all controls at random.
+`mjcf.original`. The reading is a function of the model and of the controls, and so that actuators show it is
+made and verified once more: with all controls at random, or as it is exercised at one moment.
 
 An exercised reading is one with controls that swing, and with start velocities; see `mjcf.reading.exercise`.
 """
@@ -39,6 +39,7 @@ from mjcf.reading.ties import Ties
 from mjcf.silence import heard_warnings
 from newton_euler.armature import Armature, BallArmature
 from newton_euler.assemble import assemble
+from newton_euler.control import PD
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import HIGHEST, LOWEST, moving
 from newton_euler.mapping import Mapping, unique_name
@@ -59,6 +60,9 @@ OUTPUT_PERIOD = 0.01
 
 MOST_NAMES = 5
 """Of actuators in one line of a report."""
+
+MOMENT = 0.5 / (LOWEST + HIGHEST)
+"""s, at which sines of all frequencies are at three quarters at least."""
 
 AT_REST = 1e-12
 """m/s and rad/s, below which velocities are round-off."""
@@ -113,16 +117,19 @@ def read(
     with heard_warnings() as warnings:
         model = compiled(where, root)
         found = _reading(where, copy.copy(model), key, None, duration, output_period, redundancy_tolerance)
-        report = found.report
         try:
-            report.originals.extend(_originals(where, copy.copy(model), key, found))
-            said = [line] if (line := sag_line(found.start, duration)) else []
-            if verified:
-                said.append(check(report))
+            originals = [_original(copy.copy(model), key, found)]
+            sags = sag_line(found.start, duration)
             if exercise:
-                found = _exercised(where, model, key, found)
-                found.report.originals, report = report.originals, found.report
-            report.start.extend(said)
+                found, other = _exercised(where, model, key, found)
+                originals.append(other)
+            elif model.nu:
+                originals.append(_driven(where, model, key, found.scene))
+            report = found.report
+            report.originals.extend(originals)
+            report.start.extend([sags] if sags else [])
+            if verified:
+                report.start.append(check(report))
         except SourceError:
             raise
         except (NewtonEulerError, np.linalg.LinAlgError) as error:
@@ -132,26 +139,44 @@ def read(
 
 
 @np.errstate(all="ignore")  # what overflows is refused
-def _originals(where: str, model: Any, key: str | None, found: Reading) -> list[tuple[Original, Scene]]:
-    """What a reading is verified against, and one with all controls at random if there are any."""
-    originals: list[tuple[Original, Scene]] = []
-    if model.nu:
-        control, scene = random_control(model), found.scene
-        times = scene.duration, scene.output_period
-        driven = _reading(where, copy.copy(model), key, control, *times, scene.redundancy_tolerance)
-        original = MjcfOriginal(copy.copy(model), key, driven.report, driven.scene, control)
-        originals.append((original, driven.scene))
-    return [(MjcfOriginal(model, key, found.report, found.scene), found.scene), *originals]
+def _original(
+    model: Any, key: str | None, found: Reading, controls: tuple[Array, Array] | None = None
+) -> tuple[Original, Scene]:
+    """What a reading is verified against."""
+    return MjcfOriginal(model, key, found.report, found.scene, controls), found.scene
 
 
 @np.errstate(all="ignore")  # what overflows is refused
-def _exercised(where: str, model: Any, key: str | None, found: Reading) -> Reading:
-    """A reading with actuators driven, and with start velocities unless the file has some."""
+def _driven(where: str, model: Any, key: str | None, scene: Scene) -> tuple[Original, Scene]:
+    """The reading with all controls at random, and what it is verified against."""
+    control, times = random_control(model), (scene.duration, scene.output_period)
+    driven = _reading(where, copy.copy(model), key, control, *times, scene.redundancy_tolerance)
+    return _original(copy.copy(model), key, driven, (control, np.array(driven.start.data.act)))
+
+
+@np.errstate(all="ignore")  # what overflows is refused
+def _exercised(
+    where: str, model: Any, key: str | None, found: Reading
+) -> tuple[Reading, tuple[Original, Scene]]:
+    """Drive actuators, and let joints move at the start unless the file does.
+
+    Returns:
+        The reading, and the same with controls held as they are at `MOMENT` with what it is verified against.
+    """
     scene, start = found.scene, found.start
     plan = exercised(scene, found.drives, np.array(start.data.ctrl), start.model.actuator_ctrladr)
     times = scene.duration, scene.output_period
-    driven = _reading(where, model, key, plan.control, *times, scene.redundancy_tolerance, plan.swings)
-    report, said = driven.report, []
+    driven = _reading(
+        where, copy.copy(model), key, plan.control, *times, scene.redundancy_tolerance, plan.swings
+    )
+    laws = (
+        replace(law, feedforward=law.feedforward_at(MOMENT)) if isinstance(law, PD) else law
+        for law in driven.scene.control
+    )
+    held = replace(driven, scene=replace(driven.scene, control=tuple(laws)))
+    controls = plan.at(MOMENT, model, np.array(driven.start.data.act))
+    original = _original(copy.copy(model), key, held, controls)
+    report, said = driven.report, list[str]()
     if count := len(plan.swings):
         several = f"s driven by sines of {LOWEST:g} to {HIGHEST:g} Hz within their ranges"
         said.append(f"{count} actuator{several if count > 1 else ' driven by a sine within its range'}")
@@ -168,7 +193,7 @@ def _exercised(where: str, model: Any, key: str | None, found: Reading) -> Readi
         driven = replace(driven, scene=moved)
         said.append(fastest)
     report.start.append(f"exercised: {', '.join(said) or 'the velocities of the start are enough'}")
-    return driven
+    return driven, original
 
 
 def _reading(

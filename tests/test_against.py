@@ -152,9 +152,9 @@ def test_forces_are_told_by_their_joint(
 @pytest.mark.parametrize(
     ("fault", "quantity", "where"),
     [
-        (plant.law(0, damping=0.05 * (1.0 + FAULT)), "actuator force", "motor"),
-        (plant.law(0, target=1.0 + FAULT), "actuator force", "motor"),
-        (plant.spring(1, damping=0.002 * (1.0 + FAULT)), "spring force", "elbow"),
+        (plant.entry("control", 0, damping=0.05 * (1.0 + FAULT)), "actuator force", "motor"),
+        (plant.entry("control", 0, target=1.0 + FAULT), "actuator force", "motor"),
+        (plant.entry("forces", 1, damping=0.002 * (1.0 + FAULT)), "spring force", "elbow"),
         (plant.gravity(np.array([0.0, 0.0, -9.81 * (1.0 + FAULT)])), "gravity", "gravity"),
         (lambda s: replace(s, armatures=[Armature("motor", 1.0001e-4)]), "rotor inertia", "motor"),
         (lambda s: replace(s, forces=s.forces[:2]), "spring force", "pivot"),

@@ -220,10 +220,10 @@ def test_numbers_of_a_spring_vary_in_a_batch() -> None:
 @pytest.mark.parametrize(
     ("change", "quantity"),
     [
-        (plant.spring(0, stiffness=3.001), "spring force"),
-        (plant.spring(0, damping=0.2001), "spring force"),
+        (plant.entry("forces", 0, stiffness=3.001), "spring force"),
+        (plant.entry("forces", 0, damping=0.2001), "spring force"),
         (lambda s: replace(s, forces=()), "spring force"),
-        (plant.armature(0, 0.3001), "rotor inertia"),
+        (plant.entry("armatures", 0, inertia=0.3001), "rotor inertia"),
         (lambda s: replace(s, armatures=()), "rotor inertia"),
     ],
 )

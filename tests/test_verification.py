@@ -14,11 +14,13 @@ from mjcf_models import model, reading
 from test_urdf_read import joint, link, robot
 
 from crosscheck.engines import ENGINES
-from crosscheck.faults.reading import find_in_reading, reading_faults
+from crosscheck.faults.misreadings import misreadings
+from crosscheck.faults.reading import find_in_reading
 from mjcf.errors import MjcfError
 from mjcf.reading.actuators import Actuators, Affine
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.loops import Loops
+from mjcf.reading.start import Start
 from newton_euler.errors import VerificationError
 from newton_euler.forces import JointSpring
 from newton_euler.mapping import Mapping
@@ -60,7 +62,7 @@ ZOO = model(
 def test_every_fault_that_moves_something_is_found_and_named(tmp_path: Path) -> None:
     report = reading(tmp_path, ZOO).report
     larger = ("doubled", "halved", "by 0.1")  # of the same values
-    faults = [f for f in reading_faults(report.originals[-1][1]) if not any(x in f.detail for x in larger)]
+    faults = [f for f in misreadings(report.originals[-1][1]) if not any(x in f.detail for x in larger)]
     found = find_in_reading(report, lambda _: None, faults)
     assert len(found) > 120
     assert not [outcome.fault.name for outcome in found if outcome.missed]
@@ -83,7 +85,7 @@ def test_every_fault_that_moves_something_is_found_and_named(tmp_path: Path) -> 
 def test_every_engine_has_what_the_file_says(name: str, tmp_path: Path) -> None:
     for original, scene in reading(tmp_path, ZOO).report.originals:
         figures = list(verify(original, ENGINES[name].systems(scene)[0]))
-        assert len(figures) == 21
+        assert len(figures) == 23
         assert not [figure for figure in figures if not figure.agrees]
 
 
@@ -117,6 +119,41 @@ def test_a_reader_at_fault_is_refused(
     monkeypatch.setattr(of, method, fault)
     with pytest.raises(MjcfError, match=f"model.xml: .*{named}"):
         reading(tmp_path, ZOO)
+
+
+STARTS = ZOO.replace(
+    "</actuator>",
+    '</actuator><keyframe><key name="still" qpos="{0}"/><key name="moving" qpos="{0}" qvel="{1}"/></keyframe>'.format(
+        "0 0 0 0.2 2 1 0.8 0.2 -0.4 0.4 1 0 0 0 0.1 0 0.1 -0.2", "0 0 0 1 0 0 0 2 0 0 0 3 1 0 0.5 -2"
+    ),
+)
+
+
+def other_key(self: Any, key: str | None, place: Any = Start._place) -> str:
+    place(self, "qpos0" if key == "still" else "still")
+    return str(key)
+
+
+@pytest.mark.parametrize(
+    ("key", "figure"), [("still", "start, sizes or rad"), ("moving", "velocities at the start")]
+)
+def test_a_start_that_is_not_that_of_the_file_is_refused(
+    key: str, figure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert any(line.startswith("verified") for line in reading(tmp_path, STARTS, key=key).report.start)
+    monkeypatch.setattr(Start, "_place", other_key)
+    with pytest.raises(MjcfError, match=f"the scene is not what the file says: {figure}"):
+        reading(tmp_path, STARTS, key=key)
+
+
+def test_what_drives_an_exercised_reading_is_that_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half of the amplitude of a force, which is 0 at the start."""
+    of_control = Actuators._of_control
+    monkeypatch.setattr(Actuators, "_of_control", lambda self, k, share: of_control(self, k, 0.5 * share))
+    with pytest.raises(MjcfError, match="the scene is not what the file says: actuators, rel"):
+        reading(tmp_path, ZOO, exercise=True)
 
 
 def test_an_equality_that_is_reported_and_not_there_is_found(

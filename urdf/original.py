@@ -265,15 +265,20 @@ class UrdfOriginal(Original):
 
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
         """Forces (4, nv) of each element alone, of all `KINDS`, at each sample, by its name."""
-        for name in ("gravity", *dict.fromkeys(self.motions)):
+        gravity, weights = self._model.gravity.linear.copy(), []
+        for axis in np.eye(3):
+            self._model.gravity.linear = axis
+            alone = [np.array(self.forces(sample.q, sample.v)[:-1]) for sample in samples]
+            weights.append([forces * np.eye(4)[0][:, None] for forces in alone])
+        self._model.gravity.linear = gravity
+        yield "gravity", weights
+        for name in dict.fromkeys(self.motions):
             own, found = np.array([motion == name for motion in self.motions]), []
             for sample in samples:
                 forces = np.array(self.forces(sample.q, sample.v)[:-1])
-                forces[1:] = np.where(own, forces[1:], 0.0)
-                forces[0] *= name == "gravity"
-                found.append(forces)
+                found.append(np.where(own, forces, 0.0) * (1.0 - np.eye(4)[0][:, None]))
             if np.any(found):
-                yield name if name == "gravity" else f"{name}: damping", [found]
+                yield f"{name}: damping", [found]
 
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
         """None: a URDF has no armatures."""

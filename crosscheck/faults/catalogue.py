@@ -112,7 +112,7 @@ def _sized(scene: Scene, size: float) -> Iterator[Fault]:
     """Of joints, gravity and forces."""
     length, cuts = scene.mechanism.size, SpanningTree(scene.mechanism).cuts
     for index, joint in enumerate(scene.mechanism.joints):
-        right, near = frozenset({joint.name}), _bodies_at(joint)
+        right, near = frozenset({joint.name}), bodies_at(joint)
         for label, axis in zip("xyz", np.eye(3), strict=True):
             shift = size * length * axis
             moved = plant.joint_point(joint.name, shift)
@@ -133,12 +133,12 @@ def _sized(scene: Scene, size: float) -> Iterator[Fault]:
             detail = "spring" if isinstance(force, JointSpring) else "spring of its ball"
             for kind, name in (("gain", "stiffness"), ("damping", "damping")):
                 if value := getattr(force, name):
-                    other = plant.spring(index, **{name: (1.0 + size) * value})
+                    other = plant.entry("forces", index, **{name: (1.0 + size) * value})
                     yield Fault(kind, force.joint, detail, size, other, right)
     for index, rotor in enumerate(scene.armatures):
-        other = plant.armature(index, (1.0 + size) * rotor.inertia)
+        other = plant.entry("armatures", index, inertia=(1.0 + size) * rotor.inertia)
         joint = scene.mechanism.joints[scene.mechanism.joint_index(rotor.joint)]
-        right = _bodies_at(joint) | {rotor.joint}  # what turns there is as heavy to turn as with more inertia
+        right = bodies_at(joint) | {rotor.joint}  # what turns there is as heavy to turn as with more inertia
         detail = "of its ball" if isinstance(rotor, BallArmature) else ""
         yield Fault("armature", rotor.joint, detail, size, other, right)
 
@@ -149,7 +149,7 @@ def _of_law(scene: Scene, index: int, law: PD, size: float) -> Iterator[Fault]:
         value = getattr(law, name)
         if value or name == "target":
             other = (1.0 + size) * value if value else size * _unit(scene, law)
-            yield Fault(kind, law.joint, "", size, plant.law(index, **{name: other}), right)
+            yield Fault(kind, law.joint, "", size, plant.entry("control", index, **{name: other}), right)
 
 
 def _unit(scene: Scene, law: PD) -> float:
@@ -168,7 +168,8 @@ def _other_gravities(gravity: Array, size: float) -> dict[str, Array]:
     return {"strength": (1.0 + size) * gravity, **turned}
 
 
-def _bodies_at(joint: Joint) -> frozenset[str]:
+def bodies_at(joint: Joint) -> frozenset[str]:
+    """Names of the two bodies that a joint connects."""
     return frozenset({joint.first, joint.second})
 
 
@@ -187,18 +188,18 @@ def _joint_mistakes(scene: Scene) -> Iterator[Fault]:
     cuts = SpanningTree(scene.mechanism).cuts
     for index, joint in enumerate(scene.mechanism.joints):
         fault = Fault("", joint.name, "", None, plant.missing_joint(joint.name), frozenset({joint.name}))
-        fault = replace(fault, near=_bodies_at(joint))
+        fault = replace(fault, near=bodies_at(joint))
         for name in joint.axis_names:
             turned = plant.joint_axes(joint.name, {name: -getattr(joint, name)})
             yield replace(fault, kind="axis sign", detail=name, plant=turned)
-        for kind, axes in _other_kinds(scene, joint).items():
+        for kind, axes in other_kinds(scene, joint).items():
             other = plant.joint_kind(joint, kind, **axes)
             yield replace(fault, kind="joint type", detail=f"{joint.kind} as {kind}", plant=other)
         if index in cuts:
             yield replace(fault, kind="missing closure")
 
 
-def _other_kinds(scene: Scene, joint: Joint) -> dict[str, dict[str, Array]]:
+def other_kinds(scene: Scene, joint: Joint) -> dict[str, dict[str, Array]]:
     """The kind that a joint is easily taken for, with its axes; its first coordinates are what they were."""
     names = {key[0] for coupling in couplings(scene) for key in coupling.factors}
     driven = {law.joint for law in scene.joint_forces} | {a.joint for a in scene.armatures} | names

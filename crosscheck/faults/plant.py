@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.joints import JOINT_KINDS, Joint
+from newton_euler.couplings import JointCoupling
+from newton_euler.joints import JOINT_KINDS, Compound, Joint
 from newton_euler.joints.base import perpendicular_pair
 from newton_euler.mechanism import Body, Mechanism
 from newton_euler.scalars import Array
@@ -120,6 +121,19 @@ def joint_axes(joint: str, axes: dict[str, Array]) -> Plant:
     return change_joint(joint, lambda j: replace(j, **axes))  # type: ignore[arg-type]
 
 
+def row_of(joint: Joint, name: str, number: int, change: Callable[[Array], Array]) -> Plant:
+    """Another row in an array of a joint's: an axis, or an offset, with what is beyond it."""
+
+    def changed(j: Joint) -> Joint:
+        rows = np.array(getattr(j, name))
+        other = change(rows[number])
+        moved = other - rows[number] if name == "offsets" else np.zeros(3)
+        rows[number] = other
+        return replace(j, **{name: rows, "point_on_second": j.reaction_point + moved})  # type: ignore[arg-type]
+
+    return change_joint(joint.name, changed)
+
+
 def joint_kind(joint: Joint, kind: str, **axes: Array) -> Plant:
     """A joint of another kind in its place."""
     other = JOINT_KINDS[kind](
@@ -149,28 +163,36 @@ def gravity(vector: Array) -> Plant:
     return lambda scene: replace(scene, gravity=vector)
 
 
-def law(index: int, **values: float) -> Plant:
-    """Other parameters of a control law."""
-    return _entry("control", index, values)
-
-
-def spring(index: int, **values: float) -> Plant:
-    """Other parameters of a spring at a joint."""
-    return _entry("forces", index, values)
-
-
-def armature(index: int, inertia: float) -> Plant:
-    """Another armature, kg m^2 or kg."""
-    return _entry("armatures", index, {"inertia": inertia})
-
-
-def _entry(field: str, index: int, values: dict[str, float]) -> Plant:
-    """Other values in one entry of a list of the scene's."""
+def entry(field: str, index: int, **values: Any) -> Plant:
+    """Other values in one entry of a list of the scene's: control, forces or armatures."""
 
     def plant(scene: Scene) -> Scene:
         entries = list(getattr(scene, field))
         entries[index] = replace(entries[index], **values)
         return replace(scene, **{field: tuple(entries)})  # type: ignore[arg-type]
+
+    return plant
+
+
+def without(field: str, index: int) -> Plant:
+    """One entry of such a list, or of the motions, not there."""
+
+    def plant(scene: Scene) -> Scene:
+        entries = getattr(scene, field)
+        rest: Any = {field: (*entries[:index], *entries[index + 1 :]), "initial_state": None}
+        return replace(scene, **rest)
+
+    return plant
+
+
+def coupling(index: int, other: JointCoupling | None) -> Plant:
+    """Another gear or sum of joint coordinates in the place of one, or none."""
+
+    def plant(scene: Scene) -> Scene:
+        mechanism, found = scene.mechanism, list(scene.mechanism.couplings)
+        found[index : index + 1] = [] if other is None else [other]
+        changed = Mechanism(mechanism.bodies, mechanism.joints, found)
+        return replace(scene, mechanism=changed, initial_state=None)  # type: ignore[arg-type]
 
     return plant
 
@@ -187,9 +209,17 @@ def tilted(joint: Joint, angle: float) -> dict[str, Plant]:
 
     A single axis about two directions across it, and with it the line that the second body's point is on.
     The two axes of a universal joint, which have to stay perpendicular, each about the other and both about
-    their common normal.
+    their common normal. Each of the slides and hinges in a row about two directions across it.
     """
     names = joint.axis_names
+    if isinstance(joint, Compound):
+        found: dict[str, Plant] = {}
+        for name in ("slides", "hinges"):
+            for k, axis in enumerate(getattr(joint, name)):
+                for label, about in zip("uw", perpendicular_pair(axis), strict=True):
+                    tilt = turned_about(about, angle).__matmul__
+                    found[f"{name}[{k}] about {label}"] = row_of(joint, name, k, tilt)
+        return found
     values = [np.asarray(getattr(joint, name)) for name in names]
     if len(values) == 1:
         across = zip("uw", perpendicular_pair(values[0]), strict=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,6 +26,16 @@ class Exercise(NamedTuple):
     control: Array
     swings: dict[int, Sine]
     moved: list[int]
+
+    def at(self, time: float, model: Any, activation: Array) -> tuple[Array, Array]:
+        """Controls (nu,) and activations (na,) of a compiled model at a time, s, from those at the start."""
+        control, activation = self.control.copy(), activation.copy()
+        for k, swing in self.swings.items():
+            if (place := int(model.actuator_actadr[k])) < 0:
+                control[model.actuator_ctrladr[k]] += swing.value(time)
+            else:
+                activation[place] += swing.value(time)
+        return control, activation
 
 
 def exercise(scene: Scene, drives: Mapping[int, Drive], control: Array, places: Array) -> Exercise:

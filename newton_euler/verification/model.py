@@ -17,6 +17,9 @@ from newton_euler.verification.sample import FREE, ROUND_OFF
 
 PLACES = "center of mass at the start, m"
 
+ENOUGH = 10.0
+"""Times as far as the verification moves a start to close loops, that a reader may."""
+
 ARMS = 1e3
 """Times as large as round-off an inertia's may be that is a difference of places in the world."""
 
@@ -36,6 +39,25 @@ def body_figures(placed: Placed) -> Iterator[Figure]:
     arms = np.clip(wanted.mass * original.size * reach / largest, 1.0, ARMS)
     yield figure("inertia, rel", gaps, ROUND_OFF * arms, names)
     yield _mass_matrix_figure(placed, stated)
+
+
+def start_figures(placed: Placed) -> Iterator[Figure]:
+    """Where the scene starts and how fast, against what the file says as far as that fits its loops."""
+    original, place = placed.original, placed.places[0]
+    if original.stated is None:
+        return
+    (q, v), sample = original.stated, place.sample
+    closing = np.abs(original.difference(q, original.closed(q)[0])) / original.units
+    away = np.abs(original.difference(q, original.start)) / original.units
+    limit = sample.tolerance_of_motion + ENOUGH * float(np.max(closing, initial=0.0))
+    yield figure("start, sizes or rad", away, limit, original.motions)
+    state, v = placed.scene.initial_state, v / original.units
+    reached = placed.of_parts(np.hstack([state.linear_velocity, state.angular_velocity]).ravel())
+    own = least_squares(place.of_parts / placed.part_units[:, None] * original.units, reached)
+    scale = max(1.0, float(np.max(np.abs(v), initial=0.0)))
+    opening = float(np.max(np.abs(sample.constraints.jacobian @ v), initial=0.0)) / scale
+    limit = sample.tolerance_of_motion + ENOUGH * sample.freedom.condition * opening
+    yield figure("velocities at the start, rel", np.abs(own - v) / scale, limit, original.motions)
 
 
 def _moving(properties: MassProperties) -> MassProperties:

@@ -64,6 +64,8 @@ class Original(ABC):
         ranges: (nv,) how far coordinates may be moved from the start, rad or sizes.
         size: m.
         start: q where the scene starts.
+        stated: q and velocities (nv,) that the file itself starts from, loops open or not; None where it says
+            nothing of that.
         unaccounted: elements that neither the scene nor its report can be held to.
     """
 
@@ -73,6 +75,7 @@ class Original(ABC):
     ranges: Array
     size: float
     start: Array
+    stated: tuple[Array, Array] | None = None
     unaccounted: tuple[str, ...] = ()
 
     @abstractmethod

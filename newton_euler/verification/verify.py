@@ -3,7 +3,7 @@
 `verify` compares figure by figure, at the start and at closed states around it and far from it, all of them
 moving, with springs displaced and actuators on:
 
-1. mass properties of each body, and where it starts;
+1. mass properties of each body, and where it starts and how fast;
 2. the mass matrix with loops open, bodies placed at random;
 3. joints, gears and motions of the scene where the file's own equalities are closed, how fast they open where
    the file lets bodies move, and how far what the scene leaves free opens the file's equalities;
@@ -29,13 +29,14 @@ from newton_euler.system import System
 from newton_euler.verification.dynamics import system_figures
 from newton_euler.verification.figure import Figure, worst
 from newton_euler.verification.forces import force_figures
-from newton_euler.verification.model import PLACES, body_figures, joint_figures
+from newton_euler.verification.model import PLACES, body_figures, joint_figures, start_figures
 from newton_euler.verification.original import Original
 from newton_euler.verification.placed import Placed
 from newton_euler.verification.sample import LOOSEST
 
 PARTS: tuple[Callable[[Placed], Iterator[Figure]], ...] = (
     body_figures,
+    start_figures,
     joint_figures,
     force_figures,
     system_figures,
