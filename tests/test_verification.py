@@ -121,11 +121,14 @@ def test_a_reader_at_fault_is_refused(
         reading(tmp_path, ZOO)
 
 
+POSE = "0 0 0 0.2 2 1 0.8 0.2 -0.4 0.4 1 0 0 0 0.1 0 0.1 -0.2"
+
+SPEEDS = "0 0 0 1 0 0 0 2 0 0 0 3 1 0 0.5 -2"
+
 STARTS = ZOO.replace(
     "</actuator>",
-    '</actuator><keyframe><key name="still" qpos="{0}"/><key name="moving" qpos="{0}" qvel="{1}"/></keyframe>'.format(
-        "0 0 0 0.2 2 1 0.8 0.2 -0.4 0.4 1 0 0 0 0.1 0 0.1 -0.2", "0 0 0 1 0 0 0 2 0 0 0 3 1 0 0.5 -2"
-    ),
+    f'</actuator><keyframe><key name="still" qpos="{POSE}"/>'
+    f'<key name="moving" qpos="{POSE}" qvel="{SPEEDS}"/></keyframe>',
 )
 
 
