@@ -20,7 +20,7 @@ from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
 from crosscheck.faults import plant
 from crosscheck.faults.catalogue import catalogue
-from crosscheck.faults.find import find, samples_of
+from crosscheck.faults.find import Sound, find
 from crosscheck.faults.plant import Plant
 from crosscheck.model_files.read import read_model
 from crosscheck.scenes import load
@@ -245,7 +245,7 @@ def test_two_models_are_told_apart_by_the_joint_of_the_ball(change: Plant, quant
 @pytest.mark.parametrize("size", [1e-1, 1e-4])
 def test_faults_of_balls_are_found_and_blamed(size: float) -> None:
     scene = twisted_loop()
-    own = samples_of(scene)
+    own = Sound(scene)
     of_balls = [fault for fault in catalogue(scene, (size,)) if "its ball" in fault.detail]
     assert [fault.kind for fault in of_balls] == ["gain", "damping", "armature"]
     for fault in of_balls:

@@ -15,7 +15,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.faults import PLANTED_IN, plant
 from crosscheck.faults import find as finding
 from crosscheck.faults.catalogue import SIZES, Fault, catalogue, most_of
-from crosscheck.faults.find import REFUSED, Found, Search, Sighting, find, find_faults, samples_of
+from crosscheck.faults.find import REFUSED, Found, Search, Sighting, Sound, find, find_faults
 from crosscheck.faults.report import SMALLEST, Count, by_motion, holds, in_all, lines
 from crosscheck.scenes import load
 from newton_euler import Armature, Body, JointSpring, Mechanism, Scene
@@ -50,7 +50,7 @@ def example():
 
 @pytest.fixture(scope="module")
 def own(example):
-    return samples_of(example)
+    return Sound(example)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_the_mass_of_a_body_fixed_to_the_ground(gravity, observable):
     mechanism = Mechanism([*swinging.mechanism.bodies, stone], [*swinging.mechanism.joints, held])
     scene = Scene("held", mechanism, 1.0, 0.1, gravity)
     fault = Fault("mass", "stone", "", 0.1, plant.mass("stone", 0.1), frozenset({"stone"}))
-    result = find(fault, ENGINES["mujoco"], samples_of(scene))
+    result = find(fault, ENGINES["mujoco"], Sound(scene))
     assert result.observable == observable
     assert (result.seen.level, result.seen.where) == ("model", "stone")
     assert (result.moves is not None) == observable
@@ -121,7 +121,7 @@ def test_springs_are_told_from_bodies(kind):
     scene = replace(pendulum(), forces=(JointSpring("pivot", 3.0, 0.5),))
     (fault,) = (f for f in catalogue(scene, (1e-3,)) if f.kind == kind)
     for name in PLANTED_IN:
-        result = find(fault, ENGINES[name], samples_of(scene))
+        result = find(fault, ENGINES[name], Sound(scene))
         assert result.seen.level == "dynamics"
         assert result.seen.where == "pivot"
 
@@ -130,7 +130,7 @@ def test_an_armature_is_found_at_its_joint_or_the_body_that_it_turns():
     scene = replace(pendulum(), armatures=(Armature("pivot", 0.3),))
     (fault,) = (f for f in catalogue(scene, (1e-3,)) if f.kind == "armature")
     for name in PLANTED_IN:
-        result = find(fault, ENGINES[name], samples_of(scene))
+        result = find(fault, ENGINES[name], Sound(scene))
         assert result.seen.level == "dynamics"
         assert result.blamed
         assert not replace(result, fault=replace(fault, right=frozenset({"ground"}))).blamed
@@ -138,7 +138,7 @@ def test_an_armature_is_found_at_its_joint_or_the_body_that_it_turns():
 
 def test_a_fault_in_one_size_is_no_larger_in_another(example):
     """Figures are proportional to the fault: 1e-2 and 1e-5 of a mass differ by 1e3 to a per mille."""
-    own = samples_of(example)
+    own = Sound(example)
     values = []
     for size in (1e-2, 1e-5):
         fault = next(f for f in catalogue(example, (size,)) if f.kind == "mass")
@@ -185,15 +185,17 @@ def refusal(fault, scene):
 
 def a_fault(size=1e-4, **values):
     fault = Fault("mass", "bar", "", size, lambda scene: scene, frozenset({"bar"}))
-    sighting = Sighting("model", "mass, rel", 1e-4, 1e-12, "bar")
+    sighting = Sighting("model", "mass, rel", 1e-4, 1e-12, "bar", "mujoco")
     return Found(fault, "mujoco", **{"seen": sighting, "moves": sighting, "observable": True} | values)
 
 
 def test_shares_count_what_can_be_found():
     unseen = a_fault(seen=None, moves=None)
-    elsewhere = a_fault(seen=Sighting("model", "mass, rel", 1e-4, 1e-12, "other"))
+    in_another = a_fault(seen=Sighting("model", "mass, rel", 1e-4, 1e-12, "bar", "pinocchio"))
+    elsewhere = a_fault(seen=Sighting("model", "mass, rel", 1e-4, 1e-12, "other", "mujoco"))
     nothing = a_fault(seen=None, moves=None, observable=False)
     assert in_all([a_fault(), unseen, elsewhere, nothing]) == Count(3, 2, 1)
+    assert in_all([a_fault(), in_another]) == Count(2, 2, 1)
     assert by_motion([a_fault(), unseen, elsewhere, nothing]) == Count(3, 2, 2)
     many = [a_fault()] * 99
     assert holds([*many, elsewhere, nothing])
@@ -214,7 +216,7 @@ def test_misses_are_listed():
 
 
 def test_what_an_engine_does_not_hold_is_said():
-    lost = a_fault(seen=None, moves=None, lost=Sighting("model", "inertia, rel", 1e-6, 1e-12, "bar"))
+    lost = a_fault(seen=None, moves=None, lost=Sighting("model", "inertia, rel", 1e-6, 1e-12, "bar", ""))
     (line,) = lines(pendulum(), [lost])
     assert line.startswith("missed: mass of bar by 0.0001, in mujoco: mujoco's own model does not hold it")
 
@@ -265,9 +267,16 @@ def test_the_command_tells_what_is_missed(capsys, tmp_path, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["tracker", "four_bar", "slider_crank"])
 def test_all_faults_of_a_scene(name):
-    """All down to 1e-4 found, 95 % blamed on the very element; smaller ones if an engine has them."""
+    """All down to 1e-4 found, each blamed on the engine that has it, 95 % on the very element.
+
+    Smaller ones are found if an engine has them.
+    """
     found = find_faults(load(name), lambda message: None).found
     large = [f for f in found if f.fault.size is None or f.fault.size >= SMALLEST]
+    for engine in PLANTED_IN:
+        seen = [f for f in large if f.engine == engine and f.seen]
+        assert len(seen) >= 30
+        assert not [(f.fault.name, f.seen) for f in seen if f.seen.odd != engine]
     count, motion = in_all(large), by_motion(large)
     assert count.of > 200
     assert count.found == count.of

@@ -43,14 +43,16 @@ ZOO = model(
     '<body name="leg" pos="0.3 0 0" gravcomp="0.4"><joint name="ball" type="ball" stiffness="2" '
     f'damping="0.3" armature="0.02"/>{BOX.format("0 0.1 -0.4")}'
     '<body name="foot" pos="0 0 -0.6"><joint name="p" axis="1 0 0" damping="0.4" armature="0.03"/>'
-    f'<joint name="q" axis="0 1 0"/>{BOX.format("0.1 0 -0.1")}'
+    f'<joint name="q" axis="0 1 0" pos="0.03 0 0.05"/>{BOX.format("0.1 0 -0.1")}'
     '<body name="toe" pos="0.2 0 0"><joint name="r" type="slide" axis="1 0 0.2" stiffness="50" damping="2"/>'
     f'{BOX.format("0.1 0 0")}<body name="nail" pos="0.2 0 0"><joint name="s" axis="0 0 1"/>'
     f"{BOX.format('0.1 0.05 0')}</body></body></body></body></body>",
     '<equality><connect name="c" body1="coupler" body2="rocker" anchor="0.8 0 0.3"/>'
-    '<joint name="geared" joint1="s" joint2="p" polycoef="0 -2 0 0 0"/></equality>'
+    '<joint name="geared" joint1="s" joint2="p" polycoef="0 -2 0 0 0"/><tendon name="summed" tendon1="sum"/>'
+    "</equality>"
     '<tendon><spatial name="cord" stiffness="30" damping="1" springlength="0.5"><site site="tip"/>'
-    '<site site="hook"/></spatial></tendon>'
+    '<site site="hook"/></spatial><fixed name="sum"><joint joint="p" coef="1"/><joint joint="q" coef="0.7"/>'
+    '<joint joint="r" coef="3"/></fixed></tendon>'
     '<actuator><motor name="m" joint="a" gear="3" ctrlrange="-1 1"/><position name="servo" joint="q" kp="20" '
     'kv="2" gear="0.5"/><velocity name="speed" joint="r" kv="4"/><motor name="thrust" site="hook" '
     'gear="1 2 3 0.1 0.2 0.3"/></actuator>',
@@ -59,25 +61,38 @@ ZOO = model(
 """Each kind of element that a scene can hold; no control acts at the start."""
 
 
+LARGER = ("doubled", "halved", "negated", "by 0.1")
+"""Faults of values that a millionth is planted in as well."""
+
+SEVERAL = ("exchanged", "permuted", "taken for", " as ", "dropped")
+"""Faults that are seen at what depends on the element too, or at another one that acts like it."""
+
+
 def test_every_fault_that_moves_something_is_found_and_named(tmp_path: Path) -> None:
     report = reading(tmp_path, ZOO).report
-    larger = ("doubled", "halved", "by 0.1")  # of the same values
-    faults = [f for f in misreadings(report.originals[-1][1]) if not any(x in f.detail for x in larger)]
+    faults = [f for f in misreadings(report.originals[-1][1]) if not any(x in f.detail for x in LARGER)]
     found = find_in_reading(report, lambda _: None, faults)
-    assert len(found) > 120
+    assert len(found) > 200
     assert not [outcome.fault.name for outcome in found if outcome.missed]
+    simple = [each for each in found if not any(x in each.fault.detail for x in SEVERAL)]
     assert not [
-        (outcome.fault.name, outcome.where) for outcome in found if outcome.figure and not outcome.named
+        (outcome.fault.name, outcome.where)
+        for outcome in simple
+        if outcome.figure and not outcome.named and not outcome.fault.kind.startswith("point")
     ]
-    # points of free joints and slides, and signs of axes that nothing acts on, are no faults of motion
+    # points of free joints and slides, points along hinges, and signs of axes that nothing acts on, are no
+    # faults of motion, nor is the kind of a joint in a flat loop
     idle = {(outcome.fault.element, outcome.fault.kind) for outcome in found if not outcome.moves}
-    assert idle <= {("root", "joint point"), ("r", "joint point"), ("b", "axis"), ("d", "axis")}
+    assert {kind for _, kind in idle} <= {"joint point", "axis", "joint type", "mass and inertia", "offset"}
+    assert {element for element, kind in idle if kind == "axis"} <= {"b", "d", "root"}
     assert {outcome.fault.kind for outcome in found} >= {
         "mass", "inertia", "frame", "center of mass", "axis", "joint point", "equality", "gear", "gravity",
-        "armature", "stiffness of PD", "damping of PD", "feedforward of PD", "stiffness of JointSpring",
-        "damping of JointSpring", "rest of JointSpring", "stiffness of BallSpring", "damping of BallSpring",
-        "stiffness of PointSpring", "damping of PointSpring", "rest_length of PointSpring", "force of Wrench",
-        "torque of Wrench",
+        "armature", "offset", "joint type", "joint", "mass and inertia", "stiffness of PD", "damping of PD",
+        "target of PD", "feedforward of PD", "stiffness of JointSpring", "damping of JointSpring",
+        "rest of JointSpring", "stiffness of BallSpring", "damping of BallSpring", "rest of BallSpring",
+        "stiffness of PointSpring", "damping of PointSpring", "rest_length of PointSpring",
+        "point_on_first of PointSpring", "point_on_second of PointSpring", "force of Wrench",
+        "torque of Wrench", "point of Wrench", "frame of Wrench",
     }  # fmt: skip
 
 
@@ -121,9 +136,9 @@ def test_a_reader_at_fault_is_refused(
         reading(tmp_path, ZOO)
 
 
-POSE = "0 0 0 0.2 2 1 0.8 0.2 -0.4 0.4 1 0 0 0 0.1 0 0.1 -0.2"
+POSE = "0 0 0 0.2 2 1 0.8 0.2 -0.4 0.4 1 0 0 0 0.1 0.2 -0.08 -0.2"
 
-SPEEDS = "0 0 0 1 0 0 0 2 0 0 0 3 1 0 0.5 -2"
+SPEEDS = "0 0 0 1 0 0 0 2 0 0 0 3 1 2 -0.8 -2"
 
 STARTS = ZOO.replace(
     "</actuator>",

@@ -30,7 +30,7 @@ from crosscheck.faults import PLANTED_IN
     type=click.Choice(PLANTED_IN),
     multiple=True,
     default=PLANTED_IN,
-    help="Whose model the faults are planted in; repeatable.  [default: both, in turns]",
+    help="Whose model the faults are planted in; repeatable.  [default: all, in turns]",
 )
 @click.option("--reading", is_flag=True, help="Plant them in what was read from the model file SCENE.")
 @click.option(

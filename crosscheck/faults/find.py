@@ -1,14 +1,17 @@
-"""Whether the comparison finds a fault, and what it blames."""
+"""Search for planted faults by the comparison of engines: which are found, and who is blamed."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
+from crosscheck.comparison.diagnosis import diagnose
 from crosscheck.comparison.levels import EQUATION_LEVELS, Level, compare_pair
+from crosscheck.comparison.rows import Row
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.errors import CrosscheckError
@@ -42,6 +45,7 @@ class Sighting:
         quantity: the figure that fails; the error's text if refused.
         value, tolerance: of the figure; NaN if refused.
         where: what is blamed.
+        odd: the engine that the diagnosis blames; "" if nothing settles which.
     """
 
     level: str
@@ -49,6 +53,7 @@ class Sighting:
     value: float
     tolerance: float
     where: str
+    odd: str
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,7 @@ class Found:
         fault, engine: what was planted where.
         seen: its first sighting at levels 1 to 4; None if all agree.
         moves: the same at levels 2 to 4, by motion alone.
+        alone: whether too few engines express the scene for any to be the odd one out.
         lost: for one that is not seen, where newton_euler with the same fault parts from the engine's model:
             the engine does not hold it.
         observable: whether it, or a larger one like it, changes a pose, velocity, energy, acceleration or
@@ -72,6 +78,7 @@ class Found:
     moves: Sighting | None
     observable: bool
     lost: Sighting | None = None
+    alone: bool = False
 
     @property
     def counts(self) -> bool:
@@ -80,13 +87,18 @@ class Found:
 
     @property
     def blamed(self) -> bool:
-        """Whether the very body, joint or term is named."""
-        return self.seen is not None and self.seen.where in self.fault.right
+        """Whether the engine is blamed that has it, and the very body, joint or term is named."""
+        return self._names(self.seen, self.fault.right)
 
     @property
     def blamed_by_motion(self) -> bool:
         """The same by motion alone, where a joint's fault may be seen at the bodies it connects."""
-        return self.moves is not None and self.moves.where in self.fault.right | self.fault.near
+        return self._names(self.moves, self.fault.right | self.fault.near)
+
+    def _names(self, sighting: Sighting | None, right: frozenset[str]) -> bool:
+        if sighting is None or sighting.where not in right:
+            return False
+        return sighting.odd == self.engine or (self.alone and not sighting.odd)
 
 
 @dataclass(frozen=True)
@@ -122,14 +134,17 @@ def find_faults(
         CrosscheckError: for a scene that the engines disagree on as it is.
         NewtonEulerError: for a scene that none of the engines can express.
     """
-    own = samples_of(scene)
-    engines, left_out = _able(own, names)
+    sound = Sound(scene)
+    engines = [sound.engines[name] for name in names if name in sound.engines]
+    if not engines:
+        raise sound.refusals[names[0]]
     faults = catalogue(scene, sizes)
     found = []
     for number, fault in enumerate(faults):
         if number % PROGRESS == 0:
             progress(f"{number} of {len(faults)} faults: {fault.name}")
-        found.append(find(fault, engines[number % len(engines)], own))
+        found.append(find(fault, engines[number % len(engines)], sound))
+    left_out = {name: str(error) for name, error in sound.refusals.items()}
     return Search(tuple(_observable(found)), tuple(engine.name for engine in engines), left_out)
 
 
@@ -145,62 +160,97 @@ def samples_of(scene: Scene) -> Samples:
     return Samples(Relative(scene), States(scene, (scene.initial_state, *random_states(scene, STATES))))
 
 
-def _able(own: Samples, names: Sequence[str]) -> tuple[list[Engine], dict[str, str]]:
-    """The engines that can express a scene, which have to agree on it, and why the others cannot."""
-    able, refusals = [], {}
-    for name in names:
+class Sound:
+    """The engines' equations of a scene without a fault, at its initial state and at random ones.
+
+    Attributes:
+        scene: as it should be.
+        engines: by name, those that can express it, newton_euler first.
+        refusals: of the others, by name.
+        own: newton_euler.
+
+    Raises:
+        CrosscheckError: for a scene that the engines disagree on.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.own = scene, samples_of(scene)
+        self.engines: dict[str, Engine] = {}
+        self.refusals: dict[str, NewtonEulerError] = {}
+        self._samples: dict[str, Samples] = {}
+        for name, engine in ENGINES.items():
+            try:
+                system = engine.systems(scene)[0]
+            except NewtonEulerError as error:
+                self.refusals[name] = error
+                continue
+            self.engines[name] = engine
+            self._samples[name] = Samples(system, self.own.states)
+        pairs = combinations(self._samples, 2)
+        self._rows = {pair: list(self._compared(pair, self._samples, EQUATION_LEVELS)) for pair in pairs}
+        for (one, other), rows in self._rows.items():
+            for row in rows:
+                if not row.agrees:
+                    raise CrosscheckError(
+                        f"{one} and {other} part on scene {scene.name!r} without a fault, at level "
+                        f"{row.level!r}: {row.quantity}; `crosscheck run` says more"
+                    )
+
+    def _compared(
+        self, pair: tuple[str, str], samples: dict[str, Samples], levels: Sequence[Level]
+    ) -> Iterator[Row]:
+        return compare_pair(pair, [samples[pair[0]]], [samples[pair[1]]], levels)
+
+    def diagnosed(self, name: str, faulty: Samples, levels: Sequence[Level]) -> Sighting | None:
+        """What the diagnosis says of all engines, one of them with other samples; None if they agree."""
+        samples = self._samples | {name: faulty}
+        rows: list[Row] = []
         try:
-            (system,) = ENGINES[name].systems(own.states.scene)
+            for pair, known in self._rows.items():
+                rows += self._compared(pair, samples, levels) if name in pair else known
         except NewtonEulerError as error:
-            refusals[name] = error
-            continue
-        parting = _first_failing(own, Samples(system, own.states), name, EQUATION_LEVELS)
-        if parting is not None:
-            raise CrosscheckError(
-                f"newton_euler and {name} part on scene {own.states.scene.name!r} without a fault, at level "
-                f"{parting.level!r}: {parting.quantity}; `crosscheck run` says more"
-            )
-        able.append(ENGINES[name])
-    if not able:
-        raise next(iter(refusals.values()))
-    return able, {name: str(error) for name, error in refusals.items()}
+            return _refusal(error, name)
+        for found in diagnose(tuple(samples), rows)[:1]:
+            return Sighting(found.level, found.quantity, found.value, found.tolerance, found.where, found.odd)
+        return None
 
 
-def find(fault: Fault, engine: Engine, own: Samples) -> Found:
-    """Plant one fault in one engine and compare it with the right model's samples."""
+def find(fault: Fault, engine: Engine, sound: Sound) -> Found:
+    """Plant one fault in one engine and compare it with the others."""
+    name, own, alone = engine.name, sound.own, len(sound.engines) < 3
     try:
-        samples = Samples(_planted(fault, engine, own.states.scene), own.states)
+        samples = Samples(_planted(fault, engine, sound.scene), own.states)
     except NewtonEulerError as error:
-        refusal = _refusal(error)
-        return Found(fault, engine.name, refusal, refusal, True)
-    seen = _first_failing(own, samples, engine.name, EQUATION_LEVELS)
+        refusal = _refusal(error, name)
+        return Found(fault, name, refusal, refusal, True, alone=alone)
+    seen = sound.diagnosed(name, samples, EQUATION_LEVELS)
     # where the model's own numbers agree, the levels after it have been looked at already
     numbers = seen is not None and seen.level == "model"
-    moves = _first_failing(own, samples, engine.name, MOTION) if numbers else seen
+    moves = sound.diagnosed(name, samples, MOTION) if numbers else seen
     if moves is not None:
-        return Found(fault, engine.name, seen, moves, True)
+        return Found(fault, name, seen, moves, True, alone=alone)
     # the same equations of motion with the fault and without it
-    faulty = Samples(Relative(fault.plant(own.states.scene)), own.states)
-    observable = _first_failing(own, faulty, "newton_euler with the fault", MOTION) is not None
-    lost = None if seen else _first_failing(faulty, samples, engine.name, EQUATION_LEVELS[:1])
-    return Found(fault, engine.name, seen, moves, observable, lost)
+    faulty = Samples(Relative(fault.plant(sound.scene)), own.states)
+    observable = _first_failing(own, faulty, MOTION) is not None
+    lost = None if seen else _first_failing(faulty, samples, EQUATION_LEVELS[:1])
+    return Found(fault, name, seen, moves, observable, lost, alone)
 
 
-def _first_failing(own: Samples, samples: Samples, name: str, levels: Sequence[Level]) -> Sighting | None:
+def _first_failing(one: Samples, other: Samples, levels: Sequence[Level]) -> Sighting | None:
     try:
-        for row in compare_pair(("newton_euler", name), [own], [samples], levels):
+        for row in compare_pair(("one", "other"), [one], [other], levels):
             if not row.agrees:
-                return Sighting(row.level, row.quantity, row.value, row.tolerance, row.where)
+                return Sighting(row.level, row.quantity, row.value, row.tolerance, row.where, "")
     except NewtonEulerError as error:
-        return _refusal(error)
+        return _refusal(error, "")
     return None
 
 
-def _refusal(error: NewtonEulerError) -> Sighting:
-    """The error as a sighting; where is the joint or body that it is about."""
+def _refusal(error: NewtonEulerError, engine: str) -> Sighting:
+    """The error of an engine as a sighting; where is the joint or body that it is about."""
     element = getattr(error, "joint", getattr(error, "element", ""))
     named = re.search(r"'(.*)'", element)
-    return Sighting(REFUSED, str(error), np.nan, np.nan, named[1] if named else element)
+    return Sighting(REFUSED, str(error), np.nan, np.nan, named[1] if named else element, engine)
 
 
 def _planted(fault: Fault, engine: Engine, scene: Scene) -> System:

@@ -135,7 +135,7 @@ def _outcome(found: Found, sighting: Sighting | None) -> str:
         return f"missed: {planted}"
     if sighting.level == REFUSED:
         return f"blamed wrongly: {planted}: refused: {sighting.quantity}"
-    place = f"level {sighting.level!r}, {sighting.quantity}, at {sighting.where}"
+    place = f"{sighting.odd or 'nobody'}, level {sighting.level!r}, {sighting.quantity}, at {sighting.where}"
     return f"blamed wrongly: {planted}: {place}"
 
 
@@ -244,6 +244,7 @@ def _sighting(sighting: Sighting | None) -> dict[str, Any] | None:
         "value": None if refused else sighting.value,
         "tolerance": None if refused else sighting.tolerance,
         "where": sighting.where,
+        "odd": sighting.odd,
     }
 
 
