@@ -15,7 +15,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, unique_name
+from mjcf.accounts import name_of, straighten, switch_off, unaccounted
+from newton_euler.mapping import Mapping, unique_name
 from newton_euler.scalars import Array, cross
 from newton_euler.scene import Scene
 from newton_euler.state import MassProperties
@@ -30,7 +31,7 @@ ROUND_OFF = 1e-14
 """Relative, of what is left of MuJoCo's sum of passive forces without its parts."""
 
 TORQUE_SCALE = 10
-"""Where `eq_data` of a weld has the factor on what it says of angles."""
+"""Place in `eq_data` of a weld's factor on its angles."""
 
 DISABLED = ("CONTACT", "LIMIT", "FRICTIONLOSS")
 """No bilateral constraints: held against the report instead."""
@@ -79,7 +80,7 @@ class MjcfOriginal(Original):
         self.stated = self._data.qpos.copy(), self._velocity
         self._group(scene)
         self._measure(scene)
-        self.unaccounted = tuple(self._unaccounted(report))
+        self.unaccounted = tuple(unaccounted(self._model, self._roots, report))
         self.start = self.aligned(self.closed(self.stated[0])[0], scene)
         self._leave_out(report)
         self.start = self.aligned(self.closed(self.start)[0], scene)
@@ -110,7 +111,7 @@ class MjcfOriginal(Original):
         slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
         hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
         self.size = scene.mechanism.size
-        self.motions = tuple(self._name("joint", int(k)) for k in model.dof_jntid)
+        self.motions = tuple(name_of(self._model, "joint", int(k)) for k in model.dof_jntid)
         self.units = np.where(slides[model.dof_jntid], self.size, 1.0)
         self.ranges = np.full(model.nv, 3.0)
         for dof, joint in enumerate(model.dof_jntid.tolist()):
@@ -119,45 +120,11 @@ class MjcfOriginal(Original):
             if np.sum(hinges & (model.jnt_bodyid == model.jnt_bodyid[joint])) > 1:
                 self.ranges[dof] = SEVERAL_HINGES
 
-    def _name(self, kind: str, number: int) -> str:
-        """What reports call an element."""
-        return f"{kind} {getattr(self._model, kind)(number).name or number!r}"
-
-    # The report
-
-    def _unaccounted(self, report: Mapping) -> Iterator[str]:
-        """Elements that a report says nothing of, or not what is outside of rigid dynamics."""
-        model, topics = self._model, {(entry.element, entry.topic) for entry in report.entries}
-        told = {element for element, _ in topics}
-        counts = {"joint": model.njnt, "equality": model.neq, "actuator": model.nactuator}
-        for kind, count in counts.items():
-            yield from (name for k in range(count) if (name := self._name(kind, k)) not in told)
-        for k in self._roots:
-            if self._name("body", k) not in told:
-                yield self._name("body", k)
-        for tendon in range(model.ntendon):
-            acts = [model.tendon_stiffness, model.tendon_damping, model.tendon_armature]
-            name = self._name("tendon", tendon)
-            if any(values[tendon] for values in acts) and name not in told:
-                yield name
-        frictions = model.dof_frictionloss[model.jnt_dofadr]
-        for kind, limited, friction in (
-            ("joint", model.jnt_limited, frictions),
-            ("tendon", model.tendon_limited, model.tendon_frictionloss),
-        ):
-            for topic, has in ((LIMITS, limited), (FRICTION, friction)):
-                for k in np.flatnonzero(has).tolist():
-                    if (self._name(kind, k), topic) not in topics:
-                        yield f"{self._name(kind, k)}: {topic}"
-        touching = np.any(model.geom_contype) or np.any(model.geom_conaffinity) or model.npair
-        if touching and CONTACTS not in {topic for _, topic in topics}:
-            yield "contacts"
-
     def _leave_out(self, report: Mapping) -> None:
         """Switch off or replace what a report says is not in the scene as it is, at the start."""
         model, without, near = self._model, left_out(report), approximated(report)
         numbers = {
-            self._name(kind, k): (kind, k)
+            name_of(self._model, kind, k): (kind, k)
             for kind, count in (
                 ("joint", model.njnt),
                 ("equality", model.neq),
@@ -170,11 +137,14 @@ class MjcfOriginal(Original):
         for element, topics in without.items():
             kind, k = numbers.get(element, (element, -1))
             for topic in topics:
-                self._switch_off(kind, k, topic)
+                if kind == "equality":
+                    self._active[k] = 0
+                else:
+                    switch_off(model, kind, k, topic)
         for element in near:
             kind, k = numbers.get(element, (element, -1))
             if kind == "equality":
-                self._straighten(k)
+                straighten(model, k, self.start)
             elif kind == "actuator" and limits[k]:
                 model.actuator_gaintype[k] = mujoco.mjtGain.mjGAIN_FIXED
                 model.actuator_biastype[k] = mujoco.mjtBias.mjBIAS_AFFINE
@@ -192,7 +162,7 @@ class MjcfOriginal(Original):
         return np.asarray(self._model.eq_active0.copy())
 
     def _at_limits(self) -> tuple[Array, Array, Array]:
-        """Which actuators' forces are limited at the start, (nactuator,), these, and those on joints."""
+        """Find actuators with limited forces at the start, (nactuator,), these forces, and those on joints."""
         model, data = self._model, self._data
         kept = model.actuator_forcelimited.copy(), model.tendon_actfrclimited.copy()
         self._go(self.start, self._velocity)
@@ -203,50 +173,6 @@ class MjcfOriginal(Original):
         limits = data.actuator_force[outputs] != forces
         model.actuator_forcelimited[:], model.tendon_actfrclimited[:] = kept
         return limits, forces, torques
-
-    def _switch_off(self, kind: str, k: int, topic: str) -> None:
-        model = self._model
-        match kind, topic:
-            case "equality", _:
-                self._active[k] = 0
-            case "joint", "not linear":
-                model.jnt_stiffnesspoly[k] = 0.0
-                model.dof_dampingpoly[model.dof_jntid == k] = 0.0
-            case "joint", "limit of actuator forces":
-                model.jnt_actfrclimited[k] = 0
-            case "tendon", "not linear":
-                model.tendon_stiffnesspoly[k] = model.tendon_dampingpoly[k] = 0.0
-            case "tendon", "armature":
-                model.tendon_armature[k] = 0.0
-            case "tendon", "":
-                model.tendon_stiffness[k] = model.tendon_damping[k] = 0.0
-                model.tendon_stiffnesspoly[k] = model.tendon_dampingpoly[k] = 0.0
-            case "actuator", "":
-                model.actuator_gainprm[k] = model.actuator_biasprm[k] = model.actuator_gear[k] = 0.0
-                model.actuator_armature[k] = 0.0
-                model.actuator_damping[k] = model.actuator_dampingpoly[k] = 0.0
-            case "actuator", "damping":
-                model.actuator_damping[k] = model.actuator_dampingpoly[k] = 0.0
-            case "actuator", "limit of the force":
-                model.actuator_forcelimited[k] = 0
-            case "actuator", "limit of its tendon":
-                model.tendon_actfrclimited[model.actuator_trnid[k, 0]] = 0
-            case _, "density" | "viscosity":
-                setattr(model.opt, topic, 0.0)
-            case "option wind", _:
-                model.opt.wind[:] = 0.0
-            case _ if kind.endswith("flexes"):
-                for field in ("stiffness", "bending", "edgestiffness", "damping", "edgedamping"):
-                    getattr(model, f"flex_{field}")[:] = 0.0
-
-    def _straighten(self, equality: int) -> None:
-        """Replace a polynomial of joint coordinates by its tangent at the start."""
-        model, driver = self._model, int(self._model.eq_obj2id[equality])
-        place = model.jnt_qposadr[driver]
-        x = float(self.start[place] - model.qpos0[place])
-        whole = np.polynomial.Polynomial(model.eq_data[equality, :5])
-        slope = float(whole.deriv()(x))
-        model.eq_data[equality, :5] = [float(whole(x)) - slope * x, slope, 0.0, 0.0, 0.0]
 
     # What MuJoCo says
 
@@ -320,7 +246,7 @@ class MjcfOriginal(Original):
         there = np.isin(self._row_owners, data.efc_id[equalities])  # MuJoCo drops those of zeros
         residual[there] = data.efc_pos[equalities]
         jacobian[there] = data.efc_J.reshape(-1, model.nv)[equalities]
-        names = [self._name("equality", int(k)) for k in self._row_owners]
+        names = [name_of(self._model, "equality", int(k)) for k in self._row_owners]
         return Constraints(
             residual / self._row_units, jacobian / self._row_units[:, None] * self.units, names
         )
@@ -337,7 +263,7 @@ class MjcfOriginal(Original):
         return np.concatenate([np.ones(0), *(self._units_of(k) for k in range(self._model.neq))])
 
     def _units_of(self, equality: int) -> Array:
-        """What rows of an equality are made dimensionless with; those of welds have a `torquescale` too."""
+        """Units of the rows of an equality; those of welds have a `torquescale` too."""
         model, size = self._model, self.size
         first = int(model.eq_obj1id[equality])
         match mujoco.mjtEq(model.eq_type[equality]):
@@ -421,7 +347,10 @@ class MjcfOriginal(Original):
                 for field in fields:
                     getattr(model, f"{kind}_{field}")[rows] = kept[f"{kind}_{field}"][rows]
                 what = {"jnt": ": stiffness", "dof": ": damping"}.get(kind, "")
-                yield self._name("joint" if what else kind, k) + what, self._ways(kind, k, samples, gravity)
+                yield (
+                    name_of(self._model, "joint" if what else kind, k) + what,
+                    self._ways(kind, k, samples, gravity),
+                )
                 for field in fields:
                     getattr(model, f"{kind}_{field}")[rows] = 0.0
         for name, values in kept.items():
@@ -429,7 +358,7 @@ class MjcfOriginal(Original):
         model.opt.gravity[:] = gravity
 
     def _ways(self, kind: str, k: int, samples: Sequence[Sample], gravity: Array) -> list[list[Array]]:
-        """What an element does alone, and in ways of its own that faults may have each for itself."""
+        """Forces of an element alone, and of its parts that faults may have each for itself."""
         model = self._model
         if kind == "body":  # its compensation of gravity, without its weight
             model.opt.gravity[:] = gravity
@@ -460,7 +389,7 @@ class MjcfOriginal(Original):
         for joint in range(model.njnt):
             alone = np.where(model.dof_jntid == joint, model.dof_armature, 0.0)
             if np.any(alone):
-                yield self._name("joint", joint), [np.diag(alone)] * len(samples)
+                yield name_of(self._model, "joint", joint), [np.diag(alone)] * len(samples)
         bodies = [self._full(sample.q) for sample in samples]
         for kind in ("tendon", "actuator"):
             inertia = getattr(model, f"{kind}_armature")
@@ -469,7 +398,7 @@ class MjcfOriginal(Original):
                 inertia[:] = 0.0
                 inertia[k] = kept[k]
                 full = [self._full(sample.q, kind) for sample in samples]
-                yield self._name(kind, int(k)), [m - m0 for m, m0 in zip(full, bodies, strict=True)]
+                yield name_of(self._model, kind, int(k)), [m - m0 for m, m0 in zip(full, bodies, strict=True)]
             inertia[:] = kept
 
 

@@ -68,7 +68,7 @@ AT_REST = 1e-12
 """m/s and rad/s, below which velocities are round-off."""
 
 UNNAMED = "MuJoCo Model"
-"""What MuJoCo calls a model without a name."""
+"""MuJoCo's name for a model without one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ def read(
 def _original(
     model: Any, key: str | None, found: Reading, controls: tuple[Array, Array] | None = None
 ) -> tuple[Original, Scene]:
-    """What a reading is verified against."""
+    """Pair a reading with the original that it is verified against."""
     return MjcfOriginal(model, key, found.report, found.scene, controls), found.scene
 
 

@@ -111,18 +111,18 @@ class Code:
 
     @property
     def from_cache(self) -> bool:
-        """Whether all of it came from the cache."""
+        """True if all of it came from the cache."""
         return all(function.module.from_cache for function in self.functions.values())
 
     @property
     def projects(self) -> bool:
-        """Whether runs are projected onto the constraints, or quaternions at least onto norm 1."""
+        """True if runs are projected onto the constraints, or quaternions at least onto norm 1."""
         closes = len(self.system.phi_units) > 0 or len(self.system.quaternions) > 0
         return self.stabilization == "projection" and closes
 
     @cached_property
     def kept(self) -> int:
-        """How much of a state outputs need: its first nq elements, or all."""
+        """Number of elements of a state that outputs need: its first nq, or all."""
         read = {node.a for node in self.program("output").nodes if node.op == "input"}
         still = read.isdisjoint(range(self.system.nq, self.size)) and "reactions" not in self.scene.outputs
         return self.system.nq if still else self.size
@@ -169,7 +169,7 @@ class Code:
 
     @cached_property
     def _identity(self) -> str | None:
-        """What programs depend on, see `fingerprint`."""
+        """Everything that programs depend on, see `fingerprint`."""
         chosen: list[Any] = [self.formulation, self.stabilization, self._alpha, tuple(self.parameters)]
         if self._independent is not None:
             chosen.append(tuple(self._independent))
@@ -178,7 +178,7 @@ class Code:
     def _remembered(
         self, what: str, make: Callable[[], T], write: Callable[[T], str], read: Callable[[bytes], T]
     ) -> T:
-        """What an earlier process made of the same scene, or made now; kept as text, see `stored`."""
+        """The work of an earlier process on the same scene, or of now; kept as text, see `stored`."""
         if self._identity is None or cache_directory() is None:
             return make()
         key = cache_key(self._identity, what)
@@ -211,7 +211,7 @@ class Code:
 
     @property
     def redundant(self) -> bool:
-        """Whether reactions are not unique."""
+        """True if reactions are not unique."""
         return self._decided[1]
 
     @property
@@ -246,7 +246,7 @@ class Code:
         return at_time(system, x[self.size])
 
     def place(self, parameter: str) -> int:
-        """Where a parameter begins in x (inputs,)."""
+        """Place where a parameter begins in x (inputs,)."""
         start = self.size + 1
         for name, shape in self.parameters.items():
             if name == parameter:

@@ -33,7 +33,7 @@ from newton_euler.system import System, at_time
 from newton_euler.trajectory import Trajectory, check_finite
 
 ROW_CHOICES = 3
-"""How many times constraint rows are chosen anew, each time with all that a run has seen until it stopped."""
+"""Times that constraint rows are chosen anew, each time with all that a run has seen until it stopped."""
 
 
 def simulate(

@@ -220,23 +220,6 @@ def test_a_planted_fault_is_blamed_on_its_engine(name):
         check_blamed(with_fault(str(EXAMPLE), fault, name), name)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("scene", ["tracker", "slider_crank"])
-def test_thirty_planted_faults_are_blamed_on_their_engine(scene, name):
-    faults = catalogue(load(scene), (1e-2, 1e-4))
-    blamed = 0
-    for k in np.linspace(0, len(faults) - 1, 40).round().astype(int):
-        try:
-            found = with_fault(scene, faults[k], name)
-        except NewtonEulerError:  # an open closure, or an inertia that is none: refused
-            continue
-        if found:  # entries of inertia that no motion of an engine knows are lost in its model
-            check_blamed(found, name)
-            blamed += 1
-    assert blamed >= 30
-
-
 def misread(fault, found):
     """A whole crosscheck of what was read with a fault, which all engines share, against the file."""
     report = Mapping()

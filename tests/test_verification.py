@@ -16,6 +16,7 @@ from test_urdf_read import joint, link, robot
 from crosscheck.engines import ENGINES
 from crosscheck.faults.misreadings import misreadings
 from crosscheck.faults.reading import find_in_reading
+from mjcf.accounts import unaccounted
 from mjcf.errors import MjcfError
 from mjcf.reading.actuators import Actuators, Affine
 from mjcf.reading.bodies import Bodies
@@ -300,7 +301,7 @@ def test_every_element_has_to_be_accounted_for(tmp_path: Path) -> None:
     kept.entries = [
         entry for entry in report.entries if "'r'" not in entry.element and "'c'" not in entry.element
     ]
-    missing = set(type(original)._unaccounted(original, kept))  # type: ignore[attr-defined]
+    missing = set(unaccounted(original._model, original._roots, kept))  # type: ignore[attr-defined]
     assert missing == {"joint 'r'", "joint 'r': limits", "joint 'r': dry friction", "equality 'c'"}
 
 
@@ -344,8 +345,8 @@ def test_an_error_keeps_its_values(tmp_path: Path) -> None:
 
 
 def test_verification_shares_nothing_with_the_readers() -> None:
-    for package in ("mjcf", "urdf"):
-        path = Path(__file__).parent.parent / package / "original.py"
+    for package, module in (("mjcf", "original"), ("mjcf", "accounts"), ("urdf", "original")):
+        path = Path(__file__).parent.parent / package / f"{module}.py"
         imported = {
             node.module for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)
         }

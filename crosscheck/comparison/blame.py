@@ -1,4 +1,4 @@
-"""Which body, joint or term a difference between two engines comes from.
+"""The body, joint or term that a difference between two engines comes from.
 
 The scene's own equations are the referee. What is right in an engine's model satisfies them wherever the
 engine ends up; the one thing that is wrong does not:
@@ -124,7 +124,7 @@ def _open_closure(samples: Samples) -> str | None:
 
 
 def dynamic_cause(first: Samples, second: Samples, forces: bool = True) -> str | None:
-    """What one of two systems gets wrong in Newton's and Euler's equations: a body, a joint or "gravity".
+    """The body, joint or "gravity" that one of two systems gets wrong in Newton's and Euler's equations.
 
     A joint if it is what a control law or spring does there. None if the equations hold: then what differs
     is no force on a body. Without `forces` the bodies alone come into question, as where inertia differs.
@@ -147,7 +147,7 @@ def dynamic_cause(first: Samples, second: Samples, forces: bool = True) -> str |
 
 
 def _is_gravity(scene: Scene, residuals: Array) -> bool:
-    """Whether one change of gravity explains residuals (n, b - 1, 6) of several bodies."""
+    """True if one change of gravity explains residuals (n, b - 1, 6) of several bodies."""
     mass = np.array([body.mass for body in scene.mechanism.bodies[1:]])
     other = np.einsum("nbi,b->i", residuals[..., :3], mass) / (len(residuals) * (mass @ mass))
     left = residuals.copy()
@@ -161,7 +161,7 @@ def _at_joints(scene: Scene) -> tuple[Law | JointSpring | BallSpring, ...]:
 
 
 def _explains(pushes: Array, residuals: Array) -> bool:
-    """Whether residuals (n, b - 1, 6) are multiples of `pushes` (n, k, b - 1, 6) added, others each state."""
+    """True if residuals (n, b - 1, 6) are sums of multiples of `pushes` (n, k, b - 1, 6), each state its own."""
     flat = residuals.reshape(len(residuals), -1)
     left = flat.copy()
     for rest, pushed in zip(left, pushes.reshape(*pushes.shape[:2], -1), strict=True):

@@ -41,7 +41,7 @@ FAULTS = {
     "integration": "{} integration is at fault",
     "reading": "the reading of the file is wrong",
 }
-"""What a diagnosis blames, in words with the possessive of who is blamed."""
+"""Blame in words, with the possessive of who is blamed."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Diagnosis:
 
     @property
     def blame(self) -> str:
-        """What is wrong, in words; empty if nothing settles it."""
+        """The blame in words; empty if nothing settles it."""
         return FAULTS[self.fault].format(f"{_named(self.odd)}'s") if self.fault else ""
 
 
@@ -181,7 +181,7 @@ def _by_system(names: Sequence[str], rows: Iterable[Row]) -> tuple[list[str], li
 
 
 def _holds_of_systems(row: Row) -> bool:
-    """Whether a figure is not one of the worse of the formulations under the name of `OWNER`."""
+    """True unless a figure is one of the worse of the formulations under the name of `OWNER`."""
     return OWNER not in row.between or row.level in (READING, *RUNS)
 
 
@@ -215,7 +215,7 @@ def _first(names: Sequence[str], rows: Sequence[Row], wrong: Collection[str]) ->
 
 
 def _of_reading(names: Sequence[str], rows: Sequence[Row]) -> Diagnosis | None:
-    """Whether the reading of the file is to blame, or an engine that alone differs from the file.
+    """Blame the reading of the file, or an engine that alone differs from the file.
 
     None if the engines have to be told apart first. The reading is to blame if all engines' models agree
     with each other and none with the file.
@@ -278,7 +278,7 @@ def _odd(
 
 
 def _is_nearer(near: str, far: str, third: str, row: Row, rows: Sequence[Row]) -> bool:
-    """Whether one of two that part is much nearer to a third than the other, in the figure they part in."""
+    """True if one of two that part is much nearer to a third than the other, in the figure they part in."""
     values = {
         frozenset(other.between): other.value
         for other in rows
@@ -291,7 +291,7 @@ def _is_nearer(near: str, far: str, third: str, row: Row, rows: Sequence[Row]) -
 def _settled(
     names: Sequence[str], rows: Sequence[Row], level: str, wrong: Collection[str]
 ) -> tuple[str, str] | None:
-    """Which of some that part fails by itself, if just one does, and in what.
+    """The one of some that part that alone fails by itself, and the figure that does.
 
     Runs are no evidence about models: an exact model may be integrated with a large error.
     """

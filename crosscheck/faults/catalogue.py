@@ -61,7 +61,7 @@ class Fault:
 
     @property
     def alike(self) -> tuple[str, str, str]:
-        """What it has in common with those of other sizes: kind, element and detail."""
+        """Kind, element and detail, which it shares with those of other sizes."""
         return self.kind, self.element, self.detail
 
     @property
@@ -153,7 +153,7 @@ def _of_law(scene: Scene, index: int, law: PD, size: float) -> Iterator[Fault]:
 
 
 def _unit(scene: Scene, law: PD) -> float:
-    """What a target of 0 is off by a share of: the mechanism's size, or 1 rad."""
+    """Unit of a target of 0: the mechanism's size, or 1 rad."""
     joint = scene.mechanism.joints[scene.mechanism.joint_index(law.joint)]
     return scene.mechanism.size if joint.coordinate_kinds[law.coordinate] == "slide" else 1.0
 

@@ -38,7 +38,7 @@ REFUSED = "refused"
 
 @dataclass(frozen=True)
 class Sighting:
-    """Where a fault shows first.
+    """The first figure that shows a fault.
 
     Attributes:
         level: of the comparison, or `REFUSED`.
@@ -58,7 +58,7 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Found:
-    """What became of a fault.
+    """The outcome of a search for a fault.
 
     Attributes:
         fault, engine: what was planted where.
@@ -82,12 +82,12 @@ class Found:
 
     @property
     def counts(self) -> bool:
-        """Whether it can be found: it shows in the model's numbers, or does something."""
+        """True if it can be found: it shows in the model's numbers, or does something."""
         return self.seen is not None or self.observable
 
     @property
     def blamed(self) -> bool:
-        """Whether the engine is blamed that has it, and the very body, joint or term is named."""
+        """True if the engine that has it is blamed, and the very body, joint or term is named."""
         return self._names(self.seen, self.fault.right)
 
     @property
@@ -202,7 +202,7 @@ class Sound:
         return compare_pair(pair, [samples[pair[0]]], [samples[pair[1]]], levels)
 
     def diagnosed(self, name: str, faulty: Samples, levels: Sequence[Level]) -> Sighting | None:
-        """What the diagnosis says of all engines, one of them with other samples; None if they agree."""
+        """Diagnose all engines, one of them with other samples; None if they agree."""
         samples = self._samples | {name: faulty}
         rows: list[Row] = []
         try:

@@ -242,7 +242,7 @@ def _of_force(scene: Scene, field: str, index: int, force: Law | Force) -> Itera
 
 
 def _is_slack(force: Law | Force) -> bool:
-    """Whether it does not matter where a force or a law rests."""
+    """True of a force or a law that rests anywhere."""
     return isinstance(force, PD | JointSpring | BallSpring) and not force.stiffness
 
 

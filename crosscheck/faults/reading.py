@@ -24,7 +24,7 @@ from newton_euler.verification.verify import verify
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a fault.
+    """The outcome of a fault.
 
     Attributes:
         fault: what was planted.
@@ -42,7 +42,7 @@ class Outcome:
 
     @property
     def missed(self) -> bool:
-        """Whether it changes what moves, and is not seen."""
+        """True if it changes what moves, and is not seen."""
         return self.moves and not self.figure
 
 
@@ -75,7 +75,7 @@ def find_in_reading(
 
 
 def _is_named(element: str, where: str, report: Mapping) -> bool:
-    """Whether what is blamed is the element, or one of the file's that became it."""
+    """True if the blamed element is this one, or one of the file's that became it."""
     if element in (where, EVERYTHING) or repr(element) in where:
         return True
     told = where.split(":")[0]
@@ -83,7 +83,7 @@ def _is_named(element: str, where: str, report: Mapping) -> bool:
 
 
 def reading_lines(path: str, found: Sequence[Outcome]) -> Iterator[str]:
-    """What became of the faults: by the figure that shows them, what is missed, what changes nothing."""
+    """Lines on faults: counts by the figure that shows them, those missed, those that change nothing."""
     for figure, count in Counter(outcome.figure for outcome in found if outcome.figure).most_common():
         yield f"{count} seen by {figure}"
     for outcome in found:

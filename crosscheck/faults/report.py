@@ -35,7 +35,7 @@ PACKAGES = ("numpy", "mujoco", "pin")
 
 @dataclass(frozen=True)
 class Count:
-    """How many faults there are, and how many of them are found and blamed right."""
+    """Numbers of faults: all, those found, and those blamed right."""
 
     of: int
     found: int
@@ -79,7 +79,7 @@ class Counts(NamedTuple):
 
 
 def counts(scene: Scene, faults: Sequence[Found]) -> Iterator[Counts]:
-    """What is found and blamed right, by all levels and by motion alone."""
+    """Count faults found and blamed right, by all levels and by motion alone."""
     sizes = list(dict.fromkeys(found.fault.size for found in faults))
     head = ["", *("no size" if size is None else f"{size:g}" for size in sizes)]
     for title, count in TABLES.items():
@@ -110,7 +110,7 @@ def _of_size(faults: Iterable[Found], size: float | None) -> list[Found]:
 
 
 def lines(scene: Scene, faults: Sequence[Found]) -> Iterator[str]:
-    """What was not found or blamed wrongly, with the reason; what cannot be observed."""
+    """Lines on faults not found or blamed wrongly, with the reason, and on those that cannot be observed."""
     for found in faults:
         if (found.counts and not found.blamed) or found.lost:
             yield f"{_outcome(found, found.seen)}{_explanation(scene, found, found.seen)}"
@@ -129,7 +129,7 @@ def lines(scene: Scene, faults: Sequence[Found]) -> Iterator[str]:
 
 
 def _outcome(found: Found, sighting: Sighting | None) -> str:
-    """What became of a fault that was not blamed right."""
+    """The outcome of a fault that was not blamed right."""
     planted = f"{found.fault.name}, in {found.engine}"
     if sighting is None:
         return f"missed: {planted}"
@@ -180,7 +180,7 @@ def _grouped(faults: Iterable[Found]) -> Iterator[str]:
 
 
 def holds(faults: Sequence[Found]) -> bool:
-    """Whether all faults down to `SMALLEST` are found, and `BLAMED` of them blamed right."""
+    """True if all faults down to `SMALLEST` are found, and `BLAMED` of them blamed right."""
     count = in_all(_judged(faults))
     return count.found == count.of and count.blamed >= BLAMED * count.of
 
@@ -199,7 +199,7 @@ def verdict(scene: Scene, faults: Sequence[Found]) -> str:
 
 
 def as_json(scene: Scene, options: Mapping[str, str], search: Search, wall_time: float) -> str:
-    """What the terminal shows, and all faults with what became of them."""
+    """The content of the terminal, and all faults with their outcomes."""
     faults = search.found
     content = {
         "scene": scene.name,

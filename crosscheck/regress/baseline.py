@@ -132,12 +132,12 @@ class Carried(_Strict):
 
     @property
     def place(self) -> tuple[object, ...]:
-        """What it is on."""
+        """Joints and bodies that it is on."""
         return self.values["joints"], self.values["bodies"]
 
 
 class Plan(_Strict):
-    """How a scene's figures are measured; chosen when the baseline is made, the same ever after.
+    """Settings of the measurement of figures; chosen when the baseline is made, the same ever after.
 
     Attributes:
         rtol: of the runs in each formulation of newton_euler.

@@ -58,8 +58,8 @@ COUNT_RTOL = 1e-6
 from one processor to the next."""
 
 OPEN = 1e-3
-"""By how much coordinates are moved off the constraints, sizes of the mechanism or rad; velocities the same
-a second."""
+"""Distance of coordinates from the constraints, sizes of the mechanism or rad; of velocities the same a
+second."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def main_run(scene: Scene, rtol: float) -> Trajectory:
 
 
 def part(scene: Scene, formulation: str, step: float) -> Scene:
-    """What is run of a scene in a formulation: all output times, or the end of a part."""
+    """The part of a scene that is run in a formulation: all output times, or the end of a part."""
     if formulation == MAIN:
         return scene
     duration = min(SHARE * scene.duration, MOST_STEPS * step)
@@ -244,4 +244,4 @@ GROUPS: dict[GroupName, Group] = {
     "mujoco": _of_engine("mujoco"),
     "pinocchio": _of_engine("pinocchio"),
 }
-"""What measures figures, by name."""
+"""Measurements of figures, by name."""

@@ -1,4 +1,4 @@
-"""How far the equalities of a file open when MuJoCo runs it as it stands, with its own solref and solimp."""
+"""Openings of the equalities of a file when MuJoCo runs it as it stands, with its own solref and solimp."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_STEPS = 1_000
 
 
 class Sag(NamedTuple):
-    """Where equalities are open the most in a run.
+    """The place where equalities are open the most in a run.
 
     Attributes:
         gap: m or rad: distance of the points of a connect; of a weld, distance or angle.
@@ -29,18 +29,18 @@ class Sag(NamedTuple):
 
 
 def span(start: Start, duration: float) -> float:
-    """How much of a run is looked at, s."""
+    """Duration of a run that is looked at, s."""
     return min(duration, MOST_STEPS * float(start.model.opt.timestep))
 
 
 def looked_at(start: Start, duration: float) -> str:
-    """What to add where that is not all of it."""
+    """Words to add where that is not all of it."""
     seen = span(start, duration)
     return f" in its first {seen:g} s" if seen < duration else ""
 
 
 def sag(start: Start, model: Any, duration: float) -> Sag | str:
-    """How far equalities open in a run of so many s, without contacts, limits and dry friction.
+    """Find how far equalities open in a run of so many s, without contacts, limits and dry friction.
 
     Args:
         start: where it starts.
@@ -53,28 +53,33 @@ def sag(start: Start, model: Any, duration: float) -> Sag | str:
     data = mujoco.MjData(model)
     for name in ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat", "eq_active"):
         getattr(data, name)[:] = getattr(start.data, name)
-    worst = Sag(0.0, 0, 0.0)
+    steps = int(np.ceil(span(start, duration) / model.opt.timestep))
+    staged = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    worst, gaps = Sag(0.0, 0, 0.0), np.zeros(0)
     warnings: list[str] = []
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(warnings.append)
     try:
-        for _ in range(int(np.ceil(span(start, duration) / model.opt.timestep))):
+        for step in range(steps + 1):
             now = float(data.time)
-            mujoco.mj_step(model, data)
+            # a step leaves the constraints of where it began, with stages those of its last one
+            if staged or step == steps:
+                mujoco.mj_fwdPosition(model, data)
+                gaps = _gaps(model, data)
+            if step < steps:
+                mujoco.mj_step(model, data)
+                gaps = gaps if staged else _gaps(model, data)
             if warnings:  # after one MuJoCo starts again from its initial state
                 return f"at {now:.3g} s: {' '.join(warnings[0].split())}"
-            # a step leaves the constraints of where it began, or of its last stage
-            mujoco.mj_fwdPosition(model, data)
-            index, gap = _widest(model, data)
-            if gap > worst.gap:
-                worst = Sag(gap, index, float(data.time))
+            if step and len(gaps) and np.max(gaps) > worst.gap:
+                worst = Sag(float(np.max(gaps)), int(np.argmax(gaps)), now)
     finally:
         mujoco.set_mju_user_warning(before)
     return worst
 
 
 def sag_line(start: Start, duration: float) -> str | None:
-    """What to say of the file's own run; None if it has no equalities."""
+    """A line on the file's own run; None if it has no equalities."""
     model = start.model
     if not start.gaps():
         return None
@@ -90,21 +95,13 @@ def sag_line(start: Start, duration: float) -> str | None:
     )
 
 
-def _widest(model: Any, data: Any) -> tuple[int, float]:
-    """Number and gap of the equality that is open the most."""
-    rows = np.flatnonzero(data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-    numbers = data.efc_id[rows]
-    gaps = {
-        int(index): _gap(model, index, data.efc_pos[rows[numbers == index]]) for index in np.unique(numbers)
-    }
-    return max(gaps.items(), key=lambda item: item[1], default=(0, 0.0))
-
-
-def _gap(model: Any, index: int, residual: Array) -> float:
-    """Distance, m, or angle, rad, of an equality with residuals (1,), (3,) or (6,); of a weld the larger."""
-    distance = float(np.linalg.norm(residual[:3]))
-    scale = abs(float(model.eq_data[index, TORQUE_SCALE]))
-    if model.eq_type[index] != mujoco.mjtEq.mjEQ_WELD or scale == 0.0:
-        return distance
-    half_angle = np.arcsin(min(1.0, float(np.linalg.norm(residual[3:])) / scale))
-    return max(distance, 2.0 * float(half_angle))
+def _gaps(model: Any, data: Any) -> Array:
+    """(neq,) distances, m, or angles, rad, of all equalities; of a weld the larger."""
+    rows = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    numbers, squares = data.efc_id[rows], data.efc_pos[rows] ** 2
+    place = np.arange(len(numbers)) - np.searchsorted(numbers, numbers)  # among the rows of the equality
+    sums = [np.bincount(numbers[own], squares[own], model.neq) for own in (place < 3, place >= 3)]
+    scale = np.abs(model.eq_data[:, TORQUE_SCALE])
+    welds = (model.eq_type == mujoco.mjtEq.mjEQ_WELD) & (scale > 0.0)
+    half = np.arcsin(np.minimum(1.0, np.sqrt(sums[1]) / np.where(welds, scale, 1.0)))
+    return np.maximum(np.sqrt(sums[0]), np.where(welds, 2.0 * half, 0.0))

@@ -32,7 +32,7 @@ expands without end is given up after the former. The bytes of the XML add none:
 0.9 s, 1.2 MB of geoms 1 s; a file of twice as many geoms is given up."""
 
 OUT_OF_MEMORY = ("MemoryError", "llocate", "bad_alloc")
-"""What an error says of memory that is not to be had."""
+"""Words of errors about memory that is not to be had."""
 
 KEPT = 200_000_000
 """Bytes of models compiled last, which are not compiled again while their files stay as they are."""
@@ -57,7 +57,7 @@ UNCHECKED = ("solref", "solimp", "range", "user", "invweight0", "acc0", "M0", "l
 
 
 _Content = str | tuple[int, int]
-"""What tells that a file is as it was: the digest of an XML file, size and time (ns) of another."""
+"""Mark of a file as it was: the digest of an XML file, size and time (ns) of another."""
 
 _kept: dict[tuple[tuple[str, _Content], ...], Any] = {}
 """`MjModel`s by all files that they were compiled from, the last one at the end."""
@@ -144,7 +144,7 @@ def _check_counts(path: str, model: Any) -> None:
 
 @dataclass(frozen=True)
 class _Reference:
-    """What an element says of where a file is.
+    """An element's word for where a file is.
 
     Attributes:
         where: path of the XML that says so.

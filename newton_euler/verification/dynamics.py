@@ -1,4 +1,4 @@
-"""What a system makes of a scene, against a file's own model: poses, energies and accelerations.
+"""Poses, energies and accelerations of a system against those of a file's own model.
 
 Accelerations are put into the file's own equations, M a = f + J^T lambda and J a = -dJ/dt v: what is left of
 the first along motions that are free in the file, and of the second. No solution of these equations is
@@ -98,7 +98,7 @@ def _acceleration_figures(placed: Placed, found: Sequence[Evaluation]) -> Iterat
 
 
 def _own_acceleration(placed: Placed, place: Place, accelerations: Array) -> tuple[Array, Figure]:
-    """(nv,) of the file's coordinates, dimensionless, and how far those of bodies are across its joints."""
+    """(nv,) of the file's coordinates, dimensionless, and the part of those of bodies across its joints."""
     rows = place.of_parts / placed.part_units[:, None] * placed.original.units
     reached, drift = placed.of_parts(accelerations), place.drift / placed.part_units
     own = least_squares(rows, reached - drift)
@@ -109,7 +109,7 @@ def _own_acceleration(placed: Placed, place: Place, accelerations: Array) -> tup
 
 
 def _loop_figures(sample: Sample, own: Array) -> list[Figure]:
-    """How far accelerations (nv,) open the file's constraints that hold; nothing of a file without any."""
+    """Rates at which accelerations (nv,) open the file's constraints that hold; none without any."""
     _, jacobian, owners = sample.constraints
     if not len(owners):
         return []

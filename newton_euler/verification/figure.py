@@ -50,5 +50,5 @@ def worst(figures: Iterable[Figure]) -> Figure:
 
 
 def positive(scale: Array) -> Array:
-    """What differences are relative to; where there is nothing at all, any number is as good."""
+    """A scale for differences; where there is nothing at all, any number is as good."""
     return np.where(scale > 0.0, scale, np.finfo(float).tiny)

@@ -55,7 +55,7 @@ def _force_figure(
             yield name, [_reduced(original, [forces[kind] for forces in each]) for each in ways]
 
     def at_joints() -> Alone:
-        """What joints might have: constant forces, springs and dampers."""
+        """Forces that joints might have: constant ones, springs and dampers."""
         moved = [original.difference(original.start, sample.q) for sample in original.samples]
         for k, name in enumerate(original.motions):
             unit = np.eye(len(original.motions))[k]

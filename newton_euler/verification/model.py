@@ -42,7 +42,7 @@ def body_figures(placed: Placed) -> Iterator[Figure]:
 
 
 def start_figures(placed: Placed) -> Iterator[Figure]:
-    """Where the scene starts and how fast, against what the file says as far as that fits its loops."""
+    """Pose and velocities of the start against those of the file, as far as these fit its loops."""
     original, place = placed.original, placed.places[0]
     if original.stated is None:
         return
@@ -118,7 +118,7 @@ def joint_figures(placed: Placed) -> Iterator[Figure]:
 
 
 def _joint_gaps(placed: Placed, place: Place) -> tuple[list[float], list[float]]:
-    """How far joints and couplings of the scene are open, sizes or rad, and how fast they open."""
+    """Openings of joints and couplings of the scene, sizes or rad, and their rates, 1/s."""
     frames, size = place.state.frames(), placed.original.size
     gaps, rates = list[float](), list[float]()
     for e in placed.mechanism.equations:

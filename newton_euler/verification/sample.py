@@ -1,4 +1,4 @@
-"""What a file's own model says at a state.
+"""States of a file's own model, with its kinematics, constraints and forces there.
 
 The one decision is which motions constraints leave free. Rows and velocities are made dimensionless with the
 model's size. A motion is *free* where a singular value of the constraint Jacobian is round-off (`FREE`), and
@@ -50,7 +50,7 @@ class Constraints(NamedTuple):
     jacobian: Array
     """(k, nv) for dimensionless velocities."""
     owners: Sequence[str]
-    """What reports call the element that each row belongs to."""
+    """Element, as reports name it, that each row belongs to."""
 
 
 class Kinematics(NamedTuple):
@@ -76,7 +76,7 @@ class Forces(NamedTuple):
     actuators: Array
     """And all that is not among the others, such as gravity compensation."""
     bias: Array
-    """What inertia adds in motion, to be moved to the other side of the equations."""
+    """Of inertia in motion, to be moved to the other side of the equations."""
 
 
 KINDS = Forces._fields[:4]
@@ -130,7 +130,7 @@ class Sample:
 
     @property
     def tells(self) -> bool:
-        """Whether differences of more than `LOOSEST` show there."""
+        """True if differences of more than `LOOSEST` show there."""
         return self.tolerance_of_motion <= LOOSEST
 
     @cached_property
