@@ -162,7 +162,7 @@ class MjcfOriginal(Original):
         return np.asarray(self._model.eq_active0.copy())
 
     def _at_limits(self) -> tuple[Array, Array, Array]:
-        """Find actuators with limited forces at the start, (nactuator,), these forces, and those on joints."""
+        """Find actuators of limited force at the start, (nactuator,), their forces, and those on joints."""
         model, data = self._model, self._data
         kept = model.actuator_forcelimited.copy(), model.tendon_actfrclimited.copy()
         self._go(self.start, self._velocity)

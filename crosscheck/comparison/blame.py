@@ -161,7 +161,7 @@ def _at_joints(scene: Scene) -> tuple[Law | JointSpring | BallSpring, ...]:
 
 
 def _explains(pushes: Array, residuals: Array) -> bool:
-    """True if residuals (n, b - 1, 6) are sums of multiples of `pushes` (n, k, b - 1, 6), each state its own."""
+    """True if residuals (n, b - 1, 6) are sums of multiples of `pushes` (n, k, b - 1, 6), state by state."""
     flat = residuals.reshape(len(residuals), -1)
     left = flat.copy()
     for rest, pushed in zip(left, pushes.reshape(*pushes.shape[:2], -1), strict=True):
