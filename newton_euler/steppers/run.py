@@ -270,13 +270,15 @@ class Projection:
     """Puts states on the constraints of a scene."""
 
     def __init__(self, code: Code) -> None:
-        self._python = Fallback(code)
+        self._python, self._projects = Fallback(code), code.projects
         self.x = np.zeros(code.inputs)
         system = equations(code, self._python, np.zeros(code.size), np.zeros(m.COUNTS))
         self._run = projector().bind(m.project, system, 1, self.x)
 
     def __call__(self, x: Array) -> bool:
         """Change x (inputs,) by the least that meets the constraints; whether that could be done."""
+        if not self._projects:
+            return True
         self.x[:] = x
         if self._run() != m.DONE:
             return False
