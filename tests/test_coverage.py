@@ -10,7 +10,8 @@ import pytest
 from mechanisms import pendulum
 
 import newton_euler
-from crosscheck.comparison.coverage import CHANGE, covered_by
+from crosscheck.comparison.changes import CHANGE
+from crosscheck.comparison.coverage import covered_by
 from crosscheck.scenes import load
 from crosscheck.stress.noise import flat_four_bar
 from newton_euler.armature import Armature
@@ -85,10 +86,7 @@ SCENES = {
 @pytest.mark.parametrize("name", SCENES)
 def test_tested_elements_show_and_untested_ones_do_not(name):
     scene = SCENES[name]()
-    found = {
-        covered.element: covered
-        for covered in covered_by(scene, newton_euler.simulate(scene), *[TOLERANCE] * 2).elements
-    }
+    found = {covered.element: covered for covered in covered_by(scene, *[TOLERANCE] * 2).elements}
     for element, other in changed(scene):
         assert (moved(scene, other) > 1.0) == found[element].tested, element
 
@@ -97,14 +95,11 @@ def test_joints_that_do_not_move_are_untested():
     scene = replace(load("tracker"), duration=0.5)
     still = replace(scene, control=tuple(replace(law, target=0.0) for law in scene.control))
     for each, tested in ((scene, True), (still, False)):
-        found = covered_by(each, newton_euler.simulate(each), TOLERANCE, TOLERANCE).elements
+        found = covered_by(each, TOLERANCE, TOLERANCE).elements
         joints = [covered for covered in found if covered.element.split()[0] in ("joint", "loop")]
         assert len(joints) == len(scene.mechanism.joints)
         assert all(covered.tested == tested for covered in joints)
-    assert (
-        str(covered_by(still, newton_euler.simulate(still), TOLERANCE, TOLERANCE))
-        == "motion covers 0 of 22 elements"
-    )
+    assert str(covered_by(still, TOLERANCE, TOLERANCE)) == "motion covers 0 of 22 elements"
 
 
 def test_sampled_controllers_cover_what_they_move():
@@ -115,13 +110,11 @@ def test_sampled_controllers_cover_what_they_move():
         for k, law in enumerate(scene.control)
     ]
     sampled = replace(scene, control=tuple(laws))
-    declared, held = (
-        covered_by(each, newton_euler.simulate(each), TOLERANCE, TOLERANCE) for each in (scene, sampled)
-    )
+    declared, held = (covered_by(each, TOLERANCE, TOLERANCE) for each in (scene, sampled))
     assert [each.tested for each in held.elements] == [each.tested for each in declared.elements]
 
 
 def test_welds_are_no_elements():
     """Where two bodies are one, another point of the joint between them is the same mechanism."""
-    found = covered_by(flat_four_bar(0.0), newton_euler.simulate(flat_four_bar(0.0)), TOLERANCE, TOLERANCE)
+    found = covered_by(flat_four_bar(0.0), TOLERANCE, TOLERANCE)
     assert not [each for each in found.elements if "'weld'" in each.element]
