@@ -103,6 +103,7 @@ class CompiledScene(Code):
 
     def with_scene(self, scene: Scene) -> CompiledScene:
         """The same code for a scene that differs in parameters, controllers and duration alone."""
+        _ = self._decided  # once for all
         other = copy.copy(self)
         other.scene, other.idle = scene, {}
         q, v = self.system.coordinates(scene.initial_state)

@@ -73,12 +73,11 @@ class Against(Crosscheck):
     Attributes:
         models: the two.
         uncompared: what differs and no figure is about.
-        notes: what people should know beside the figures: what was taken for what, and all that differs.
+        notes: also what was taken for what, and all that differs.
     """
 
     models: tuple[Model, Model] = field(kw_only=True)
     uncompared: tuple[Uncompared, ...] = ()
-    notes: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -116,7 +115,7 @@ class Against(Crosscheck):
         )
 
     def summary(self) -> dict[str, Any]:
-        """As of any crosscheck, with what was compared and the notes."""
+        """As of any crosscheck, with what was compared."""
         models = [
             {
                 "name": model.name,
@@ -127,7 +126,7 @@ class Against(Crosscheck):
             }
             for model in self.models
         ]
-        return super().summary() | {"models": models, "notes": list(self.notes)}
+        return super().summary() | {"models": models}
 
 
 def together(models: tuple[Model, Model]) -> str:

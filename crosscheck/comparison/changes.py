@@ -1,17 +1,17 @@
 """Changes of 10 % of every element of a scene: what a run has to show of it to test it.
 
-What acts as a force (mass, inertia, springs, dampers, rotors, actuators, wrenches) is 1.1 times itself. Of
-joints each axis is tilted by 0.1 rad and the point moved by a tenth of the longest body, each in three
-directions; factors of gears and pitches of screws are 1.1 times themselves, and prescribed motions go 1.1
-times as far.
+What acts as a force (mass, inertia, springs, dampers, rotors, actuators, wrenches) is 1.1 times itself. A
+joint is turned by 0.1 rad and moved by a tenth of the longest body, axes and points together and on both
+bodies, so that it closes as before. Factors of gears and pitches of screws are 1.1 times themselves, and
+prescribed motions go 1.1 times as far.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -27,9 +27,9 @@ from newton_euler.couplings import (
     couplings,
     residuals,
 )
-from newton_euler.errors import MechanismError
+from newton_euler.euler_parameters import from_rotation_vector, rotation
 from newton_euler.forces import BallSpring, Force, JointSpring, Wrench
-from newton_euler.joints import Fixed, Joint, JointEquations, Screw
+from newton_euler.joints import Compound, Fixed, Joint, JointEquations, Screw
 from newton_euler.mechanism import Mechanism
 from newton_euler.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
 from newton_euler.parameters import numbered, parameter_values, with_values
@@ -42,73 +42,70 @@ CHANGE = 0.1
 
 MORE = 1.0 + CHANGE
 
+SKEW = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
+"""A direction that few axes have."""
+
 Moments = Sequence[tuple[float, list[Frame]]]
 """Times, s, of a run and where bodies are then."""
 
 
 @dataclass(frozen=True)
-class Change:
-    """One change of an element.
+class Element:
+    """One element of a scene, and the change of it.
 
     Attributes:
-        of: gives a scene with it.
+        name: kind and name, such as "mass of body 'crank'".
+        changed: gives a scene with the change.
         parameters: names of the parameters that it changes, see `newton_euler.parameters`; None for a change
             of the equations themselves.
-        opened: how far the motion of the scene as it is violates the constraints of the changed one, in
-            poses that are off by the given lengths (m) and angles (rad): more than 1 where no motion of the
-            changed scene is as near as that. 0 where nothing is told.
+        violated: by how much poses violate the changed constraints, in what they may where they are off by a
+            length (m) and an angle (rad): with more than 1 they are no poses of the changed scene, nor within
+            that of any. 0 where nothing is told.
     """
 
-    of: Callable[[Scene], Scene]
-    parameters: tuple[str, ...] | None = None
-    opened: Callable[[Moments, float, float], float] = lambda moments, length, angle: 0.0
-
-
-@dataclass(frozen=True)
-class Element:
-    """One element of a scene, such as "mass of body 'crank'", and its changes; any of them shows it."""
-
     name: str
-    changes: tuple[Change, ...]
+    changed: Callable[[Scene], Scene]
+    parameters: tuple[str, ...] | None = None
+    violated: Callable[[Moments, float, float], float] = lambda moments, length, angle: 0.0
 
 
 def elements(scene: Scene) -> Iterator[Element]:
     """All elements of a scene that a motion may depend on."""
     for k, body in enumerate(scene.mechanism.bodies[1:], start=1):
         for what in ("mass", "inertia"):
-            yield Element(f"{what} of body {body.name!r}", (_of_values(scene, "bodies", k, what),))
+            yield _of_values(scene, f"{what} of body {body.name!r}", "bodies", k, what)
     for k, law in enumerate(scene.control):
+        name = f"actuator {_at(law)}"
         if isinstance(law, Sampled):
-            change = Change(partial(_with_controller, number=k), ())
+            yield Element(name, partial(_with_controller, number=k), ())
         else:
-            change = _of_values(scene, "control", k, "stiffness", "damping", "feedforward")
-        yield Element(f"actuator {_at(law)}", (change,))
+            yield _of_values(scene, name, "control", k, "stiffness", "damping", "feedforward")
     for k, force in enumerate(scene.forces):
         if isinstance(force, Wrench):
-            yield Element(f"wrench {force.name!r}", (_of_values(scene, "forces", k, "force", "torque"),))
+            yield _of_values(scene, f"wrench {force.name!r}", "forces", k, "force", "torque")
             continue
-        for what, name in (("spring", "stiffness"), ("damper", "damping")):
-            if getattr(force, name):
-                yield Element(f"{what} {_at(force)}", (_of_values(scene, "forces", k, name),))
+        for what, attribute in (("spring", "stiffness"), ("damper", "damping")):
+            if getattr(force, attribute):
+                yield _of_values(scene, f"{what} {_at(force)}", "forces", k, attribute)
     for k, rotor in enumerate(scene.armatures):
-        yield Element(f"rotor {_at(rotor)}", (_of_values(scene, "armatures", k, "inertia"),))
+        yield _of_values(scene, f"rotor {_at(rotor)}", "armatures", k, "inertia")
     yield from _constraints(scene)
 
 
-def _at(element: Law | Force | Armature | BallArmature) -> str:
+def _at(element: Law | Force | Armature | BallArmature | PrescribedMotion) -> str:
     if isinstance(element, BallSpring | BallArmature):
         return f"of the ball of joint {element.joint!r}"
-    if isinstance(element, Law | JointSpring | Armature):
+    if isinstance(element, Law | JointSpring | Armature | PrescribedMotion):
         coordinate = f", coordinate {element.coordinate}" if element.coordinate else ""
         return f"of joint {element.joint!r}{coordinate}"
     return repr(element.name)
 
 
-def _of_values(scene: Scene, what: str, number: int, *attributes: str) -> Change:
-    """Parameters of one element, `MORE` times themselves."""
+def _of_values(scene: Scene, name: str, what: str, number: int, *attributes: str) -> Element:
+    """An element whose parameters become `MORE` times themselves."""
     own = parameter_values(scene, [numbered(what, number, attribute) for attribute in attributes])
-    values = {name: MORE * value for name, value in own.items()}
-    return Change(lambda scene: with_values(scene, values), tuple(values))
+    values = {parameter: MORE * value for parameter, value in own.items()}
+    return Element(name, partial(with_values, values=values), tuple(values))
 
 
 def _with_controller(scene: Scene, number: int) -> Scene:
@@ -128,53 +125,44 @@ def _constraints(scene: Scene) -> Iterator[Element]:
         constrains = mechanism.equations[number].count > 0 or joint.name in loaded
         if isinstance(joint, Fixed) or not constrains:
             continue  # where two bodies are one, or not tied, another point or axis changes nothing
-        changes = [_of_joint(mechanism, number, each) for each in _moved(joint, CHANGE * mechanism.longest)]
-        if isinstance(joint, Screw):
-            changes.append(_of_joint(mechanism, number, replace(joint, pitch=MORE * joint.pitch)))
-        yield Element(f"{'joint' if number in tree else 'loop'} {joint.name!r}", tuple(changes))
+        name = f"{'joint' if number in tree else 'loop'} {joint.name!r}"
+        yield _of_joint(mechanism, name, number, _displaced(joint, CHANGE * mechanism.longest))
     for number, coupling in enumerate(mechanism.couplings):
-        changes = [_of_coupling(scene, number, each) for each in _other_factors(coupling)]
-        yield Element(f"{coupling.kind} {coupling.name!r}", tuple(changes))
+        yield _of_coupling(scene, number, _with_other_factors(coupling))
     for number, motion in enumerate(scene.motions):
-        name = f"motion of joint {motion.joint!r}" + f", coordinate {motion.coordinate}" * bool(
-            motion.coordinate
-        )
-        yield Element(name, (_of_motion(scene, number, motion),))
+        yield _of_motion(scene, number, motion)
 
 
-def _moved(joint: Joint, distance: float) -> Iterator[Joint]:
-    """A joint with each of its axes tilted and its point moved, each in three directions."""
-    for name in (*joint.axis_names, *(("slides", "hinges") if joint.kind == "compound" else ())):
-        axes = np.array(getattr(joint, name))
-        rows = axes.reshape(-1, 3)
-        for k in range(len(rows)):
-            for turn in np.eye(3):
-                tilted = rows.copy()
-                tilted[k] += CHANGE * np.cross(rows[k], turn)
-                with suppress(MechanismError):  # of two axes that have to stay perpendicular
-                    yield replace(joint, **{name: tilted.reshape(axes.shape)})  # type: ignore[arg-type]
-    for step in distance * np.eye(3):
-        yield replace(joint, point=joint.point + step, point_on_second=joint.reaction_point + step)
+def _displaced(joint: Joint, distance: float) -> Joint:
+    """A joint turned by `CHANGE` rad and moved by a distance, m, both along `SKEW` and on both bodies."""
+    turn = rotation(from_rotation_vector(CHANGE * SKEW))
+    names = (*joint.axis_names, *(("slides", "hinges", "offsets") if isinstance(joint, Compound) else ()))
+    fields: dict[str, Any] = {name: getattr(joint, name) @ turn.T for name in names}
+    if isinstance(joint, Screw):
+        fields["pitch"] = MORE * joint.pitch
+    point = joint.point + distance * SKEW
+    beyond = point + turn @ (joint.reaction_point - joint.point)
+    return replace(joint, point=point, point_on_second=beyond, **fields)
 
 
-def _of_joint(mechanism: Mechanism, number: int, changed: Joint) -> Change:
-    def of(scene: Scene) -> Scene:
+def _of_joint(mechanism: Mechanism, name: str, number: int, displaced: Joint) -> Element:
+    def changed(scene: Scene) -> Scene:
         joints = list(scene.mechanism.joints)
-        joints[number] = changed
+        joints[number] = displaced
         return _begun(scene, Mechanism(scene.mechanism.bodies, joints, scene.mechanism.couplings))
 
-    def opened(moments: Moments, length: float, angle: float) -> float:
+    def violated(moments: Moments, length: float, angle: float) -> float:
         own = mechanism.equations[number]
         first, second = (mechanism.bodies[k].pose for k in (own.first, own.second))
-        equations = changed.attach(own.first, first, own.second, second)
+        equations = displaced.attach(own.first, first, own.second, second)
         found = 0.0
         for _, frames in moments:
             ends = frames[own.first], frames[own.second]
             allowed = _allowed(own, equations.jacobian(*ends), length, angle)
-            found = max(found, _ratio(equations.phi(*ends), allowed))
+            found = max(found, float(np.max(np.abs(equations.phi(*ends)) / allowed, initial=0.0)))
         return found
 
-    return Change(of, opened=opened)
+    return Element(name, changed, violated=violated)
 
 
 def _allowed(ends: JointEquations, jacobian: Jacobian, length: float, angle: float) -> Array:
@@ -190,46 +178,42 @@ def _allowed(ends: JointEquations, jacobian: Jacobian, length: float, angle: flo
     return np.sum(list(by_body), axis=0)
 
 
-def _ratio(residuals: Array, allowed: Array) -> float:
-    return float(np.max(np.abs(residuals) / allowed, initial=0.0))
-
-
-def _other_factors(coupling: JointCoupling) -> Iterator[JointCoupling]:
-    """A coupling with each of its factors but the first one `MORE` times itself."""
+def _with_other_factors(coupling: JointCoupling) -> JointCoupling:
+    """A coupling with all of its factors but the first one `MORE` times themselves."""
     if isinstance(coupling, Gear):
-        yield replace(coupling, ratio=MORE * coupling.ratio)
-    elif isinstance(coupling, LinearCoupling):
-        for k in range(1, len(coupling.terms)):
-            joint, coordinate, factor = coupling.terms[k]
-            more = (joint, coordinate, MORE * factor)
-            yield replace(coupling, terms=(*coupling.terms[:k], more, *coupling.terms[k + 1 :]))
+        return replace(coupling, ratio=MORE * coupling.ratio)
+    assert isinstance(coupling, LinearCoupling)
+    first, *others = coupling.terms
+    return replace(coupling, terms=(first, *((joint, k, MORE * factor) for joint, k, factor in others)))
 
 
-def _of_coupling(scene: Scene, number: int, changed: JointCoupling) -> Change:
+def _of_coupling(scene: Scene, number: int, other: JointCoupling) -> Element:
     others = list(scene.mechanism.couplings)
-    others[number] = changed
+    others[number] = other
 
-    def of(scene: Scene) -> Scene:
+    def changed(scene: Scene) -> Scene:
         return _begun(scene, Mechanism(scene.mechanism.bodies, scene.mechanism.joints, others))
 
     coupled = list(couplings(scene))
     index = len(coupled) - len(others) + number
-    coupled[index] = replace(coupled[index], factors=changed.factors())
-    return Change(of, opened=partial(_uncoupled, scene.mechanism, coupled, index))
+    coupled[index] = replace(coupled[index], factors=other.factors())
+    violated = partial(_uncoupled, scene.mechanism, coupled, index)
+    return Element(f"{other.kind} {other.name!r}", changed, violated=violated)
 
 
-def _of_motion(scene: Scene, number: int, motion: PrescribedMotion) -> Change:
+def _of_motion(scene: Scene, number: int, motion: PrescribedMotion) -> Element:
     start = float(motion.function.value(0.0))
     farther = Sum((_times(motion.function, MORE), Polynomial((-CHANGE * start,))))
     motions = list(scene.motions)
     motions[number] = replace(motion, function=farther)
 
-    def of(scene: Scene) -> Scene:
+    def changed(scene: Scene) -> Scene:
         return _begun(scene, scene.mechanism, tuple(motions))
 
     coupled = list(couplings(scene))
     coupled[number] = replace(coupled[number], function=farther)
-    return Change(of, opened=partial(_uncoupled, scene.mechanism, coupled, number))
+    violated = partial(_uncoupled, scene.mechanism, coupled, number)
+    return Element(f"motion {_at(motion)}", changed, violated=violated)
 
 
 def _uncoupled(
@@ -240,7 +224,7 @@ def _uncoupled(
     length: float,
     angle: float,
 ) -> float:
-    """See `Change.opened`: of one of some couplings."""
+    """See `Element.violated`: of one of some couplings."""
     found = 0.0
     for time, frames in moments:
         allowed = 0.0
@@ -249,7 +233,7 @@ def _uncoupled(
             jacobian = ends.coordinates[coordinate].jacobian(frames[ends.first], frames[ends.second])
             allowed += abs(factor) * float(_allowed(ends, jacobian, length, angle)[0])
         phi, _ = residuals(mechanism, coupled, frames, time)
-        found = max(found, _ratio(phi[index], np.array(allowed)))
+        found = max(found, abs(float(phi[index])) / allowed)
     return found
 
 

@@ -22,13 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.comparison.changes import Change, Element, Moments, elements
+from crosscheck.comparison.changes import Element, Moments, elements
 from crosscheck.comparison.rows import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Row, reach
 from crosscheck.comparison.runs import orientations_apart, positions_apart
 from crosscheck.engines import NATIVE_STEPS, adaptive
 from newton_euler.errors import (
     AssemblyError,
-    MechanismError,
     NearlyRedundantWarning,
     NewtonEulerError,
     SingularityError,
@@ -138,9 +137,7 @@ class _Runs:
     ) -> None:
         self._settings = adaptive(scene, NATIVE_STEPS, refined=False)
         scene = replace(scene, outputs=frozenset({"velocities"}))
-        names = dict.fromkeys(
-            name for element in found for change in element.changes for name in change.parameters or ()
-        )
+        names = dict.fromkeys(name for element in found for name in element.parameters or ())
         self._code = CompiledScene(scene, parameters=tuple(names))
         self.run = self._as_far_as_it_goes(scene if end is None else _until(scene, scene.times[end - 1]))
         self._scene = _until(scene, self.run.time[-1])
@@ -191,35 +188,23 @@ class _Runs:
 
     def share(self, element: Element) -> float:
         """See `Covered.share`."""
-        shares = [0.0]
-        for change in element.changes:  # all of them before any is run
-            shares.append(change.opened(self._moments, self._length, self._angle))
-            if shares[-1] > 1.0:
-                return shares[-1]
-        for change in element.changes:
-            shares.append(self._changed(change))
-            if shares[-1] > 1.0:
-                return shares[-1]
-        return max(shares)
-
-    def _changed(self, change: Change) -> float:
-        """How far the run with a change parts from the scene's."""
-        found = 0.0
-        if change.parameters is not None:
+        if element.parameters is not None:
+            found = 0.0
             for part in self._parts:
-                found = self._apart(self._of(change.of(part)))
+                found = self._apart(self._of(element.changed(part)))
                 if found > 1.0:
                     break
             return found
+        violated = element.violated(self._moments, self._length, self._angle)
+        if violated > 1.0:
+            return violated
         try:
-            scene = change.of(self._scene)
-            if self._has_same_motion(scene):
-                return 0.0
-            return self._apart(_run(lambda: simulate(scene, **self._settings)))
+            changed = element.changed(self._scene)
         except AssemblyError:
             return np.inf  # with the change it cannot even begin
-        except MechanismError:
-            return 0.0  # there is no such mechanism
+        if self._has_same_motion(changed):
+            return 0.0
+        return self._apart(_run(lambda: simulate(changed, **self._settings)))
 
     def _apart(self, run: Trajectory | None) -> float:
         """How far a run is from the scene's own, in what engines may differ by; infinite for none."""
