@@ -135,13 +135,12 @@ class _Runs:
     def __init__(
         self, scene: Scene, found: Sequence[Element], length: float, angle: float, end: int | None
     ) -> None:
-        self._settings = adaptive(scene, NATIVE_STEPS, refined=False)
+        self._settings, refined = (adaptive(scene, NATIVE_STEPS, refined=each) for each in (False, True))
         scene = replace(scene, outputs=frozenset({"velocities"}))
         names = dict.fromkeys(name for element in found for name in element.parameters or ())
         self._code = CompiledScene(scene, parameters=tuple(names))
         self.run = self._as_far_as_it_goes(scene if end is None else _until(scene, scene.times[end - 1]))
         self._scene = _until(scene, self.run.time[-1])
-        refined = adaptive(scene, NATIVE_STEPS, refined=True)
         finer = self._as_far_as_it_goes(self._scene, refined)
         units = max(1.0, reach(scene, self.run.position)), 1.0
         own = (float(np.max(apart(self.run, finer))) for apart in (positions_apart, orientations_apart))
