@@ -223,6 +223,4 @@ MODELS = (
 @pytest.mark.slow
 @pytest.mark.parametrize("source", MODELS)
 def test_what_is_covered_shows_in_comparisons(source):
-    checked = check(shortened(source, 0.3))
-    assert not checked.wrong
-    assert len(checked.coverage.untested) < 0.5 * len(checked.coverage.elements)
+    assert not check(shortened(source, 0.3)).wrong
