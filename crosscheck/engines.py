@@ -80,7 +80,7 @@ class Engine:
     soft_start: Callable[[Scene], Evaluation] | None = None
 
 
-def _adaptive(scene: Scene, steps: int, refined: bool) -> dict[str, Any]:
+def adaptive(scene: Scene, steps: int, refined: bool) -> dict[str, Any]:
     """Method, tolerances and most steps for an engine that is to make so many steps at most by DOP853."""
     from crosscheck.stiffness import explicit_steps
 
@@ -96,13 +96,13 @@ def _adaptive(scene: Scene, steps: int, refined: bool) -> dict[str, Any]:
 def _newton_euler_run(scene: Scene) -> Trajectory:
     from newton_euler import simulate
 
-    return simulate(scene, **_adaptive(scene, NATIVE_STEPS, refined=False))
+    return simulate(scene, **adaptive(scene, NATIVE_STEPS, refined=False))
 
 
 def _newton_euler_refined(scene: Scene) -> Trajectory:
     from newton_euler import simulate
 
-    return simulate(scene, **_adaptive(scene, NATIVE_STEPS, refined=True))
+    return simulate(scene, **adaptive(scene, NATIVE_STEPS, refined=True))
 
 
 def _newton_euler_exact(scene: Scene) -> Trajectory:
@@ -169,13 +169,13 @@ def _mujoco_soft(scene: Scene) -> Evaluation:
 def _pinocchio_run(scene: Scene) -> Trajectory:
     import urdf
 
-    return urdf.simulate(scene, **_adaptive(scene, PYTHON_STEPS, refined=False))
+    return urdf.simulate(scene, **adaptive(scene, PYTHON_STEPS, refined=False))
 
 
 def _pinocchio_refined(scene: Scene) -> Trajectory:
     import urdf
 
-    return urdf.simulate(scene, **_adaptive(scene, PYTHON_STEPS, refined=True))
+    return urdf.simulate(scene, **adaptive(scene, PYTHON_STEPS, refined=True))
 
 
 def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:

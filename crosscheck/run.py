@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
 from importlib.metadata import version
@@ -21,7 +20,7 @@ from crosscheck.comparison.runs import rests
 from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
-from crosscheck.limit import SHORTER, TooLongError, limited
+from crosscheck.limit import SHORTER, limited
 from crosscheck.scenes.options import titled
 from newton_euler.activity import Course
 from newton_euler.errors import NewtonEulerError
@@ -52,7 +51,9 @@ class Crosscheck:
         mapping: what became of the elements of a model file; None for a scene of this package's own.
         advice: what to do about what was measured.
         unfinished: engines that stopped, and parts of the comparison that did not come to their end.
-        coverage: elements that the compared runs test; None where no trajectories were compared.
+        coverage: elements that the compared runs test; None where no trajectories were compared, and where
+            `notes` say why it is not known.
+        notes: what else there is to say, a line each: what beside the comparison did not come to its end.
     """
 
     source: str
@@ -68,6 +69,7 @@ class Crosscheck:
     advice: tuple[Advice, ...] = ()
     unfinished: tuple[Stop, ...] = ()
     coverage: Coverage | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -160,7 +162,10 @@ class Crosscheck:
         said = f", and the reference in all {len(self.measured)}" if self.measured else ""
         said += not_judged(self.rows)
         said += "; nothing moves" if self.rests else ""
-        said += f"; {self.coverage}" if self.coverage else ""
+        if self.coverage:
+            said += f"; {self.coverage}"
+        elif len(self.engines) > 1:
+            said += "; what the motion covers is not known"
         if self.mapping and (counts := self.mapping.counts()):
             said += f"; of the file {counts}"
         return said
@@ -186,6 +191,7 @@ class Crosscheck:
             "known_figures": [measured.summary() for measured in self.measured],
             "advice": [asdict(advice) for advice in self.advice],
             "coverage": self.coverage.summary() if self.coverage else None,
+            "notes": list(self.notes),
         }
 
     def _ran(self, name: str) -> dict[str, Any]:
@@ -234,18 +240,19 @@ def crosscheck(
             what = f"{engine.name}: known figures"
             with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
                 measured.extend(measure(source, scene, engine, runs[engine.name], known))
+    beside: list[Stop] = []
     found: Coverage | None = None
     what = "working out what the motion covers"
-    with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
+    with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
         found = coverage(scene, runs, rows)
     if mapping and runs:
         what = "watching what was left out"
-        with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
+        with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
             mapping = mapping.after(Course(scene, next(iter(runs.values()))))
     advice: tuple[Advice, ...] = ()
     if not stops:
         what = "working out advice"
-        with as_far_as_it_goes(what, stops), suppress(TooLongError), limited(what, "there is none", progress):
+        with as_far_as_it_goes(what, beside), limited(what, "there is none", progress):
             advice = advise(Found(scene, source, able, runs, rows, options, mapping))
     wall_time = time.perf_counter() - start
     return Crosscheck(
@@ -262,6 +269,7 @@ def crosscheck(
         advice,
         tuple(stops),
         found,
+        tuple(map(str, beside)),
     )
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number
 from newton_euler.forces import check_ball, check_coordinate, check_known
@@ -37,6 +37,8 @@ class Armature:
     joint: str
     inertia: float
     coordinate: int = 0
+
+    parameters: ClassVar[tuple[str, ...]] = ("inertia",)
 
     def __post_init__(self) -> None:
         _set_inertia(self)
@@ -70,6 +72,8 @@ class BallArmature:
 
     joint: str
     inertia: float
+
+    parameters: ClassVar[tuple[str, ...]] = ("inertia",)
 
     def __post_init__(self) -> None:
         _set_inertia(self)

@@ -34,10 +34,14 @@ class PD:
     coordinate: int = 0
     feedforward: float | TimeFunction = 0.0
 
+    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "target", "feedforward")
+
     def __post_init__(self) -> None:
         where = self.element
         for name in self.parameters:
             value = getattr(self, name)
+            if name == "feedforward" and self.is_driven:
+                continue
             if not is_finite_number(value):
                 raise MechanismError(where, f"{name} is {value!r}", "a finite number")
             object.__setattr__(self, name, float(value))
@@ -47,11 +51,6 @@ class PD:
     def element(self) -> str:
         """What errors call it."""
         return f"control of joint {self.joint!r}"
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of the attributes that are numbers."""
-        return ("stiffness", "damping", "target", *(() if self.is_driven else ("feedforward",)))
 
     @property
     def is_driven(self) -> bool:

@@ -4,16 +4,19 @@ A parameter has a name and a value of the shape that the scene has there:
 
 - `gravity`, `BODY.mass`, `BODY.inertia`;
 - `JOINT.stiffness`, `JOINT.damping`, `JOINT.target`, `JOINT.feedforward` of the control law at a joint,
-  `JOINT.1.target` for its second coordinate;
+  `JOINT.1.target` for its second coordinate; of a feedforward that is a function of time, all that it is
+  linear in: coefficients of polynomials, amplitude and offset of sines, one after the other;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
   `JOINT.1.spring.rest` for its second coordinate;
 - `JOINT.ball.stiffness`, `JOINT.ball.damping`, `JOINT.ball.rest` of the spring of a joint's ball;
 - `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points;
-- `NAME.force`, `NAME.torque` of a wrench.
+- `NAME.force`, `NAME.torque` of a wrench;
+- `JOINT.rotor.inertia`, `JOINT.1.rotor.inertia`, `JOINT.ball.rotor.inertia` of the armatures of a joint.
 
-A name that stands for two of these cannot be used. Geometry is not among them: it moves the closed
-configurations, so that a run would need another start. How near a configuration is to a singular one
-is judged by the scene's own values: masses that are many orders away from them make runs slower, not
+A name that stands for two of these cannot be used; numbers say which is meant, as in `bodies[2].mass`,
+`control[0].target`, `forces[1].stiffness` and `armatures[0].inertia`. Geometry is not among them: it moves
+the closed configurations, so that a run would need another start. How near a configuration is to a singular
+one is judged by the scene's own values: masses that are many orders away from them make runs slower, not
 wrong.
 """
 
@@ -26,10 +29,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from newton_euler.armature import Armature, BallArmature
 from newton_euler.control import Law
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.mechanism import Body
+from newton_euler.motions import Polynomial, Sine, Sum, TimeFunction
 from newton_euler.redundancy import inherit_mobility
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
@@ -37,40 +42,63 @@ from newton_euler.scene import Scene
 T = TypeVar("T")
 
 
-def place_of(force: Law | Force) -> str:
-    """What names of a control law's or force's parameters begin with."""
+def place_of(force: Law | Force | Armature | BallArmature) -> str:
+    """What names of a control law's, force's or armature's parameters begin with."""
     if isinstance(force, PointSpring | Wrench):
         return force.name
-    if isinstance(force, BallSpring):
-        return f"{force.joint}.ball"
+    if isinstance(force, BallSpring | BallArmature):
+        return f"{force.joint}.ball{'.rotor' if isinstance(force, BallArmature) else ''}"
     place = force.joint if force.coordinate == 0 else f"{force.joint}.{force.coordinate}"
-    return f"{place}.spring" if isinstance(force, JointSpring) else place
+    kinds = {JointSpring: ".spring", Armature: ".rotor"}
+    return place + kinds.get(type(force), "")
 
 
 Owner = tuple[str, int, str]
-"""Where a parameter is: "bodies", "control" or "forces", which of them, and the attribute."""
+"""Where a parameter is: "bodies", "control", "forces" or "armatures", which of them, and the attribute."""
+
+
+def _parts(scene: Scene) -> dict[str, list[Any]]:
+    """What has parameters."""
+    return {
+        "bodies": list(scene.mechanism.bodies),
+        "control": list(scene.control),
+        "forces": list(scene.forces),
+        "armatures": list(scene.armatures),
+    }
 
 
 def _owners(scene: Scene) -> dict[str, list[Owner]]:
     """Where what a name stands for is; all but gravity."""
     found: dict[str, list[Owner]] = {}
-    for k, body in enumerate(scene.mechanism.bodies[1:], start=1):
-        for attribute in ("mass", "inertia"):
-            found.setdefault(f"{body.name}.{attribute}", []).append(("bodies", k, attribute))
-    for what, forces in (("control", scene.control), ("forces", scene.forces)):
-        for k, force in enumerate(forces):
-            for attribute in force.parameters or ("held",):
-                found.setdefault(f"{place_of(force)}.{attribute}", []).append((what, k, attribute))
+    for what, elements in _parts(scene).items():
+        for k, element in enumerate(elements):
+            if what == "bodies" and k == 0:
+                continue  # the ground
+            place = element.name if what == "bodies" else place_of(element)
+            for attribute in ("mass", "inertia") if what == "bodies" else element.parameters or ("held",):
+                found.setdefault(f"{place}.{attribute}", []).append((what, k, attribute))
+                found[numbered(what, k, attribute)] = [(what, k, attribute)]
     return found
+
+
+def numbered(what: str, k: int, attribute: str) -> str:
+    """The name of a parameter that no other one can have: brackets are in no element's name."""
+    return f"{what}[{k}].{attribute}"
 
 
 def _owner(owners: dict[str, list[Owner]], name: str) -> Owner:
     """Where a parameter is; raises `UnknownNameError`, or `MechanismError` if the name stands for two."""
     if name not in owners:
-        raise UnknownNameError("parameter", name, ("gravity", *owners))
+        raise UnknownNameError("parameter", name, ("gravity", *_named(owners)))
     if len(owners[name]) > 1:
-        raise MechanismError(f"parameter {name!r}", "stands for two values", "other names of the elements")
+        needed = " or ".join(numbered(*owner) for owner in owners[name])
+        raise MechanismError(f"parameter {name!r}", "stands for two values", needed)
     return owners[name][0]
+
+
+def _named(owners: dict[str, list[Owner]]) -> list[str]:
+    """The names without those that are numbers."""
+    return [name for name in owners if "[" not in name]
 
 
 def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[str, Array]:
@@ -80,15 +108,16 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
         UnknownNameError: for a name that is no parameter of the scene.
         MechanismError: for a name that stands for two.
     """
-    parts = {"bodies": scene.mechanism.bodies, "control": scene.control, "forces": scene.forces}
-    owners = _owners(scene)
+    parts, owners = _parts(scene), _owners(scene)
     values: dict[str, Array] = {}
-    for name in ("gravity", *owners) if names is None else names:
+    for name in ("gravity", *_named(owners)) if names is None else names:
         if name == "gravity":
             value: Any = scene.gravity
         else:
             what, k, attribute = _owner(owners, name)
             value = getattr(parts[what][k], attribute)
+            if isinstance(value, TimeFunction):
+                value = _linear(value)
         values[name] = np.asarray(value, dtype=float)
     return values
 
@@ -125,23 +154,49 @@ def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
 
 
 def _substitute(scene: Scene, values: Mapping[str, Any], change: Callable[..., Any]) -> Scene:
-    parts: dict[str, list[Any]] = {
-        "bodies": list(scene.mechanism.bodies),
-        "control": list(scene.control),
-        "forces": list(scene.forces),
-    }
-    owners = _owners(scene)
+    parts, owners = _parts(scene), _owners(scene)
     fields: dict[str, Any] = {}
     for name, value in values.items():
         if name == "gravity":
             fields["gravity"] = value
         else:
             what, k, attribute = _owner(owners, name)
+            own = getattr(parts[what][k], attribute)
+            if isinstance(own, TimeFunction):
+                value = _with_linear(own, list(value), change)
             parts[what][k] = change(parts[what][k], **{attribute: value})
     mechanism = _altered(scene.mechanism, bodies=tuple(parts.pop("bodies")))
     for what, elements in parts.items():
         fields[what] = tuple(elements)
     return _altered(scene, mechanism=mechanism, **fields)
+
+
+def _linear(function: TimeFunction) -> list[float]:
+    """What a function of time is linear in."""
+    if isinstance(function, Sum):
+        return [value for term in function.terms for value in _linear(term)]
+    return (
+        list(function.coefficients)
+        if isinstance(function, Polynomial)
+        else [
+            function.amplitude,
+            function.offset,
+        ]
+    )
+
+
+def _with_linear(function: TimeFunction, values: list[Any], change: Callable[..., Any]) -> TimeFunction:
+    """The function with other values of what it is linear in."""
+    if isinstance(function, Sum):
+        terms: list[TimeFunction] = []
+        for term in function.terms:
+            count = len(_linear(term))
+            terms.append(_with_linear(term, values[:count], change))
+            values = values[count:]
+        return change(function, terms=tuple(terms))
+    if isinstance(function, Sine):
+        return change(function, amplitude=values[0], offset=values[1])
+    return change(function, coefficients=tuple(values))
 
 
 def _altered(thing: T, **fields: Any) -> T:

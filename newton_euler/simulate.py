@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 import warnings
 from collections.abc import Sequence
@@ -99,6 +100,15 @@ class CompiledScene(Code):
     def _others(self) -> dict[tuple[int, ...], CompiledScene]:
         """The same with other constraint rows, by these."""
         return {}
+
+    def with_scene(self, scene: Scene) -> CompiledScene:
+        """The same code for a scene that differs in parameters, controllers and duration alone."""
+        _ = self._decided  # once for all
+        other = copy.copy(self)
+        other.scene, other.idle = scene, {}
+        q, v = self.system.coordinates(scene.initial_state)
+        other.__dict__.update(start=other.packed(q, v), _others={})
+        return other
 
     def simulate(
         self,

@@ -6,10 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mechanisms import line_spring, mass_on_rail
 
 import newton_euler
 from newton_euler import simulate_batch
+from newton_euler.armature import Armature
+from newton_euler.control import PD
 from newton_euler.errors import IntegrationError, MechanismError, OptionError, UnknownNameError
+from newton_euler.motions import Polynomial, Sine, Sum
 from newton_euler.parameters import parameter_values
 
 
@@ -122,3 +126,29 @@ def test_bad_batches_are_refused(short, options, error, message):
     with pytest.raises(error) as caught:
         simulate_batch(short, **options)
     assert message in str(caught.value)
+
+
+def test_functions_of_time_and_rotors_have_parameters():
+    """All that a function is linear in; numbers tell elements of one name apart."""
+    push = Sum((Sine(1.0, 7.0, offset=0.5), Polynomial((0.2, -1.0))))
+    law = PD("rail", 5.0, 0.1, 0.0, feedforward=push)
+    spring = replace(line_spring(rest_length=2.0), name="rail")
+    scene = mass_on_rail(spring, duration=0.5, control=(law,), armatures=(Armature("rail", 0.3),))
+    assert parameter_values(scene, ["rail.feedforward"])["rail.feedforward"].tolist() == [1.0, 0.5, 0.2, -1.0]
+    values = {
+        "rail.feedforward": [2.0, 0.25, 0.4, -3.0],
+        "rail.rotor.inertia": 0.6,
+        "forces[0].stiffness": 70.0,
+    }
+    batch = simulate_batch(scene, parameters={name: [value] for name, value in values.items()})
+    other = Sum((Sine(2.0, 7.0, offset=0.25), Polynomial((0.4, -3.0))))
+    expected = newton_euler.simulate(
+        replace(
+            scene,
+            control=(replace(law, feedforward=other),),
+            forces=(replace(spring, stiffness=70.0),),
+            armatures=(Armature("rail", 0.6),),
+        )
+    )
+    # both are integrated to 1e-10, their code is not the same
+    assert np.abs(batch[0].position - expected.position).max() < 1e-9

@@ -188,7 +188,7 @@ def test_exercise_covers_what_a_file_leaves_still(tmp_path: Path) -> None:
     shares = []
     for exercise in (False, True):
         scene = reading(tmp_path, text, exercise=exercise).scene
-        covered = covered_by(scene, newton_euler.simulate(scene), 1e-6, 1e-6)
+        covered = covered_by(scene, 1e-6, 1e-6)
         shares.append(1.0 - len(covered.untested) / len(covered.elements))
     assert shares[0] == 0.0
     assert shares[1] >= 0.9
@@ -207,3 +207,42 @@ def test_runs_exercise_by_default(
             main([command, str(path), *target, *more, *settings])
         assert end.value.code == 0
         assert ("exercised: " in capsys.readouterr().out) == expected
+
+
+def test_bench_exercises_as_run_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "model.xml"
+    path.write_text(FILE)
+    moves: list[bool] = []
+
+    def bench(scene: Scene, *_: object) -> tuple[list[str], list[Path]]:
+        moves.append(bool(np.any(scene.initial_state.linear_velocity)))
+        return [], []
+
+    monkeypatch.setattr("crosscheck.benchmark.run.bench", bench)
+    for settings in ([], ["--set", "exercise=off"]):
+        with pytest.raises(SystemExit):
+            main(["bench", str(path), *settings])
+    assert moves == [True, False]
+
+
+@pytest.mark.parametrize("command", [["convert", "{0}", "{0}.urdf"], ["faults", "{0}", "--reading"]])
+def test_exercise_without_effect_is_refused(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "model.xml"
+    path.write_text(FILE)
+    with pytest.raises(SystemExit) as end:
+        main([*(word.format(path) for word in command), "--set", "exercise=on"])
+    assert end.value.code == 2
+    assert "--set exercise=on has no effect here: " in capsys.readouterr().err
+
+
+def test_models_of_which_one_is_exercised_are_different(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their starts, a level that no two engines have, differ."""
+    path = Path(__file__).parents[1] / "examples" / "linkage.xml"
+    with pytest.raises(SystemExit) as end:
+        main(["run", str(path), "--against", str(path), "--set", "exercise=on", "--output", str(tmp_path)])
+    assert end.value.code == 1
+    assert "DIFFERENT: " in capsys.readouterr().out

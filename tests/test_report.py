@@ -301,8 +301,6 @@ def test_two_models_and_the_notes_about_them(bare):
         ({"models": two_models()[:1], "notes": []}, "models: List should have at least 2 items"),
         ({"models": [*two_models(), two_models()[0]], "notes": []}, "models: List should have at most 2"),
         ({"models": [{"name": "a"}, {}], "notes": []}, "models.0.source: Field required"),
-        ({"notes": ["of what?"]}, "file: notes without models; a comparison of two models has both"),
-        ({"models": two_models()}, "file: models without notes; a comparison of two models has both"),
     ],
 )
 def test_a_comparison_that_is_not_whole_is_one_line(bare, capsys, changes, message):

@@ -58,3 +58,12 @@ def test_a_row_that_cannot_be_closed_ends_it_and_those_before_it_are_kept():
     assert status != m.DONE
     assert written == 1 + LANES + 1
     assert np.isfinite(found[:written]).all()
+
+
+def test_states_without_constraints_are_left_as_they_are() -> None:
+    """A scene that has nothing to project onto has no code for it either."""
+    code = Code(load("pendulum"))
+    x = code.start + 0.1
+    before = x.copy()
+    assert Projection(code)(x)
+    assert np.array_equal(x, before)

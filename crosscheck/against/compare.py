@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from crosscheck.against.dynamics import dynamics_rows
 from crosscheck.against.kinematics import kinematics_rows
 from crosscheck.against.model import beside_the_worst, bodies_row, differences, model_rows, start_rows
 from crosscheck.against.uncompared import Uncompared, uncompared
+from crosscheck.comparison.diagnosis import Diagnosis
 from crosscheck.comparison.rows import Row, not_judged
 from crosscheck.comparison.runs import compare_runs
 from crosscheck.comparison.samples import Samples, States
@@ -73,12 +74,11 @@ class Against(Crosscheck):
     Attributes:
         models: the two.
         uncompared: what differs and no figure is about.
-        notes: what people should know beside the figures: what was taken for what, and all that differs.
+        notes: also what was taken for what, and all that differs.
     """
 
     models: tuple[Model, Model] = field(kw_only=True)
     uncompared: tuple[Uncompared, ...] = ()
-    notes: tuple[str, ...] = ()
 
     @property
     def title(self) -> str:
@@ -89,6 +89,11 @@ class Against(Crosscheck):
     def differs(self) -> bool:
         """Whether any figure exceeds its tolerance, or anything else differs that moves the mechanism."""
         return super().differs or any(other.moves for other in self.uncompared)
+
+    @cached_property
+    def diagnosis(self) -> tuple[Diagnosis, ...]:
+        """None: of two models that differ neither is wrong."""
+        return ()
 
     @property
     def verdict(self) -> str:
@@ -116,7 +121,7 @@ class Against(Crosscheck):
         )
 
     def summary(self) -> dict[str, Any]:
-        """As of any crosscheck, with what was compared and the notes."""
+        """As of any crosscheck, with what was compared."""
         models = [
             {
                 "name": model.name,
@@ -127,7 +132,7 @@ class Against(Crosscheck):
             }
             for model in self.models
         ]
-        return super().summary() | {"models": models, "notes": list(self.notes)}
+        return super().summary() | {"models": models}
 
 
 def together(models: tuple[Model, Model]) -> str:

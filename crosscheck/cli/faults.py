@@ -16,6 +16,7 @@ from crosscheck.cli.shared import (
     rendered,
     scene_options,
     setting_options,
+    without_exercise,
 )
 from crosscheck.errors import CrosscheckError
 from crosscheck.faults import PLANTED_IN
@@ -46,7 +47,8 @@ def faults_command(
 ) -> int:
     """Plant one fault at a time in an engine's model of SCENE; say which are found and blamed right."""
     if reading:
-        return _in_reading(scene, scene_options(scene, settings, loops))
+        options = scene_options(scene, settings, loops)
+        return _in_reading(scene, without_exercise(options, "what is read is verified as the file stands"))
     import time
 
     from crosscheck.faults.find import find_faults

@@ -9,6 +9,7 @@ import click
 from crosscheck.cli.shared import (
     AGREE,
     cli,
+    exercised,
     load_and_tell,
     progress_shown,
     rendered,
@@ -77,7 +78,7 @@ def bench_command(
     """Measure run time against error on SCENE, for every engine and setting."""
     from crosscheck.benchmark import run
 
-    options = scene_options(scene, settings, loops)
+    options = exercised(scene, scene_options(scene, settings, loops))
     if rhs + scaling + (batch is not None) > 1:
         raise CrosscheckError("--rhs, --scaling and --batch are different benchmarks; choose one")
     loaded = load_and_tell(scene, options)

@@ -22,6 +22,7 @@ from crosscheck.cli.shared import (
     rendered,
     scene_options,
     setting_options,
+    without_exercise,
 )
 from crosscheck.errors import CrosscheckError
 from crosscheck.recording.destination import Destination
@@ -201,11 +202,10 @@ def _carry_out(
     with progress_shown() as progress:
         result = work(progress)
         progress("writing")
-        notes = result.notes if isinstance(result, Against) else ()
-        verdict = "\n- ".join([markdown(result), *notes])
+        verdict = "\n- ".join([markdown(result), *result.notes])
         written = write(result, folder, recording, verdict)
     click.echo(rendered(terminal_tables(result)), nl=False)
-    for line in (*notes, *settings_lines(result)):
+    for line in (*result.notes, *settings_lines(result)):
         click.echo(line)
     click.echo("wrote " + ", ".join(str(path) for path in written))
     if result.unfinished and not (isinstance(result, Against) and result.differs):
@@ -256,6 +256,8 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...], loops:
 
     check_target(target)
     options = scene_options(source, settings, loops)
+    if target.suffix == ".urdf":
+        without_exercise(options, "a URDF holds no control and no start")
     check_no_source(target, [source, *([options["loops"]] if "loops" in options else [])])
     check_writable(target)
     scene, report = load_scene(source, options)

@@ -96,6 +96,13 @@ def exercised(scene: str, options: dict[str, str]) -> dict[str, str]:
     return {"exercise": "on"} | options if is_model(scene) else options
 
 
+def without_exercise(options: dict[str, str], why: str) -> dict[str, str]:
+    """Options of a command on which exercise has no effect; an error, which says why, if they ask for it."""
+    if options.get("exercise") == "on":
+        raise CrosscheckError(f"--set exercise=on has no effect here: {why}")
+    return options
+
+
 def _by_name(settings: tuple[str, ...], prefix: str) -> dict[str, str]:
     options = {}
     for setting in settings:

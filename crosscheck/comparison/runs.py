@@ -45,12 +45,12 @@ def _together(apart: Gap) -> Gap:
 
 
 @_together
-def _positions_apart(x: Trajectory, y: Trajectory) -> Array:
+def positions_apart(x: Trajectory, y: Trajectory) -> Array:
     return np.asarray(np.linalg.norm(x.position - y.position, axis=2))
 
 
 @_together
-def _orientations_apart(x: Trajectory, y: Trajectory) -> Array:
+def orientations_apart(x: Trajectory, y: Trajectory) -> Array:
     return angle_between(x.quaternion, y.quaternion)
 
 
@@ -207,8 +207,8 @@ def compare_runs(
     def trajectories(a: Engine, b: Engine) -> Iterator[Row]:
         fixed = a.trajectory_error + b.trajectory_error + noise
         for quantity, apart, unit in (
-            (POSES[0], _positions_apart, length((a, b))),
-            (POSES[1], _orientations_apart, 1.0),
+            (POSES[0], positions_apart, length((a, b))),
+            (POSES[1], orientations_apart, 1.0),
         ):
             found = row("trajectories", quantity, (a, b), between_two(a, b, apart), apart, fixed, unit)
             if not found.agrees:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Any
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, Field
 
 from crosscheck.html.page import Cell
 from crosscheck.html.results import Headline, Results
@@ -98,15 +98,7 @@ class Summary(Results):
     files: dict[str, str]
     advice: list[Advice] = Field(default_factory=list)
     models: list[Model] | None = Field(None, min_length=2, max_length=2)
-    notes: list[str] | None = None
-
-    @model_validator(mode="after")
-    def _of_two_models(self) -> Self:
-        """Two models and the notes about them come together."""
-        if (self.models is None) != (self.notes is None):
-            there, absent = ("models", "notes") if self.notes is None else ("notes", "models")
-            raise ValueError(f"{there} without {absent}; a comparison of two models has both")
-        return self
+    notes: list[str] = Field(default_factory=list)
 
     @property
     def headline(self) -> Headline:

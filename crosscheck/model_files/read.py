@@ -67,7 +67,9 @@ COMMON = {
     "duration": Option("SECONDS", "1", _SECONDS),
     "output_period": Option("SECONDS", "0.01", _SECONDS),
     "redundancy_tolerance": Option("NUMBER, 0 takes all constraints literally", "1e-4", _number("a number")),
-    "exercise": Option("on|off, moving joints and driven actuators; on in run and regress", "off", _switch),
+    "exercise": Option(
+        "on|off, moving joints and driven actuators; on in run, regress, bench", "off", _switch
+    ),
 }
 """Options of all model files."""
 

@@ -1,0 +1,252 @@
+"""Changes of 10 % of every element of a scene: what a run has to show of it to test it.
+
+What acts as a force (mass, inertia, springs, dampers, rotors, actuators, wrenches) is 1.1 times itself. A
+joint is turned by 0.1 rad and moved by a tenth of the longest body, axes and points together and on both
+bodies, so that it closes as before. Factors of gears and pitches of screws are 1.1 times themselves, and
+prescribed motions go 1.1 times as far.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from newton_euler.armature import Armature, BallArmature
+from newton_euler.assemble import assemble
+from newton_euler.constraints import Frame, Jacobian
+from newton_euler.control import Law, Sampled
+from newton_euler.couplings import (
+    Coupling,
+    Gear,
+    JointCoupling,
+    LinearCoupling,
+    couplings,
+    residuals,
+)
+from newton_euler.euler_parameters import from_rotation_vector, rotation
+from newton_euler.forces import BallSpring, Force, JointSpring, Wrench
+from newton_euler.joints import Compound, Fixed, Joint, JointEquations, Screw
+from newton_euler.mechanism import Mechanism
+from newton_euler.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
+from newton_euler.parameters import numbered, parameter_values, with_values
+from newton_euler.scalars import Array
+from newton_euler.scene import Scene
+from newton_euler.tree import SpanningTree
+
+CHANGE = 0.1
+"""Relative change of an element; of a joint's axes in rad, of its points in sizes of the longest body."""
+
+MORE = 1.0 + CHANGE
+
+SKEW = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
+"""A direction that few axes have."""
+
+Moments = Sequence[tuple[float, list[Frame]]]
+"""Times, s, of a run and where bodies are then."""
+
+
+@dataclass(frozen=True)
+class Element:
+    """One element of a scene, and the change of it.
+
+    Attributes:
+        name: kind and name, such as "mass of body 'crank'".
+        changed: gives a scene with the change.
+        parameters: names of the parameters that it changes, see `newton_euler.parameters`; None for a change
+            of the equations themselves.
+        violated: by how much poses violate the changed constraints, in what they may where they are off by a
+            length (m) and an angle (rad): with more than 1 they are no poses of the changed scene, nor within
+            that of any. 0 where nothing is told.
+    """
+
+    name: str
+    changed: Callable[[Scene], Scene]
+    parameters: tuple[str, ...] | None = None
+    violated: Callable[[Moments, float, float], float] = lambda moments, length, angle: 0.0
+
+
+def elements(scene: Scene) -> Iterator[Element]:
+    """All elements of a scene that a motion may depend on."""
+    for k, body in enumerate(scene.mechanism.bodies[1:], start=1):
+        for what in ("mass", "inertia"):
+            yield _of_values(scene, f"{what} of body {body.name!r}", "bodies", k, what)
+    for k, law in enumerate(scene.control):
+        name = f"actuator {_at(law)}"
+        if isinstance(law, Sampled):
+            yield Element(name, partial(_with_controller, number=k), ())
+        else:
+            yield _of_values(scene, name, "control", k, "stiffness", "damping", "feedforward")
+    for k, force in enumerate(scene.forces):
+        if isinstance(force, Wrench):
+            yield _of_values(scene, f"wrench {force.name!r}", "forces", k, "force", "torque")
+            continue
+        for what, attribute in (("spring", "stiffness"), ("damper", "damping")):
+            if getattr(force, attribute):
+                yield _of_values(scene, f"{what} {_at(force)}", "forces", k, attribute)
+    for k, rotor in enumerate(scene.armatures):
+        yield _of_values(scene, f"rotor {_at(rotor)}", "armatures", k, "inertia")
+    yield from _constraints(scene)
+
+
+def _at(element: Law | Force | Armature | BallArmature | PrescribedMotion) -> str:
+    if isinstance(element, BallSpring | BallArmature):
+        return f"of the ball of joint {element.joint!r}"
+    if isinstance(element, Law | JointSpring | Armature | PrescribedMotion):
+        coordinate = f", coordinate {element.coordinate}" if element.coordinate else ""
+        return f"of joint {element.joint!r}{coordinate}"
+    return repr(element.name)
+
+
+def _of_values(scene: Scene, name: str, what: str, number: int, *attributes: str) -> Element:
+    """An element whose parameters become `MORE` times themselves."""
+    own = parameter_values(scene, [numbered(what, number, attribute) for attribute in attributes])
+    values = {parameter: MORE * value for parameter, value in own.items()}
+    return Element(name, partial(with_values, values=values), tuple(values))
+
+
+def _with_controller(scene: Scene, number: int) -> Scene:
+    """A scene with a sampled controller whose force is `MORE` times what it was."""
+    law = scene.control[number]
+    assert isinstance(law, Sampled)
+    own = law.controller
+    stronger = replace(law, controller=lambda time, x, x_rate: MORE * own(time, x, x_rate))
+    return replace(scene, control=(*scene.control[:number], stronger, *scene.control[number + 1 :]))
+
+
+def _constraints(scene: Scene) -> Iterator[Element]:
+    mechanism, tree = scene.mechanism, {kept.joint for kept in SpanningTree(scene.mechanism).joints}
+    loaded = {each.joint for each in (*scene.joint_forces, *scene.armatures, *scene.motions)}
+    loaded |= {joint for coupling in mechanism.couplings for joint, _ in coupling.factors()}
+    for number, joint in enumerate(mechanism.joints):
+        constrains = mechanism.equations[number].count > 0 or joint.name in loaded
+        if isinstance(joint, Fixed) or not constrains:
+            continue  # where two bodies are one, or not tied, another point or axis changes nothing
+        name = f"{'joint' if number in tree else 'loop'} {joint.name!r}"
+        yield _of_joint(mechanism, name, number, _displaced(joint, CHANGE * mechanism.longest))
+    for number, coupling in enumerate(mechanism.couplings):
+        yield _of_coupling(scene, number, _with_other_factors(coupling))
+    for number, motion in enumerate(scene.motions):
+        yield _of_motion(scene, number, motion)
+
+
+def _displaced(joint: Joint, distance: float) -> Joint:
+    """A joint turned by `CHANGE` rad and moved by a distance, m, both along `SKEW` and on both bodies."""
+    turn = rotation(from_rotation_vector(CHANGE * SKEW))
+    names = (*joint.axis_names, *(("slides", "hinges", "offsets") if isinstance(joint, Compound) else ()))
+    fields: dict[str, Any] = {name: getattr(joint, name) @ turn.T for name in names}
+    if isinstance(joint, Screw):
+        fields["pitch"] = MORE * joint.pitch
+    point = joint.point + distance * SKEW
+    beyond = point + turn @ (joint.reaction_point - joint.point)
+    return replace(joint, point=point, point_on_second=beyond, **fields)
+
+
+def _of_joint(mechanism: Mechanism, name: str, number: int, displaced: Joint) -> Element:
+    def changed(scene: Scene) -> Scene:
+        joints = list(scene.mechanism.joints)
+        joints[number] = displaced
+        return _begun(scene, Mechanism(scene.mechanism.bodies, joints, scene.mechanism.couplings))
+
+    def violated(moments: Moments, length: float, angle: float) -> float:
+        own = mechanism.equations[number]
+        first, second = (mechanism.bodies[k].pose for k in (own.first, own.second))
+        equations = displaced.attach(own.first, first, own.second, second)
+        found = 0.0
+        for _, frames in moments:
+            ends = frames[own.first], frames[own.second]
+            allowed = _allowed(own, equations.jacobian(*ends), length, angle)
+            found = max(found, float(np.max(np.abs(equations.phi(*ends)) / allowed, initial=0.0)))
+        return found
+
+    return Element(name, changed, violated=violated)
+
+
+def _allowed(ends: JointEquations, jacobian: Jacobian, length: float, angle: float) -> Array:
+    """(k,) by how much residuals change at most where both bodies move by a length and turn by an angle."""
+    by_body = (
+        np.linalg.norm(r, axis=1) * length + np.linalg.norm(theta, axis=1) * angle
+        for number, r, theta in (
+            (ends.first, jacobian.r_first, jacobian.theta_first),
+            (ends.second, jacobian.r_second, jacobian.theta_second),
+        )
+        if number > 0
+    )
+    return np.sum(list(by_body), axis=0)
+
+
+def _with_other_factors(coupling: JointCoupling) -> JointCoupling:
+    """A coupling with all of its factors but the first one `MORE` times themselves."""
+    if isinstance(coupling, Gear):
+        return replace(coupling, ratio=MORE * coupling.ratio)
+    assert isinstance(coupling, LinearCoupling)
+    first, *others = coupling.terms
+    return replace(coupling, terms=(first, *((joint, k, MORE * factor) for joint, k, factor in others)))
+
+
+def _of_coupling(scene: Scene, number: int, other: JointCoupling) -> Element:
+    others = list(scene.mechanism.couplings)
+    others[number] = other
+
+    def changed(scene: Scene) -> Scene:
+        return _begun(scene, Mechanism(scene.mechanism.bodies, scene.mechanism.joints, others))
+
+    coupled = list(couplings(scene))
+    index = len(coupled) - len(others) + number
+    coupled[index] = replace(coupled[index], factors=other.factors())
+    violated = partial(_uncoupled, scene.mechanism, coupled, index)
+    return Element(f"{other.kind} {other.name!r}", changed, violated=violated)
+
+
+def _of_motion(scene: Scene, number: int, motion: PrescribedMotion) -> Element:
+    start = float(motion.function.value(0.0))
+    farther = Sum((_times(motion.function, MORE), Polynomial((-CHANGE * start,))))
+    motions = list(scene.motions)
+    motions[number] = replace(motion, function=farther)
+
+    def changed(scene: Scene) -> Scene:
+        return _begun(scene, scene.mechanism, tuple(motions))
+
+    coupled = list(couplings(scene))
+    coupled[number] = replace(coupled[number], function=farther)
+    violated = partial(_uncoupled, scene.mechanism, coupled, number)
+    return Element(f"motion {_at(motion)}", changed, violated=violated)
+
+
+def _uncoupled(
+    mechanism: Mechanism,
+    coupled: Sequence[Coupling],
+    index: int,
+    moments: Moments,
+    length: float,
+    angle: float,
+) -> float:
+    """See `Element.violated`: of one of some couplings."""
+    found = 0.0
+    for time, frames in moments:
+        allowed = 0.0
+        for (joint, coordinate), factor in coupled[index].factors.items():
+            ends = mechanism.equations[mechanism.joint_index(joint)]
+            jacobian = ends.coordinates[coordinate].jacobian(frames[ends.first], frames[ends.second])
+            allowed += abs(factor) * float(_allowed(ends, jacobian, length, angle)[0])
+        phi, _ = residuals(mechanism, coupled, frames, time)
+        found = max(found, abs(float(phi[index])) / allowed)
+    return found
+
+
+def _times(function: TimeFunction, factor: float) -> TimeFunction:
+    if isinstance(function, Sum):
+        return Sum(tuple(_times(term, factor) for term in function.terms))
+    if isinstance(function, Sine):
+        return replace(function, amplitude=factor * function.amplitude, offset=factor * function.offset)
+    return Polynomial(tuple(factor * c for c in function.coefficients))
+
+
+def _begun(scene: Scene, mechanism: Mechanism, motions: tuple[PrescribedMotion, ...] | None = None) -> Scene:
+    """A scene of another mechanism or with other motions, begun as near to its start as it can be."""
+    own = scene.motions if motions is None else motions
+    other = replace(scene, mechanism=mechanism, motions=own, initial_state=None)  # type: ignore[arg-type]
+    return replace(other, initial_state=assemble(other, scene.initial_state))
