@@ -39,6 +39,10 @@ NUDGE = 1e-8
 MOST_STEPS = 50_000
 """Steps after which an adaptive method is taken to be getting nowhere, if a run does not say."""
 
+TINY, PATIENT = 1e-10, 50
+"""The same of so many steps in a row below this share of the whole, as before a linkage locks. A start or a
+singular configuration takes a few of them, as steps grow up to tenfold from one to the next."""
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -184,7 +188,7 @@ def _march_adaptive(
         project = solver.project
     else:
         solver = DOP853(derivative, times[0], y, times[-1], **given)
-    steps, due = 0, 1
+    steps, due, tiny = 0, 1, 0
     while due < len(times):
         try:
             message = solver.step()
@@ -195,6 +199,10 @@ def _march_adaptive(
         if solver.status == "failed":
             raise IntegrationError(float(solver.t), _with_blame(system, solver.t, solver.y, str(message)))
         steps += 1
+        tiny = tiny + 1 if solver.step_size < TINY * (times[-1] - times[0]) else 0
+        if tiny > PATIENT:
+            reason = _with_blame(system, solver.t, solver.y, "steps have become too small")
+            raise IntegrationError(float(solver.t), reason)
         most = options.most_steps or MOST_STEPS
         if steps > most:
             reason = f"more than {most} steps of {options.integrator}; for stiff equations use Radau"

@@ -39,7 +39,7 @@ LIMITS = {
     "bodies": Limit(2000, "bodies", "of a file, fixed ones included"),
     "forces": Limit(1000, "force elements", "actuators, control laws, springs, dampers, wrenches and rotors"),
     "terms": Limit(1000, "terms", "sines and coefficients of all prescribed motions"),
-    "cycles": Limit(1000, "cycles", "revolutions and periods of prescribed motions in a run"),
+    "cycles": Limit(200, "cycles", "revolutions and periods of a prescribed motion or control law in a run"),
     "elements": Limit(200_000, "elements", "of one XML file"),
     "files": Limit(100, "files", "of XML that one model consists of"),
     "file_size": Limit(10, "MB", "of the XML of a model"),
