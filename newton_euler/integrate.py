@@ -40,8 +40,8 @@ MOST_STEPS = 50_000
 """Steps after which an adaptive method is taken to be getting nowhere, if a run does not say."""
 
 TINY, PATIENT = 1e-10, 50
-"""The same of so many steps in a row below this share of the whole, as before a linkage locks. A start or a
-singular configuration takes a few of them, as steps grow up to tenfold from one to the next."""
+"""The same of so many steps below this share of the whole, none longer in between, that do not grow, as where
+a linkage locks. After a start, or a singular configuration, each is longer than the one before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +188,7 @@ def _march_adaptive(
         project = solver.project
     else:
         solver = DOP853(derivative, times[0], y, times[-1], **given)
-    steps, due, tiny = 0, 1, 0
+    steps, due, tiny, last = 0, 1, 0, 0.0
     while due < len(times):
         try:
             message = solver.step()
@@ -199,7 +199,11 @@ def _march_adaptive(
         if solver.status == "failed":
             raise IntegrationError(float(solver.t), _with_blame(system, solver.t, solver.y, str(message)))
         steps += 1
-        tiny = tiny + 1 if solver.step_size < TINY * (times[-1] - times[0]) else 0
+        if solver.step_size >= TINY * (times[-1] - times[0]):
+            tiny = 0
+        elif solver.step_size <= last:
+            tiny += 1
+        last = solver.step_size
         if tiny > PATIENT:
             reason = _with_blame(system, solver.t, solver.y, "steps have become too small")
             raise IntegrationError(float(solver.t), reason)

@@ -29,9 +29,9 @@ FAR = 100.0 * NEAR
 """Health at both ends above which the stages of a step are not looked at."""
 
 NOISY = 1000.0
-"""Ratio of the smallest singular value to that of redundant rows' noise, below which a configuration is unsafe.
-Pinocchio regularizes all rows by a tenth of the former squared, and each of its 30 iterations takes 10 / NOISY^2
-of the noise for a constraint: 3e-4 in all, where a hundredth has led runs to another branch."""
+"""Ratio of the smallest singular value to that of redundant rows' noise, below which a configuration is
+unsafe. Pinocchio regularizes all rows by a tenth of the former squared, and each of its 30 iterations takes
+10 / NOISY^2 of the noise for a constraint: 3e-4 in all. A hundredth has led runs to another branch."""
 
 Rates = Callable[[float, Array], Array]
 

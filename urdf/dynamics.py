@@ -143,7 +143,8 @@ class PinocchioSystem:
         q, _ = self.coordinates(self.scene.initial_state)
         self._place(q)
         jacobian = self._dimensionless()
-        closures = constraint_rank(self) - len(self._rows.units)  # the latter are independent as a rule
+        # the rows are independent as a rule
+        closures = max(0, constraint_rank(self) - len(self._rows.units))
         self._redundant = len(jacobian) - min(rank(jacobian), closures)
         if not self._redundant:
             return plain()
