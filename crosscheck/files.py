@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tempfile
 import time
+from collections.abc import Iterable
 from contextlib import suppress
+from itertools import product
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
@@ -30,6 +33,13 @@ def check_writable(*paths: Path) -> None:
         except OSError as error:
             raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
         _remove_abandoned(path)
+
+
+def check_no_source(targets: Iterable[Path], sources: Iterable[str | Path]) -> None:
+    """Raise `CrosscheckError` if a file to be written is one of those that are read."""
+    for target, source in product(targets, list(sources)):
+        if os.path.exists(target) and os.path.exists(source) and os.path.samefile(target, source):
+            raise CrosscheckError(f"would overwrite {source}, which it reads; name another file")
 
 
 def _remove_abandoned(path: Path) -> None:

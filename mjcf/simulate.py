@@ -232,7 +232,7 @@ def _run(
                 if work is None:
                     mujoco.mj_step(model, data, number)
                 else:
-                    work += work_of.step(system, number)
+                    work += work_of.step(system, number, warnings)
                 # a step checks the state that it starts from
                 mujoco.mj_checkPos(model, data)
                 mujoco.mj_checkVel(model, data)

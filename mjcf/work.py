@@ -17,6 +17,8 @@ Smooth forces in RK4 are integrated by Simpson's rule, which is of its order.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from scipy.integrate import simpson
@@ -27,8 +29,11 @@ from newton_euler.scalars import Array
 RK4_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 
 
-def step(system: SoftMuJoCo, number: int) -> float:
-    """Make a number of steps from the state that `data` holds; the work, J, of what has no potential."""
+def step(system: SoftMuJoCo, number: int, warnings: Sequence[object]) -> float:
+    """Make a number of steps from the state that `data` holds; the work, J, of what has no potential.
+
+    No more after a step of which MuJoCo has warned: it has started again from its initial state.
+    """
     model, data = system.model, system.data
     integrator, size = mujoco.mjtIntegrator(model.opt.integrator), model.opt.timestep
     runge_kutta = integrator == mujoco.mjtIntegrator.mjINT_RK4
@@ -37,6 +42,8 @@ def step(system: SoftMuJoCo, number: int) -> float:
         start = np.array(data.qvel)
         system.forget_stages()
         mujoco.mj_step(model, data)
+        if warnings:
+            return work
         mean = 0.5 * size * (start + data.qvel)
         if len(system.moved):
             multipliers = system.multipliers()

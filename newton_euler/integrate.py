@@ -39,6 +39,10 @@ NUDGE = 1e-8
 MOST_STEPS = 50_000
 """Steps after which an adaptive method is taken to be getting nowhere, if a run does not say."""
 
+TINY, PATIENT = 1e-10, 50
+"""The same of so many steps below this share of the whole, none longer in between, that do not grow, as where
+a linkage locks. After a start, or a singular configuration, each is longer than the one before."""
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -195,7 +199,7 @@ def _march_adaptive(
         project = solver.project
     else:
         solver = DOP853(derivative, times[0], y, times[-1], **given)
-    steps, due = 0, 1
+    steps, due, tiny, last = 0, 1, 0, 0.0
     while due < len(times):
         try:
             message = solver.step()
@@ -206,6 +210,14 @@ def _march_adaptive(
         if solver.status == "failed":
             raise IntegrationError(float(solver.t), _with_blame(system, solver.t, solver.y, str(message)))
         steps += 1
+        if solver.step_size >= TINY * (times[-1] - times[0]):
+            tiny = 0
+        elif solver.step_size <= last:
+            tiny += 1
+        last = solver.step_size
+        if tiny > PATIENT:
+            reason = _with_blame(system, solver.t, solver.y, "steps have become too small")
+            raise IntegrationError(float(solver.t), reason)
         most = options.most_steps or MOST_STEPS
         if steps > most:
             reason = f"more than {most} steps of {options.integrator}; for stiff equations use Radau"

@@ -17,6 +17,7 @@ from newton_euler.errors import IntegrationError, NewtonEulerError
 from newton_euler.euler_parameters import rotations
 from newton_euler.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.scalars import Array
+from newton_euler.state import MassProperties
 from newton_euler.steppers.adaptive import HOPS, SAFETY, crossing_factor, error_on_constraints
 from newton_euler.steppers.closing import Surface, close_by
 from newton_euler.steppers.dop853 import STAGES, Dop853
@@ -48,6 +49,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         `near` are rtol and atol next to singular configurations, see `newton_euler.integrate.Options.near`.
         """
         self._system, self._project, self._tolerances = system, project, near
+        self._masses = system.mass_properties()
         self._rank = constraint_rank(system)
         self._best = 0.0
         self._states: deque[Array] = deque(maxlen=STAGES)
@@ -85,7 +87,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         if not self._near:
             return self._project(t, y)
         try:
-            return close_densely(self._system, t, y)
+            return close_densely(self._system, self._masses, t, y)
         except NewtonEulerError as error:
             raise IntegrationError(t, f"projection fails: {error}") from error
 
@@ -137,36 +139,34 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         """Projection near a singular configuration, in the form that steppers call."""
         n = len(x) - 1
         try:
-            y[:n] = close_densely(self._system, x[n], x[:n])
+            y[:n] = close_densely(self._system, self._masses, x[n], x[:n])
             y[n] = 1.0
         except NewtonEulerError:
             y[n] = -1.0
 
 
-def close_densely(system: System, t: float, y: Array) -> Array:
-    """`newton_euler.steppers.closing.close_by` for any system at a time."""
+def close_densely(system: System, masses: MassProperties, t: float, y: Array) -> Array:
+    """`newton_euler.steppers.closing.close_by` for any system, with its masses, at a time."""
     now, unused = at_time(system, t), rows_left_out(system)
 
     def surface(y: Array) -> Surface:
         q, v = y[: system.nq], y[system.nq :]
         parts = (now.phi(q), opening(now, q, v), now.phi_jacobian(q))
         phi, opens, jacobian = (without(part, unused) for part in parts)
-        return Surface(phi, opens, jacobian, mass_matrix(now, q))
+        return Surface(phi, opens, jacobian, mass_matrix(now, masses, q))
 
     return close_by(surface, now, y)
 
 
-def mass_matrix(system: System, q: Array) -> Array:
+def mass_matrix(system: System, masses: MassProperties, q: Array) -> Array:
     """(nv, nv) M of the bodies' kinetic energy 1/2 v^T M v, without rotors."""
-    own, b = system.mass_properties(), len(system.mechanism.bodies)
-    motions = system.velocity_transformation(q).reshape(b, 6, system.nv)
+    motions = system.velocity_transformation(q).reshape(len(masses.mass), 6, system.nv)
     now = rotations(system.state(q, np.zeros(system.nv)).quaternion)
     turned = now @ rotations(system.scene.initial_state.quaternion).transpose(0, 2, 1)
-    inertia = turned @ own.inertia @ turned.transpose(0, 2, 1)
+    inertia = turned @ masses.inertia @ turned.transpose(0, 2, 1)
     slide, turn = motions[:, :3], motions[:, 3:]
-    return np.asarray(
-        np.einsum("b,bik,bil->kl", own.mass, slide, slide) + np.einsum("bik,bij,bjl->kl", turn, inertia, turn)
-    )
+    momenta = np.concatenate([masses.mass[:, None, None] * slide, inertia @ turn], axis=1)
+    return np.asarray(motions.reshape(-1, system.nv).T @ momenta.reshape(-1, system.nv))
 
 
 def _error_for(factor: float) -> float:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import one_thread  # noqa: F401  # before NumPy
 import pytest
-from command_line import short_example
+from command_line import EXAMPLE, short_example
 from compiler import Compiler
 
 import mjcf.reading.source
 import newton_euler
 from crosscheck.scenes import load
 from newton_euler.assemble import random_states
+from newton_euler.motions import Polynomial, PrescribedMotion
 from newton_euler.scene import Scene
 from newton_euler.state import State
 from newton_euler.trajectory import Trajectory
@@ -66,6 +68,15 @@ def tracker_run(tracker: Scene) -> Callable[..., Trajectory]:
         return newton_euler.simulate(tracker, **options)  # type: ignore[arg-type]
 
     return run
+
+
+@pytest.fixture(scope="session")
+def locking() -> Scene:
+    """A linkage whose crank is driven at 1e5 rad/s, until it locks after half a turn."""
+    paper = load(str(EXAMPLE))
+    motion = PrescribedMotion("motor", Polynomial((0.0, 1e5)))
+    changed = {"duration": 0.01, "output_period": 0.001, "control": (), "motions": (motion,)}
+    return replace(paper, initial_state=None, **changed)
 
 
 @pytest.fixture

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from command_line import short_example
 from hostile_files import MJCF, SEED, TEXTS, URDF, sparse
 
 from crosscheck.results import digest
@@ -312,6 +313,11 @@ def motion(kind: str, **values: object) -> list[dict[str, Any]]:
     return [{"joint": "j0", "function": {"kind": kind} | values}]
 
 
+def driven_loop() -> dict[str, Any]:
+    function = {"kind": "polynomial", "coefficients": [0, 1e5]}
+    return short_example() | {"control": [], "motions": [{"joint": "motor", "function": function}]}
+
+
 def size_cases() -> Iterator[Refused]:
     """What is too large, by the limit that says so."""
     grounded = lambda n, kind="revolute": [joint(k, "ground", kind) for k in range(n)]  # noqa: E731
@@ -335,11 +341,20 @@ def size_cases() -> Iterator[Refused]:
         ("a motion of 1e5", scene(1, grounded(1), motions=polynomial(0, 1e5)), "cycles=15916"),
         ("a fast sine", scene(1, grounded(1), motions=fast), "cycles="),
         ("a fast slide", scene(1, grounded(1, "prismatic"), motions=fast), "cycles="),
+        ("a motion of 1e5 in a loop", driven_loop(), "cycles=796"),
         ("5000 springs", scene(1, grounded(1), forces=springs), "forces=5000"),
     ):
         for command in (("run", "large.json", "--output", "new"), ("convert", "large.json", "new.yaml")):
             message = f"large.json: file: .*--set {setting}"
             yield Refused(f"{name}, {command[0]}", command, message, written("large.json", content))
+    for name, content, setting in (
+        ("800 000 states", scene(1, grounded(1), output_period=2.5e-6), "states=800002"),
+        ("1e7 s", scene(1, grounded(1), duration=1e7, output_period=1e6), "steps=10000000000"),
+    ):
+        message = f"scene 'x': .*--set {setting}"
+        yield Refused(
+            f"{name}, run", ("run", "large.json", "--output", "new"), message, written("large.json", content)
+        )
     fixed = scene(2, grounded(2, "fixed"))
     yield Refused("all fixed", ("run", "large.json"), "no body can move", written("large.json", fixed))
     motor, connect = '<motor joint="motor"/>', '<connect site1="tip" site2="end"/>'
@@ -363,45 +378,3 @@ def size_cases() -> Iterator[Refused]:
     loops = f"closed_loop: [{pairs}]\ntype: [{kinds}]\nname_mot: [motor]\njoint_name: []\njoint_type: []\n"
     arguments = ("run", "robot.urdf", "--loops", "large.yaml")
     yield Refused("300 loops", arguments, "--set closures=300", written("large.yaml", loops))
-
-
-def option_cases() -> Iterator[Refused]:
-    """Command lines with options that are empty, impossible or too much."""
-    long = "x" * 5000
-    for arguments, message in (
-        (("run", "scene.json", "--engines", ""), "the argument after '--engines' is empty"),
-        (("run", "scene.json", "--engines="), "--engines is empty"),
-        (("run", "scene.json", "--engines", ","), "no engine named"),
-        (("run", ""), "the argument after 'run' is empty"),
-        (("run", "scene.json", "--output", ""), "the argument after '--output' is empty"),
-        (("run", "scene.json", "--save="), "--save is empty"),
-        (("run", "scene.json", "--against", ""), "the argument after '--against' is empty"),
-        (("stress", "--only", ""), "the argument after '--only' is empty"),
-        (("report", ""), "the argument after 'report' is empty"),
-        (("regress", ""), "the argument after 'regress' is empty"),
-        (("", "scene.json"), "the argument after 'crosscheck' is empty"),
-        (("bench", "--error", "1e-300"), "--error is 1e-300; needed: 1e-13 or more"),
-        (("bench", "--error", "nan"), "--error is nan; needed"),
-        (("run", "scene.json", "--set", "velocities=0"), "velocities is '0'; needed: a positive number"),
-        (("run", "scene.json", "--set", "velocities=-1"), "velocities is '-1'; needed: a positive number"),
-        (("run", "scene.json", "--set", "time=nan"), "time is 'nan'; needed: a positive number"),
-        (("run", "scene.json", "--set", "memory=much"), "memory is 'much'; needed: a positive number"),
-        (("run", "scene.json", "--set", "time=1", "--set", "time=2"), "--set time is given twice"),
-        (
-            ("run", "scene.json", "--set", "velocities=2"),
-            "4 velocities, at most 2; to allow it: --set velocities=4",
-        ),
-        (("run", "tracker", "--set", "closures=1"), "scene 'tracker': 2 closures, at most 1"),
-        (("run", long), "File name too long"),
-        (("run", f"{long}.json"), "File name too long"),
-        (("run", f"{long}.xml"), "File name too long"),
-        (("run", f"{long}.urdf"), "File name too long"),
-        (("run", "scene.json", "--output", long), "File name too long"),
-        (("run", "scene.json", "--save", f"{long}.rrd"), "File name too long"),
-        (("report", long), "File name too long"),
-        (("view", long), "File name too long"),
-        (("convert", "scene.json", f"{long}.yaml"), "File name too long"),
-        (("regress", "pendulum", "--baseline", long), "no baseline"),
-    ):
-        name = " ".join(f"{argument[:40]}{argument[40:][-5:]}" for argument in arguments)
-        yield Refused(f"options {name}", arguments, message, nothing)

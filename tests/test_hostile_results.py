@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 from command_line import scene_file, short_example
+from hostile_options import option_cases
 from hostile_results import (
     Refused,
     archive_cases,
     array_cases,
     baseline_cases,
     json_cases,
-    option_cases,
     size_cases,
 )
 from test_hostile import LONGEST_LINE, MEMORY, PROCESSOR_TIME, Server

@@ -275,3 +275,9 @@ def test_a_run_that_diverges_says_when(
     assert f"t = {caught.value.time:.6g} s" in str(caught.value)
     assert not list(tmp_path.iterdir())  # MuJoCo would leave a log file
     assert mujoco.get_mju_user_warning() is None
+
+
+def test_a_run_with_a_motion_that_diverges_says_when(locking: Scene) -> None:
+    """MuJoCo evaluates a state more where it starts again after a step that diverged."""
+    with pytest.raises(DivergenceError, match=r"QACC|QPOS|QVEL"):
+        mjcf.simulate(locking, timestep=1e-4)

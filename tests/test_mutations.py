@@ -197,7 +197,6 @@ def test_a_mistake_is_noticed(tmp_path, mistake):
     (folder / source).write_text(text.replace(right, wrong))
     done = run_tests(folder, file)
     assert done.returncode == 1, done.stdout[-2000:]  # 1: tests ran and failed
-    assert " failed" in done.stdout
 
 
 @pytest.mark.slow

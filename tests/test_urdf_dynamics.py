@@ -25,9 +25,11 @@ from mechanisms import (
 
 from newton_euler.assemble import random_states
 from newton_euler.control import PD
+from newton_euler.couplings import Gear
 from newton_euler.errors import SingularityError
 from newton_euler.joints import Cylindrical, Fixed, Joint, Revolute, Spherical, Universal
 from newton_euler.mechanism import Body, Mechanism
+from newton_euler.motions import Polynomial, PrescribedMotion
 from newton_euler.relative import Relative
 from newton_euler.scene import Scene
 from newton_euler.stabilize import project_position, project_velocity
@@ -339,3 +341,15 @@ def test_baumgarte_gains_pull_closures_together(build):
     found = rows @ (corrected.acceleration(q, v) - free.acceleration(q, v))
     wanted = -2.0 * alpha * (rows @ v) - alpha**2 * free.phi(q)
     assert apart(found, wanted) < 1e-3
+
+
+def test_motions_and_gears_that_depend_on_each_other():
+    """With no closure beside them: nothing is left for Pinocchio to regularize."""
+    mechanism = Mechanism(
+        [Body.ground(), *(Body(name, 1.0, (0.0, 0.0, 0.0), np.eye(3)) for name in "ab")],
+        [Revolute(f"j_{name}", "ground", name, (0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0)) for name in "ab"],
+        [Gear("gear", "j_a", "j_b", 2.0)],
+    )
+    motions = tuple(PrescribedMotion(f"j_{name}", Polynomial((0.0,))) for name in "ab")
+    system = PinocchioSystem(Scene("driven_twice", mechanism, 1.0, 0.1, motions=motions))
+    assert system.acceleration(*system.coordinates(system.scene.initial_state)) == pytest.approx([0.0, 0.0])

@@ -14,10 +14,11 @@ import newton_euler
 import urdf
 from crosscheck.scenes import load
 from newton_euler.assemble import random_states
-from newton_euler.errors import NewtonEulerError, OptionError, UnknownNameError
+from newton_euler.errors import IntegrationError, NewtonEulerError, OptionError, UnknownNameError
 from newton_euler.euler_parameters import angle_between
 from newton_euler.forces import JointSpring
 from newton_euler.system import at_time
+from urdf.dynamics import PinocchioSystem
 from urdf.tight import equations_of, fixed
 
 
@@ -177,3 +178,20 @@ def test_bars_pass_flat_configurations_with_all_digits():
     run = urdf.simulate(scene, rtol=1e-12, atol=1e-14, most_steps=1000)
     # two passages; either engine is good to about 1e-11 here
     assert np.abs(run.position - own.position).max() < 1e-9
+
+
+def test_a_linkage_that_locks_is_given_up_soon(locking):
+    """Not only when steps are as short as a double can hold, a thousand of them later."""
+    with pytest.raises(IntegrationError, match="steps have become too small; fastest at joint 'motor'"):
+        urdf.simulate(locking, integrator="Radau", rtol=1e-8, atol=1e-10)
+
+
+def test_masses_are_asked_for_once_in_a_run(monkeypatch):
+    """They are constant, and for a hundred bodies Pinocchio takes half a second to tell them."""
+    asked = []
+    masses = PinocchioSystem.mass_properties
+    monkeypatch.setattr(
+        PinocchioSystem, "mass_properties", lambda system: asked.append(system) or masses(system)
+    )
+    urdf.simulate(load("four_bar"))
+    assert len(asked) == 1

@@ -51,6 +51,33 @@ class Closures:
                 rows.append(-pin.Jlog3(a.T @ b) @ b.T @ difference[3:])
         return self._map.v_from_pinocchio(np.concatenate(rows))
 
+    def gamma(self, data: Any) -> Array:
+        """(k,) right side of Phi_q qddot = gamma where they are closed; of data after `forwardKinematics` at
+        qddot = 0."""
+        rows = [np.zeros(0)]
+        for (first, second), weld in self.pairs:
+            of = (self._model, data)
+            a, b = (
+                pin.getFrameClassicalAcceleration(*of, k, pin.LOCAL_WORLD_ALIGNED) for k in (first, second)
+            )
+            rows.append(b.linear - a.linear)
+            if weld:
+                rows.append(data.oMf[second].rotation.T @ (a.angular - b.angular))
+        return np.concatenate(rows)
+
+    def wrenches(self, data: Any, multipliers: Array) -> list[Any]:
+        """Wrenches of multipliers (k,) on second bodies about the world's origin; of data with placements."""
+        found, start = [], 0
+        for (first, second), weld in self.pairs:
+            b = data.oMf[second]
+            force, torque = -multipliers[start : start + 3], np.zeros(3)
+            if weld:
+                turned = pin.Jlog3(data.oMf[first].rotation.T @ b.rotation) @ b.rotation.T
+                torque = turned.T @ multipliers[start + 3 : start + 6]
+            found.append(pin.Force(force, torque + np.cross(b.translation, force)))
+            start += 6 if weld else 3
+        return found
+
 
 def frame_jacobian(model: Any, data: Any, frame: int) -> Array:
     """(6, nv) in Pinocchio's order: velocity of the frame's origin, angular velocity; world."""

@@ -2,11 +2,14 @@
 
 Accelerations are those of `pinocchio.constraintDynamics`: rigid closures by the sparse Cholesky
 factorisation of Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of Constrained
-Dynamic Equations", RSS 2021.
+Dynamic Equations", RSS 2021. Its iterations take noise of redundant closures for constraints, and cannot
+leave rows out: where there is such noise, the closures that are kept are eliminated with Pinocchio's own mass
+matrix, Jacobians and bias forces.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,7 +19,7 @@ from newton_euler.errors import SingularityError
 from newton_euler.euler_parameters import from_rotation
 from newton_euler.forces import JointSpring
 from newton_euler.joints import Rod
-from newton_euler.redundancy import constraint_rank, loop_rank, mobility
+from newton_euler.redundancy import constraint_rank, loop_rank, mobility, rows_left_out
 from newton_euler.scalars import Array, Scalar
 from newton_euler.scene import Scene
 from newton_euler.solve import rank
@@ -108,6 +111,8 @@ class PinocchioSystem:
         self._actuators = [
             actuator(scene.mechanism, self._tree, law.joint, law.coordinate) for law in scene.joint_forces
         ]
+        self._alpha = alpha
+        self._noisy = mobility(scene).residual > 0.0
         self._proximal = self._proximal_settings()
 
     def _add_body_frames(self) -> list[int]:
@@ -160,14 +165,16 @@ class PinocchioSystem:
     def _regularised(self, q: Array) -> Any:
         """Iterations for redundant closures, as the configuration asks for them."""
         self._place(q)
+        return regularised(self._dimensionless(), self._mass_matrix(q), self._redundant)
+
+    def _mass_matrix(self, q: Array) -> Array:
+        """(nv, nv) in units of the mechanism's size and mass."""
         # Pinocchio fills only the upper half
         upper = np.triu(
             pin.crba(self._scaled.model, self._scaled_data, self.map.q_to_pinocchio(q / self._q_units))
         )
-        mass = self.map.v_from_pinocchio(self.map.v_from_pinocchio(upper + np.triu(upper, 1).T).T)
-        # those of closed poses that are not singular: next to one, or drifted open, others would be counted
-        nearly = mobility(self.scene).residual > 0.0
-        return regularised(self._dimensionless(), mass, self._redundant, nearly)
+        mass: Array = self.map.v_from_pinocchio(self.map.v_from_pinocchio(upper + np.triu(upper, 1).T).T)
+        return mass
 
     # What integrators, projection and assembly ask for
 
@@ -237,6 +244,18 @@ class PinocchioSystem:
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """vdot (nv,) and the multipliers (r,) of `Rows`; those of closures stay with Pinocchio."""
+        respond = self._eliminating(q, v) if self._noisy else self._iterating(q, v)
+        unit = self._mass * self._length**2  # of generalized forces
+        force = self.generalized_force(q, v) * self.velocity_units / unit
+        rows, gamma = self._rows.equations(self._data, q, v, self.time)
+        units = self._rows.units
+        acceleration, multipliers = solve(
+            respond, force, rows * self.velocity_units / units[:, None], gamma / units, self._rows_rank
+        )
+        return self.velocity_units * acceleration, multipliers * unit / units
+
+    def _iterating(self, q: Array, v: Array) -> Callable[[Array], Array]:
+        """Accelerations (nv,) of a generalized force (nv,) by `constraintDynamics`, all dimensionless."""
         scaled_q = self.map.q_to_pinocchio(q / self._q_units)
         scaled_v = self.map.v_to_pinocchio(v / self.velocity_units)
 
@@ -267,14 +286,40 @@ class PinocchioSystem:
                     return solved(force)
             return acceleration
 
-        unit = self._mass * self._length**2  # of generalized forces
-        force = self.generalized_force(q, v) * self.velocity_units / unit
-        rows, gamma = self._rows.equations(self._data, q, v, self.time)
-        units = self._rows.units
-        acceleration, multipliers = solve(
-            respond, force, rows * self.velocity_units / units[:, None], gamma / units, self._rows_rank
+        return respond
+
+    def _eliminating(self, q: Array, v: Array) -> Callable[[Array], Array]:
+        """The same by elimination of the closures but for rows that are redundant up to noise."""
+        scaled_q = self.map.q_to_pinocchio(q / self._q_units)
+        scaled_v = self.map.v_to_pinocchio(v / self.velocity_units)
+        bias = self.map.v_from_pinocchio(
+            pin.nonLinearEffects(self._scaled.model, self._scaled_data, scaled_q, scaled_v)
         )
-        return self.velocity_units * acceleration, multipliers * unit / units
+        mass = self._mass_matrix(q)
+        of = (self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v), np.zeros(self.nv))
+        pin.forwardKinematics(self._model, self._data, *of)
+        pin.computeJointJacobians(self._model, self._data)
+        pin.updateFramePlacements(self._model, self._data)
+        rows, units = self._closures.jacobian(self._data), self._closures.units
+        drift = 2.0 * self._alpha * (rows @ v) + self._alpha**2 * self._closures.phi(self._data)
+        unused = [row for row in rows_left_out(self) if row < len(units)]
+        used = np.setdiff1d(np.arange(len(units)), unused)
+        gamma = ((self._closures.gamma(self._data) - drift) / units)[used]
+        jacobian = (rows * self.velocity_units / units[:, None])[used]
+        zero = np.zeros((len(used), len(used)))
+        matrix = np.block([[mass, -jacobian.T], [jacobian, zero]])
+
+        def respond(force: Array) -> Array:
+            try:
+                found = np.linalg.solve(matrix, np.concatenate([force - bias, gamma]))
+            except np.linalg.LinAlgError:
+                found = np.full(len(matrix), np.nan)
+            self._check(found)
+            self._multipliers = np.zeros(len(units))
+            self._multipliers[used] = found[self.nv :] / units[used]
+            return found[: self.nv]
+
+        return respond
 
     def _check(self, acceleration: Array) -> None:
         if not np.all(np.isfinite(acceleration)):
@@ -286,9 +331,13 @@ class PinocchioSystem:
 
     def _closure_wrenches(self, multipliers: Array) -> list[Any]:
         """What cuts do to their second bodies, about the world's origin, SI units, in the tree's order."""
-        wrenches = [-data.oMc1.act(data.contact_force) for data in self._constraint_data]
         force = self._mass * self._length
-        closures = iter([pin.Force(w.linear * force, w.angular * force * self._length) for w in wrenches])
+        if self._noisy:
+            wrenches = self._closures.wrenches(self._data, self._multipliers * force * self._length)
+        else:
+            scaled = [-data.oMc1.act(data.contact_force) for data in self._constraint_data]
+            wrenches = [pin.Force(w.linear * force, w.angular * force * self._length) for w in scaled]
+        closures = iter(wrenches)
         rods = iter(self._rows.rod_wrenches(self._data, multipliers))
         joints = [self._tree.joint(cut) for cut in self._tree.cuts]
         return [next(rods if isinstance(joint, Rod) else closures) for joint in joints]

@@ -40,21 +40,16 @@ def plain() -> Any:
     return pin.ProximalSettings(0.0, ACCURACY, 0.0, 1)
 
 
-def regularised(jacobian: Array, mass: Array, redundant: int, nearly: bool) -> Any:
+def regularised(jacobian: Array, mass: Array, redundant: int) -> Any:
     """Choose iterations for a dimensionless Jacobian (k, nv) and a mass matrix (nv, nv).
 
-    Args:
-        redundant: number of rows that follow from the others.
-        nearly: whether they do so but for noise of the file. Iterations would take the noise for constraints
-            in the end; regularized as much as the independent rows allow, they do not get that far.
+    `redundant` is the number of rows that follow from the others.
     """
     response = jacobian @ np.linalg.solve(mass, jacobian.T)
     mean = float(np.mean(np.diag(response)))
     nonzero = np.linalg.eigvalsh(response)[redundant:]
     weakest = float(nonzero[0]) if len(nonzero) else np.inf
-    mu = max(SHARE * weakest, LEAST * mean)
-    if not nearly:
-        mu = min(MU * max(mean, 1.0), mu)
+    mu = min(MU * max(mean, 1.0), max(SHARE * weakest, LEAST * mean))
     return pin.ProximalSettings(0.0, ACCURACY, mu, ITERATIONS)
 
 

@@ -119,11 +119,13 @@ def _run(
     loops: str | None,
 ) -> int:
     from crosscheck.engines import choose
+    from crosscheck.files import check_no_source
     from crosscheck.model_files.read import report_lines
     from crosscheck.run import crosscheck
 
     chosen = choose(engines)
     folder = output or _own_folder(Path(scene).stem.strip(".") or "scene", [scene])
+    check_no_source([folder / "summary.json"], [scene])
     options = scene_options(scene, settings, loops)
     taken = exercised(scene, options)
     loaded, mapping = load_scene(scene, taken, verified=False)  # the run says all that is not right
@@ -250,15 +252,15 @@ def list_command() -> int:
 @setting_options
 def convert_command(source: str, target: Path, settings: tuple[str, ...], loops: str | None) -> int:
     """Write IN (a scene, MJCF or URDF) as OUT, in the format that its name ends in."""
-    from crosscheck.files import check_writable
-    from crosscheck.model_files.convert import check_no_source, check_target, scene_report, write_as
+    from crosscheck.files import check_no_source, check_writable
+    from crosscheck.model_files.convert import check_target, files_of, scene_report, write_as
     from crosscheck.model_files.read import report_lines
 
     check_target(target)
     options = scene_options(source, settings, loops)
     if target.suffix == ".urdf":
         without_exercise(options, "a URDF holds no control and no start")
-    check_no_source(target, [source, *([options["loops"]] if "loops" in options else [])])
+    check_no_source(files_of(target), [source, *([options["loops"]] if "loops" in options else [])])
     check_writable(target)
     scene, report = load_scene(source, options)
     report = report or scene_report(scene)

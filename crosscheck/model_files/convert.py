@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
@@ -27,17 +25,7 @@ def check_target(path: Path) -> None:
         raise CrosscheckError(f"cannot convert to {path}; choose a name that ends in {', '.join(known)}")
 
 
-def check_no_source(path: Path, sources: Iterable[str]) -> None:
-    """Raise `CrosscheckError` if a file to be written is one of those that are to be read."""
-    for target in _files(path):
-        for source in sources:
-            if os.path.exists(target) and os.path.exists(source) and os.path.samefile(target, source):
-                raise CrosscheckError(
-                    f"converting would overwrite {source}, which it reads; name another file"
-                )
-
-
-def _files(path: Path) -> list[Path]:
+def files_of(path: Path) -> list[Path]:
     """What `write_as` writes."""
     return [path, loops_path(path)] if path.suffix == ".urdf" else [path]
 
@@ -87,7 +75,7 @@ def write_as(scene: Scene, path: Path, report: Mapping) -> list[Path]:
     for motion in scene.motions:
         report.left_out(f"motion of joint {motion.joint!r}", "a URDF has none")
     report.left_out("gravity, initial state, duration and outputs", "a URDF has none")
-    return _files(path)
+    return files_of(path)
 
 
 def _leave_out(report: Mapping, became: str, why: str, elements: list[str]) -> None:

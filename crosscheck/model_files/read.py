@@ -11,6 +11,7 @@ from crosscheck.errors import CrosscheckError
 from newton_euler.mapping import FATES, Mapped
 from newton_euler.mapping import Mapping as MappingReport
 from newton_euler.scene import Scene
+from newton_euler.xml_source import LARGEST
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 
@@ -31,8 +32,11 @@ def _vector(name: str, value: str) -> tuple[float, float, float]:
     """Three numbers, between commas, or 0 for all of them."""
     try:
         x, y, z = map(float, ["0", "0", "0"] if value == "0" else value.split(","))
+        if not max(abs(x), abs(y), abs(z)) <= LARGEST:
+            raise ValueError
     except ValueError as error:
-        raise CrosscheckError(f"{name} is {value!r}; needed: X,Y,Z in m/s^2, or 0") from error
+        needed = f"X,Y,Z in m/s^2, at most {LARGEST:g}, or 0"
+        raise CrosscheckError(f"{name} is {value!r}; needed: {needed}") from error
     return x, y, z
 
 

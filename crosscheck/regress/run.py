@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.files import check_writable
+from crosscheck.files import check_no_source, check_writable
 from crosscheck.output import tidied_up
 from crosscheck.regress import bands, recording
 from crosscheck.regress.baseline import Baseline, read
@@ -127,6 +127,9 @@ def check(
             written.
     """
     baselines = [each.complete_baseline() for each in guarded]
+    for each in guarded:
+        loops = [each.options["loops"]] if "loops" in each.options else []
+        check_no_source(reports, [each.source, each.path, *loops])
     check_writable(*reports)
     found, recordings = [], {}
     for each, baseline in zip(guarded, baselines, strict=True):

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
+from mjcf.write import TIMESTEP
 from newton_euler.control import PD, Law
 from newton_euler.limits import exceeded
 from newton_euler.mechanism import Mechanism
@@ -20,7 +21,9 @@ def check_scene(scene: Scene) -> None:
     """Raise `CrosscheckError` for a scene that is too large to be run by all engines and compared."""
     where = f"scene {scene.name!r}"
     forces = len(scene.control) + len(scene.forces) + len(scene.armatures)
-    check_counts(where, {"bodies": len(scene.mechanism.bodies), "forces": forces})
+    bodies = len(scene.mechanism.bodies)
+    check_counts(where, {"bodies": bodies, "forces": forces})
+    check_counts(where, {"steps": scene.duration / TIMESTEP, "states": bodies * len(scene.times)})
     check_mechanism(where, scene.mechanism)
     check_functions(where, scene.mechanism, scene.motions, scene.control, scene.duration)
 
@@ -41,7 +44,10 @@ def check_functions(
     control: Iterable[Law],
     duration: float,
 ) -> None:
-    """Raise `CrosscheckError` for functions of time of too many terms, or cycles in `duration` (s)."""
+    """Raise `CrosscheckError` for functions of too many terms, or one of too many cycles in `duration` (s).
+
+    Terms add to what is compiled; steps are as short as the fastest function asks for.
+    """
     terms = cycles = 0.0
     for motion in motions:
         joint = mechanism.joints[mechanism.joint_index(motion.joint)]
@@ -50,11 +56,11 @@ def check_functions(
             2.0 * math.pi if kinds[motion.coordinate : motion.coordinate + 1] == ("hinge",) else math.inf
         )
         terms += _terms(motion.function)
-        cycles += _cycles(motion.function, duration, per_cycle)
+        cycles = float(np.maximum(cycles, _cycles(motion.function, duration, per_cycle)))
     for law in control:
         if isinstance(law, PD) and isinstance(law.feedforward, TimeFunction):
             terms += _terms(law.feedforward)
-            cycles += _cycles(law.feedforward, duration, math.inf)
+            cycles = float(np.maximum(cycles, _cycles(law.feedforward, duration, math.inf)))
     check_counts(where, {"terms": terms, "cycles": cycles})
 
 

@@ -120,11 +120,11 @@ def _changes(scene: Scene) -> Iterator[tuple[str, list[Plant]]]:
         push = law.feedforward
         changed = {name: more * getattr(law, name) for name in ("stiffness", "damping")}
         changed["feedforward"] = _more(push) if isinstance(push, TimeFunction) else more * push
-        yield f"actuator {_where(law.joint, law.coordinate)}", [plant.law(k, **changed)]
+        yield f"actuator {_where(law.joint, law.coordinate)}", [plant.entry("control", k, **changed)]
     for k, force in enumerate(scene.forces):
         if isinstance(force, Wrench):
             vectors: dict[str, Any] = {"force": more * force.force, "torque": more * force.torque}
-            yield f"wrench {force.name!r}", [plant.spring(k, **vectors)]
+            yield f"wrench {force.name!r}", [plant.entry("forces", k, **vectors)]
             continue
         if isinstance(force, PointSpring):
             where = repr(force.name)
@@ -134,12 +134,12 @@ def _changes(scene: Scene) -> Iterator[tuple[str, list[Plant]]]:
             where = f"of the ball of joint {force.joint!r}"
         for what, name in (("spring", "stiffness"), ("damper", "damping")):
             if value := getattr(force, name):
-                yield f"{what} {where}", [plant.spring(k, **{name: more * value})]
+                yield f"{what} {where}", [plant.entry("forces", k, **{name: more * value})]
     for k, rotor in enumerate(scene.armatures):
         coordinate = getattr(rotor, "coordinate", None)
         of_ball = f"of the ball of joint {rotor.joint!r}"
         where = of_ball if coordinate is None else _where(rotor.joint, coordinate)
-        yield f"rotor {where}", [plant.armature(k, more * rotor.inertia)]
+        yield f"rotor {where}", [plant.entry("armatures", k, inertia=more * rotor.inertia)]
     yield from _constraints(scene)
 
 

@@ -52,6 +52,12 @@ CHECKED = ("body", "jnt", "dof", "site", "eq", "tendon", "actuator", "key", "qpo
 OPTIONS = ("gravity", "wind", "magnetic", "density", "viscosity", "timestep")
 """Of a model, that are numbers of any size."""
 
+ITERATIONS = ("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations")
+"""Of a model, that may keep a step of the file's own run from its end."""
+
+STATES = ("key_qpos", "key_qvel", "key_act", "key_ctrl", "actuator_ctrlrange")
+"""What MuJoCo takes for a run that diverges beyond its own limit, and then starts again from elsewhere."""
+
 UNCHECKED = ("solref", "solimp", "range", "user", "invweight0", "acc0", "M0", "length0")
 """Ends of names of what no scene has, or of what MuJoCo works out of the others."""
 
@@ -268,17 +274,29 @@ class _Scan:
 
 def _check_numbers(path: str, model: Any) -> None:
     """Raise `SourceError` for the first number of an element that is not finite or far too large."""
+    import mujoco
+
     for name in OPTIONS:
         option = getattr(model.opt, name)
         if not np.all(np.abs(option) <= LARGEST):
             raise SourceError(path, f"option: {name} is {option}; needed: at most {LARGEST:g}")
+    if not model.opt.timestep > 0.0:
+        raise SourceError(
+            path, f"option: timestep is {model.opt.timestep:g}; needed: a positive number of seconds"
+        )
+    for name in ITERATIONS:
+        if problem := exceeded("iterations", getattr(model.opt, name)):
+            raise SourceError(path, f"option: {name} is too large: {problem}")
     for prefix, field in _number_fields(model):
         values = getattr(model, field)
-        bad = ~(np.abs(values) <= LARGEST)
+        most = mujoco.mjMAXVAL if field in STATES else LARGEST
+        bad = ~(np.abs(values) <= most)
         if np.any(bad):
             row = int(np.argwhere(bad)[0][0])
             name = getattr(model, prefix)(row).name if prefix in NAMED else ""
-            raise SourceError(path, f"{prefix} {name or row!r}: {field} is {values[bad][0]:g}")
+            raise SourceError(
+                path, f"{prefix} {name or row!r}: {field} is {values[bad][0]:g}; needed: at most {most:g}"
+            )
 
 
 def _number_fields(model: Any) -> list[tuple[str, str]]:
@@ -286,7 +304,7 @@ def _number_fields(model: Any) -> list[tuple[str, str]]:
     found = []
     for field in dir(model):
         prefix = field.split("_")[0].removesuffix("0")
-        if prefix in CHECKED and not field.endswith(UNCHECKED):
+        if field in STATES or (prefix in CHECKED and not field.endswith(UNCHECKED)):
             values = getattr(model, field)
             if isinstance(values, np.ndarray) and values.dtype.kind == "f":
                 found.append((prefix, field))
