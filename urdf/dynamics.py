@@ -244,13 +244,21 @@ class PinocchioSystem:
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """vdot (nv,) and the multipliers (r,) of `Rows`; those of closures stay with Pinocchio."""
-        respond = self._eliminating(q, v) if self._noisy else self._iterating(q, v)
         unit = self._mass * self._length**2  # of generalized forces
         force = self.generalized_force(q, v) * self.velocity_units / unit
+        if self._noisy:
+            acceleration, multipliers = self._eliminate(q, v, force)
+            multipliers = multipliers * unit / self.phi_units
+            self._multipliers = multipliers[: len(self._closures.units)]
+            return self.velocity_units * acceleration, multipliers[len(self._closures.units) :]
         rows, gamma = self._rows.equations(self._data, q, v, self.time)
         units = self._rows.units
         acceleration, multipliers = solve(
-            respond, force, rows * self.velocity_units / units[:, None], gamma / units, self._rows_rank
+            self._iterating(q, v),
+            force,
+            rows * self.velocity_units / units[:, None],
+            gamma / units,
+            self._rows_rank,
         )
         return self.velocity_units * acceleration, multipliers * unit / units
 
@@ -288,38 +296,36 @@ class PinocchioSystem:
 
         return respond
 
-    def _eliminating(self, q: Array, v: Array) -> Callable[[Array], Array]:
-        """The same by elimination of the closures but for rows that are redundant up to noise."""
+    def _eliminate(self, q: Array, v: Array, force: Array) -> tuple[Array, Array]:
+        """Accelerations (nv,) and multipliers (k,) of constraints but for those redundant up to noise.
+
+        `force` (nv,) and results are dimensionless.
+        """
+        units = self.phi_units
+        used = np.setdiff1d(np.arange(len(units)), rows_left_out(self))
         scaled_q = self.map.q_to_pinocchio(q / self._q_units)
         scaled_v = self.map.v_to_pinocchio(v / self.velocity_units)
-        bias = self.map.v_from_pinocchio(
-            pin.nonLinearEffects(self._scaled.model, self._scaled_data, scaled_q, scaled_v)
-        )
+        model, data = self._scaled.model, self._scaled_data
+        bias = self.map.v_from_pinocchio(pin.nonLinearEffects(model, data, scaled_q, scaled_v))
         mass = self._mass_matrix(q)
         of = (self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v), np.zeros(self.nv))
         pin.forwardKinematics(self._model, self._data, *of)
         pin.computeJointJacobians(self._model, self._data)
         pin.updateFramePlacements(self._model, self._data)
-        rows, units = self._closures.jacobian(self._data), self._closures.units
-        drift = 2.0 * self._alpha * (rows @ v) + self._alpha**2 * self._closures.phi(self._data)
-        unused = [row for row in rows_left_out(self) if row < len(units)]
-        used = np.setdiff1d(np.arange(len(units)), unused)
-        gamma = ((self._closures.gamma(self._data) - drift) / units)[used]
-        jacobian = (rows * self.velocity_units / units[:, None])[used]
-        zero = np.zeros((len(used), len(used)))
-        matrix = np.block([[mass, -jacobian.T], [jacobian, zero]])
-
-        def respond(force: Array) -> Array:
-            try:
-                found = np.linalg.solve(matrix, np.concatenate([force - bias, gamma]))
-            except np.linalg.LinAlgError:
-                found = np.full(len(matrix), np.nan)
-            self._check(found)
-            self._multipliers = np.zeros(len(units))
-            self._multipliers[used] = found[self.nv :] / units[used]
-            return found[: self.nv]
-
-        return respond
+        loops = self._closures.jacobian(self._data)
+        drift = 2.0 * self._alpha * (loops @ v) + self._alpha**2 * self._closures.phi(self._data)
+        rows, gamma = self._rows.equations(self._data, q, v, self.time)
+        gamma = (np.concatenate([self._closures.gamma(self._data) - drift, gamma]) / units)[used]
+        jacobian = (np.concatenate([loops, rows]) * self.velocity_units / units[:, None])[used]
+        matrix = np.block([[mass, -jacobian.T], [jacobian, np.zeros((len(used), len(used)))]])
+        try:
+            found = np.linalg.solve(matrix, np.concatenate([force - bias, gamma]))
+        except np.linalg.LinAlgError:
+            found = np.full(len(matrix), np.nan)
+        self._check(found)
+        multipliers = np.zeros(len(units))
+        multipliers[used] = found[self.nv :]
+        return found[: self.nv], multipliers
 
     def _check(self, acceleration: Array) -> None:
         if not np.all(np.isfinite(acceleration)):
@@ -331,10 +337,10 @@ class PinocchioSystem:
 
     def _closure_wrenches(self, multipliers: Array) -> list[Any]:
         """What cuts do to their second bodies, about the world's origin, SI units, in the tree's order."""
-        force = self._mass * self._length
         if self._noisy:
-            wrenches = self._closures.wrenches(self._data, self._multipliers * force * self._length)
+            wrenches = self._closures.wrenches(self._data, self._multipliers)
         else:
+            force = self._mass * self._length
             scaled = [-data.oMc1.act(data.contact_force) for data in self._constraint_data]
             wrenches = [pin.Force(w.linear * force, w.angular * force * self._length) for w in scaled]
         closures = iter(wrenches)
