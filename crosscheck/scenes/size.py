@@ -38,7 +38,7 @@ def check_mechanism(where: str, mechanism: Mechanism) -> None:
 
 
 def _products(tree: SpanningTree) -> int:
-    """The number that the elimination of the inertia matrix takes: each is traced, and takes 10 kB meanwhile."""
+    """The number that the elimination of the inertia matrix takes; tracing holds some 10 kB for each."""
     above, total = {0: 0}, 0  # velocities between the ground and a body
     for kept in tree.joints:
         first = above[kept.parent]
