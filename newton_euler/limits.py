@@ -35,6 +35,9 @@ class Limit:
 
 LIMITS = {
     "velocities": Limit(300, "velocities", "degrees of freedom without loops; the comparison is dense"),
+    "products": Limit(
+        100_000, "products", "of velocities along paths of joint coordinates, n^3 / 6 in a chain of n"
+    ),
     "closures": Limit(100, "closures", "of loops: joints, equalities, gears, mimics; they are dense"),
     "bodies": Limit(2000, "bodies", "of a file, fixed ones included"),
     "forces": Limit(1000, "force elements", "actuators, control laws, springs, dampers, wrenches and rotors"),

@@ -332,6 +332,7 @@ def size_cases() -> Iterator[Refused]:
     fast = motion("sine", amplitude=1, angular_frequency=1e9)
     for name, content, setting in (
         ("chain of 1000", scene(1000, chain), "velocities=1000"),
+        ("chain of 100", scene(100, chain[:100]), "products=169175"),
         ("4000 free bodies", scene(4000, grounded(4000, "free")), "bodies=4000"),
         ("1000 free bodies", scene(1000, grounded(1000, "free")), "velocities=6000"),
         ("300 gears", scene(300, grounded(300), couplings=gears), "closures=299"),
