@@ -240,20 +240,11 @@ def test_condition_numbers_explain_as_much_as_round_off():
 def test_weak_closures_beside_redundant_ones():
     """An eigenvalue 1e-8 of the others: at a regularisation of 1e-6 of them it is never seen."""
     jacobian = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-4, 0.0]])
-    settings = regularised(jacobian, np.eye(3), redundant=1, nearly=False)
+    settings = regularised(jacobian, np.eye(3), redundant=1)
     assert (settings.mu / (settings.mu + 1e-8)) ** ITERATIONS < 1e-16
     # no weak one, so what drift needs
-    assert regularised(jacobian[:2], np.eye(3), redundant=1, nearly=False).mu == pytest.approx(1e-6)
-    assert regularised(np.zeros((2, 3)), np.eye(3), redundant=2, nearly=False).mu == pytest.approx(1e-6)
-
-
-def test_noise_beside_independent_closures_is_never_seen():
-    """An eigenvalue 1e-16 of noise moves accelerations by less than 1e-13 in all iterations together."""
-    jacobian = np.array([[1.0, 0.0, 0.0], [1.0, 1e-8, 0.0]])
-    settings = regularised(jacobian, np.eye(3), redundant=1, nearly=True)
-    weak, strong = np.linalg.eigvalsh(jacobian @ jacobian.T)
-    assert ITERATIONS * weak / settings.mu < 1e-13
-    assert (settings.mu / (settings.mu + strong)) ** ITERATIONS < 1e-16
+    assert regularised(jacobian[:2], np.eye(3), redundant=1).mu == pytest.approx(1e-6)
+    assert regularised(np.zeros((2, 3)), np.eye(3), redundant=2).mu == pytest.approx(1e-6)
 
 
 def test_the_report_has_a_row_for_each_system():

@@ -31,6 +31,9 @@ from newton_euler.steppers.radau import march_radau
 MOST_STEPS = 1_000_000
 """Steps after which an adaptive method is taken to be getting nowhere, if a run does not say."""
 
+COUNTED = 2**53
+"""Steps that doubles count one by one."""
+
 MOST_FIXED_STEPS = 1e10
 """Of a run; an hour at least."""
 
@@ -147,7 +150,7 @@ class March:
     def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
         """Make everything ready; a run stops if `stopped`, which other threads may fill, holds something."""
         self._code, self._python, self._integrator = code, Fallback(code, stopped), options.integrator
-        self._times, self._most = times, options.most_steps or MOST_STEPS
+        self._times, self._most = times, min(options.most_steps or MOST_STEPS, COUNTED)
         self.x, self.counts = np.zeros(code.inputs), np.zeros(m.COUNTS)
         self.table = np.zeros((len(times), code.size))
         system = equations(code, self._python, code.marks(options.integrator), self.counts)
