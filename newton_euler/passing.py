@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.integrate import DOP853
@@ -18,7 +19,14 @@ from newton_euler.euler_parameters import rotations
 from newton_euler.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.scalars import Array
 from newton_euler.state import MassProperties
-from newton_euler.steppers.adaptive import HOPS, SAFETY, crossing_factor, error_on_constraints
+from newton_euler.steppers.adaptive import (
+    EXPONENT,
+    HOPS,
+    LARGEST,
+    SAFETY,
+    crossing_factor,
+    error_on_constraints,
+)
 from newton_euler.steppers.closing import Surface, close_by
 from newton_euler.steppers.dop853 import STAGES, Dop853
 from newton_euler.steppers.march import HOP, NEAR, UNSAFE
@@ -32,6 +40,9 @@ Rates = Callable[[float, Array], Array]
 
 class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
     """DOP853 that hops over singular configurations."""
+
+    h_abs: float
+    h_previous: float
 
     def __init__(
         self,
@@ -55,12 +66,24 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         self._states: deque[Array] = deque(maxlen=STAGES)
         self._hops = 0
         self._near = False
+        self._growth = 0.0
 
         def watched(t: float, y: Array) -> Array:
             self._states.append(y)
             return derivative(t, y)
 
         super().__init__(watched, t, y, end, **tolerances)
+
+    def _step_impl(self) -> Any:
+        """Take a step; after one shortened for its place alone the next is as long as the error allows.
+
+        scipy lets no step grow after one that was rejected, and steps that do not grow do not get across.
+        """
+        self._growth = LARGEST
+        outcome = super()._step_impl()
+        if outcome[0] and self._near:
+            self.h_abs = self.h_previous * max(self.h_abs / self.h_previous, self._growth)
+        return outcome
 
     def _jacobian(self, y: Array) -> Array:
         jacobian = dimensionless_jacobian(self._system, y[: self._system.nq])
@@ -114,6 +137,9 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
             return _error_for(factor)
         if error < 1.0:
             self._hops = 0
+            self._growth = min(self._growth, SAFETY * error**EXPONENT if error > 0.0 else LARGEST)
+        else:
+            self._growth = 0.0
         return error
 
     def _error_on_constraints(self, k: Array, h: float) -> float:

@@ -180,6 +180,14 @@ def test_bars_pass_flat_configurations_with_all_digits():
     assert np.abs(run.position - own.position).max() < 1e-9
 
 
+@pytest.mark.parametrize("windows", [2, 10])
+def test_rows_of_bars_hop_over_flat_configurations(windows):
+    """Steps that stay short after one that was shortened for its place come ever closer and stop."""
+    scene = replace(load("four_bar", N=windows), duration=3.2)
+    # two passages at rtol 1e-10, which magnify errors some hundredfold
+    assert np.abs(urdf.simulate(scene).position - newton_euler.simulate(scene).position).max() < 1e-7
+
+
 def test_a_linkage_that_locks_is_given_up_soon(locking):
     """Not only when steps are as short as a double can hold, a thousand of them later."""
     with pytest.raises(IntegrationError, match="steps have become too small; fastest at joint 'motor'"):
