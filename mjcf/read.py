@@ -107,8 +107,7 @@ def read(
         root: folder that all files have to be in that it refers to, see `mjcf.reading.source`.
         redundancy_tolerance: of the scene, see `newton_euler.Scene`.
         verified: whether to verify the reading. If not, `report.originals` is what to verify it against.
-        exercise: whether to drive actuators by sines and to let joints move at the start. What is verified is
-            the file as it stands.
+        exercise: whether to drive actuators by sines and to let joints move at the start.
 
     Raises:
         MjcfError: naming the file and the element at fault, one that was not read right among them.

@@ -42,7 +42,7 @@ LIMITS = {
     "bodies": Limit(2000, "bodies", "of a file, fixed ones included"),
     "forces": Limit(1000, "force elements", "actuators, control laws, springs, dampers, wrenches and rotors"),
     "terms": Limit(1000, "terms", "sines and coefficients of all prescribed motions"),
-    "cycles": Limit(200, "cycles", "revolutions and periods of a prescribed motion or control law in a run"),
+    "cycles": Limit(1000, "cycles", "revolutions and periods of a prescribed motion or control law in a run"),
     "steps": Limit(1_000_000, "steps", "of 1 ms in a run, as MuJoCo makes them"),
     "states": Limit(300_000, "states", "of bodies that a run keeps: outputs times bodies"),
     "iterations": Limit(1000, "iterations", "of MuJoCo's solver in a step of the file's own run"),

@@ -100,9 +100,15 @@ def option_cases() -> Iterator[Refused]:
             "would overwrite base.json, which it reads",
             written("base.json", stored.read_text()),
         )
-    yield Refused(
-        "results over the scene",
-        ("run", "summary.json", "--output", "."),
-        "would overwrite summary.json, which it reads",
-        written("summary.json", TEXTS["scene.json"]),
-    )
+    for name, command in {
+        "summary.json": ("run",),
+        "rhs.json": ("bench", "--rhs"),
+        "batch.json": ("bench", "--batch", "2"),
+        "faults.json": ("faults",),
+    }.items():
+        yield Refused(
+            f"results over {name}",
+            (command[0], name, *command[1:], "--output", "."),
+            f"would overwrite {name}, which it reads",
+            written(name, TEXTS["scene.json"]),
+        )

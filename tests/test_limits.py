@@ -156,5 +156,5 @@ def test_little_memory_is_told(tmp_path: Path) -> None:
 
 
 def test_numbers_that_no_double_holds_exceed_limits() -> None:
-    assert exceeded("cycles", math.inf) == "more cycles than a number can hold, at most 200"
-    assert exceeded("cycles", math.nan) == "more cycles than a number can hold, at most 200"
+    assert exceeded("cycles", math.inf) == "more cycles than a number can hold, at most 1000"
+    assert exceeded("cycles", math.nan) == "more cycles than a number can hold, at most 1000"

@@ -257,7 +257,7 @@ TRUSS = model(
         (
             stretched(1e-7),
             " at 0 moving states in ",
-            "at 4 more, next to singular configurations, little shows",
+            "at 4 more, next to singular configurations or with noise in loops, little shows",
         ),
         (TRUSS, " at 1 state in ", "nothing can move"),
     ],

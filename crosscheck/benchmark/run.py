@@ -11,7 +11,7 @@ from rich.table import Table
 
 from crosscheck.benchmark.work_precision import Progress
 from crosscheck.errors import CrosscheckError
-from crosscheck.files import check_writable
+from crosscheck.files import check_no_source, check_writable
 from newton_euler.scene import Scene
 from newton_euler.trajectory import atomic_file
 
@@ -44,7 +44,7 @@ def bench(
 
     _check_error(error)
     folder = _folder(scene, source, output)
-    check_writable(*(folder / name for name in FILES))
+    _check_targets([folder / name for name in FILES], source)
     result = benchmark(scene, source, options, repeats, progress)
     progress("writing")
     written = write(result, folder, error)
@@ -58,7 +58,7 @@ def bench_rhs(
     from crosscheck.benchmark.rhs import rhs_json, rhs_table, rhs_words, time_right_hand_sides
 
     path = _folder(scene, source, output) / "rhs.json"
-    check_writable(path)
+    _check_targets([path], source)
     timings = time_right_hand_sides(source, options, progress)
     _write(path, rhs_json(source, options, timings).encode())
     return [*_lines([rhs_table(timings)]), *rhs_words(timings)], [path]
@@ -78,7 +78,7 @@ def bench_batch(
 
     _check_error(error)
     path = _folder(scene, source, output) / "batch.json"
-    check_writable(path)
+    _check_targets([path], source)
     result = benchmark_batch(source, options, runs, error, progress)
     _write(path, batch_json(result).encode())
     return [*_lines([batch_table(result)]), *batch_words(result)], [path]
@@ -100,7 +100,7 @@ def bench_scaling(
     check_sizable(source, options)
     folder = _folder(scene, source, output)
     files = {"scaling.json": scaling_json, "scaling.png": scaling_picture}
-    check_writable(*(folder / name for name in files))
+    _check_targets([folder / name for name in files], source)
     result = measure_sizes(source, options, progress)
     for name, content in files.items():
         _write(folder / name, content(result))
@@ -122,6 +122,12 @@ def _folder(scene: Scene, source: str, output: Path | None) -> Path:
     folder = Path("output") / "bench" / scene.name
     check_own(folder, [source], "benchmark")
     return folder
+
+
+def _check_targets(paths: list[Path], source: str) -> None:
+    """Raise `CrosscheckError` for files that cannot be written or are the source."""
+    check_no_source(paths, [source])
+    check_writable(*paths)
 
 
 def _write(path: Path, content: bytes) -> None:

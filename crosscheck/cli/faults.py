@@ -53,11 +53,12 @@ def faults_command(
 
     from crosscheck.faults.find import find_faults
     from crosscheck.faults.report import as_json, holds, lines, tables, verdict, write
-    from crosscheck.files import check_writable
+    from crosscheck.files import check_no_source, check_writable
 
     options = scene_options(scene, settings, loops)
     loaded = load_and_tell(scene, options)
     path = (output or Path("output/faults") / loaded.name) / "faults.json"
+    check_no_source([path], [scene])
     check_writable(path)
     start = time.perf_counter()
     with progress_shown() as progress:

@@ -91,10 +91,10 @@ def compiled(path: str, root: str | None = None) -> Any:
 
     files = tuple(scan.files.items())
     model = _kept.pop(files, None) or _compiled(path, scan.asset_bytes)
-    _check_counts(path, model)  # of one that was kept too: limits may have changed
     _kept[files] = model
     while sum(mujoco.mj_sizeModel(each) for each in _kept.values()) > KEPT:
         del _kept[next(iter(_kept))]
+    _check_counts(path, model)  # of one that was kept too: limits may have changed
     return copy.copy(model) if files in _kept else model  # who asked for it may change it
 
 
@@ -146,6 +146,9 @@ def _check_counts(path: str, model: Any) -> None:
     for name, count in counts.items():
         if problem := exceeded(name, count):
             raise SourceError(path, problem)
+    for name in ITERATIONS:
+        if problem := exceeded("iterations", getattr(model.opt, name)):
+            raise SourceError(path, f"option: {name} is too large: {problem}")
 
 
 @dataclass(frozen=True)
@@ -284,9 +287,6 @@ def _check_numbers(path: str, model: Any) -> None:
         raise SourceError(
             path, f"option: timestep is {model.opt.timestep:g}; needed: a positive number of seconds"
         )
-    for name in ITERATIONS:
-        if problem := exceeded("iterations", getattr(model.opt, name)):
-            raise SourceError(path, f"option: {name} is too large: {problem}")
     for prefix, field in _number_fields(model):
         values = getattr(model, field)
         most = mujoco.mjMAXVAL if field in STATES else LARGEST

@@ -90,7 +90,7 @@ def check(report: Mapping) -> str:
     samples = [sample for original in originals for sample in original.samples]
     telling = [sample for sample in samples if sample.tells]
     moving = "moving " if any(np.any(sample.v) for sample in samples) else ""
-    loosest = max((sample.tolerance_of_motion for sample in telling), default=LOOSEST)
+    loosest = max((sample.tolerance_of_motion for sample in telling or samples), default=LOOSEST)
     share = nearest.value / nearest.tolerance
     said = (
         f"verified against the file's own model to {loosest:.0e} at {len(telling)} {moving}"
@@ -99,7 +99,9 @@ def check(report: Mapping) -> str:
     )
     limits = []
     if blind := len(samples) - len(telling):
-        limits.append(f"at {blind} more, next to singular configurations, little shows")
+        limits.append(
+            f"at {blind} more, next to singular configurations or with noise in loops, little shows"
+        )
     if not moving:
         limits.append("nothing can move")
     elif any(len(original.samples) == 1 for original in originals):
