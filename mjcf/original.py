@@ -409,5 +409,7 @@ def random_control(model: Any) -> Array:
     for k in np.flatnonzero(limited):
         places = slice(model.actuator_ctrladr[k], model.actuator_ctrladr[k] + model.actuator_ctrlnum[k])
         low[places], high[places] = model.actuator_ctrlrange[k].reshape(-1, 2).T
+    most = mujoco.mjMAXVAL  # beyond which MuJoCo takes a control for a mistake
+    low, high = np.clip([low, high], -most, most)
     share = np.random.default_rng(0).uniform(0.1, 0.9, model.nu)
     return np.asarray(low + share * (high - low))

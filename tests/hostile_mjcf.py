@@ -235,11 +235,6 @@ MJCF_EDITS: dict[str, tuple[str, str, str] | tuple[str, str, str, Prepare]] = {
         '<option ls_iterations="1000000000"/>' + WORLD,
         "option: ls_iterations is too large: 1e+09 iterations",
     ),
-    "range of a control that MuJoCo takes for divergence": (
-        'kp="2"',
-        'kp="2" ctrllimited="true" ctrlrange="-1e12 1e12"',
-        "actuator 'servo': actuator_ctrlrange is -1e+12; needed: at most 1e+10",
-    ),
     "control that MuJoCo takes for divergence": (
         'qpos="0 0 0"',
         'qpos="0 0 0" ctrl="1e12"',

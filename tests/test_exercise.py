@@ -97,6 +97,16 @@ def test_controls_swing_within_half_of_their_ranges(tmp_path: Path) -> None:
     assert 0.0 < slow.amplitude <= 3.0 * 0.5 * 0.2 / np.hypot(1.0, 0.05 * 2.0 * np.pi * 1.9) * (1 + 1e-12)
 
 
+@pytest.mark.parametrize("exercise", [False, True])
+def test_a_range_without_end_is_read(tmp_path: Path, exercise: bool) -> None:
+    """MuJoCo takes controls beyond 1e10 for a mistake, ranges not."""
+    text = (
+        '<mujoco><worldbody><body><joint name="j" axis="0 1 0"/><geom size="0.1" pos="0.1 0 0"/></body></worldbody>'
+        '<actuator><motor joint="j" ctrllimited="true" ctrlrange="-1e12 1e12"/></actuator></mujoco>'
+    )
+    assert verified(reading(tmp_path, text, exercise=exercise))
+
+
 def controls(found: Reading, time: float) -> list[float]:
     """ctrl of `FILE` with which MuJoCo does what the scene says."""
     driven = sines(found.scene)

@@ -164,12 +164,13 @@ def gravity(vector: Array) -> Plant:
 
 
 def entry(field: str, index: int, **values: Any) -> Plant:
-    """Other values in one entry of a list of the scene's: control, forces or armatures."""
+    """Other values in one entry of a list of the scene's: control, forces, armatures or motions."""
 
     def plant(scene: Scene) -> Scene:
         entries = list(getattr(scene, field))
         entries[index] = replace(entries[index], **values)
-        return replace(scene, **{field: tuple(entries)})  # type: ignore[arg-type]
+        changed: Any = {field: tuple(entries)} | ({"initial_state": None} if field == "motions" else {})
+        return replace(scene, **changed)
 
     return plant
 

@@ -31,12 +31,11 @@ from crosscheck.model_files.read import is_model
 from crosscheck.scenes import load
 from newton_euler.assemble import assemble
 from newton_euler.control import PD
-from newton_euler.couplings import Gear
+from newton_euler.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.errors import NewtonEulerError
 from newton_euler.forces import JointSpring, PointSpring, Wrench
 from newton_euler.joints import Compound, Joint
-from newton_euler.mechanism import Mechanism
-from newton_euler.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
+from newton_euler.motions import Polynomial, Sine, Sum, TimeFunction
 from newton_euler.scalars import Array
 from newton_euler.scene import Scene
 from newton_euler.tree import SpanningTree
@@ -148,7 +147,7 @@ def _where(joint: str, coordinate: int) -> str:
 
 
 def _constraints(scene: Scene) -> Iterator[tuple[str, list[Plant]]]:
-    mechanism, more = scene.mechanism, 1.0 + SIZE
+    mechanism = scene.mechanism
     cuts = SpanningTree(mechanism).cuts
     loaded = {each.joint for each in (*scene.joint_forces, *scene.armatures, *scene.motions)}
     loaded |= {key[0] for coupling in mechanism.couplings for key in coupling.factors()}
@@ -161,12 +160,12 @@ def _constraints(scene: Scene) -> Iterator[tuple[str, list[Plant]]]:
                 plants += [_tilted_row(joint, axis) for axis in np.eye(3)]
             yield f"{'loop' if number in cuts else 'joint'} {joint.name!r}", plants
     for number, coupling in enumerate(mechanism.couplings):
-        yield f"{coupling.kind} {coupling.name!r}", [_regeared(number, more)]
+        yield f"{coupling.kind} {coupling.name!r}", [plant.coupling(number, _regeared(coupling))]
     for number, motion in enumerate(scene.motions):
         start = Polynomial((-SIZE * float(motion.function.value(0.0)),))
-        farther = replace(motion, function=Sum((_more(motion.function), start)))
+        farther = Sum((_more(motion.function), start))
         where = _where(motion.joint, motion.coordinate)
-        yield f"motion {where}", [_with_motion(number, farther)]
+        yield f"motion {where}", [plant.entry("motions", number, function=farther)]
 
 
 def _tilted_row(joint: Compound, about: Array) -> Plant:
@@ -181,32 +180,13 @@ def _tilted_row(joint: Compound, about: Array) -> Plant:
     return plant.change_joint(joint.name, tilt)
 
 
-def _regeared(number: int, factor: float) -> Plant:
-    """A gear or coupling whose factors but the first are others."""
-
-    def regeared(scene: Scene) -> Scene:
-        mechanism = scene.mechanism
-        couplings: list[Any] = list(mechanism.couplings)
-        own = couplings[number]
-        if isinstance(own, Gear):
-            couplings[number] = replace(own, ratio=factor * own.ratio)
-        else:
-            first, *others = own.terms
-            couplings[number] = replace(own, terms=(first, *((a, k, factor * x) for a, k, x in others)))
-        other = Mechanism(mechanism.bodies, mechanism.joints, couplings)
-        return replace(scene, mechanism=other, initial_state=None)  # type: ignore[arg-type]
-
-    return regeared
-
-
-def _with_motion(number: int, motion: PrescribedMotion) -> Plant:
-    """Another prescribed motion in the place of one."""
-
-    def moved(scene: Scene) -> Scene:
-        motions = (*scene.motions[:number], motion, *scene.motions[number + 1 :])
-        return replace(scene, motions=motions, initial_state=None)  # type: ignore[arg-type]
-
-    return moved
+def _regeared(own: JointCoupling) -> JointCoupling:
+    """A gear or coupling whose factors but the first are larger."""
+    if isinstance(own, Gear):
+        return replace(own, ratio=(1.0 + SIZE) * own.ratio)
+    assert isinstance(own, LinearCoupling)
+    first, *others = own.terms
+    return replace(own, terms=(first, *((a, k, (1.0 + SIZE) * x) for a, k, x in others)))
 
 
 def _more(function: TimeFunction) -> TimeFunction:

@@ -55,7 +55,7 @@ OPTIONS = ("gravity", "wind", "magnetic", "density", "viscosity", "timestep")
 ITERATIONS = ("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations")
 """Of a model, that may keep a step of the file's own run from its end."""
 
-STATES = ("key_qpos", "key_qvel", "key_act", "key_ctrl", "actuator_ctrlrange")
+STATES = ("key_qpos", "key_qvel", "key_act", "key_ctrl")
 """What MuJoCo takes for a run that diverges beyond its own limit, and then starts again from elsewhere."""
 
 UNCHECKED = ("solref", "solimp", "range", "user", "invweight0", "acc0", "M0", "length0")
