@@ -101,7 +101,7 @@ def test_controls_swing_within_half_of_their_ranges(tmp_path: Path) -> None:
 def test_a_range_without_end_is_read(tmp_path: Path, exercise: bool) -> None:
     """MuJoCo takes controls beyond 1e10 for a mistake, ranges not."""
     text = (
-        '<mujoco><worldbody><body><joint name="j" axis="0 1 0"/><geom size="0.1" pos="0.1 0 0"/></body></worldbody>'
+        '<mujoco><worldbody><body><joint name="j"/><geom size="1" pos="1 0 0"/></body></worldbody>'
         '<actuator><motor joint="j" ctrllimited="true" ctrlrange="-1e12 1e12"/></actuator></mujoco>'
     )
     assert verified(reading(tmp_path, text, exercise=exercise))
