@@ -19,11 +19,11 @@ from crosscheck.files import check_writable
 from crosscheck.scenes import load
 from crosscheck.scenes.tracker import TARGET_HEIGHT
 from newton_euler import simulate
-from newton_euler.euler_parameters import rotations
+from newton_euler.integrators.stabilize import STABILIZATIONS
+from newton_euler.model.euler_parameters import rotations
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory, atomic_file
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.stabilize import STABILIZATIONS
-from newton_euler.trajectory import Trajectory, atomic_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

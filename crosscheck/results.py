@@ -10,7 +10,7 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.source_file import SourceError, read_content
+from newton_euler.model.source_file import SourceError, read_content
 
 Kind = TypeVar("Kind", bound=BaseModel)
 

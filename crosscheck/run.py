@@ -22,11 +22,11 @@ from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, limited
 from crosscheck.scenes.options import titled
-from newton_euler.activity import Course
 from newton_euler.errors import NewtonEulerError
-from newton_euler.mapping import Mapping as Report
-from newton_euler.scene import Scene
-from newton_euler.trajectory import Trajectory
+from newton_euler.model.activity import Course
+from newton_euler.model.mapping import Mapping as Report
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 
 RANDOM_STATES = 20
 """Random consistent states at which the engines' equations are compared in a run."""

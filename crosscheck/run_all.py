@@ -19,8 +19,8 @@ from crosscheck.comparison.levels import Row
 from crosscheck.engines import choose
 from crosscheck.errors import reason_of
 from crosscheck.files import check_writable
-from crosscheck.output import tidied_up, write
-from crosscheck.report import judged, markdown
+from crosscheck.report.output import tidied_up, write
+from crosscheck.report.run import judged, markdown
 from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
 from crosscheck.workers import end_with_parent

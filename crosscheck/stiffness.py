@@ -14,12 +14,12 @@ from functools import lru_cache
 
 import numpy as np
 
+from newton_euler.integrators.march import NEAR
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 from newton_euler.simulate import compile_scene
-from newton_euler.state import State
-from newton_euler.steppers.march import NEAR
-from newton_euler.trajectory import Trajectory
 
 STABLE = 6.3
 """Largest product of DOP853's step and a rate of decay."""

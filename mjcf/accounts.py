@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping
+from newton_euler.model.mapping import CONTACTS, FRICTION, LIMITS, Mapping
 from newton_euler.scalars import Array
 
 

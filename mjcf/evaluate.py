@@ -11,9 +11,9 @@ import numpy as np
 from mjcf.loops import loops
 from mjcf.model import CompiledScene
 from mjcf.motion import body_acceleration
-from newton_euler.hinge_angles import dual_axes
+from newton_euler.model.hinge_angles import dual_axes
+from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array, cross
-from newton_euler.state import Evaluation
 
 
 def mass_and_force(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import mujoco
 
 from mjcf.loops import all_loops
 from mjcf.rigid import RigidMuJoCo
-from newton_euler.joint_geometry import JointGeometry, closing, in_tree
+from newton_euler.model.joint_geometry import JointGeometry, closing, in_tree
 from newton_euler.scalars import Array
 
 

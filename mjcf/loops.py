@@ -24,7 +24,7 @@ import mujoco
 import numpy as np
 
 from mjcf.motion import body_acceleration, body_velocity
-from newton_euler.euler_parameters import conjugate, product
+from newton_euler.model.euler_parameters import conjugate, product
 from newton_euler.scalars import Array, cross
 
 

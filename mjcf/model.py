@@ -11,13 +11,13 @@ from mjcf.errors import ModelError
 from mjcf.layout import Layout
 from mjcf.motion import body_velocity
 from mjcf.write import controls, welded_to_xml
-from newton_euler.euler_parameters import rotation
+from newton_euler.equations.tree_couplings import TreeCouplings
+from newton_euler.integrators.stabilize import joint_residuals
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import MassProperties, State
+from newton_euler.model.tree import weld_loops
 from newton_euler.scalars import Array, Scalar
-from newton_euler.scene import Scene
-from newton_euler.stabilize import joint_residuals
-from newton_euler.state import MassProperties, State
-from newton_euler.tree import weld_loops
-from newton_euler.tree_couplings import TreeCouplings
 
 
 class CompiledScene:

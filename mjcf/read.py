@@ -37,18 +37,18 @@ from mjcf.reading.source import SourceError, compiled
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
 from mjcf.silence import heard_warnings
-from newton_euler.armature import Armature, BallArmature
 from newton_euler.assemble import assemble
-from newton_euler.control import PD
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import HIGHEST, LOWEST, moving
-from newton_euler.mapping import Mapping, unique_name
-from newton_euler.mechanism import Mechanism
-from newton_euler.motions import Sine
+from newton_euler.model.armature import Armature, BallArmature
+from newton_euler.model.control import PD
+from newton_euler.model.mapping import Mapping, unique_name
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.motions import Sine
+from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
+from newton_euler.model.state import State
+from newton_euler.model.tree import unweld_loops
 from newton_euler.scalars import Array
-from newton_euler.scene import REDUNDANCY_TOLERANCE, Scene
-from newton_euler.state import State
-from newton_euler.tree import unweld_loops
 from newton_euler.verification.original import Original
 from newton_euler.verification.verify import check
 

@@ -18,15 +18,15 @@ import numpy as np
 from mjcf.evaluate import constraint_jacobian, evaluation, mass_and_force
 from mjcf.loops import closes, loops
 from mjcf.model import CompiledScene
-from newton_euler.redundancy import rows_left_out, without
+from newton_euler.equations.redundancy import rows_left_out, without
+from newton_euler.equations.solve import solve_constrained
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.solve import solve_constrained
-from newton_euler.state import Evaluation
 
 
 class RigidMuJoCo(CompiledScene):
-    """A `newton_euler.system.System` in tree coordinates q (nq,), v (nv,)."""
+    """A `newton_euler.equations.system.System` in tree coordinates q (nq,), v (nv,)."""
 
     name = "mujoco_rigid"
 

@@ -14,13 +14,13 @@ import numpy as np
 
 from mjcf.errors import DivergenceError
 from mjcf.write import SOLIMP, TIMESTEP
-from newton_euler.blame import blamed, fastest_joint, strongest_force
+from newton_euler.equations.blame import blamed, fastest_joint, strongest_force
 from newton_euler.errors import IntegrationError, OptionError, StoppedError, UnknownNameError
-from newton_euler.sampling import Interval, holding, intervals, sample
+from newton_euler.integrators.sampling import Interval, holding, intervals, sample
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 from newton_euler.simulate import trajectory_from
-from newton_euler.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from mjcf.soft import SoftMuJoCo

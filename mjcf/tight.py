@@ -19,8 +19,8 @@ from mjcf.errors import DivergenceError, MjcfError
 from mjcf.silence import heard_warnings
 from mjcf.soft import SoftMuJoCo
 from mjcf.write import controls
+from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 
 UNUSED = (
     "CONTACT",

@@ -31,18 +31,18 @@ from mjcf.forces import (
 )
 from mjcf.layout import Layout, coordinate_name
 from mjcf.text import number, numbers
-from newton_euler.control import Law, Sampled
-from newton_euler.couplings import Coupling, couplings
-from newton_euler.euler_parameters import conjugate, from_rotation, product, rotation
-from newton_euler.joints import Pose, Rod, Spherical
-from newton_euler.measured import Key
-from newton_euler.mechanism import Body
+from newton_euler.equations.tree_couplings import TreeCouplings
+from newton_euler.model.control import Law, Sampled
+from newton_euler.model.couplings import Coupling, couplings
+from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
+from newton_euler.model.joints import Pose, Rod, Spherical
+from newton_euler.model.measured import Key
+from newton_euler.model.mechanism import Body
+from newton_euler.model.scene import Scene
+from newton_euler.model.shapes import Box, Capsule, Shape
+from newton_euler.model.trajectory import atomic_file
+from newton_euler.model.tree import TreeJoint, WeldedMechanism, motion_names, weld_loops
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.shapes import Box, Capsule, Shape
-from newton_euler.trajectory import atomic_file
-from newton_euler.tree import TreeJoint, WeldedMechanism, motion_names, weld_loops
-from newton_euler.tree_couplings import TreeCouplings
 
 TIMESTEP = 0.001
 """Time step of a written model, s."""

@@ -1,18 +1,18 @@
 """Newton-Euler dynamics of any mechanism with closed loops, written by hand."""
 
-from newton_euler.armature import Armature, BallArmature
 from newton_euler.assemble import assemble
 from newton_euler.batch import simulate_batch
-from newton_euler.control import PD, Sampled
-from newton_euler.couplings import Gear, LinearCoupling
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
-from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
-from newton_euler.mechanism import Body, Mechanism
-from newton_euler.motions import Polynomial, PrescribedMotion, Sine, Sum
-from newton_euler.scene import Scene
+from newton_euler.model.armature import Armature, BallArmature
+from newton_euler.model.control import PD, Sampled
+from newton_euler.model.couplings import Gear, LinearCoupling
+from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.simulate import compile_scene, simulate
-from newton_euler.state import State
-from newton_euler.trajectory import Trajectory
 
 __all__ = [
     "PD",

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from newton_euler.cartesian import Cartesian
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.relative import Relative
 from newton_euler.errors import AssemblyError
-from newton_euler.mechanism import CLOSURE_TOLERANCE
-from newton_euler.relative import Relative
-from newton_euler.scene import Scene
-from newton_euler.stabilize import project_position, project_velocity, worst_joint
-from newton_euler.state import State
+from newton_euler.integrators.stabilize import project_position, project_velocity, worst_joint
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 
 RANDOM_AMPLITUDE = 0.2
 """How far `random_states` moves joints before it closes the loops: radians, and sizes of the mechanism."""
@@ -44,7 +44,7 @@ def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:
         AssemblyError: if the mechanism hardly ever closes from nearby.
     """
     from newton_euler.compiled import Code
-    from newton_euler.steppers.run import Projection
+    from newton_euler.integrators.run import Projection
 
     code = Code(scene)
     assert isinstance(code.system, Relative)

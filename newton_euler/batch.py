@@ -13,14 +13,14 @@ import numpy as np
 
 from newton_euler.conversion import check, coordinates
 from newton_euler.errors import IntegrationError, OptionError, UnknownNameError, is_count
-from newton_euler.integrate import Options
+from newton_euler.integrators.integrate import Options
+from newton_euler.integrators.stabilize import PAPER_ALPHA
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.parameters import checked
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 from newton_euler.simulate import CompiledScene, native_trajectory
-from newton_euler.stabilize import PAPER_ALPHA
-from newton_euler.state import State
-from newton_euler.trajectory import Trajectory
 
 PIECES = 8
 """Into how many pieces a thread's share is cut, so that no thread waits long for the last one."""
@@ -52,7 +52,7 @@ class Batch(Sequence[Trajectory]):
         number = range(len(self))[run]
         if number in self.errors:
             raise self.errors[number]
-        from newton_euler.steppers.outputs import named
+        from newton_euler.integrators.outputs import named
 
         arrays = named(self._compiled, self._results[number])
         settings = self.settings | self._counts[number]
@@ -108,7 +108,7 @@ def simulate_batch(
     """
     from concurrent.futures import ThreadPoolExecutor
 
-    from newton_euler.steppers.run import March, load
+    from newton_euler.integrators.run import March, load
 
     options = Options(integrator, rtol, atol, step, most_steps)
     if not isinstance(parameters, Mapping | None):

@@ -1,7 +1,7 @@
 """A scene compiled: its equations traced, pruned to what is wanted, and turned into native code.
 
 All functions take one vector x = (q, v, time, parameters) and write one vector. Those that steppers
-call follow the conventions of `newton_euler.steppers.march`.
+call follow the conventions of `newton_euler.integrators.march`.
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from newton_euler.cache import cache_directory, cache_key, read_cache, write_cache
-from newton_euler.cartesian import Cartesian
-from newton_euler.compile import LARGE, NativeFunction
+from newton_euler.codegen.cache import cache_directory, cache_key, read_cache, write_cache
+from newton_euler.codegen.compile import LARGE, NativeFunction
+from newton_euler.codegen.expression import Graph, Program, differentiate
+from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.codegen.stored import program_text, read_program, read_rows, rows_text
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.sparse import RowsInUse, least_squares
+from newton_euler.equations.system import at_time
 from newton_euler.errors import UnknownNameError
-from newton_euler.expression import Graph, Program, differentiate
-from newton_euler.fingerprint import fingerprint
+from newton_euler.integrators.march import ANGLE, OPEN_TOLERANCE, QUATERNION, QUATERNION_WITH_RATES
+from newton_euler.integrators.stabilize import PAPER_ALPHA, baumgarte_alpha
+from newton_euler.model.scene import Scene
 from newton_euler.parameters import parameter_values, place_of, with_values
-from newton_euler.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
-from newton_euler.relative import Relative
 from newton_euler.scalars import Array, Scalar, minimum
-from newton_euler.scene import Scene
-from newton_euler.sparse import RowsInUse, least_squares
-from newton_euler.stabilize import PAPER_ALPHA, baumgarte_alpha
-from newton_euler.steppers.march import ANGLE, OPEN_TOLERANCE, QUATERNION, QUATERNION_WITH_RATES
-from newton_euler.stored import program_text, read_program, read_rows, rows_text
-from newton_euler.system import at_time
 
 if TYPE_CHECKING:
-    from newton_euler.integrate import Options
-    from newton_euler.steppers.run import March
+    from newton_euler.integrators.integrate import Options
+    from newton_euler.integrators.run import March
 
 T = TypeVar("T")
 
@@ -128,7 +128,7 @@ class Code:
         return self.system.nq if still else self.size
 
     def marks(self, integrator: str) -> Array:
-        """(size,) marks of angles and Euler parameters, see `newton_euler.steppers.march`, else 0.
+        """(size,) marks of angles and Euler parameters, see `newton_euler.integrators.march`, else 0.
 
         Norms that Baumgarte's method governs are its own, but for those that Euler's method leaves behind.
         """

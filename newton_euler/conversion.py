@@ -13,17 +13,17 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from newton_euler.constraints import Frame
-from newton_euler.couplings import couplings
 from newton_euler.errors import MechanismError
-from newton_euler.euler_parameters import conjugate, product
-from newton_euler.forces import PointSpring
-from newton_euler.mechanism import CLOSURE_TOLERANCE
+from newton_euler.model.constraints import Frame
+from newton_euler.model.couplings import couplings
+from newton_euler.model.euler_parameters import conjugate, product
+from newton_euler.model.forces import PointSpring
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE
+from newton_euler.model.scene import VELOCITY_TOLERANCE, Scene
+from newton_euler.model.shapes import UNIT_TOLERANCE
+from newton_euler.model.state import State
+from newton_euler.model.tree import SpanningTree
 from newton_euler.scalars import Array, objects
-from newton_euler.scene import VELOCITY_TOLERANCE, Scene
-from newton_euler.shapes import UNIT_TOLERANCE
-from newton_euler.state import State
-from newton_euler.tree import SpanningTree
 
 PORTION = 1000
 """States at a time: their values stay in the processor's caches."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 if TYPE_CHECKING:
-    from newton_euler.trajectory import Trajectory
+    from newton_euler.model.trajectory import Trajectory
 
 
 T = TypeVar("T")

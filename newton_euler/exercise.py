@@ -13,15 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.assemble import assemble
-from newton_euler.control import PD
-from newton_euler.forces import JointSpring
-from newton_euler.measured import Key
-from newton_euler.redundancy import constraint_rank
-from newton_euler.relative import Relative
+from newton_euler.equations.redundancy import constraint_rank
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.solve import orthonormal_null
+from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.model.control import PD
+from newton_euler.model.forces import JointSpring
+from newton_euler.model.measured import Key
+from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.solve import orthonormal_null
-from newton_euler.system import dimensionless_jacobian
 
 SPIN, SPEED = 0.5, 0.1
 """rad/s and sizes/s, at most, of joints at the start."""

@@ -29,15 +29,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from newton_euler.armature import Armature, BallArmature
-from newton_euler.control import Law
+from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
-from newton_euler.mechanism import Body
-from newton_euler.motions import Polynomial, Sine, Sum, TimeFunction
-from newton_euler.redundancy import inherit_mobility
+from newton_euler.model.armature import Armature, BallArmature
+from newton_euler.model.control import Law
+from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
+from newton_euler.model.mechanism import Body
+from newton_euler.model.motions import Polynomial, Sine, Sum, TimeFunction
+from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 
 T = TypeVar("T")
 

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 
 from newton_euler.compiled import FORMULATIONS, Code
-from newton_euler.couplings import couplings
+from newton_euler.equations.redundancy import mobility
+from newton_euler.equations.row_choice import other_rows
+from newton_euler.equations.system import System, at_time
 from newton_euler.errors import (
     IntegrationError,
     NearlyRedundantWarning,
@@ -21,17 +23,15 @@ from newton_euler.errors import (
     StoppedError,
     check_choice,
 )
-from newton_euler.euler_parameters import continuous
-from newton_euler.integrate import Options, integrate
-from newton_euler.redundancy import mobility
-from newton_euler.row_choice import other_rows
-from newton_euler.sampling import holding, intervals, sample
+from newton_euler.integrators.integrate import Options, integrate
+from newton_euler.integrators.sampling import holding, intervals, sample
+from newton_euler.integrators.stabilize import PAPER_ALPHA
+from newton_euler.model.couplings import couplings
+from newton_euler.model.euler_parameters import continuous
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import Evaluation, State
+from newton_euler.model.trajectory import Trajectory, check_finite
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.stabilize import PAPER_ALPHA
-from newton_euler.state import Evaluation, State
-from newton_euler.system import System, at_time
-from newton_euler.trajectory import Trajectory, check_finite
 
 ROW_CHOICES = 3
 """Times that constraint rows are chosen anew, each time with all that a run has seen until it stopped."""
@@ -58,7 +58,7 @@ def simulate(
         step: s, of the last two.
         stabilization: "projection", "baumgarte" or "none".
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
-        most_steps: after which an adaptive method gives up; see `newton_euler.integrate.Options`.
+        most_steps: after which an adaptive method gives up; see `newton_euler.integrators.integrate.Options`.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
@@ -83,7 +83,7 @@ def compile_scene(
     Raises:
         NewtonEulerError: for an unknown name or an impossible option.
     """
-    from newton_euler.steppers.run import load
+    from newton_euler.integrators.run import load
 
     check_choice("formulation", formulation, FORMULATIONS)
     if not isinstance(parameters, list | tuple) or not all(isinstance(name, str) for name in parameters):
@@ -136,7 +136,7 @@ class CompiledScene(Code):
 
     def repeat(self, count: int, q: Array, v: Array) -> float:
         """s that `count` right-hand sides at one state q, v take, called from native code."""
-        from newton_euler.steppers.outputs import time_function
+        from newton_euler.integrators.outputs import time_function
 
         return time_function(self.function("derivative"), self.packed(q, v), count)
 
@@ -147,8 +147,8 @@ class CompiledScene(Code):
 
     def _try(self, options: Options, choices: int) -> Trajectory:
         """Run the scene, again with other constraint rows where those in use degenerate on the way."""
-        from newton_euler.sampling import march_sampled
-        from newton_euler.steppers.run import load
+        from newton_euler.integrators.run import load
+        from newton_euler.integrators.sampling import march_sampled
 
         load(self, options.integrator)
         x = self.start.copy()
@@ -185,7 +185,7 @@ class CompiledScene(Code):
 def native_trajectory(
     scene: Scene, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
 ) -> Trajectory:
-    """The trajectory of a run in native code from what `newton_euler.steppers.run.outputs` gave."""
+    """The trajectory of a run in native code from what `newton_euler.integrators.run.outputs` gave."""
     arrays.pop("health", None)
     if "violation" in scene.outputs:
         arrays["constraint_violation"] = _by_joint(scene, arrays["phi"])

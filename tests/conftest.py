@@ -17,10 +17,10 @@ import mjcf.reading.source
 import newton_euler
 from crosscheck.scenes import load
 from newton_euler.assemble import random_states
-from newton_euler.motions import Polynomial, PrescribedMotion
-from newton_euler.scene import Scene
-from newton_euler.state import State
-from newton_euler.trajectory import Trajectory
+from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
 
 # shells have what they start in the background ignore interrupts, which some tests send
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

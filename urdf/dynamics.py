@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.equations.redundancy import constraint_rank, loop_rank, mobility, rows_left_out
+from newton_euler.equations.solve import rank
+from newton_euler.equations.tree_couplings import TreeCouplings
 from newton_euler.errors import SingularityError
-from newton_euler.euler_parameters import from_rotation
-from newton_euler.forces import JointSpring
-from newton_euler.joints import Rod
-from newton_euler.redundancy import constraint_rank, loop_rank, mobility, rows_left_out
+from newton_euler.integrators.stabilize import joint_residuals
+from newton_euler.model.euler_parameters import from_rotation
+from newton_euler.model.forces import JointSpring
+from newton_euler.model.joints import Rod
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import Evaluation, MassProperties, State
+from newton_euler.model.tree import weld_loops
 from newton_euler.scalars import Array, Scalar
-from newton_euler.scene import Scene
-from newton_euler.solve import rank
-from newton_euler.stabilize import joint_residuals
-from newton_euler.state import Evaluation, MassProperties, State
-from newton_euler.tree import weld_loops
-from newton_euler.tree_couplings import TreeCouplings
 from urdf.closures import Closures, frame_jacobian
 from urdf.errors import UrdfError
 from urdf.forces import PointForces
@@ -47,10 +47,10 @@ from urdf.write import closures, to_loops, to_urdf
 
 
 class PinocchioSystem:
-    """A scene in Pinocchio: a `newton_euler.system.System`.
+    """A scene in Pinocchio: a `newton_euler.equations.system.System`.
 
     q (nq,) and v (nv,) are coordinates of the spanning tree of the welded mechanism, as in
-    `newton_euler.tree`: zero at the initial pose, quaternions w-x-y-z. The work, if the scene tracks
+    `newton_euler.model.tree`: zero at the initial pose, quaternions w-x-y-z. The work, if the scene tracks
     it, comes last in q. What Pinocchio's closures leave out, see `urdf.rows`.
 
     Accelerations are worked out in units of the mechanism's size and mass, so that rows in metres and

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from newton_euler.errors import NewtonEulerError
-from newton_euler.source_file import shortened
+from newton_euler.model.source_file import shortened
 
 
 class UrdfError(NewtonEulerError):

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.balls import ends
-from newton_euler.forces import BallSpring, PointSpring, Wrench
+from newton_euler.equations.balls import ends
+from newton_euler.model.forces import BallSpring, PointSpring, Wrench
+from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 
 
 class Push(NamedTuple):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.joint_geometry import NOWHERE, JointGeometry, closing, in_tree
+from newton_euler.model.joint_geometry import NOWHERE, JointGeometry, closing, in_tree
+from newton_euler.model.tree import weld_loops
 from newton_euler.scalars import Array
-from newton_euler.tree import weld_loops
 from urdf.dynamics import PinocchioSystem
 
 

@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from newton_euler.source_file import SourceError
-from newton_euler.xml_source import LARGEST
-from newton_euler.yaml_source import parse_yaml
+from newton_euler.model.source_file import SourceError
+from newton_euler.model.xml_source import LARGEST
+from newton_euler.model.yaml_source import parse_yaml
 from urdf.errors import LoopFileError
 
 CLOSURE_TYPES = ("3d", "6d", "rod")
@@ -56,8 +56,9 @@ def parse_loops(text: str, source: str) -> Loops:
     """Read the text of a loop file named `source`.
 
     Raises:
-        LoopFileError: for text that is not plain YAML, see `newton_euler.yaml_source`, and for keys that are
-            missing, unknown, of the wrong form, of different lengths or with a type that is not known.
+        LoopFileError: for text that is not plain YAML, see `newton_euler.model.yaml_source`, and for keys
+            that are missing, unknown, of the wrong form, of different lengths or with a type that is not
+            known.
     """
     try:
         document = parse_yaml(source, text)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.model.tree import WeldedMechanism, motion_names
 from newton_euler.scalars import Array
-from newton_euler.tree import WeldedMechanism, motion_names
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import UNIVERSAL, Loops
 

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.euler_parameters import rotation
-from newton_euler.hinge_angles import dual_axes
-from newton_euler.mechanism import Mechanism
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.hinge_angles import dual_axes
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.tree import SpanningTree, WeldedMechanism, motion_names
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.state import State
-from newton_euler.tree import SpanningTree, WeldedMechanism, motion_names
 
 
 class Actuator(NamedTuple):

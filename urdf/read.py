@@ -21,17 +21,17 @@ from pathlib import Path
 
 import numpy as np
 
-from newton_euler.activity import Bounds, Rest, Watch
-from newton_euler.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.errors import NewtonEulerError, check_choice
 from newton_euler.exercise import moving as exercised
-from newton_euler.forces import JointSpring
-from newton_euler.joints import Fixed, Joint, Rod, Spherical
-from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, RANGE, Mapping, Part, unique_name, value
-from newton_euler.measured import Key
-from newton_euler.mechanism import Mechanism
-from newton_euler.scene import REDUNDANCY_TOLERANCE, Scene
-from newton_euler.tree import unweld_loops
+from newton_euler.model.activity import Bounds, Rest, Watch
+from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
+from newton_euler.model.forces import JointSpring
+from newton_euler.model.joints import Fixed, Joint, Rod, Spherical
+from newton_euler.model.mapping import CONTACTS, FRICTION, LIMITS, RANGE, Mapping, Part, unique_name, value
+from newton_euler.model.measured import Key
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
+from newton_euler.model.tree import unweld_loops
 from newton_euler.verification.verify import check
 from urdf.errors import UrdfError
 from urdf.loops import Loops

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from newton_euler.armature import BallArmature
-from newton_euler.balls import ends, spin_rate
-from newton_euler.constraints import Frame
+from newton_euler.equations.balls import ends, spin_rate
+from newton_euler.model.armature import BallArmature
+from newton_euler.model.constraints import Frame
+from newton_euler.model.scene import Scene
+from newton_euler.model.tree import SpanningTree
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.tree import SpanningTree
 from urdf.reactions import Actuator, actuator
 
 

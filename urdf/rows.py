@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.equations.solve import minimum_norm
+from newton_euler.equations.tree_couplings import TreeCouplings
 from newton_euler.scalars import Array
-from newton_euler.solve import minimum_norm
-from newton_euler.tree_couplings import TreeCouplings
 from urdf.closures import frame_jacobian
 from urdf.model import ClosedLoopModel, CoordinateMap
 

@@ -8,9 +8,9 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from newton_euler.euler_parameters import rotation
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.shapes import Box, Shape
 from newton_euler.scalars import Array
-from newton_euler.shapes import Box, Shape
 
 COLORS = {
     "grey": (0.6, 0.6, 0.6),

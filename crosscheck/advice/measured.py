@@ -12,10 +12,10 @@ import numpy as np
 from crosscheck.comparison.levels import Row
 from crosscheck.engines import Engine
 from newton_euler.errors import NewtonEulerError
-from newton_euler.euler_parameters import angle_between
-from newton_euler.mapping import Mapping as Report
-from newton_euler.scene import Scene
-from newton_euler.trajectory import Trajectory
+from newton_euler.model.euler_parameters import angle_between
+from newton_euler.model.mapping import Mapping as Report
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 
 WANTED = 1e-6
 """m and rad, the error that advice is for."""

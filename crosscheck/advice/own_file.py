@@ -13,7 +13,7 @@ from pathlib import Path
 
 from crosscheck.advice.measured import WANTED, Advice, Found
 from crosscheck.model_files.read import is_model, is_urdf
-from newton_euler.mapping import Mapping
+from newton_euler.model.mapping import Mapping
 
 OTHER_ADVICE = (
     "this is about the gap of the file's own loops, advice on mujoco about the error of the motion, so that "

@@ -13,12 +13,12 @@ from typing import Any
 from crosscheck.advice.measured import Advice, Found
 from crosscheck.comparison.reactions import undetermined
 from newton_euler.assemble import random_states
-from newton_euler.couplings import couplings
 from newton_euler.errors import NewtonEulerError
-from newton_euler.joints import Cylindrical, Joint, Spherical
-from newton_euler.mechanism import Mechanism
-from newton_euler.scene import Scene
-from newton_euler.state import State
+from newton_euler.model.couplings import couplings
+from newton_euler.model.joints import Cylindrical, Joint, Spherical
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 
 SOFTER: dict[str, tuple[type[Joint], ...]] = {
     "revolute": (Cylindrical, Spherical),

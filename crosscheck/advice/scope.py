@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from crosscheck.advice.measured import Advice, Found
-from newton_euler.mapping import Mapped
+from newton_euler.model.mapping import Mapped
 
 MOST_NAMED = 4
 """Elements; the report before the tables has all."""

@@ -8,10 +8,10 @@ import numpy as np
 
 from crosscheck.advice.measured import WANTED, Advice, Found, distance
 from crosscheck.stiffness import is_stable_in_rk4, modes_of_run
-from newton_euler.couplings import couplings
 from newton_euler.errors import NewtonEulerError
-from newton_euler.scene import Scene
-from newton_euler.tree import SpanningTree
+from newton_euler.model.couplings import couplings
+from newton_euler.model.scene import Scene
+from newton_euler.model.tree import SpanningTree
 
 NAME = "mujoco"
 

@@ -11,8 +11,8 @@ from crosscheck.against.worst import worst_row
 from crosscheck.comparison.reactions import determined, undetermined_in_both
 from crosscheck.comparison.rows import EPSILON, Row, round_off
 from crosscheck.comparison.samples import Samples, Scales
-from newton_euler.euler_parameters import rotations
-from newton_euler.mechanism import Mechanism
+from newton_euler.model.euler_parameters import rotations
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array
 
 LEVEL = "accelerations and reactions"

@@ -10,11 +10,11 @@ import numpy as np
 from crosscheck.against.pairs import Other, pair_bodies, pair_coordinates, pair_joints
 from crosscheck.against.placing import Placed, carried, features, place
 from crosscheck.against.rigid import forces_with_bodies, rigid, turned, with_bodies
-from newton_euler.euler_parameters import from_rotation, rotation
-from newton_euler.measured import Key
-from newton_euler.mechanism import Mechanism
-from newton_euler.scene import Scene
-from newton_euler.state import State
+from newton_euler.model.euler_parameters import from_rotation, rotation
+from newton_euler.model.measured import Key
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,13 +7,13 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from crosscheck.against.align import Aligned
-from newton_euler.armature import BallArmature
-from newton_euler.force_terms import turned
-from newton_euler.forces import BallSpring
-from newton_euler.joints import Joint
+from newton_euler.equations.force_terms import turned
+from newton_euler.model.armature import BallArmature
+from newton_euler.model.forces import BallSpring
+from newton_euler.model.joints import Joint
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.state import State
 
 
 def ball_rotors(scene: Scene) -> dict[str, Array]:

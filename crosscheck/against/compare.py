@@ -27,10 +27,10 @@ from crosscheck.limit import SHORTER, limited
 from crosscheck.run import Crosscheck, Progress
 from crosscheck.scenes.options import titled
 from newton_euler.assemble import random_states
-from newton_euler.mapping import Mapping as Report
-from newton_euler.relative import Relative
-from newton_euler.scene import Scene
-from newton_euler.trajectory import Trajectory
+from newton_euler.equations.relative import Relative
+from newton_euler.model.mapping import Mapping as Report
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 
 ENGINE = ENGINES["newton_euler"]
 """Whose equations both models are given."""

@@ -13,15 +13,15 @@ from crosscheck.against.worst import worst_row
 from crosscheck.comparison.dynamics import motion_rows
 from crosscheck.comparison.rows import Row, round_off
 from crosscheck.comparison.samples import Samples, Scales
-from newton_euler.armature import Armature
-from newton_euler.cartesian import Cartesian
-from newton_euler.control import Law
-from newton_euler.force_terms import body_wrenches
-from newton_euler.forces import BallSpring, JointSpring
-from newton_euler.measured import Key
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.force_terms import body_wrenches
+from newton_euler.model.armature import Armature
+from newton_euler.model.control import Law
+from newton_euler.model.forces import BallSpring, JointSpring
+from newton_euler.model.measured import Key
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.state import State
 
 LEVEL = "dynamics"
 

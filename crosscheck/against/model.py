@@ -11,11 +11,11 @@ from crosscheck.against.align import Aligned
 from crosscheck.against.placing import Held, anyhow_apart, axes_apart, held, inertia_apart, points_apart
 from crosscheck.against.worst import worst_row
 from crosscheck.comparison.rows import ROUND_OFF, START, Row, reach, round_off
-from newton_euler.couplings import Coupling, couplings
-from newton_euler.euler_parameters import angle_between, rotation
-from newton_euler.measured import Key
+from newton_euler.model.couplings import Coupling, couplings
+from newton_euler.model.euler_parameters import angle_between, rotation
+from newton_euler.model.measured import Key
+from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 
 MOST_NAMED = 4
 """Bodies or joints that are told of beside the worst."""

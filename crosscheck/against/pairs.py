@@ -8,9 +8,9 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from newton_euler.joints import Joint
-from newton_euler.measured import Key
-from newton_euler.mechanism import Mechanism
+from newton_euler.model.joints import Joint
+from newton_euler.model.measured import Key
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array
 
 Members = Mapping[str, tuple[str, ...]]

@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.euler_parameters import rotation
-from newton_euler.joints import Compound, Joint
-from newton_euler.joints.base import Motion
-from newton_euler.mechanism import Mechanism
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.joints import Compound, Joint
+from newton_euler.model.joints.base import Motion
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 
 COINCIDES = 1e-12
 """Sizes of the mechanism, and rad: round-off."""

@@ -13,7 +13,7 @@ from crosscheck.against.align import Aligned
 from crosscheck.against.pairs import pair_parts
 from crosscheck.against.rigid import rigid
 from crosscheck.model_files.read import is_model, is_urdf
-from newton_euler.mapping import CONTACTS, LIMITS, RANGE, Mapped, Part, Value, differing, value
+from newton_euler.model.mapping import CONTACTS, LIMITS, RANGE, Mapped, Part, Value, differing, value
 
 if TYPE_CHECKING:
     from crosscheck.against.compare import Model

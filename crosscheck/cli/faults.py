@@ -19,7 +19,7 @@ from crosscheck.cli.shared import (
     without_exercise,
 )
 from crosscheck.errors import CrosscheckError
-from crosscheck.faults import PLANTED_IN
+from crosscheck.studies.faults import PLANTED_IN
 
 
 @cli.command("faults")
@@ -51,9 +51,9 @@ def faults_command(
         return _in_reading(scene, without_exercise(options, "what is read is verified as the file stands"))
     import time
 
-    from crosscheck.faults.find import find_faults
-    from crosscheck.faults.report import as_json, holds, lines, tables, verdict, write
     from crosscheck.files import check_no_source, check_writable
+    from crosscheck.studies.faults.find import find_faults
+    from crosscheck.studies.faults.report import as_json, holds, lines, tables, verdict, write
 
     options = scene_options(scene, settings, loops)
     loaded = load_and_tell(scene, options)
@@ -79,7 +79,7 @@ def faults_command(
 
 def _in_reading(path: str, options: dict[str, str]) -> int:
     """Plant faults between the reading of a model file and its verification."""
-    from crosscheck.faults.reading import find_in_reading, reading_lines
+    from crosscheck.studies.faults.reading import find_in_reading, reading_lines
 
     _, report = load_scene(path, options)
     if report is None:

@@ -24,7 +24,7 @@ from crosscheck.errors import CrosscheckError
 @setting_options
 def explain_command(scene: str, settings: tuple[str, ...], loops: str | None) -> int:
     """Say what the compiler keeps of SCENE, what it leaves out, and what each feature costs."""
-    from crosscheck.explain import explain
+    from crosscheck.studies.explain import explain
 
     loaded = load_and_tell(scene, scene_options(scene, settings, loops))
     with progress_shown() as progress:
@@ -76,7 +76,7 @@ def bench_command(
     output: Path | None,
 ) -> int:
     """Measure run time against error on SCENE, for every engine and setting."""
-    from crosscheck.benchmark import run
+    from crosscheck.studies.benchmark import run
 
     options = exercised(scene, scene_options(scene, settings, loops))
     if rhs + scaling + (batch is not None) > 1:
@@ -113,8 +113,8 @@ def stress_command(full: bool, output: Path, letters: str) -> int:
     """Push every engine until something breaks, and report where."""
     import time
 
-    from crosscheck.stress.report import check_folder, tables, write
-    from crosscheck.stress.topics import stress
+    from crosscheck.studies.stress.report import check_folder, tables, write
+    from crosscheck.studies.stress.topics import stress
 
     check_folder(output)
     start = time.perf_counter()

@@ -95,7 +95,7 @@ def run_command(
 
 
 def _run_all(engines: list[str], output: Path | None) -> int:
-    from crosscheck.output import check_own
+    from crosscheck.report.output import check_own
     from crosscheck.run_all import outcome_lines, outcomes_table, run_all
     from crosscheck.scenes import SCENES
 
@@ -142,7 +142,7 @@ def _run(
 
 def _own_folder(name: str, sources: Sequence[str]) -> Path:
     """Where the results of these models go unless told otherwise; an error if another's are there."""
-    from crosscheck.output import check_own
+    from crosscheck.report.output import check_own
 
     check_own(OUTPUT / name, sources)
     return OUTPUT / name
@@ -151,7 +151,7 @@ def _own_folder(name: str, sources: Sequence[str]) -> Path:
 def _models(*named: tuple[str, tuple[str, ...], str | None]) -> tuple[Model, Model]:
     """Two models by name or file, settings and loop file, with names of their own."""
     from crosscheck.against.compare import Model
-    from newton_euler.mapping import unique_name
+    from newton_euler.model.mapping import unique_name
 
     paths = [Path(source) for source, *_ in named]
     alike = paths[0].stem == paths[1].stem
@@ -195,8 +195,8 @@ def _carry_out(
     """Do what was asked for of the models, with `runs` of these names, write and send it and tell of it."""
     from crosscheck.against.compare import Against
     from crosscheck.files import check_writable
-    from crosscheck.output import write
-    from crosscheck.report import markdown, settings_lines, terminal_tables
+    from crosscheck.report.output import write
+    from crosscheck.report.run import markdown, settings_lines, terminal_tables
 
     recording = (destination.save or folder / f"{name}.rrd") if destination.to_file else None
     arrays = [folder / f"{run}.npz" for run in runs]

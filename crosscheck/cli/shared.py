@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from newton_euler.mapping import Mapping
-    from newton_euler.scene import Scene
+    from newton_euler.model.mapping import Mapping
+    from newton_euler.model.scene import Scene
 
 TABLE_WIDTH = 130
 """Columns that the tables of a run need; a narrower terminal wraps them itself."""

@@ -18,17 +18,17 @@ import numpy as np
 
 from crosscheck.comparison.momentum import momentum_residuals
 from crosscheck.comparison.samples import Samples
-from newton_euler.balls import SPIN, ends
-from newton_euler.cartesian import Cartesian
-from newton_euler.control import Law
+from newton_euler.equations.balls import SPIN, ends
+from newton_euler.equations.cartesian import Cartesian
 from newton_euler.errors import AssemblyError
-from newton_euler.forces import BallSpring, JointSpring
-from newton_euler.mechanism import Mechanism
+from newton_euler.integrators.stabilize import project_position
+from newton_euler.model.control import Law
+from newton_euler.model.forces import BallSpring, JointSpring
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import Evaluation, State
+from newton_euler.model.tree import SpanningTree
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.stabilize import project_position
-from newton_euler.state import Evaluation, State
-from newton_euler.tree import SpanningTree
 
 OPEN = 1e-11
 """Sizes of the mechanism, rad, and as many a second: what is more is not round-off, see `kinematics`."""

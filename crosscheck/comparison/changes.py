@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.armature import Armature, BallArmature
 from newton_euler.assemble import assemble
-from newton_euler.constraints import Frame, Jacobian
-from newton_euler.control import Law, Sampled
-from newton_euler.couplings import (
+from newton_euler.model.armature import Armature, BallArmature
+from newton_euler.model.constraints import Frame, Jacobian
+from newton_euler.model.control import Law, Sampled
+from newton_euler.model.couplings import (
     Coupling,
     Gear,
     JointCoupling,
@@ -27,15 +27,15 @@ from newton_euler.couplings import (
     couplings,
     residuals,
 )
-from newton_euler.euler_parameters import from_rotation_vector, rotation
-from newton_euler.forces import BallSpring, Force, JointSpring, Wrench
-from newton_euler.joints import Compound, Fixed, Joint, JointEquations, Screw
-from newton_euler.mechanism import Mechanism
-from newton_euler.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
+from newton_euler.model.euler_parameters import from_rotation_vector, rotation
+from newton_euler.model.forces import BallSpring, Force, JointSpring, Wrench
+from newton_euler.model.joints import Compound, Fixed, Joint, JointEquations, Screw
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
+from newton_euler.model.scene import Scene
+from newton_euler.model.tree import SpanningTree
 from newton_euler.parameters import numbered, parameter_values, with_values
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.tree import SpanningTree
 
 CHANGE = 0.1
 """Relative change of an element; of a joint's axes in rad, of its points in sizes of the longest body."""

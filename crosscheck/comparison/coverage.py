@@ -26,6 +26,8 @@ from crosscheck.comparison.changes import Element, Moments, elements
 from crosscheck.comparison.rows import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Row, reach
 from crosscheck.comparison.runs import orientations_apart, positions_apart
 from crosscheck.engines import NATIVE_STEPS, adaptive
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import System, at_time
 from newton_euler.errors import (
     AssemblyError,
     NearlyRedundantWarning,
@@ -33,13 +35,11 @@ from newton_euler.errors import (
     SingularityError,
     StoppedError,
 )
-from newton_euler.relative import Relative
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 from newton_euler.simulate import CompiledScene, simulate
-from newton_euler.state import State
-from newton_euler.system import System, at_time
-from newton_euler.trajectory import Trajectory
 
 MOMENTS = 16
 """Times of the run at which changed constraints are held against it."""

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State, energies
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.state import State, energies
-from newton_euler.trajectory import Trajectory
 
 RANDOM_RATE = 1.0
 """1/s: speeds of `random_states` are of the order of 1 rad/s and one size of the mechanism a second."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from newton_euler.joint_geometry import JointGeometry, stated
-from newton_euler.system import System
+from newton_euler.equations.system import System
+from newton_euler.model.joint_geometry import JointGeometry, stated
 
 
 def joint_geometry(system: System) -> dict[str, JointGeometry]:

@@ -10,7 +10,7 @@ import numpy as np
 from crosscheck.comparison.blame import kinematic_cause
 from crosscheck.comparison.rows import EPSILON, Row, reach, round_off
 from crosscheck.comparison.samples import Samples, Scales
-from newton_euler.euler_parameters import angle_between
+from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 
 

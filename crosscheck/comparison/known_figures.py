@@ -17,9 +17,9 @@ from crosscheck.scenes import FIGURES, SCENES
 from crosscheck.scenes.measure import Figure
 from crosscheck.scenes.options import options_of
 from newton_euler.errors import NewtonEulerError
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.trajectory import Trajectory
 
 ROUND_OFF = 1e-14
 """Share of a figure's largest value that some thousand steps of 1e-16 each leave of it."""

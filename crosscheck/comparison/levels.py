@@ -27,8 +27,8 @@ from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import Engine
 from newton_euler.assemble import random_states
 from newton_euler.errors import AssemblyError
-from newton_euler.mapping import Mapping
-from newton_euler.scene import Scene
+from newton_euler.model.mapping import Mapping
+from newton_euler.model.scene import Scene
 
 __all__ = ["LEVELS", "Row", "compare", "compare_equations", "in_order", "not_compared", "stages"]
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from crosscheck.comparison.rows import ROUND_OFF, Row, reach
 from crosscheck.comparison.samples import Samples
-from newton_euler.euler_parameters import angle_between
-from newton_euler.joint_geometry import JointGeometry
+from newton_euler.model.euler_parameters import angle_between
+from newton_euler.model.joint_geometry import JointGeometry
 from newton_euler.scalars import Array
 
 

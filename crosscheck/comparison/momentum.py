@@ -10,11 +10,11 @@ import numpy as np
 
 from crosscheck.comparison.rows import Row, round_off
 from crosscheck.comparison.samples import Samples, Scales
-from newton_euler.cartesian import Cartesian
-from newton_euler.mechanism import Mechanism
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.sparse import dense
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array, cross
-from newton_euler.sparse import dense
-from newton_euler.state import Evaluation
 
 
 def momentum_row(name: str, samples: Samples) -> Row:

@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.cartesian import Cartesian
-from newton_euler.constraints import Jacobian
-from newton_euler.couplings import couplings
-from newton_euler.redundancy import mobility
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.redundancy import mobility
+from newton_euler.equations.solve import RANK_TOLERANCE, orthonormal_null, orthonormal_range
+from newton_euler.model.constraints import Jacobian
+from newton_euler.model.couplings import couplings
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.solve import RANK_TOLERANCE, orthonormal_null, orthonormal_range
-from newton_euler.state import State
 
 
 class Place(NamedTuple):

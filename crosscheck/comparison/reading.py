@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from crosscheck.comparison.rows import FILE, LEVELS, Row
 from crosscheck.engines import Engine
-from newton_euler.mapping import Mapping
+from newton_euler.model.mapping import Mapping
 from newton_euler.verification.verify import verify
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 
 LEVELS = (
     "reading",

@@ -15,12 +15,12 @@ from crosscheck.comparison.energy import energy_balance
 from crosscheck.comparison.rows import NOISE, OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Row, in_full, reach
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
+from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import NewtonEulerError, StoppedError
-from newton_euler.euler_parameters import angle_between
-from newton_euler.redundancy import mobility
+from newton_euler.model.euler_parameters import angle_between
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.trajectory import Trajectory
 
 Gap = Callable[[Trajectory, Trajectory], Array]
 """How far two runs are apart, (n,) at all times or (n, bodies or joints)."""

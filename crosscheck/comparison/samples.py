@@ -14,14 +14,14 @@ from crosscheck.comparison.joint_geometry import joint_geometry
 from crosscheck.comparison.reactions import undetermined
 from crosscheck.comparison.terms import mass_and_force
 from crosscheck.errors import CrosscheckError
-from newton_euler.joint_geometry import JointGeometry
-from newton_euler.redundancy import mobility, rows_left_out, without
-from newton_euler.relative import Relative
+from newton_euler.equations.redundancy import mobility, rows_left_out, without
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.solve import numerical_rank, orthonormal_null, orthonormal_range, singular_values
+from newton_euler.equations.system import System, dimensionless_jacobian
+from newton_euler.model.joint_geometry import JointGeometry
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import Evaluation, MassProperties, State
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.solve import numerical_rank, orthonormal_null, orthonormal_range, singular_values
-from newton_euler.state import Evaluation, MassProperties, State
-from newton_euler.system import System, dimensionless_jacobian
 
 
 @contextmanager

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from newton_euler.cartesian import Cartesian
-from newton_euler.relative import Relative
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import System
 from newton_euler.scalars import Array
-from newton_euler.system import System
 
 
 def mass_and_force(system: System, q: Array, v: Array) -> tuple[Array, Array]:

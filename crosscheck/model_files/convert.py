@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.control import PD, Sampled
-from newton_euler.forces import JointSpring
-from newton_euler.mapping import CONTROL, FORCE, ROTOR, Mapping
-from newton_euler.scene import Scene
+from newton_euler.model.control import PD, Sampled
+from newton_euler.model.forces import JointSpring
+from newton_euler.model.mapping import CONTROL, FORCE, ROTOR, Mapping
+from newton_euler.model.scene import Scene
 from urdf.write import loops_path
 
 SCENE_FILES = (".yaml", ".yml", ".json")

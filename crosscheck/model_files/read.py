@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.mapping import FATES, Mapped
-from newton_euler.mapping import Mapping as MappingReport
-from newton_euler.scene import Scene
-from newton_euler.xml_source import LARGEST
+from newton_euler.model.mapping import FATES, Mapped
+from newton_euler.model.mapping import Mapping as MappingReport
+from newton_euler.model.scene import Scene
+from newton_euler.model.xml_source import LARGEST
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 

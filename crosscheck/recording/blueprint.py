@@ -7,7 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from crosscheck.recording.plots import Plot
-from newton_euler.mechanism import Mechanism
+from newton_euler.model.mechanism import Mechanism
 
 EYE_DIRECTION = np.array([0.5, -0.72, 0.5])
 """From the mechanism to the camera."""

@@ -83,9 +83,9 @@ class Destination:
         if self.to_file:
             yield Sent()
             return
-        from crosscheck.output import tidied_up
         from crosscheck.recording import server
         from crosscheck.recording.log import log_run, new_recording, recorded
+        from crosscheck.report.output import tidied_up
 
         if self.stdout:
             content = recorded(result.scene, result.runs, verdict, result.title)

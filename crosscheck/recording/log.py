@@ -31,11 +31,11 @@ import rerun as rr
 from crosscheck.recording.blueprint import blueprint
 from crosscheck.recording.plots import Plot, panel, plots, rotated
 from crosscheck.recording.shapes import Style, log_shapes, xyzw
-from newton_euler.mechanism import Mechanism
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.shapes import Box
+from newton_euler.model.trajectory import Trajectory, atomic_file
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.shapes import Box
-from newton_euler.trajectory import Trajectory, atomic_file
 
 COLORS = ((230, 159, 0), (86, 180, 233), (204, 121, 167), (0, 158, 115))
 """One colour an engine: M. Okabe and K. Ito, Color Universal Design, 2008."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from newton_euler.euler_parameters import angle_between, conjugate, product
-from newton_euler.joints import Joint, Motion
-from newton_euler.mechanism import Mechanism
+from newton_euler.model.euler_parameters import angle_between, conjugate, product
+from newton_euler.model.joints import Joint, Motion
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.shapes import Box
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.shapes import Box
-from newton_euler.trajectory import Trajectory
 
 SMALLEST = 1e-18
 """Where logarithms are cut off, so that a difference of zero can be drawn."""

@@ -17,7 +17,7 @@ from rerun.experimental import ViewerClient
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.recording.server import LOOPBACK, PATIENCE, end, free_port, start
-from newton_euler.trajectory import atomic_file
+from newton_euler.model.trajectory import atomic_file
 
 WINDOW = "1600x900"
 SETTLE = 2.0

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 
-from newton_euler.euler_parameters import conjugate, from_rotation, product
-from newton_euler.joints import perpendicular_pair
-from newton_euler.joints.base import Pose
-from newton_euler.mechanism import Mechanism
+from newton_euler.model.euler_parameters import conjugate, from_rotation, product
+from newton_euler.model.joints import perpendicular_pair
+from newton_euler.model.joints.base import Pose
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.shapes import Box, Capsule, Mesh
 from newton_euler.scalars import Array
-from newton_euler.shapes import Box, Capsule, Mesh
 
 HULL_OPACITY = 70
 """Of 255, of meshes of engines after the first."""

@@ -28,11 +28,11 @@ from crosscheck.regress.values import Value
 from newton_euler import compile_scene
 from newton_euler.compiled import FORMULATIONS
 from newton_euler.errors import NewtonEulerError
-from newton_euler.mapping import Mapping
+from newton_euler.model.mapping import Mapping
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.state import State
-from newton_euler.trajectory import Trajectory
 
 FACTOR = 10.0
 """Two siblings show an error's size, not its bound."""

@@ -20,9 +20,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from crosscheck.errors import CrosscheckError
 from crosscheck.results import read_json
 from crosscheck.scenes.file_entries import Number
-from newton_euler.mapping import Fate, Mapping
+from newton_euler.model.mapping import Fate, Mapping
+from newton_euler.model.state import State
 from newton_euler.scalars import Array
-from newton_euler.state import State
 
 PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin", "crosscheck")
 
@@ -71,7 +71,7 @@ class Figure(_Strict):
 
 
 class StoredState(_Strict):
-    """A state of all bodies, as `newton_euler.state.State`."""
+    """A state of all bodies, as `newton_euler.model.state.State`."""
 
     position: list[list[Number]]
     quaternion: list[list[Number]]
@@ -99,8 +99,8 @@ class Carried(_Strict):
     """A part of what a model file holds and its scene does not hold as it is, and that moves something.
 
     Attributes:
-        element, values: see `newton_euler.mapping.Part`; with the joints and bodies that it is about.
-        topic, fate, how: see `newton_euler.mapping.Mapped`.
+        element, values: see `newton_euler.model.mapping.Part`; with the joints and bodies that it is about.
+        topic, fate, how: see `newton_euler.model.mapping.Mapped`.
     """
 
     element: str

@@ -12,9 +12,9 @@ from crosscheck.against.pairs import pair_parts
 from crosscheck.regress.baseline import Baseline, Carried, Figure, Record, versions
 from crosscheck.regress.measure import MAIN, measure_group, regress_scene
 from crosscheck.regress.values import Value
-from newton_euler.mapping import Mapping, differing, room
+from newton_euler.model.mapping import Mapping, differing, room
+from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 
 MODEL_FILE = "model file"
 """In place of the group of a figure: what a file holds and no scene does."""

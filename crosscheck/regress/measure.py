@@ -27,13 +27,13 @@ from crosscheck.regress.values import (
 )
 from newton_euler import compile_scene
 from newton_euler.compiled import FORMULATIONS, formulate
+from newton_euler.equations.system import System, at_time
+from newton_euler.integrators.stabilize import PAPER_ALPHA
+from newton_euler.model.scene import OUTPUTS, Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import OUTPUTS, Scene
 from newton_euler.simulate import CompiledScene
-from newton_euler.stabilize import PAPER_ALPHA
-from newton_euler.state import State
-from newton_euler.system import System, at_time
-from newton_euler.trajectory import Trajectory
 
 OUTPUT_COUNT = 25
 """Output times of a whole run beside the start: enough to tell when it parts from the baseline."""

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.output import tidied_up
 from crosscheck.regress.baseline import Baseline
 from crosscheck.regress.measure import MAIN, main_run, regress_scene
+from crosscheck.report.output import tidied_up
 from newton_euler.errors import NewtonEulerError
-from newton_euler.scene import Scene
-from newton_euler.trajectory import Trajectory
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 
 
 def write(path: Path, scene: Scene, baseline: Baseline, diverges: float | None, verdict: str) -> bool:

@@ -12,15 +12,15 @@ from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_no_source, check_writable
-from crosscheck.output import tidied_up
 from crosscheck.regress import bands, recording
 from crosscheck.regress.baseline import Baseline, read
 from crosscheck.regress.compare import Comparison, compare
 from crosscheck.regress.report import as_json, junit, markdown
+from crosscheck.report.output import tidied_up
 from crosscheck.scenes import SCENES
-from newton_euler.mapping import Mapping
-from newton_euler.scene import Scene
-from newton_euler.trajectory import atomic_file
+from newton_euler.model.mapping import Mapping
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import atomic_file
 
 STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
 """The variable in which GitHub names the file for a step's summary."""

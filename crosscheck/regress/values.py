@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from crosscheck.comparison.energy import energy_balance
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import Evaluation
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.state import Evaluation
-from newton_euler.trajectory import Trajectory
 
 XYZ = ("x", "y", "z")
 WXYZ = ("w", "x", "y", "z")

@@ -22,7 +22,7 @@ from crosscheck.scenes import (
 )
 from crosscheck.scenes.measure import Figures
 from crosscheck.scenes.options import options_of
-from newton_euler.scene import Scene
+from newton_euler.model.scene import Scene
 
 SCENES: dict[str, Callable[..., Scene]] = {
     "tracker": tracker.tracker,

@@ -11,12 +11,12 @@ from __future__ import annotations
 import numpy as np
 
 from crosscheck.scenes.measure import Figure, angle, angular_velocity, components, position
-from newton_euler.forces import PointSpring, Wrench
-from newton_euler.joints import Joint, Revolute, Spherical
-from newton_euler.mechanism import Body, Mechanism
+from newton_euler.model.forces import PointSpring, Wrench
+from newton_euler.model.joints import Joint, Revolute, Spherical
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.trajectory import Trajectory
 
 BETA, THETA, GAMMA, PHI, DELTA, OMEGA, EPSILON = (
     -0.0617138900142764496358948458001,

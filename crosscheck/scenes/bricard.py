@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from crosscheck.scenes.measure import Figure, angle, angular_velocity, components, position, velocity
-from newton_euler.joints import Revolute
-from newton_euler.mechanism import Body, Mechanism
-from newton_euler.scene import Scene
+from newton_euler.model.joints import Revolute
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
 
 MASS = 1.0
 """Of a bar, kg."""

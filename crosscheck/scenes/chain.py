@@ -8,9 +8,9 @@ import numpy as np
 
 from crosscheck.scenes.options import Range
 from crosscheck.scenes.rod import LENGTH, rod
-from newton_euler.joints import Revolute
-from newton_euler.mechanism import Body, Mechanism
-from newton_euler.scene import Scene
+from newton_euler.model.joints import Revolute
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
 
 X, Y, Z = np.eye(3)
 

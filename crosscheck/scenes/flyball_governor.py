@@ -12,14 +12,14 @@ from __future__ import annotations
 import numpy as np
 
 from crosscheck.scenes.measure import Figure, angle, angular_velocity, position, velocity
-from newton_euler.euler_parameters import rotations
-from newton_euler.forces import PointSpring
-from newton_euler.joints import Prismatic, Revolute
-from newton_euler.mechanism import Body, Mechanism
+from newton_euler.model.euler_parameters import rotations
+from newton_euler.model.forces import PointSpring
+from newton_euler.model.joints import Prismatic, Revolute
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.state import State
-from newton_euler.trajectory import Trajectory
 
 BAR_MASS, BAR_LENGTH, SECTION = 0.3, 1.0, 0.01
 """Of the shaft and of each arm, kg and m."""

@@ -9,10 +9,10 @@ import numpy as np
 from crosscheck.scenes.measure import Figure, angular_velocity, components, position, velocity
 from crosscheck.scenes.options import Range
 from crosscheck.scenes.rod import LENGTH, rod
-from newton_euler.joints import Joint, Revolute, Spherical
-from newton_euler.mechanism import Body, Mechanism
-from newton_euler.scene import Scene
-from newton_euler.state import State
+from newton_euler.model.joints import Joint, Revolute, Spherical
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 
 SPEED = 1.0
 """Of the couplers at the start, along x, m/s."""

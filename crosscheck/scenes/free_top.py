@@ -13,10 +13,10 @@ from typing import Literal
 import numpy as np
 
 from crosscheck.scenes.measure import Figure, components, quaternion, spin
-from newton_euler.joints import Free
-from newton_euler.mechanism import Body, Mechanism
-from newton_euler.scene import Scene
-from newton_euler.state import State
+from newton_euler.model.joints import Free
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 
 CASES = {
     "general": ((1.0, 2.0, 3.0), (0.3, -0.7, 1.1)),

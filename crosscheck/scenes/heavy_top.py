@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from crosscheck.scenes.measure import Figure, components, position, quaternion, spin
-from newton_euler.joints import Spherical
-from newton_euler.mechanism import Body, Mechanism
-from newton_euler.scene import Scene
-from newton_euler.state import State
+from newton_euler.model.joints import Spherical
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 
 MASS = 15.0
 """kg."""

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from newton_euler.euler_parameters import rotations
+from newton_euler.model.euler_parameters import rotations
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.trajectory import Trajectory
 
 Figure = Callable[[Trajectory], Array]
 """A measured quantity (n,) at the output times of a run; SI."""

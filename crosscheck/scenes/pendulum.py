@@ -14,11 +14,11 @@ from __future__ import annotations
 import numpy as np
 
 from crosscheck.scenes.measure import Figure, components, position, velocity
-from newton_euler.joints import Revolute
-from newton_euler.mechanism import Body, Mechanism
+from newton_euler.model.joints import Revolute
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.trajectory import Trajectory
 
 MASS = 1.0
 """Of the point, kg."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from newton_euler.mechanism import Body
+from newton_euler.model.mechanism import Body
 from newton_euler.scalars import Array
 
 MASS = 1.0

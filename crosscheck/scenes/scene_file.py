@@ -1,7 +1,7 @@
 """Scenes from YAML or JSON files.
 
-`newton_euler.yaml_source` or the JSON parser make plain lists, dictionaries and texts of a file, pydantic
-checks the form, and the mechanism checks the mechanics.
+`newton_euler.model.yaml_source` or the JSON parser make plain lists, dictionaries and texts of a file,
+pydantic checks the form, and the mechanism checks the mechanics.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from pydantic import ValidationError
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes.file_entries import SceneEntry
 from newton_euler.errors import NewtonEulerError
-from newton_euler.scene import Scene
-from newton_euler.source_file import SourceError, read_text, shortened
-from newton_euler.yaml_source import parse_yaml
+from newton_euler.model.scene import Scene
+from newton_euler.model.source_file import SourceError, read_text, shortened
+from newton_euler.model.yaml_source import parse_yaml
 
 
 def read_scene(path: str) -> Scene:

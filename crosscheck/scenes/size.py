@@ -9,12 +9,12 @@ import numpy as np
 
 from crosscheck.errors import CrosscheckError
 from mjcf.write import TIMESTEP
-from newton_euler.control import PD, Law
 from newton_euler.limits import exceeded
-from newton_euler.mechanism import Mechanism
-from newton_euler.motions import Polynomial, PrescribedMotion, Sine, TimeFunction
-from newton_euler.scene import Scene
-from newton_euler.tree import SpanningTree
+from newton_euler.model.control import PD, Law
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, TimeFunction
+from newton_euler.model.scene import Scene
+from newton_euler.model.tree import SpanningTree
 
 
 def check_scene(scene: Scene) -> None:

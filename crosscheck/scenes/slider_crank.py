@@ -13,11 +13,11 @@ from typing import Literal
 import numpy as np
 
 from crosscheck.scenes.measure import Figure, angle, angular_velocity, position, velocity
-from newton_euler.joints import Prismatic, Revolute, Spherical, Universal
-from newton_euler.mechanism import Body, Mechanism
+from newton_euler.model.joints import Prismatic, Revolute, Spherical, Universal
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.state import State
 
 PIVOT, PIN, WRIST = np.array([0.0, 0.1, 0.12]), np.array([0.0, 0.1, 0.2]), np.array([0.2, 0.0, 0.0])
 """Crank's pivot, ball at its end and universal joint at the slider, m."""

@@ -11,12 +11,12 @@ from __future__ import annotations
 import numpy as np
 
 from crosscheck.scenes.measure import Figure, angular_velocity, components, position, quaternion, velocity
-from newton_euler.forces import JointSpring
-from newton_euler.joints import Cylindrical, Joint, Universal
-from newton_euler.mechanism import Body, Mechanism
+from newton_euler.model.forces import JointSpring
+from newton_euler.model.joints import Cylindrical, Joint, Universal
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.trajectory import Trajectory
 
 X, Y, Z = np.eye(3)
 

@@ -9,13 +9,13 @@ from typing import Any, Literal
 import numpy as np
 
 from crosscheck.scenes.tracker_tables import BODY_NAMES, Tables, corrected_tables
-from newton_euler.control import PD
-from newton_euler.euler_parameters import rotation
-from newton_euler.joints import JOINT_KINDS, Joint
-from newton_euler.mechanism import Body, Mechanism
+from newton_euler.model.control import PD
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.joints import JOINT_KINDS, Joint
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.shapes import Box, Capsule, Shape
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.shapes import Box, Capsule, Shape
 
 TARGET_HEIGHT = 0.046
 """Wanted height of both sliders' centres of mass, m (section 4)."""

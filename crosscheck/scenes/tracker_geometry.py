@@ -23,7 +23,7 @@ from scipy.optimize import least_squares, root
 
 from crosscheck.scenes.tracker import TARGET_HEIGHT, joint_data
 from crosscheck.scenes.tracker_tables import corrected_tables
-from newton_euler.euler_parameters import from_rotation_vector, rotation
+from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.scalars import Array
 
 TABLES = corrected_tables()

@@ -129,7 +129,7 @@ ERRATA = (
         "eq. (23)",
         "u = K_p e + K_d de/dt with e = z - z_d, a positive feedback",
         "u = -(K_p e + K_d de/dt)",
-        "newton_euler.control.PD",
+        "newton_euler.model.control.PD",
     ),
     Erratum(3, "section 4", "z_2d twice", "the second is z_3d", "both targets are 0.046 m"),
     Erratum(

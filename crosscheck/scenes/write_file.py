@@ -12,16 +12,16 @@ import numpy as np
 import yaml
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.armature import BallArmature
-from newton_euler.control import PD
-from newton_euler.couplings import Gear
-from newton_euler.forces import BallSpring, JointSpring, PointSpring, Wrench
-from newton_euler.joints import Compound, Joint, Screw
-from newton_euler.motions import Polynomial, Sine, TimeFunction
-from newton_euler.scene import REDUNDANCY_TOLERANCE, Scene
-from newton_euler.shapes import Box, Shape
-from newton_euler.state import State
-from newton_euler.trajectory import atomic_file
+from newton_euler.model.armature import BallArmature
+from newton_euler.model.control import PD
+from newton_euler.model.couplings import Gear
+from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.joints import Compound, Joint, Screw
+from newton_euler.model.motions import Polynomial, Sine, TimeFunction
+from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
+from newton_euler.model.shapes import Box, Shape
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import atomic_file
 
 KINDS: dict[type[Any], str] = {
     JointSpring: "joint_spring",

@@ -25,20 +25,20 @@ from crosscheck.comparison.rows import Row
 from crosscheck.comparison.runs import compare_runs
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.errors import CrosscheckError
-from crosscheck.faults import plant
-from crosscheck.faults.plant import Plant
 from crosscheck.model_files.read import is_model
 from crosscheck.scenes import load
+from crosscheck.studies.faults import plant
+from crosscheck.studies.faults.plant import Plant
 from newton_euler.assemble import assemble
-from newton_euler.control import PD
-from newton_euler.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.errors import NewtonEulerError
-from newton_euler.forces import JointSpring, PointSpring, Wrench
-from newton_euler.joints import Compound, Joint
-from newton_euler.motions import Polynomial, Sine, Sum, TimeFunction
+from newton_euler.model.control import PD
+from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
+from newton_euler.model.forces import JointSpring, PointSpring, Wrench
+from newton_euler.model.joints import Compound, Joint
+from newton_euler.model.motions import Polynomial, Sine, Sum, TimeFunction
+from newton_euler.model.scene import Scene
+from newton_euler.model.tree import SpanningTree
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.tree import SpanningTree
 
 SIZE = 0.1
 """Of changes: relative, in rad, and in sizes of the longest body."""

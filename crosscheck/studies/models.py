@@ -26,8 +26,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.model_files.read import is_urdf
-from newton_euler.mapping import FATES, Mapped, Mapping
-from newton_euler.trajectory import atomic_file
+from newton_euler.model.mapping import FATES, Mapped, Mapping
+from newton_euler.model.trajectory import atomic_file
 
 LIMIT = 600.0
 """s of wall time for one model."""

@@ -29,12 +29,12 @@ from mjcf.reading.laws import Acting, Affine, Drive, control_for, swinging
 from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
-from newton_euler.activity import Bounds
-from newton_euler.control import PD
-from newton_euler.forces import Wrench
-from newton_euler.mapping import CONTROL, FORCE, ROTOR, Mapping
-from newton_euler.measured import Key
-from newton_euler.motions import Sine
+from newton_euler.model.activity import Bounds
+from newton_euler.model.control import PD
+from newton_euler.model.forces import Wrench
+from newton_euler.model.mapping import CONTROL, FORCE, ROTOR, Mapping
+from newton_euler.model.measured import Key
+from newton_euler.model.motions import Sine
 from newton_euler.scalars import Array
 
 TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias

@@ -10,11 +10,11 @@ import numpy as np
 from mjcf.reading.meshes import meshes, visible_geoms
 from mjcf.reading.source import SourceError
 from mjcf.reading.start import Start
-from newton_euler.euler_parameters import rotation
-from newton_euler.mapping import Mapping, unique_name
-from newton_euler.mechanism import REALISABLE_TOLERANCE, Body
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.mapping import Mapping, unique_name
+from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body
+from newton_euler.model.shapes import Box, Capsule, Shape
 from newton_euler.scalars import Array
-from newton_euler.shapes import Box, Capsule, Shape
 
 GROUND = "ground"
 

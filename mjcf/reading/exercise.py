@@ -9,9 +9,9 @@ import numpy as np
 
 from mjcf.reading.laws import Drive
 from newton_euler.exercise import swings
-from newton_euler.motions import Sine
+from newton_euler.model.motions import Sine
+from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
 
 
 class Exercise(NamedTuple):

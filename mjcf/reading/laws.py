@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from newton_euler.control import PD
 from newton_euler.exercise import HIGHEST
-from newton_euler.measured import Key
-from newton_euler.motions import Sine, Sum
+from newton_euler.model.control import PD
+from newton_euler.model.measured import Key
+from newton_euler.model.motions import Sine, Sum
 
 
 class Affine(NamedTuple):

@@ -11,8 +11,8 @@ from mjcf.reading.joints import Joints
 from mjcf.reading.loops import fixed
 from mjcf.reading.poses import Poses, Stretched, Touching
 from mjcf.reading.start import Start
-from newton_euler.activity import Bounds, Rest, Watch
-from newton_euler.mapping import CONTACTS, FRICTION, LIMITS, Mapping, Part, value
+from newton_euler.model.activity import Bounds, Rest, Watch
+from newton_euler.model.mapping import CONTACTS, FRICTION, LIMITS, Mapping, Part, value
 
 UNSEEN = {
     "sensor": "sensors",

@@ -9,11 +9,11 @@ from mjcf.reading.bodies import Bodies, site_point
 from mjcf.reading.held import Held
 from mjcf.reading.joints import Joints
 from mjcf.reading.start import TORQUE_SCALE, Start
-from newton_euler.couplings import Gear, JointCoupling, LinearCoupling
-from newton_euler.joints import Fixed, Joint, Rod, Spherical
-from newton_euler.mapping import Mapping, unique_name
-from newton_euler.measured import Key
-from newton_euler.motions import Polynomial, PrescribedMotion
+from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
+from newton_euler.model.joints import Fixed, Joint, Rod, Spherical
+from newton_euler.model.mapping import Mapping, unique_name
+from newton_euler.model.measured import Key
+from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.scalars import Array
 
 RIGID = "held rigidly, where MuJoCo's solref and solimp let it give way"

@@ -8,8 +8,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from newton_euler.model.shapes import Mesh
 from newton_euler.scalars import Array
-from newton_euler.shapes import Mesh
 
 FIRST_HIDDEN_GROUP = 3
 """Geom groups from here on are not shown at first; models keep shapes for collisions there."""

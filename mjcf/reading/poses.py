@@ -11,8 +11,8 @@ import numpy as np
 
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.start import Start
-from newton_euler.activity import Course, Judged
-from newton_euler.euler_parameters import rotation
+from newton_euler.model.activity import Course, Judged
+from newton_euler.model.euler_parameters import rotation
 from newton_euler.scalars import Array
 
 CARRIED = (("geom_xpos", "geom_xmat"), ("site_xpos", "site_xmat"), ("xipos", "ximat"), ("xpos", "xmat"))

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from mjcf.errors import MjcfError
-from newton_euler import source_file
 from newton_euler.limits import MB, exceeded, limit, size_in_bytes, too_small
-from newton_euler.source_file import read_text
-from newton_euler.xml_source import LARGEST, NOT_FINITE, scan
+from newton_euler.model import source_file
+from newton_euler.model.source_file import read_text
+from newton_euler.model.xml_source import LARGEST, NOT_FINITE, scan
 
 WALL_TIME = 60.0
 """s, for a compiler that waits for something."""

@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 
 from mjcf.reading.source import SourceError
-from newton_euler.branch import assembled, branch
-from newton_euler.closure import CLOSED, Units, close, reach
-from newton_euler.mapping import Mapping
-from newton_euler.mechanism import spread
+from newton_euler.equations.branch import assembled, branch
+from newton_euler.equations.closure import CLOSED, Units, close, reach
+from newton_euler.equations.solve import largest
+from newton_euler.model.mapping import Mapping
+from newton_euler.model.mechanism import spread
 from newton_euler.scalars import Array
-from newton_euler.solve import largest
 
 TORQUE_SCALE = 10
 """Where `eq_data` of a weld has the factor on its last three residuals, the vector part of a quaternion."""

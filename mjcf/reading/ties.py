@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from newton_euler.couplings import Gear, JointCoupling
-from newton_euler.measured import Key
+from newton_euler.model.couplings import Gear, JointCoupling
+from newton_euler.model.measured import Key
 
 
 class Ties:

@@ -11,10 +11,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from newton_euler.euler_parameters import angle_between
+from newton_euler.equations.solve import least_squares, singular_values
+from newton_euler.model.euler_parameters import angle_between
+from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array
-from newton_euler.solve import least_squares, singular_values
-from newton_euler.state import Evaluation
 from newton_euler.verification.figure import Figure, figure, worst
 from newton_euler.verification.forces import largest, row_figure
 from newton_euler.verification.placed import Place, Placed

@@ -1,6 +1,7 @@
 """Forces and armatures of a scene against those of a file's own model, in the file's independent velocities.
 
-What a scene's element does is evaluated as `newton_euler.forces` states it, where the file has the bodies.
+What a scene's element does is evaluated as `newton_euler.model.forces` states it, where the file has the
+bodies.
 """
 
 from __future__ import annotations
@@ -10,14 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from newton_euler.armature import BallArmature
-from newton_euler.balls import SPIN, ends
-from newton_euler.force_terms import body_wrenches
-from newton_euler.forces import Wrench
+from newton_euler.equations.balls import SPIN, ends
+from newton_euler.equations.force_terms import body_wrenches
+from newton_euler.equations.solve import least_squares
+from newton_euler.model.armature import BallArmature
+from newton_euler.model.forces import Wrench
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.solve import least_squares
-from newton_euler.state import State
 from newton_euler.verification.figure import SPREAD, Figure, figure, positive, worst
 from newton_euler.verification.original import Original
 from newton_euler.verification.placed import Place, Placed

@@ -13,11 +13,11 @@ from functools import cached_property
 
 import numpy as np
 
-from newton_euler.mapping import Mapping
+from newton_euler.equations.solve import least_squares
+from newton_euler.model.mapping import Mapping
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import MassProperties
 from newton_euler.scalars import Array
-from newton_euler.scene import Scene
-from newton_euler.solve import least_squares
-from newton_euler.state import MassProperties
 from newton_euler.verification.sample import (
     DOUBT,
     Constraints,
@@ -221,7 +221,7 @@ class Original(ABC):
 
 
 def wholes(names: Sequence[str], bodies: Sequence[str]) -> tuple[str, ...]:
-    """Names with those of halves, as of `newton_euler.tree.weld_loops`, replaced by their bodies'."""
+    """Names with those of halves, as of `newton_euler.model.tree.weld_loops`, replaced by their bodies'."""
     known = set(bodies)
     found = []
     for name in names:

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from newton_euler.equations.solve import singular_values
 from newton_euler.scalars import Array
-from newton_euler.solve import singular_values
 
 if TYPE_CHECKING:
     from newton_euler.verification.original import Original

@@ -22,10 +22,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import System
 from newton_euler.errors import NewtonEulerError, VerificationError
-from newton_euler.mapping import Mapping
-from newton_euler.relative import Relative
-from newton_euler.system import System
+from newton_euler.model.mapping import Mapping
 from newton_euler.verification.dynamics import system_figures
 from newton_euler.verification.figure import Figure, worst
 from newton_euler.verification.forces import force_figures

@@ -8,9 +8,9 @@ from collections import Counter
 
 import numpy as np
 
-from newton_euler import source_file
 from newton_euler.limits import exceeded
-from newton_euler.xml_source import LARGEST, scan
+from newton_euler.model import source_file
+from newton_euler.model.xml_source import LARGEST, scan
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import Loops, parse_loops
 

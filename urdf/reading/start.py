@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.branch import assembled, branch
-from newton_euler.closure import CLOSED, Units, close, reach
-from newton_euler.mapping import Mapping
-from newton_euler.mechanism import spread
+from newton_euler.equations.branch import assembled, branch
+from newton_euler.equations.closure import CLOSED, Units, close, reach
+from newton_euler.equations.solve import largest
+from newton_euler.model.mapping import Mapping
+from newton_euler.model.mechanism import spread
 from newton_euler.scalars import Array
-from newton_euler.solve import largest
 from urdf.closures import Closures
 from urdf.loops import Loops
 from urdf.model import ClosedLoopModel

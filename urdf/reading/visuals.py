@@ -16,10 +16,10 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.errors import NewtonEulerError
-from newton_euler.mapping import Mapping
-from newton_euler.mechanism import Body
+from newton_euler.model.mapping import Mapping
+from newton_euler.model.mechanism import Body
+from newton_euler.model.shapes import Box, Capsule, Mesh, Shape
 from newton_euler.scalars import Array
-from newton_euler.shapes import Box, Capsule, Mesh, Shape
 from urdf.reading.bodies import Tree
 from urdf.reading.start import Start
 

@@ -1,0 +1,1 @@
+"""Tables of results in the terminal, as files and as pages."""

@@ -1,0 +1,153 @@
+"""Pictures of the runs of a crosscheck, from the arrays that it saved."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from crosscheck.figures import STYLES
+from newton_euler.model.euler_parameters import angle_between
+from newton_euler.scalars import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SMALLEST = 1e-18
+"""Where logarithms are cut off, so that zero can be drawn."""
+
+MOST_BODIES = 4
+"""Bodies whose paths are drawn: those that move the furthest."""
+
+MOST_ACTUATORS = 4
+"""Actuators whose forces are drawn: the first."""
+
+OTHER_STYLE = ("#555555", "-.", 1.6)
+"""Of an engine that `STYLES` does not know."""
+
+Runs = Mapping[str, Mapping[str, Array]]
+"""Arrays of `Trajectory.arrays` by name, by engine; the first engine is what others are compared with."""
+
+Line = tuple[str, str, Array, Array]
+"""Label of its panel, engine, times and values."""
+
+
+def pictures(runs: Runs) -> Iterator[tuple[bytes, str]]:
+    """Pictures (PNG) and captions; what was not saved is left out."""
+    for draw in (_differences, _drift, _energy, _balance, _paths, _control):
+        yield from draw(runs)
+
+
+def png(figure: Figure) -> bytes:
+    content = io.BytesIO()
+    figure.savefig(content, dpi=100, format="png")
+    return content.getvalue()
+
+
+def _axes(labels: list[str]) -> tuple[Figure, list[Axes]]:
+    """Panels side by side, over time."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.6 * max(len(labels), 2), 3.2), layout="constrained")
+    axes = [figure.add_subplot(1, len(labels), k + 1) for k in range(len(labels))]
+    for ax, label in zip(axes, labels, strict=True):
+        ax.set_title(label, fontsize="medium")
+        ax.set_xlabel("time, s")
+        ax.grid(alpha=0.3)
+    return figure, axes
+
+
+def _plot(ax: Axes, engine: str, time: Array, values: Array) -> None:
+    color, dash, width = STYLES.get(engine, OTHER_STYLE)
+    ax.plot(time, values, color=color, linestyle=dash, linewidth=width, label=engine)
+
+
+def _over_time(runs: Runs, name: str, label: str) -> Iterator[Line]:
+    """Of those runs that have an array."""
+    for engine, run in runs.items():
+        if name in run:
+            yield label, engine, run["time"], run[name]
+
+
+def _drawn(lines: list[Line], caption: str, logarithmic: bool = False) -> Iterator[tuple[bytes, str]]:
+    """One picture, a panel for each label; none without lines."""
+    labels = list(dict.fromkeys(label for label, *_ in lines))
+    if not labels:
+        return
+    figure, axes = _axes(labels)
+    for label, engine, time, values in lines:
+        _plot(axes[labels.index(label)], engine, time, values)
+    for ax in axes:
+        if logarithmic:
+            ax.set_yscale("log")
+    axes[0].legend(loc="best", fontsize="small")
+    yield png(figure), caption
+
+
+def _differences(runs: Runs) -> Iterator[tuple[bytes, str]]:
+    reference, *others = runs.items()
+    lines = []
+    for engine, run in others:
+        n = min(len(run["time"]), len(reference[1]["time"]))  # a run may have ended early
+        first, other, time = reference[1], run, run["time"][:n]
+        distance = np.linalg.norm(other["position"][:n] - first["position"][:n], axis=2).max(axis=1)
+        angle = angle_between(first["quaternion"][:n], other["quaternion"][:n]).max(axis=1)
+        lines.append(("position, m", engine, time, np.maximum(distance, SMALLEST)))
+        lines.append(("orientation, rad", engine, time, np.maximum(angle, SMALLEST)))
+    caption = f"Difference from {reference[0]}, largest over the bodies"
+    yield from _drawn(lines, caption, logarithmic=True)
+
+
+def _drift(runs: Runs) -> Iterator[tuple[bytes, str]]:
+    lines = [
+        (label, engine, time, np.maximum(violation.max(axis=1, initial=0.0), SMALLEST))
+        for label, engine, time, violation in _over_time(
+            runs, "constraint_violation", "largest over the joints, m or rad"
+        )
+    ]
+    yield from _drawn(lines, "Drift: how far joints are open", logarithmic=True)
+
+
+def _energy(runs: Runs) -> Iterator[tuple[bytes, str]]:
+    lines = [*_over_time(runs, "kinetic_energy", "kinetic, J")]
+    lines += _over_time(runs, "potential_energy", "potential, J")
+    lines += _over_time(runs, "work", "work done by what has no potential, J")
+    yield from _drawn(lines, "Energy")
+
+
+def _balance(runs: Runs) -> Iterator[tuple[bytes, str]]:
+    lines = []
+    for engine, run in runs.items():
+        if {"kinetic_energy", "potential_energy", "work"} <= run.keys():
+            total = run["kinetic_energy"] + run["potential_energy"] - run["work"]
+            change = np.maximum(np.abs(total - total[0]), SMALLEST)
+            lines.append(("energy less work, change since the start, J", engine, run["time"], change))
+    yield from _drawn(lines, "Energy balance", logarithmic=True)
+
+
+def _paths(runs: Runs) -> Iterator[tuple[bytes, str]]:
+    """Centres of mass of the bodies that move the furthest."""
+    first = next(iter(runs.values()))
+    moved = np.ptp(first["position"], axis=0).max(axis=1)
+    furthest = [int(k) for k in np.argsort(-moved, kind="stable")[:MOST_BODIES] if moved[k] > 0.0]
+    for body in sorted(furthest):
+        name = str(first["body_names"][body])
+        lines = [
+            (f"{letter}, m", engine, run["time"], run["position"][:, body, axis])
+            for axis, letter in enumerate("xyz")
+            for engine, run in runs.items()
+        ]
+        yield from _drawn(lines, f"Centre of mass of {name}")
+
+
+def _control(runs: Runs) -> Iterator[tuple[bytes, str]]:
+    lines = []
+    for engine, run in runs.items():
+        for k, force in enumerate(
+            run["actuator_force"].T[:MOST_ACTUATORS] if "actuator_force" in run else ()
+        ):
+            lines.append((f"actuator {k + 1}, N or N m", engine, run["time"], force))
+    yield from _drawn(lines, "Control")

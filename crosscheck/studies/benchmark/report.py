@@ -1,0 +1,267 @@
+"""What a benchmark found, as tables, in words and as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from crosscheck.studies.benchmark.engines import ENGINES, JUDGED, Benchmark
+from crosscheck.studies.benchmark.work_precision import Measurement
+
+DECADES = tuple(10.0**-power for power in range(3, 12))
+"""Errors, m and rad, that the table has a row for."""
+
+OTHERS = tuple(engine for engine in ENGINES if engine != JUDGED)
+
+
+class Row(NamedTuple):
+    """The cheapest setting of each engine that reaches an error.
+
+    Attributes:
+        error: m and rad.
+        cheapest: by engine; None where none reaches it.
+        notes: where `newton_euler` is not the fastest or an engine falls short, and why.
+    """
+
+    error: float
+    cheapest: dict[str, Measurement | None]
+    notes: tuple[str, ...]
+
+    def ratio(self, engine: str) -> float | None:
+        """How many times longer an engine takes than `newton_euler`."""
+        own, other = self.cheapest[JUDGED], self.cheapest[engine]
+        return None if own is None or other is None else other.median / own.median
+
+
+def cheapest(
+    measurements: Iterable[Measurement], engine: str, error: float, uncertainty: float = 0.0
+) -> Measurement | None:
+    """The fastest setting of an engine whose error is at most `error`, by its median.
+
+    An error below the uncertainty of the reference counts as that uncertainty.
+    """
+    reaching = [m for m in measurements if m.engine == engine and max(m.error, uncertainty) <= error]
+    return min(reaching, key=lambda m: m.median, default=None)
+
+
+def frontier(measurements: Iterable[Measurement], engine: str) -> list[Measurement]:
+    """The settings of an engine that none of its others beats in both time and error, fastest first."""
+    best: list[Measurement] = []
+    for m in sorted((m for m in measurements if m.engine == engine), key=lambda m: (m.median, m.error)):
+        if not best or m.error < best[-1].error:
+            best.append(m)
+    return best
+
+
+def row(measurements: Sequence[Measurement], error: float, uncertainty: float) -> Row:
+    """What each engine needs to reach an error."""
+    found = {engine: cheapest(measurements, engine, error, uncertainty) for engine in ENGINES}
+    if uncertainty > error:
+        return Row(error, found, (f"not resolved: the reference is known to {uncertainty:.1e} only",))
+    return Row(error, found, tuple(_notes(measurements, found)))
+
+
+def _notes(measurements: Sequence[Measurement], found: dict[str, Measurement | None]) -> Iterator[str]:
+    own = found[JUDGED]
+    for engine, m in found.items():
+        if m is None:
+            yield _short(measurements, engine)
+        elif own is not None and m.median < own.median:
+            yield f"{engine} is faster than {JUDGED}: {_work(m)} against {_work(own)}"
+        elif own is not None and m is not own and m.quartiles[0] <= own.quartiles[1]:
+            yield f"{engine} and {JUDGED} are level within the spread of their times"
+
+
+def _work(m: Measurement) -> str:
+    return f"{m.evaluations} evaluations of {_time(m.median / max(m.evaluations, 1))}"
+
+
+def _short(measurements: Sequence[Measurement], engine: str) -> str:
+    """Why an engine does not reach an error."""
+    own = [m for m in measurements if m.engine == engine]
+    if not own:
+        return f"{engine} cannot run the scene"
+    best = min(own, key=lambda m: m.error)
+    return f"{engine} does not reach it: at best {best.error:.1e} in {_time(best.median)} ({best.name})"
+
+
+def rows(result: Benchmark) -> list[Row]:
+    """One for each of the `DECADES`."""
+    return [row(result.measured.measurements, error, result.reference.uncertainty) for error in DECADES]
+
+
+def answer(result: Benchmark, error: float) -> str:
+    """In plain words, what each engine needs to reach an error, and how many times longer that is."""
+    found = row(result.measured.measurements, error, result.reference.uncertainty)
+    text = [
+        f"{result.scene.duration:g} s of {result.title} to an error of {error:g} (m, rad, every body, "
+        "every output time):"
+    ]
+    for engine, m in found.cheapest.items():
+        if m is not None:
+            ratio = found.ratio(engine)
+            times = "" if engine == JUDGED or ratio is None else f", {ratio:.3g} times as long as {JUDGED}"
+            text.append(f"  {engine} takes {_time(m.median)} with {m.name} (error {m.error:.1e}){times}")
+    text += [f"  {note}" for note in found.notes]
+    return "\n".join(text)
+
+
+def _time(seconds: float) -> str:
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 1e-9:.3g} ns"
+
+
+def tables(result: Benchmark) -> Iterator[tuple[str, list[str], list[list[str]]]]:
+    """Title, headings and cells of each table."""
+    heads = ["error"]
+    for engine in ENGINES:
+        heads += [engine, "ms"] + (["ratio"] if engine != JUDGED else [])
+    yield (
+        "cheapest setting for each error, m and rad",
+        [*heads, "remarks"],
+        [_cells(found) for found in rows(result)],
+    )
+    uncertainty = result.reference.uncertainty
+    for engine in ENGINES:
+        cells = [
+            [
+                m.name,
+                _error(m.error_position, uncertainty),
+                _error(m.error_angle, uncertainty),
+                f"{m.median * 1e3:.3g}",
+                " to ".join(f"{q * 1e3:.3g}" for q in m.quartiles),
+                str(len(m.times)),
+                f"{m.first * 1e3:.3g}",
+                str(m.evaluations),
+            ]
+            for m in frontier(result.measured.measurements, engine)
+        ]
+        heads = ["setting", "m", "rad", "ms", "quartiles, ms", "repeats", "first, ms", "evaluations"]
+        yield f"{engine}: settings that none of its others beats", heads, cells
+    loadings = [
+        [load.engine, load.model, f"{load.seconds:.3g}", load.remark] for load in result.measured.loadings
+    ]
+    yield "loading, not counted above", ["engine", "model", "s", "of which"], loadings
+    failures = [
+        [failure.engine, failure.method, failure.setting, failure.reason]
+        for failure in result.measured.failures
+    ]
+    if failures:
+        yield "what cannot run the scene", ["engine", "method", "setting", "reason"], failures
+
+
+def _error(value: float, uncertainty: float) -> str:
+    return f"{value:.1e}" if value > uncertainty else f"<= {uncertainty:.1e}"
+
+
+def _cells(found: Row) -> list[str]:
+    cells = [f"{found.error:.0e}"]
+    for engine, m in found.cheapest.items():
+        cells += ["-", "-"] if m is None else [m.name, f"{m.median * 1e3:.3g}"]
+        if engine != JUDGED:
+            ratio = found.ratio(engine)
+            cells.append("-" if ratio is None else f"{ratio:.3g}")
+    return [*cells, "; ".join(found.notes)]
+
+
+def preamble(result: Benchmark) -> list[str]:
+    """What was run, on what, against what, and what the times are of."""
+    reference = result.reference
+    where = result.machine
+    versions = ", ".join(f"{package} {version}" for package, version in where["versions"].items())
+    lines = [
+        f"{result.title}: {result.scene.duration:g} s, {len(result.scene.times)} outputs",
+        f"machine: {where['processor']}, {where['cores']} cores, load {where['load']}, {where['system']}, "
+        f"Python {where['python']}, {versions}",
+        f"reference: {reference.name}, known to {reference.uncertainty:.1e} m and rad; it differs by",
+    ]
+    lines += [
+        f"  {d.position:.1e} m, {d.angle:.1e} rad from {name}" for name, d in reference.differences.items()
+    ]
+    lines += [f"  (could not run {name}: {reason})" for name, reason in reference.missing.items()]
+    lines.append(
+        "times: one thread, medians of interleaved repeats, without loading and first run. All hold the "
+        "poses of all bodies at all outputs as the engine has them: newton_euler centres of mass and "
+        "quaternions, MuJoCo the positions and quaternions of its bodies, Pinocchio translations and "
+        "rotation matrices of its joints. What turns those of MuJoCo and Pinocchio into the first for the "
+        "comparison is not counted"
+    )
+    return lines
+
+
+def terminal_tables(result: Benchmark) -> Iterator[Table]:
+    """The tables for a terminal."""
+    for title, heads, cells in tables(result):
+        table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+        for head in heads:
+            numeric = head in ("ms", "ratio", "m", "rad", "s", "repeats", "evaluations")
+            table.add_column(head, justify="right" if numeric else "left", overflow="fold")
+        for line in cells:
+            table.add_row(*line)
+        yield table
+
+
+def markdown(result: Benchmark, error: float) -> str:
+    """Everything that the terminal shows."""
+    lines = [f"# bench {result.title}", ""]
+    lines += ["```", answer(result, error), "```", ""]
+    lines += ["```", *preamble(result), "```"]
+    for title, heads, cells in tables(result):
+        lines += ["", f"## {title}", "", f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
+        lines += [f"| {' | '.join(line)} |" for line in cells]
+    return "\n".join(lines) + "\n"
+
+
+def as_json(result: Benchmark, error: float) -> str:
+    """Every setting that ran, every one that did not, and the table, as JSON text."""
+    reference, measured = result.reference, result.measured
+    content: dict[str, Any] = {
+        "scene": result.scene.name,
+        "source": result.source,
+        "options": dict(result.options),
+        "duration": result.scene.duration,
+        "outputs": len(result.scene.times),
+        "machine": result.machine,
+        "reference": {
+            "name": reference.name,
+            "uncertainty": reference.uncertainty,
+            "differences": {name: d._asdict() for name, d in reference.differences.items()},
+            "missing": reference.missing,
+        },
+        "answer": answer(result, error),
+        "table": [
+            {
+                "error": found.error,
+                "cheapest": {
+                    engine: m and {"method": m.method, "setting": m.setting, "median": m.median}
+                    for engine, m in found.cheapest.items()
+                },
+                "ratio": {engine: found.ratio(engine) for engine in OTHERS},
+                "notes": found.notes,
+            }
+            for found in rows(result)
+        ],
+        "loadings": [asdict(load) for load in measured.loadings],
+        "settings": [
+            asdict(m) | {"median": m.median, "quartiles": m.quartiles} for m in measured.measurements
+        ],
+        "failures": [asdict(failure) for failure in measured.failures],
+        "ladders_end_at": dict(measured.ended),
+    }
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def measurements_from(content: dict[str, Any]) -> list[Measurement]:
+    """The settings of a benchmark read back from its JSON."""
+    names = Measurement.__dataclass_fields__
+    return [
+        Measurement(**{name: entry[name] for name in names} | {"times": tuple(entry["times"])})
+        for entry in content["settings"]
+    ]

@@ -1,0 +1,223 @@
+"""All faults that are planted in a scene, one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from crosscheck.studies.faults import plant
+from crosscheck.studies.faults.plant import Plant
+from newton_euler.model.armature import BallArmature
+from newton_euler.model.control import PD
+from newton_euler.model.couplings import couplings
+from newton_euler.model.forces import BallSpring, JointSpring
+from newton_euler.model.joints import Joint
+from newton_euler.model.joints.base import perpendicular_pair
+from newton_euler.model.scene import Scene
+from newton_euler.model.tree import SpanningTree
+from newton_euler.scalars import Array
+
+SIZES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+"""Relative; of lengths to the mechanism's size, of directions in rad."""
+
+MOST, BODIES = 36, 8
+"""Faults of a kind that are planted at each size, of more as many are taken at even distances; in a mechanism
+of so many bodies at most. In larger ones it falls with the square of their number, because there are more
+kinds that reach it and each comparison takes longer."""
+
+STANDARD_GRAVITY = 9.81
+"""m/s^2; what a fault is a share of in a scene without gravity."""
+
+SKEW = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
+"""No principal axis: inertias are turned about it."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault.
+
+    Attributes:
+        kind: what is wrong.
+        element: the body, joint or term at fault.
+        detail: which entry, direction or value of it.
+        size: see `SIZES`; None for what has none.
+        plant: gives a scene with the fault.
+        right: names of bodies, joints and terms that it may be blamed on.
+        near: names that a joint's fault may be blamed on by motion alone: the bodies it connects.
+        shift: (3,) m, of the point that MuJoCo's model holds on a closure's second body.
+    """
+
+    kind: str
+    element: str
+    detail: str
+    size: float | None
+    plant: Plant
+    right: frozenset[str]
+    near: frozenset[str] = frozenset()
+    shift: Array | None = None
+
+    @property
+    def alike(self) -> tuple[str, str, str]:
+        """Kind, element and detail, which it shares with those of other sizes."""
+        return self.kind, self.element, self.detail
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        size = "" if self.size is None else f" by {self.size:g}"
+        return " ".join(filter(None, (self.kind, "of", self.element, self.detail))) + size
+
+
+def catalogue(scene: Scene, sizes: Sequence[float] = SIZES) -> list[Fault]:
+    """All faults of a scene: those with a size at each of the sizes, then those without; `MOST` of a kind."""
+    most = most_of(len(scene.mechanism.bodies))
+    of_sizes = [[*_of_bodies(scene, size), *_sized(scene, size)] for size in sizes]
+    mistakes = [*_body_mistakes(scene), *_joint_mistakes(scene)]
+    return [fault for faults in (*of_sizes, mistakes) for fault in _spread(faults, most)]
+
+
+def most_of(bodies: int) -> int:
+    """`MOST` in a mechanism of that many bodies."""
+    return max(1, min(MOST, MOST * BODIES**2 // bodies**2))
+
+
+def _spread(faults: list[Fault], most: int) -> list[Fault]:
+    kept = []
+    for kind in dict.fromkeys(fault.kind for fault in faults):
+        of_kind = [fault for fault in faults if fault.kind == kind]
+        count = min(most, len(of_kind))
+        kept += [of_kind[round(k)] for k in np.linspace(0, len(of_kind) - 1, count)]
+    return kept
+
+
+def _of_bodies(scene: Scene, size: float) -> Iterator[Fault]:
+    length = scene.mechanism.size
+    for body in scene.mechanism.body_names[1:]:
+        right = frozenset({body})
+        yield Fault("mass", body, "", size, plant.mass(body, size), right)
+        for label, axis in zip("xyz", np.eye(3), strict=True):
+            shifted = plant.center_of_mass(body, size * length * axis)
+            yield Fault("centre of mass", body, label, size, shifted, right)
+        for i in range(3):
+            for j in range(i, 3):
+                entry = plant.inertia_entry(body, i, j, size)
+                yield Fault("inertia entry", body, "xyz"[i] + "xyz"[j], size, entry, right)
+        yield Fault("frame of inertia", body, "", size, plant.inertia_frame(body, SKEW, size), right)
+
+
+def _sized(scene: Scene, size: float) -> Iterator[Fault]:
+    """Of joints, gravity and forces."""
+    length, cuts = scene.mechanism.size, SpanningTree(scene.mechanism).cuts
+    for index, joint in enumerate(scene.mechanism.joints):
+        right, near = frozenset({joint.name}), bodies_at(joint)
+        for label, axis in zip("xyz", np.eye(3), strict=True):
+            shift = size * length * axis
+            moved = plant.joint_point(joint.name, shift)
+            yield Fault("joint point", joint.name, label, size, moved, right, near)
+            if index in cuts:
+                opened = plant.closure_point(joint.name, shift)
+                yield Fault("closure point", joint.name, label, size, opened, right, near, shift)
+        for label, tilted in plant.tilted(joint, size).items():
+            yield Fault("axis direction", joint.name, label, size, tilted, right, near)
+    for detail, vector in _other_gravities(scene.gravity, size).items():
+        yield Fault("gravity", "gravity", detail, size, plant.gravity(vector), frozenset({"gravity"}))
+    for index, law in enumerate(scene.control):
+        if isinstance(law, PD):
+            yield from _of_law(scene, index, law, size)
+    for index, force in enumerate(scene.forces):
+        if isinstance(force, JointSpring | BallSpring):
+            right = frozenset({force.joint})
+            detail = "spring" if isinstance(force, JointSpring) else "spring of its ball"
+            for kind, name in (("gain", "stiffness"), ("damping", "damping")):
+                if value := getattr(force, name):
+                    other = plant.entry("forces", index, **{name: (1.0 + size) * value})
+                    yield Fault(kind, force.joint, detail, size, other, right)
+    for index, rotor in enumerate(scene.armatures):
+        other = plant.entry("armatures", index, inertia=(1.0 + size) * rotor.inertia)
+        joint = scene.mechanism.joints[scene.mechanism.joint_index(rotor.joint)]
+        right = bodies_at(joint) | {rotor.joint}  # what turns there is as heavy to turn as with more inertia
+        detail = "of its ball" if isinstance(rotor, BallArmature) else ""
+        yield Fault("armature", rotor.joint, detail, size, other, right)
+
+
+def _of_law(scene: Scene, index: int, law: PD, size: float) -> Iterator[Fault]:
+    right = frozenset({law.joint})
+    for kind, name in (("gain", "stiffness"), ("damping", "damping"), ("actuator reference", "target")):
+        value = getattr(law, name)
+        if value or name == "target":
+            other = (1.0 + size) * value if value else size * _unit(scene, law)
+            yield Fault(kind, law.joint, "", size, plant.entry("control", index, **{name: other}), right)
+
+
+def _unit(scene: Scene, law: PD) -> float:
+    """Unit of a target of 0: the mechanism's size, or 1 rad."""
+    joint = scene.mechanism.joints[scene.mechanism.joint_index(law.joint)]
+    return scene.mechanism.size if joint.coordinate_kinds[law.coordinate] == "slide" else 1.0
+
+
+def _other_gravities(gravity: Array, size: float) -> dict[str, Array]:
+    strength = float(np.linalg.norm(gravity))
+    if not strength:
+        x, _, z = np.eye(3)
+        return {label: size * STANDARD_GRAVITY * axis for label, axis in (("x", x), ("z", z))}
+    turns = zip("uw", perpendicular_pair(gravity / strength), strict=True)
+    turned = {f"about {label}": plant.turned_about(axis, size) @ gravity for label, axis in turns}
+    return {"strength": (1.0 + size) * gravity, **turned}
+
+
+def bodies_at(joint: Joint) -> frozenset[str]:
+    """Names of the two bodies that a joint connects."""
+    return frozenset({joint.first, joint.second})
+
+
+def _body_mistakes(scene: Scene) -> Iterator[Fault]:
+    bodies = scene.mechanism.bodies
+    for body in bodies[1:]:
+        right = frozenset({body.name})
+        yield Fault("quaternion order", body.name, "", None, plant.quaternion_order(body.name), right)
+        yield Fault("missing body", body.name, "", None, plant.missing_body(body.name), right)
+    for first, second in pairwise(bodies[1:]):
+        swapped, right = plant.swapped_bodies(first, second), frozenset({first.name, second.name})
+        yield Fault("swapped bodies", first.name, f"with {second.name}", None, swapped, right)
+
+
+def _joint_mistakes(scene: Scene) -> Iterator[Fault]:
+    cuts = SpanningTree(scene.mechanism).cuts
+    for index, joint in enumerate(scene.mechanism.joints):
+        fault = Fault("", joint.name, "", None, plant.missing_joint(joint.name), frozenset({joint.name}))
+        fault = replace(fault, near=bodies_at(joint))
+        for name in joint.axis_names:
+            turned = plant.joint_axes(joint.name, {name: -getattr(joint, name)})
+            yield replace(fault, kind="axis sign", detail=name, plant=turned)
+        for kind, axes in other_kinds(scene, joint).items():
+            other = plant.joint_kind(joint, kind, **axes)
+            yield replace(fault, kind="joint type", detail=f"{joint.kind} as {kind}", plant=other)
+        if index in cuts:
+            yield replace(fault, kind="missing closure")
+
+
+def other_kinds(scene: Scene, joint: Joint) -> dict[str, dict[str, Array]]:
+    """The kind that a joint is easily taken for, with its axes; its first coordinates are what they were."""
+    names = {key[0] for coupling in couplings(scene) for key in coupling.factors}
+    driven = {law.joint for law in scene.joint_forces} | {a.joint for a in scene.armatures} | names
+    driven |= scene.loaded_balls
+    driven |= {motion.joint for motion in scene.motions}
+    match joint.kind:
+        case "revolute" if joint.name in driven:
+            axis = joint.axis  # type: ignore[attr-defined]
+            return {"universal": {"axis_on_first": axis, "axis_on_second": perpendicular_pair(axis)[0]}}
+        case "revolute" | "universal" if joint.name not in driven:
+            return {"spherical": {}}
+        case "spherical" if joint.name not in driven:
+            x, y, _ = np.eye(3)
+            return {"universal": {"axis_on_first": x, "axis_on_second": y}}
+        case "prismatic" | "translational":
+            return {"cylindrical": {"axis": joint.axis}}  # type: ignore[attr-defined]
+        case "cylindrical" if joint.name not in driven:
+            return {"revolute": {"axis": joint.axis}}  # type: ignore[attr-defined]
+        case "cylindrical":
+            return {"prismatic": {"axis": joint.axis}}  # type: ignore[attr-defined]
+    return {}

@@ -1,0 +1,269 @@
+"""Search for planted faults by the comparison of engines: which are found, and who is blamed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from crosscheck.comparison.diagnosis import diagnose
+from crosscheck.comparison.levels import EQUATION_LEVELS, Level, compare_pair
+from crosscheck.comparison.rows import Row
+from crosscheck.comparison.samples import Samples, States
+from crosscheck.engines import ENGINES, Engine
+from crosscheck.errors import CrosscheckError
+from crosscheck.studies.faults import PLANTED_IN
+from crosscheck.studies.faults.catalogue import SIZES, Fault, catalogue
+from newton_euler.assemble import random_states
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import System
+from newton_euler.errors import NewtonEulerError
+from newton_euler.model.scene import Scene
+
+STATES = 4
+"""Random consistent states beside the initial one; gravity has three components to be told from the rest."""
+
+PROGRESS = 10
+"""Faults between two messages."""
+
+MOTION = EQUATION_LEVELS[1:]
+"""Levels that look at what a model does and not at its numbers."""
+
+REFUSED = "refused"
+"""The level of a fault that an engine or the mechanism itself refuses to run with."""
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """The first figure that shows a fault.
+
+    Attributes:
+        level: of the comparison, or `REFUSED`.
+        quantity: the figure that fails; the error's text if refused.
+        value, tolerance: of the figure; NaN if refused.
+        where: what is blamed.
+        odd: the engine that the diagnosis blames; "" if nothing settles which.
+    """
+
+    level: str
+    quantity: str
+    value: float
+    tolerance: float
+    where: str
+    odd: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """The outcome of a search for a fault.
+
+    Attributes:
+        fault, engine: what was planted where.
+        seen: its first sighting at levels 1 to 4; None if all agree.
+        moves: the same at levels 2 to 4, by motion alone.
+        alone: whether too few engines express the scene for any to be the odd one out.
+        lost: for one that is not seen, where newton_euler with the same fault parts from the engine's model:
+            the engine does not hold it.
+        observable: whether it, or a larger one like it, changes a pose, velocity, energy, acceleration or
+            reaction. If no motion shows it, newton_euler's equations with it and without it are compared at
+            the states; it is unobservable if they agree to round-off.
+    """
+
+    fault: Fault
+    engine: str
+    seen: Sighting | None
+    moves: Sighting | None
+    observable: bool
+    lost: Sighting | None = None
+    alone: bool = False
+
+    @property
+    def counts(self) -> bool:
+        """True if it can be found: it shows in the model's numbers, or does something."""
+        return self.seen is not None or self.observable
+
+    @property
+    def blamed(self) -> bool:
+        """True if the engine that has it is blamed, and the very body, joint or term is named."""
+        return self._names(self.seen, self.fault.right)
+
+    @property
+    def blamed_by_motion(self) -> bool:
+        """The same by motion alone, where a joint's fault may be seen at the bodies it connects."""
+        return self._names(self.moves, self.fault.right | self.fault.near)
+
+    def _names(self, sighting: Sighting | None, right: frozenset[str]) -> bool:
+        if sighting is None or sighting.where not in right:
+            return False
+        return sighting.odd == self.engine or (self.alone and not sighting.odd)
+
+
+@dataclass(frozen=True)
+class Search:
+    """All faults of a scene.
+
+    Attributes:
+        found: what became of each.
+        engines: in which they were planted, in turns.
+        left_out: engines that cannot express the scene, and why.
+    """
+
+    found: tuple[Found, ...]
+    engines: tuple[str, ...]
+    left_out: dict[str, str]
+
+
+def find_faults(
+    scene: Scene,
+    progress: Callable[[str], None],
+    sizes: Sequence[float] = SIZES,
+    names: Sequence[str] = PLANTED_IN,
+) -> Search:
+    """Plant all faults of a scene, one at a time, in one engine after the other, and look for each.
+
+    Args:
+        scene: as it should be.
+        progress: is told how far it is.
+        sizes: of the faults, see `SIZES`.
+        names: of engines out of `PLANTED_IN`.
+
+    Raises:
+        CrosscheckError: for a scene that the engines disagree on as it is.
+        NewtonEulerError: for a scene that none of the engines can express.
+    """
+    sound = Sound(scene)
+    engines = [sound.engines[name] for name in names if name in sound.engines]
+    if not engines:
+        raise sound.refusals[names[0]]
+    faults = catalogue(scene, sizes)
+    found = []
+    for number, fault in enumerate(faults):
+        if number % PROGRESS == 0:
+            progress(f"{number} of {len(faults)} faults: {fault.name}")
+        found.append(find(fault, engines[number % len(engines)], sound))
+    left_out = {name: str(error) for name, error in sound.refusals.items()}
+    return Search(tuple(_observable(found)), tuple(engine.name for engine in engines), left_out)
+
+
+def _observable(found: Sequence[Found]) -> Iterator[Found]:
+    """With those called observable of which a larger one is: they are too small, and no less at fault."""
+    sights = {each.fault.alike for each in found if each.observable}
+    for each in found:
+        yield replace(each, observable=each.fault.alike in sights)
+
+
+def samples_of(scene: Scene) -> Samples:
+    """newton_euler at the initial state and at random ones."""
+    return Samples(Relative(scene), States(scene, (scene.initial_state, *random_states(scene, STATES))))
+
+
+class Sound:
+    """The engines' equations of a scene without a fault, at its initial state and at random ones.
+
+    Attributes:
+        scene: as it should be.
+        engines: by name, those that can express it, newton_euler first.
+        refusals: of the others, by name.
+        own: newton_euler.
+
+    Raises:
+        CrosscheckError: for a scene that the engines disagree on.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.own = scene, samples_of(scene)
+        self.engines: dict[str, Engine] = {}
+        self.refusals: dict[str, NewtonEulerError] = {}
+        self._samples: dict[str, Samples] = {}
+        for name, engine in ENGINES.items():
+            try:
+                system = engine.systems(scene)[0]
+            except NewtonEulerError as error:
+                self.refusals[name] = error
+                continue
+            self.engines[name] = engine
+            self._samples[name] = Samples(system, self.own.states)
+        pairs = combinations(self._samples, 2)
+        self._rows = {pair: list(self._compared(pair, self._samples, EQUATION_LEVELS)) for pair in pairs}
+        for (one, other), rows in self._rows.items():
+            for row in rows:
+                if not row.agrees:
+                    raise CrosscheckError(
+                        f"{one} and {other} part on scene {scene.name!r} without a fault, at level "
+                        f"{row.level!r}: {row.quantity}; `crosscheck run` says more"
+                    )
+
+    def _compared(
+        self, pair: tuple[str, str], samples: dict[str, Samples], levels: Sequence[Level]
+    ) -> Iterator[Row]:
+        return compare_pair(pair, [samples[pair[0]]], [samples[pair[1]]], levels)
+
+    def diagnosed(self, name: str, faulty: Samples, levels: Sequence[Level]) -> Sighting | None:
+        """Diagnose all engines, one of them with other samples; None if they agree."""
+        samples = self._samples | {name: faulty}
+        rows: list[Row] = []
+        try:
+            for pair, known in self._rows.items():
+                rows += self._compared(pair, samples, levels) if name in pair else known
+        except NewtonEulerError as error:
+            return _refusal(error, name)
+        for found in diagnose(tuple(samples), rows)[:1]:
+            return Sighting(found.level, found.quantity, found.value, found.tolerance, found.where, found.odd)
+        return None
+
+
+def find(fault: Fault, engine: Engine, sound: Sound) -> Found:
+    """Plant one fault in one engine and compare it with the others."""
+    name, own, alone = engine.name, sound.own, len(sound.engines) < 3
+    try:
+        samples = Samples(_planted(fault, engine, sound.scene), own.states)
+    except NewtonEulerError as error:
+        refusal = _refusal(error, name)
+        return Found(fault, name, refusal, refusal, True, alone=alone)
+    seen = sound.diagnosed(name, samples, EQUATION_LEVELS)
+    # where the model's own numbers agree, the levels after it have been looked at already
+    numbers = seen is not None and seen.level == "model"
+    moves = sound.diagnosed(name, samples, MOTION) if numbers else seen
+    if moves is not None:
+        return Found(fault, name, seen, moves, True, alone=alone)
+    # the same equations of motion with the fault and without it
+    faulty = Samples(Relative(fault.plant(sound.scene)), own.states)
+    observable = _first_failing(own, faulty, MOTION) is not None
+    lost = None if seen else _first_failing(faulty, samples, EQUATION_LEVELS[:1])
+    return Found(fault, name, seen, moves, observable, lost, alone)
+
+
+def _first_failing(one: Samples, other: Samples, levels: Sequence[Level]) -> Sighting | None:
+    try:
+        for row in compare_pair(("one", "other"), [one], [other], levels):
+            if not row.agrees:
+                return Sighting(row.level, row.quantity, row.value, row.tolerance, row.where, "")
+    except NewtonEulerError as error:
+        return _refusal(error, "")
+    return None
+
+
+def _refusal(error: NewtonEulerError, engine: str) -> Sighting:
+    """The error of an engine as a sighting; where is the joint or body that it is about."""
+    element = getattr(error, "joint", getattr(error, "element", ""))
+    named = re.search(r"'(.*)'", element)
+    return Sighting(REFUSED, str(error), np.nan, np.nan, named[1] if named else element, engine)
+
+
+def _planted(fault: Fault, engine: Engine, scene: Scene) -> System:
+    """The engine's rigid system with the fault.
+
+    A loop that does not close is refused by the mechanism, before an engine sees it. In MuJoCo it is planted
+    in the compiled model, where nothing refuses it.
+    """
+    if fault.shift is None or engine.name != "mujoco":
+        return engine.systems(fault.plant(scene))[0]
+    from mjcf.inspect import move_anchor
+    from mjcf.rigid import RigidMuJoCo
+
+    system = RigidMuJoCo(scene)
+    move_anchor(system, fault.element, fault.shift)
+    return system

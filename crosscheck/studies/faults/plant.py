@@ -1,0 +1,243 @@
+"""One fault, planted in a scene: each function gives the scene with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from newton_euler.model.couplings import JointCoupling
+from newton_euler.model.joints import JOINT_KINDS, Compound, Joint
+from newton_euler.model.joints.base import perpendicular_pair
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.scalars import Array
+
+Plant = Callable[[Scene], Scene]
+
+REMAINS = 1e-6
+"""Share of a body's mass and inertia that is left of it where it is missing; no engine takes none."""
+
+
+def with_mechanism(scene: Scene, bodies: Iterable[Body], joints: Iterable[Joint]) -> Scene:
+    """Other bodies and joints; the start, which is for the right ones, is forgotten."""
+    mechanism = Mechanism(bodies, joints, scene.mechanism.couplings)
+    return replace(scene, mechanism=mechanism, initial_state=None)  # type: ignore[arg-type]
+
+
+def change_bodies(change: dict[str, Callable[[Body], dict[str, Any]]]) -> Plant:
+    """Other values of the named bodies; any inertia goes, as it does in a file somebody mistyped."""
+
+    def plant(scene: Scene) -> Scene:
+        bodies = [
+            replace(body, allow_unrealisable_inertia=True, **change[body.name](body))
+            if body.name in change
+            else body
+            for body in scene.mechanism.bodies
+        ]
+        return with_mechanism(scene, bodies, scene.mechanism.joints)
+
+    return plant
+
+
+def change_joint(name: str, change: Callable[[Joint], Joint]) -> Plant:
+    """Another joint in the place of the named one."""
+
+    def plant(scene: Scene) -> Scene:
+        joints = [change(joint) if joint.name == name else joint for joint in scene.mechanism.joints]
+        return with_mechanism(scene, scene.mechanism.bodies, joints)
+
+    return plant
+
+
+def mass(body: str, size: float) -> Plant:
+    """Heavier by a share."""
+    return change_bodies({body: lambda b: {"mass": (1.0 + size) * b.mass}})
+
+
+def center_of_mass(body: str, shift: Array) -> Plant:
+    """Moved by `shift` (3,), m."""
+    return change_bodies({body: lambda b: {"center_of_mass": b.center_of_mass + shift}})
+
+
+def inertia_entry(body: str, i: int, j: int, size: float) -> Plant:
+    """J'_ij and J'_ji larger by a share of sqrt(J'_ii J'_jj)."""
+
+    def changed(b: Body) -> dict[str, Any]:
+        inertia = np.array(b.inertia)
+        entry = inertia[i, j] + size * np.sqrt(inertia[i, i] * inertia[j, j])
+        inertia[i, j] = inertia[j, i] = entry
+        return {"inertia": inertia}
+
+    return change_bodies({body: changed})
+
+
+def inertia_frame(body: str, axis: Array, angle: float) -> Plant:
+    """The inertia turned about an axis of the body frame, rad."""
+    turn = turned_about(axis, angle)
+
+    def changed(b: Body) -> dict[str, Any]:
+        inertia = turn @ b.inertia @ turn.T
+        return {"inertia": 0.5 * (inertia + inertia.T)}
+
+    return change_bodies({body: changed})
+
+
+def quaternion_order(body: str) -> Plant:
+    """w-x-y-z read as x-y-z-w."""
+    return change_bodies({body: lambda b: {"quaternion": np.roll(b.quaternion, 1)}})
+
+
+def missing_body(body: str) -> Plant:
+    """Next to nothing in its place."""
+    return change_bodies({body: lambda b: {"mass": REMAINS * b.mass, "inertia": REMAINS * b.inertia}})
+
+
+def swapped_bodies(first: Body, second: Body) -> Plant:
+    """Two bodies with each other's mass and inertia."""
+
+    def like(other: Body) -> Callable[[Body], dict[str, Any]]:
+        return lambda _: {"mass": other.mass, "inertia": other.inertia}
+
+    return change_bodies({first.name: like(second), second.name: like(first)})
+
+
+def joint_point(joint: str, shift: Array) -> Plant:
+    """Moved on both bodies by `shift` (3,), m, so that the joint still closes at the initial pose."""
+    return change_joint(
+        joint, lambda j: replace(j, point=j.point + shift, point_on_second=j.reaction_point + shift)
+    )
+
+
+def closure_point(joint: str, shift: Array) -> Plant:
+    """Moved on the second body alone, so that the loop does not close at the initial pose."""
+    return change_joint(joint, lambda j: replace(j, point_on_second=j.reaction_point + shift))
+
+
+def joint_axes(joint: str, axes: dict[str, Array]) -> Plant:
+    """Other axes or points, by the name of the joint's field."""
+    return change_joint(joint, lambda j: replace(j, **axes))  # type: ignore[arg-type]
+
+
+def row_of(joint: Joint, name: str, number: int, change: Callable[[Array], Array]) -> Plant:
+    """Another row in an array of a joint's: an axis, or an offset, with what is beyond it."""
+
+    def changed(j: Joint) -> Joint:
+        rows = np.array(getattr(j, name))
+        other = change(rows[number])
+        moved = other - rows[number] if name == "offsets" else np.zeros(3)
+        rows[number] = other
+        return replace(j, **{name: rows, "point_on_second": j.reaction_point + moved})  # type: ignore[arg-type]
+
+    return change_joint(joint.name, changed)
+
+
+def joint_kind(joint: Joint, kind: str, **axes: Array) -> Plant:
+    """A joint of another kind in its place."""
+    other = JOINT_KINDS[kind](
+        joint.name,
+        joint.first,
+        joint.second,
+        joint.point,
+        point_on_second=joint.point_on_second,
+        actuated=joint.actuated,
+        **axes,
+    )
+    return change_joint(joint.name, lambda _: other)
+
+
+def missing_joint(joint: str) -> Plant:
+    """A loop left open."""
+
+    def plant(scene: Scene) -> Scene:
+        joints = [kept for kept in scene.mechanism.joints if kept.name != joint]
+        return with_mechanism(scene, scene.mechanism.bodies, joints)
+
+    return plant
+
+
+def gravity(vector: Array) -> Plant:
+    """Another gravity (3,), m/s^2."""
+    return lambda scene: replace(scene, gravity=vector)
+
+
+def entry(field: str, index: int, **values: Any) -> Plant:
+    """Other values in one entry of a list of the scene's: control, forces, armatures or motions."""
+
+    def plant(scene: Scene) -> Scene:
+        entries = list(getattr(scene, field))
+        entries[index] = replace(entries[index], **values)
+        changed: Any = {field: tuple(entries)} | ({"initial_state": None} if field == "motions" else {})
+        return replace(scene, **changed)
+
+    return plant
+
+
+def without(field: str, index: int) -> Plant:
+    """One entry of such a list, or of the motions, not there."""
+
+    def plant(scene: Scene) -> Scene:
+        entries = getattr(scene, field)
+        rest: Any = {field: (*entries[:index], *entries[index + 1 :]), "initial_state": None}
+        return replace(scene, **rest)
+
+    return plant
+
+
+def coupling(index: int, other: JointCoupling | None) -> Plant:
+    """Another gear or sum of joint coordinates in the place of one, or none."""
+
+    def plant(scene: Scene) -> Scene:
+        mechanism, found = scene.mechanism, list(scene.mechanism.couplings)
+        found[index : index + 1] = [] if other is None else [other]
+        changed = Mechanism(mechanism.bodies, mechanism.joints, found)
+        return replace(scene, mechanism=changed, initial_state=None)  # type: ignore[arg-type]
+
+    return plant
+
+
+def turned_about(axis: Array, angle: float) -> Array:
+    """(3, 3) rotation about a unit axis; O. Rodrigues' formula."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
+
+
+def tilted(joint: Joint, angle: float) -> dict[str, Plant]:
+    """Ways to tilt the axes of a joint by an angle, rad, each by name.
+
+    A single axis about two directions across it, and with it the line that the second body's point is on.
+    The two axes of a universal joint, which have to stay perpendicular, each about the other and both about
+    their common normal. Each of the slides and hinges in a row about two directions across it.
+    """
+    names = joint.axis_names
+    if isinstance(joint, Compound):
+        found: dict[str, Plant] = {}
+        for name in ("slides", "hinges"):
+            for k, axis in enumerate(getattr(joint, name)):
+                for label, about in zip("uw", perpendicular_pair(axis), strict=True):
+                    tilt = turned_about(about, angle).__matmul__
+                    found[f"{name}[{k}] about {label}"] = row_of(joint, name, k, tilt)
+        return found
+    values = [np.asarray(getattr(joint, name)) for name in names]
+    if len(values) == 1:
+        across = zip("uw", perpendicular_pair(values[0]), strict=True)
+        turns = {f"about {label}": turned_about(about, angle) for label, about in across}
+        return {label: _turned(joint, turn, names) for label, turn in turns.items()}
+    if not values:
+        return {}
+    a, b = values
+    return {
+        f"{names[0]} about the other": _turned(joint, turned_about(b, angle), names[:1]),
+        f"{names[1]} about the other": _turned(joint, turned_about(a, angle), names[1:]),
+        "both about their normal": _turned(joint, turned_about(np.cross(a, b), angle), names),
+    }
+
+
+def _turned(joint: Joint, turn: Array, names: Iterable[str]) -> Plant:
+    """Some axes of a joint turned, and its second point about its first."""
+    axes = {name: turn @ getattr(joint, name) for name in names}
+    second = joint.point + turn @ (joint.reaction_point - joint.point)
+    return joint_axes(joint.name, {**axes, "point_on_second": second})

@@ -1,0 +1,347 @@
+"""Random mechanisms at random consistent states, each reproducible from (seed, number).
+
+A tree of 2 to 8 bodies grows from the ground by joints of random kinds; then up to three joints close
+loops. All joints are placed in one pose of the bodies, so that loops are closed by construction, and the
+mechanism is moved from there as far as its loops let it. One mechanism in six is flat: hinges, slides and
+planes of one normal, whose loops have three redundant equations each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.solve import largest, rank
+from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.errors import AssemblyError
+from newton_euler.integrators.stabilize import ROUND_OFF, project_position, project_velocity
+from newton_euler.model.armature import BallArmature
+from newton_euler.model.control import PD, Law
+from newton_euler.model.couplings import Gear
+from newton_euler.model.euler_parameters import from_rotation_vector, rotation
+from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
+from newton_euler.model.joints import JOINT_KINDS, Joint
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.scalars import Array, cross
+
+GRAVITY = 9.81
+"""m/s^2, in a random direction."""
+
+FLAT = 1.0 / 6.0
+"""Share of flat mechanisms."""
+
+OVERDETERMINED = 0.2
+"""Share of loops in other mechanisms that may have redundant equations."""
+
+REACHES = (0.5, 0.2, 0.05, 0.0)
+"""How far joints are moved from where loops were closed, tried in this order: rad, and sizes."""
+
+ATTEMPTS = 10
+"""At a joint or gear that leaves the mechanism a freedom; after those it does without."""
+
+FRAMES: tuple[Literal["world", "body"], ...] = ("world", "body")
+
+KINDS = (
+    "fixed",
+    "revolute",
+    "prismatic",
+    "translational",
+    "cylindrical",
+    "screw",
+    "planar",
+    "universal",
+    "spherical",
+    "point_on_line",
+    "compound",
+    "rod",
+    "free",
+)
+"""All joint kinds, in an order that stays: a number makes the same mechanism whatever is added."""
+
+FLAT_KINDS = ("revolute", "prismatic", "planar", "fixed")
+
+ALONG = ("prismatic", "translational", "cylindrical", "screw", "point_on_line")
+"""Kinds whose second point may lie anywhere along the axis."""
+
+
+class _Draft:
+    """A mechanism that grows; lengths are of the order of `length`, m, and masses of `mass`, kg."""
+
+    def __init__(self, rng: np.random.Generator, of_offsets: np.random.Generator) -> None:
+        self.rng, self.of_offsets = rng, of_offsets
+        self.length, self.mass = 10.0 ** rng.uniform(-1.0, 1.0, 2)
+        self.normal = _direction(rng) if rng.random() < FLAT else None
+        self.bodies = [Body.ground()]
+        self.joints: list[Joint] = []
+        self.gears: list[Gear] = []
+        for number in range(1, rng.integers(2, 9) + 1):
+            self._grow(f"body_{number}")
+        for number in range(1, rng.integers(0, 4) + 1):
+            self._close(f"loop_{number}")
+        if rng.random() < 0.3:
+            self._couple("gear")
+
+    @property
+    def mechanism(self) -> Mechanism:
+        return Mechanism(self.bodies, self.joints, self.gears)
+
+    def _vector(self, scale: float = 1.0) -> Array:
+        """(3,) m."""
+        return scale * self.length * self.rng.uniform(-1.0, 1.0, 3)
+
+    def _grow(self, name: str) -> None:
+        """Add a body and the joint that it hangs on; the first joint is one that moves."""
+        rng = self.rng
+        parent = self.bodies[rng.integers(len(self.bodies))]
+        center = parent.center_of_mass + _direction(rng) * self.length * rng.uniform(0.3, 1.0)
+        self.bodies.append(_body(rng, name, self.mass, center, self.length))
+        joint = self._joint(f"to_{name}", parent, self.bodies[-1])
+        while not self.joints and not joint.motions:
+            joint = self._joint(joint.name, parent, self.bodies[-1])
+        self.joints.append(joint)
+
+    def _joint(self, name: str, one: Body, other: Body) -> Joint:
+        """A joint of a random kind between two bodies, either way round."""
+        rng = self.rng
+        kinds = KINDS if self.normal is None else FLAT_KINDS
+        kind = JOINT_KINDS[kinds[rng.integers(len(kinds))]]
+        first, second = (one, other) if rng.random() < 0.5 else (other, one)
+        share = rng.uniform(0.2, 0.8)
+        point = share * first.center_of_mass + (1.0 - share) * second.center_of_mass + self._vector(0.2)
+        axis, shift = _direction(rng), self._vector(0.3)
+        if self.normal is not None:
+            axis = _across(axis, self.normal) if kind.kind == "prismatic" else self.normal
+        options: dict[str, Any] = dict.fromkeys(kind.axis_names, axis)
+        if kind.kind == "universal":
+            options["axis_on_second"] = _across(_direction(rng), axis)
+        if kind.kind == "screw":
+            options["pitch"] = _sign(rng) * self.length * rng.uniform(0.05, 0.3)
+        if kind.kind in ALONG:
+            options["point_on_second"] = point + (axis @ shift) * axis
+        elif kind.kind == "planar":
+            options["point_on_second"] = point + shift - (axis @ shift) * axis
+        elif kind.kind == "rod":
+            options["point_on_second"] = second.center_of_mass + self._vector(0.2)
+        elif kind.kind == "free":
+            options["point_on_second"] = point + shift
+        elif kind.kind == "compound":
+            options = _compound(rng)
+            beyond = shift[: len(options["slides"])] @ options["slides"]
+            missing = max(len(options["hinges"]) - 1, 0)
+            if missing and self.of_offsets.random() < 0.5:  # hinges whose axes do not meet
+                reach = 0.3 * self.length
+                options["offsets"] = self.of_offsets.uniform(-reach, reach, (missing, 3))
+                beyond = beyond + options["offsets"].sum(axis=0)
+            options["point_on_second"] = point + beyond
+        return kind(name, first.name, second.name, point, **options)
+
+    def _close(self, name: str) -> None:
+        """Add a joint between any two bodies that leaves a freedom and mostly adds equations of its own."""
+        before = _rank(Mechanism(self.bodies, self.joints))[1]
+        for _ in range(ATTEMPTS):
+            one, other = self.rng.choice(len(self.bodies), 2, replace=False)
+            joint = self._joint(name, self.bodies[one], self.bodies[other])
+            if joint.kind == "free":
+                continue  # which closes nothing
+            freedoms, redundant = _rank(Mechanism(self.bodies, [*self.joints, joint]))
+            may_repeat = self.normal is not None or self.rng.random() < OVERDETERMINED
+            if freedoms > 0 and (may_repeat or redundant == before):
+                self.joints.append(joint)
+                return
+
+    def _couple(self, name: str) -> None:
+        """Add a gear between any two joint coordinates that leaves a freedom."""
+        keys, rng = _coordinates(self.joints), self.rng
+        for _ in range(ATTEMPTS if len(keys) > 1 else 0):
+            (driver, i), (follower, j) = (keys[k] for k in rng.choice(len(keys), 2, replace=False))
+            units = [self._unit(joint, number) for joint, number in ((driver, i), (follower, j))]
+            ratio = _sign(rng) * rng.uniform(0.3, 3.0) * units[1] / units[0]
+            gear = Gear(name, driver.name, follower.name, ratio, i, j)
+            freedoms, _ = _rank(Mechanism(self.bodies, self.joints, [gear]))
+            if freedoms > 0:
+                self.gears.append(gear)
+                return
+
+    def _unit(self, joint: Joint, number: int) -> float:
+        return float(self.length) if joint.coordinate_kinds[number] == "slide" else 1.0
+
+    def forces(self) -> tuple[list[Force], list[Law]]:
+        """Springs, dampers, wrenches and PD laws now and then, of the order of the weight."""
+        rng, weight = self.rng, self.mass * GRAVITY
+        forces, control = list[Force](), list[Law]()
+        for joint, coordinate in _coordinates(self.joints):
+            chance, unit = rng.random(), self._unit(joint, coordinate)
+            stiffness, damping = rng.uniform(0.1, 3.0, 2) * weight * self.length / unit**2
+            rest = unit * rng.uniform(-1.0, 1.0)
+            if chance < 0.1:
+                forces.append(JointSpring(joint.name, stiffness, damping, rest, coordinate))
+            elif chance < 0.15:
+                control.append(PD(joint.name, stiffness, damping, rest, coordinate))
+        driven = {law.joint for law in control}
+        self.joints = [replace(joint, actuated=joint.name in driven) for joint in self.joints]
+        if rng.random() < 0.3:
+            forces.append(self._spring())
+        for frame in FRAMES:
+            if rng.random() < 0.2:
+                body = self.bodies[rng.integers(1, len(self.bodies))]
+                force, torque = weight * rng.normal(size=3), weight * self._vector()
+                point = body.center_of_mass + self._vector(0.3)
+                forces.append(Wrench(f"wrench_{frame}", body.name, point, force, torque, frame))
+        return forces, control
+
+    def _spring(self) -> PointSpring:
+        rng, stiffness = self.rng, self.mass * GRAVITY / self.length
+        one, other = (self.bodies[k] for k in rng.choice(len(self.bodies), 2, replace=False))
+        return PointSpring(
+            "spring",
+            one.name,
+            other.name,
+            one.center_of_mass + self._vector(0.3),
+            other.center_of_mass + self._vector(0.3),
+            stiffness=stiffness * rng.uniform(0.1, 3.0),
+            rest_length=self.length * rng.uniform(0.1, 3.0),
+            damping=stiffness * rng.uniform(0.1, 3.0),
+        )
+
+
+def _direction(rng: np.random.Generator) -> Array:
+    """A unit vector, all directions alike."""
+    return _unit(rng.normal(size=3))
+
+
+def _compound(rng: np.random.Generator) -> dict[str, Any]:
+    """Slides and hinges or a ball, along axes that are askew but not near a plane or a line."""
+    slides, hinges = rng.integers(0, 4, 2)
+    ball = bool(hinges == 0 and rng.random() < 0.5)
+    return {"slides": _askew(rng, slides), "hinges": _askew(rng, hinges), "ball": ball}
+
+
+def _askew(rng: np.random.Generator, count: int) -> Array:
+    """(count, 3) orthonormal axes, each turned by some tenths of a radian."""
+    axes = rotation(from_rotation_vector(rng.uniform(0.0, np.pi) * _direction(rng)))[:count]
+    return np.array([_unit(axis + rng.uniform(-0.2, 0.2, 3)) for axis in axes]).reshape(-1, 3)
+
+
+def _of_balls(
+    rng: np.random.Generator, draft: _Draft
+) -> tuple[tuple[BallSpring, ...], tuple[BallArmature, ...]]:
+    """Springs, dampers and rotors on balls now and then, of the order of the weight and of the inertias."""
+    torque, inertia = draft.mass * GRAVITY * draft.length, 0.1 * draft.mass * draft.length**2
+    springs, rotors = list[BallSpring](), list[BallArmature]()
+    for joint in draft.joints:
+        chances, (stiffness, damping, rotor) = rng.random(2), rng.uniform(0.1, 3.0, 3)
+        rest = rng.uniform(-1.0, 1.0, 3)
+        if any(motion.kind == "ball" for motion in joint.motions):
+            if chances[0] < 0.2:
+                springs.append(BallSpring(joint.name, stiffness * torque, damping * torque, rest))
+            if chances[1] < 0.2:
+                rotors.append(BallArmature(joint.name, rotor * inertia))
+    return tuple(springs), tuple(rotors)
+
+
+def _unit(vector: Array) -> Array:
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def _across(vector: Array, axis: Array) -> Array:
+    """The unit vector nearest to a vector across a unit axis."""
+    return _unit(cross(axis, cross(vector, axis)))
+
+
+def _sign(rng: np.random.Generator) -> float:
+    return float(rng.choice([-1.0, 1.0]))
+
+
+def _body(rng: np.random.Generator, name: str, mass: float, center: Array, length: float) -> Body:
+    """A body of any realisable inertia: that of masses spread by different amounts along three axes."""
+    mass = mass * 10.0 ** rng.uniform(-1.0, 1.0)
+    spread = (length * rng.uniform(0.03, 0.5, 3)) ** 2
+    turn = rotation(from_rotation_vector(rng.uniform(0.0, np.pi) * _direction(rng)))
+    inertia = turn @ np.diag(mass * (np.sum(spread) - spread)) @ turn.T
+    return Body(name, mass, center, 0.5 * (inertia + inertia.T), _unit(rng.normal(size=4)))
+
+
+def _coordinates(joints: Sequence[Joint]) -> list[tuple[Joint, int]]:
+    """All hinges and slides."""
+    return [(joint, k) for joint in joints for k in range(len(joint.coordinate_kinds))]
+
+
+def _rank(mechanism: Mechanism) -> tuple[int, int]:
+    """Degrees of freedom and redundant equations at the initial pose."""
+    system = Relative(Scene("draft", mechanism, duration=1.0, output_period=1.0))
+    return _rank_at(system, system.coordinates(system.scene.initial_state)[0])
+
+
+def _rank_at(system: Relative, q: Array) -> tuple[int, int]:
+    jacobian = dimensionless_jacobian(system, q)
+    found = rank(jacobian)
+    return system.nv - found, len(jacobian) - found
+
+
+def _moved(rng: np.random.Generator, mechanism: Mechanism) -> State:
+    """A state away from the initial pose, with velocities of 0.3 to 10 rad/s and sizes a second."""
+    system = Relative(Scene("draft", mechanism, duration=1.0, output_period=1.0))
+    start, _ = system.coordinates(system.scene.initial_state)
+    wanted = _rank_at(system, start)
+    for reach in REACHES:
+        step = reach * system.velocity_units * rng.uniform(-1.0, 1.0, system.nv)
+        try:
+            q = project_position(system, system.retract(start, step))
+        except AssemblyError:
+            continue
+        if largest(system.phi(q)) < 4.0 * ROUND_OFF * mechanism.size and _rank_at(system, q) == wanted:
+            break
+    speed = 10.0 ** rng.uniform(-0.5, 1.0)
+    v = project_velocity(system, q, speed * system.velocity_units * rng.normal(size=system.nv))
+    return system.state(q, project_velocity(system, q, v))  # once more for the digits
+
+
+def _motion(rng: np.random.Generator, scene: Scene) -> Scene:
+    """The scene with one joint coordinate on a prescribed motion, if that leaves a freedom."""
+    keys, state = _coordinates(scene.mechanism.joints), scene.initial_state
+    system, frames = Relative(scene), state.frames()
+    before = _rank_at(system, system.coordinates(state)[0])
+    for k in rng.permutation(len(keys)):
+        joint, coordinate = keys[k]
+        equations = scene.mechanism.equations[scene.mechanism.joint_index(joint.name)]
+        first, second = frames[equations.first], frames[equations.second]
+        measured = equations.coordinates[coordinate]
+        x = float(measured.phi(first, second)[0])
+        rate = float(measured.jacobian(first, second).rate(first, second)[0])
+        unit = scene.mechanism.size if measured.is_length else 1.0
+        motion = PrescribedMotion(joint.name, Polynomial((x, rate, unit * rng.normal())), coordinate)
+        driven = replace(scene, motions=(motion,))
+        system = Relative(driven)
+        if _rank_at(system, system.coordinates(state)[0]) == (before[0] - 1, before[1]) and before[0] > 1:
+            return driven
+    return scene
+
+
+def random_scene(seed: int, number: int) -> Scene:
+    """Random mechanism number `number` of a seed, in a random consistent state as its initial one."""
+    rng = np.random.default_rng([seed, number])
+    # streams of their own: what was there before them stays
+    draft = _Draft(rng, np.random.default_rng([seed, number, 2]))
+    forces, control = draft.forces()
+    springs, rotors = _of_balls(np.random.default_rng([seed, number, 1]), draft)
+    mechanism = draft.mechanism
+    scene = Scene(
+        f"random_{seed}_{number}",
+        mechanism,
+        duration=1.0,
+        output_period=0.1,
+        gravity=GRAVITY * _direction(rng),
+        control=tuple(control),
+        initial_state=_moved(rng, mechanism),
+        forces=(*forces, *springs),
+        armatures=rotors,
+        description=f"random mechanism {number} of seed {seed}",
+    )
+    return _motion(rng, scene) if rng.random() < 0.15 else scene

@@ -1,0 +1,130 @@
+"""(l) Overconstrained mechanisms as files have them: axes and points with the noise of a CAD program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from crosscheck.scenes import load
+from crosscheck.studies.stress.runs import COMBINATIONS, ONE_EACH, TIGHT, Setting, distance, lasting
+from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured
+from newton_euler.model.joints import Fixed, Joint, Revolute, Spherical
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+
+INERTIA = 0.01 * np.eye(3)
+X, Y, Z = np.eye(3)
+
+NOISES = (1e-12, 1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
+"""rad of axes, m of points; the last is taken literally and locks the mechanisms."""
+
+SENSITIVITY = 20.0
+"""m of motion for a rad or m of noise: bodies of 0.4 m that turn by 1.5 rad, through levers of a fourth."""
+
+ENGINES_OWN = {"newton_euler": 1e-8, "pinocchio": 1e-8, "mujoco": 1e-5}
+"""m, what an engine may be off without noise."""
+
+
+def flat_four_bar(tilt: float, duration: float = 0.3) -> Scene:
+    """A parallelogram of hinges along y that a weld closes, one of them tilted out of the plane, rad."""
+    elbow, wrist, foot = 0.2 * Z, 0.4 * X + 0.2 * Z, 0.4 * X
+    bodies = [
+        Body.ground(),
+        Body("crank", 1.0, 0.1 * Z, INERTIA),
+        Body("coupler", 1.0, elbow + 0.2 * X, INERTIA),
+        Body("rocker", 1.0, wrist - 0.1 * Z, INERTIA),
+        Body("foot", 1.0, foot + 0.01 * Z, INERTIA),
+    ]
+    joints = [
+        Revolute("motor", "ground", "crank", 0.0 * Z, axis=Y),
+        Revolute("elbow", "crank", "coupler", elbow, axis=Y),
+        Revolute("wrist", "coupler", "rocker", wrist, axis=Y + tilt * Z),
+        Revolute("pivot", "ground", "foot", foot, axis=Y),
+        Fixed("weld", "rocker", "foot", foot),
+    ]
+    return Scene("flat_four_bar", Mechanism(bodies, joints), duration, 0.01, 3.0 * X - 9.81 * Z)
+
+
+def sarrus(noise: float) -> Scene:
+    """Two legs of three parallel hinges each, about x and about y, which let a plate move straight up."""
+    bodies, joints = [Body.ground(), Body("plate", 1.0, 0.6 * Z, INERTIA)], list[Joint]()
+    for leg, axis, out in (("a", X, Y), ("b", Y, X)):
+        foot, knee, hip = 0.5 * out, 0.7 * out + 0.3 * Z, 0.5 * out + 0.6 * Z
+        bodies.append(Body(f"shin_{leg}", 0.5, 0.5 * (foot + knee), INERTIA))
+        bodies.append(Body(f"thigh_{leg}", 0.5, 0.5 * (knee + hip), INERTIA))
+        joints.append(Revolute(f"foot_{leg}", "ground", f"shin_{leg}", foot, axis=axis))
+        joints.append(Revolute(f"knee_{leg}", f"shin_{leg}", f"thigh_{leg}", knee, axis=axis))
+        joints.append(Revolute(f"hip_{leg}", f"thigh_{leg}", "plate", hip, axis=axis))
+    return noisy(Scene("sarrus", Mechanism(bodies, joints), 0.3, 0.01, -9.81 * Z), noise)
+
+
+def double_wishbone(noise: float) -> Scene:
+    """An upright on two arms, each hung on two coaxial hinges as in a car: five redundant equations each."""
+    bodies = [
+        Body.ground(),
+        Body("lower", 2.0, 0.2 * X, INERTIA),
+        Body("upper", 1.5, 0.2 * X + 0.25 * Z, INERTIA),
+        Body("upright", 5.0, 0.42 * X + 0.12 * Z, INERTIA),
+    ]
+    joints: list[Joint] = [
+        Revolute(f"{arm}_{end}", "ground", arm, side * Y + height * Z, axis=Y)
+        for arm, height in (("lower", 0.0), ("upper", 0.25))
+        for end, side in (("front", 0.15), ("rear", -0.15))
+    ]
+    joints.append(Spherical("ball_lower", "lower", "upright", 0.4 * X))
+    joints.append(Spherical("ball_upper", "upper", "upright", 0.38 * X + 0.25 * Z))
+    return noisy(Scene("double_wishbone", Mechanism(bodies, joints), 0.3, 0.01, -9.81 * Z), noise)
+
+
+def bricard(noise: float) -> Scene:
+    """The library's, for 0.3 s."""
+    return noisy(replace(load("bricard"), duration=0.3), noise)
+
+
+def noisy(scene: Scene, noise: float, seed: int = 0) -> Scene:
+    """The scene with random errors of its joints' axes (rad) and points (m) of that size at most."""
+    rng = np.random.default_rng(seed)
+    joints = []
+    for joint in scene.mechanism.joints:
+        moved = joint.point + noise * rng.uniform(-1.0, 1.0, 3)
+        axes = {name: getattr(joint, name) + noise * rng.uniform(-1.0, 1.0, 3) for name in joint.axis_names}
+        joints.append(replace(joint, point=moved, point_on_second=moved, **axes))
+    mechanism = Mechanism(scene.mechanism.bodies, joints, scene.mechanism.couplings)
+    return replace(scene, mechanism=mechanism, initial_state=None)  # type: ignore[arg-type]
+
+
+MECHANISMS: dict[str, Callable[[float], Scene]] = {
+    build.__name__: build for build in (flat_four_bar, sarrus, double_wishbone, bricard)
+}
+
+
+def cases(full: bool) -> list[Case]:
+    """All of (l)."""
+    made = []
+    for name in MECHANISMS if full else ("flat_four_bar", "bricard"):
+        for noise in NOISES if full else (1e-12, 1e-6):
+            settings = (*COMBINATIONS, *ONE_EACH[2:]) if full and name == "flat_four_bar" else ONE_EACH
+            for setting in settings:
+                bound = Bound(
+                    ENGINES_OWN[setting.engine] + SENSITIVITY * noise,
+                    1e-2,
+                    "what the noise of the numbers makes; more than a centimeter is another motion",
+                )
+                what = f"{name}, noise {noise:.0e}, 0.3 s"
+                run = partial(measure, name, noise, setting)
+                made.append(
+                    Case("l", what, setting.engine, str(setting), "distance to the design", "m", bound, run)
+                )
+    return made
+
+
+def measure(name: str, noise: float, setting: Setting) -> Measured:
+    """How far a run with noise comes from the design's, m."""
+    design, scene = (lasting(MECHANISMS[name](size), 0.3, 10) for size in (0.0, noise))
+    error = distance(setting.simulate(scene), TIGHT.simulate(design))
+    label = f"{setting.engine}, {setting}"
+    curve = Curve(f"noise, {name}", "noise, rad or m", "distance, m", label, (noise,), (max(error, 1e-18),))
+    return Measured(error, curves=(curve,))

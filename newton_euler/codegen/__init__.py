@@ -1,0 +1,1 @@
+"""Native code from traced scalars and from a subset of Python, and its cache."""

@@ -1,0 +1,139 @@
+"""Programs to native code, through LLVM, cached on disk.
+
+llvmlite takes LLVM's own text form, which straight-line code is easily written in; a front end that
+has to understand Python takes some twenty times longer for it. Machine code is kept under the user's
+cache directory by a hash of that text, of the versions and of the processor.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from newton_euler.codegen.cache import cache_key, read_cache, write_cache
+from newton_euler.codegen.emit import LANES, declarations, emit_straight
+from newton_euler.codegen.expression import Program
+from newton_euler.codegen.native import Signature
+from newton_euler.codegen.rolled import emit_rolled
+from newton_euler.scalars import Array
+
+LARGE = 10_000
+"""Operations from which on a program is rolled up into loops; see the table of scene sizes in README."""
+
+LEVEL = 1
+"""LLVM's level of code generation: 2, its default, makes the same code of programs in a sixth more time; 0 is
+four times as fast, and its code takes twice as long to run."""
+
+PROGRAM = Signature({"x": "ptr", "y": "ptr"}, "void")
+"""Of the function `f` that a program becomes."""
+
+
+@lru_cache
+def llvm_binding() -> Any:
+    """LLVM's binding, ready to compile for this machine."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm
+
+
+class NativeModule:
+    """Functions compiled together, alive as long as this object is.
+
+    Attributes:
+        from_cache: whether the machine code was on disk when this was made.
+        size: bytes of the object code.
+        addresses: of the functions, by name.
+    """
+
+    def __init__(
+        self,
+        identity: str,
+        text: Callable[[], str],
+        functions: Mapping[str, Signature],
+        optimise: bool = False,
+    ) -> None:
+        """Compile LLVM text, or take its machine code from the cache.
+
+        Args:
+            identity: what the text depends on, or the text itself.
+            text: makes the text.
+            functions: what others call of it.
+            optimise: for code with variables, which are to live in registers; a program has none.
+        """
+        llvm = llvm_binding()
+        processor, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+        made_by = Path(__file__).read_text(encoding="utf-8")
+        versions = (made_by, optimise, llvm.llvm_version_info, sys.version, processor, features)
+        key = cache_key(identity, *versions)
+        code = read_cache(key)
+        self.from_cache = code is not None
+        machine = llvm.Target.from_default_triple().create_target_machine(
+            cpu=processor, features=features, opt=LEVEL
+        )
+        if code is None:
+            module = llvm.parse_assembly(text())
+            if optimise:
+                # LLVM's own selection of passes takes ten times as long and gains nothing
+                passes = llvm.create_new_module_pass_manager()
+                passes.add_sroa_pass()
+                passes.add_simplify_cfg_pass()
+                passes.add_instruction_combine_pass()
+                passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+            code = machine.emit_object(module)
+            write_cache(key, code)
+        self.size = len(code)
+        self._engine: Any = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+        self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+        self._engine.finalize_object()
+        self.addresses = {name: int(self._engine.get_function_address(name)) for name in functions}
+
+
+class NativeFunction:
+    """`y = f(x)` in native code.
+
+    Attributes:
+        inputs, outputs: lengths of x and y.
+        lanes: how many x are taken at once, values of all of them side by side, and so many y made.
+        address: of `void f(double *x, double *y)`, for native callers.
+        module: what it was compiled in.
+    """
+
+    def __init__(self, program: Program, many: bool = False, identity: str | None = None) -> None:
+        """Compile a program: straight-line code, or loops over repeated pieces if it is `LARGE`.
+
+        Args:
+            program: what to compile.
+            many: make straight-line code for several x at once.
+            identity: all that the program depends on, and this package; its text if None.
+        """
+        self.inputs, self.outputs = program.inputs, len(program.outputs)
+        straight = program.operations < LARGE
+        self.lanes = LANES if many and straight else 1
+
+        def text() -> str:
+            body = emit_straight(program, "f", self.lanes) if straight else emit_rolled(program, "f")
+            return declarations(self.lanes) + body
+
+        known = f"{identity}, {self.lanes} lanes, straight: {straight}" if identity else text()
+        self.module = NativeModule(known, text, {"f": PROGRAM})
+        self.address = self.module.addresses["f"]
+        self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
+
+    def __call__(self, x: Array) -> Array:
+        """y (outputs,) for x (inputs,), which all lanes get, or y (outputs, lanes) for x (inputs, lanes)."""
+        x = np.asarray(x, dtype=float)
+        if x.shape not in ((self.inputs,), (self.inputs, self.lanes)):
+            needed = f"{(self.inputs,)} or {(self.inputs, self.lanes)}"
+            raise ValueError(f"got inputs of shape {x.shape}; needed: {needed}")
+        given = np.repeat(x, self.lanes) if x.ndim == 1 else np.ascontiguousarray(x)
+        y = np.empty((self.outputs, self.lanes))
+        self._call(given.ctypes.data, y.ctypes.data)
+        return y[:, 0].copy() if x.ndim == 1 else y

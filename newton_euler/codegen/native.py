@@ -1,0 +1,129 @@
+"""Plain Python functions that become native code: the loops around traced programs, integrators above all.
+
+A function decorated with `native` is ordinary Python over floats, integers, NumPy vectors and other
+functions, and runs as such. `newton_euler.codegen.translate` gives the same function as LLVM text. What it
+may contain is what an integrator needs: assignments, if, while, `for k in range(...)`, arithmetic,
+comparisons, elements `a[k]` and tails `a[k:]` of vectors, fields of records, calls of other native
+functions, of callbacks and of abs, min, max, sqrt. Arguments are annotated `float`, `int`, `Vector`,
+`Callback` or a subclass of `Record`; tables of module level (tuples of floats) become constants.
+
+Integers are 64 bit; `//` and `%` round towards zero and are meant for numbers that are not negative.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import fields
+from functools import cached_property
+from typing import Any, ClassVar, NamedTuple, TypeVar
+
+import numpy as np
+
+from newton_euler.scalars import Array
+
+Vector = Array
+"""A vector of doubles; native code gets its address."""
+
+Callback = Any
+"""A function f(x, y) that writes the vector y; native code gets its address."""
+
+TYPES = {"float": "double", "int": "i64", "Vector": "ptr", "Callback": "fn", "None": "void"}
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class Record:
+    """Base of frozen dataclasses of numbers, vectors and callbacks, which native code gets as one pointer.
+
+    Native functions read a field once, when they are entered; what changes in a run is in vectors.
+    """
+
+    kinds: ClassVar[dict[str, str]]
+    """LLVM type of each field, in order."""
+
+    def __init_subclass__(cls) -> None:
+        cls.kinds = {name: TYPES[hint] for name, hint in cls.__annotations__.items()}
+
+    @cached_property
+    def _packed(self) -> Array:
+        """(fields,) 8 bytes each: a double, an integer or an address."""
+        words = np.zeros(len(self.kinds))
+        integers = words.view(np.int64)
+        for place, (field, kind) in enumerate(zip(fields(self), self.kinds.values(), strict=True)):  # type: ignore[arg-type]
+            value = address_of(getattr(self, field.name))
+            (words if kind == "double" else integers)[place] = value or 0
+        return words
+
+    @property
+    def address(self) -> int:
+        """Address of the fields, valid as long as this object lives."""
+        return int(self._packed.ctypes.data)
+
+
+def address_of(argument: Any) -> Any:
+    """The address of an array of doubles, of a record or of a native function; anything else as it is.
+
+    Raises:
+        TypeError: for an array of another kind.
+    """
+    if isinstance(argument, np.ndarray):
+        if argument.dtype != np.float64 or not argument.flags.c_contiguous:
+            raise TypeError(f"got an array of {argument.dtype}; needed: contiguous doubles")
+        if argument.flags.writeable and argument.size:
+            return ctypes.addressof(
+                ctypes.c_char.from_buffer(argument.data)
+            )  # far quicker than `ctypes.data`
+        return argument.ctypes.data
+    return getattr(argument, "address", argument)
+
+
+Kind = str | type[Record]
+"""Type of a value: double, i64, ptr (a vector), fn (a callback), void, or a record."""
+
+
+class NativeError(TypeError):
+    """Python that `native` does not speak; names the function and the line."""
+
+
+class Signature(NamedTuple):
+    """Types of a function's arguments (name: type) and result."""
+
+    arguments: dict[str, Kind]
+    result: str
+
+
+def machine_type(kind: Kind) -> str:
+    """LLVM's own type for one of those that values have here: callbacks and records are pointers."""
+    return "ptr" if kind == "fn" or not isinstance(kind, str) else kind
+
+
+_SIGNATURES: dict[Callable[..., Any], Signature] = {}
+
+
+def native(function: F) -> F:
+    """Mark a function for native code; returns it unchanged.
+
+    Raises:
+        NativeError: for an annotation that native code does not know.
+    """
+    kinds: dict[str, Any] = {}
+    for name, hint in function.__annotations__.items():
+        kind = TYPES.get(hint) or function.__globals__.get(hint)
+        if not isinstance(kind, str) and not (isinstance(kind, type) and issubclass(kind, Record)):
+            raise NativeError(f"{function.__name__}: unknown type {hint!r}")
+        kinds[name] = kind
+    result = kinds.pop("return", "void")
+    _SIGNATURES[function] = Signature(kinds, result)
+    return function
+
+
+def signature_of(function: Callable[..., Any]) -> Signature:
+    """LLVM types of a native function."""
+    return _SIGNATURES[function]
+
+
+def is_native(function: object) -> bool:
+    """Whether something is a function marked by `native`."""
+    return function in _SIGNATURES

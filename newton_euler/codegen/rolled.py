@@ -1,0 +1,317 @@
+"""Large programs as loops: code for each piece that repeats, and tables of where it is repeated.
+
+Straight-line code grows with the scene; what it computes repeats itself, once for every joint, body
+and loop of a kind. The program is cut into pieces at places that depend on nothing but the operations
+just before them, so that repetitions are cut alike wherever they stand. Pieces of the same structure
+become one function; which values and constants each instance takes is data. Results are those of the
+straight-line code: the same operations in the same order.
+
+A value that other pieces use has a place in a table of values. Its first places are the inputs. Where
+there is no memory for the table, all results are NaN, which is no healthy configuration to any caller.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from newton_euler.codegen.emit import Instructions
+from newton_euler.codegen.expression import Program, operands
+from newton_euler.codegen.trigonometry import literal
+
+WINDOW = 8
+"""How many operations decide whether the program is cut after them."""
+
+SHORTEST = 48
+"""Operations of a piece at least; calling a shorter one would cost as much as running it."""
+
+REACH = 32
+"""A cut has the least checksum of so many operations before and after it."""
+
+COMMON = 0.002
+"""A constant with this share of all operands is part of the code; a rarer one is data."""
+
+Operand = tuple[str, int | float]
+"""("own", number in the piece), ("value", number of the argument), ("data", number), ("literal", x)."""
+
+Step = tuple[str, tuple[Operand, ...]]
+
+
+@dataclass
+class Instance:
+    """One occurrence of a piece.
+
+    Attributes:
+        nodes: what it computes, in order.
+        values: nodes of other pieces that it uses, in order of first use.
+        data: its own constants.
+    """
+
+    nodes: list[int]
+    values: list[int]
+    data: list[float]
+
+
+@dataclass
+class Piece:
+    """Repeated structure.
+
+    Attributes:
+        steps: operations on operands that are the same in all instances but for values and data.
+        instances: its occurrences.
+        kept: which of its steps some other piece or an output uses, in order.
+    """
+
+    number: int
+    steps: tuple[Step, ...]
+    instances: list[Instance] = field(default_factory=list)
+    kept: list[int] = field(default_factory=list)
+
+
+def cut(program: Program) -> list[list[int]]:
+    """The operations of a program in pieces."""
+    operations = [k for k, node in enumerate(program.nodes) if operands(node)]
+    words = [program.nodes[k].op for k in operations]
+    sums = [_checksum(words[max(0, n + 1 - WINDOW) : n + 1]) for n in range(len(words))]
+    pieces: list[list[int]] = []
+    start = 0
+    for n, checksum in enumerate(sums):
+        if n + 1 - start >= SHORTEST and checksum == min(sums[max(0, n - REACH) : n + REACH + 1]):
+            pieces.append(operations[start : n + 1])
+            start = n + 1
+    return [*pieces, operations[start:]] if start < len(operations) else pieces
+
+
+def _checksum(words: Iterable[str]) -> int:
+    """A number that depends on the words and their order (and, unlike hash(), on nothing else)."""
+    total = 0
+    for word in words:
+        for letter in word:
+            total = (total * 131 + ord(letter)) % 1_000_003
+    return total
+
+
+def roll(program: Program) -> tuple[list[Piece], list[tuple[Piece, Instance]]]:
+    """The kinds of pieces of a program, and all instances in the order in which to run them."""
+    common = _common_constants(program)
+    pieces: dict[tuple[Step, ...], Piece] = {}
+    order: list[tuple[Piece, Instance]] = []
+    home: dict[int, tuple[Piece, int]] = {}
+    used: set[int] = set(program.outputs)
+    for nodes in cut(program):
+        steps, instance = _structure(program, nodes, common)
+        piece = pieces.setdefault(steps, Piece(len(pieces), steps))
+        piece.instances.append(instance)
+        order.append((piece, instance))
+        home.update({node: (piece, place) for place, node in enumerate(nodes)})
+        used.update(instance.values)
+    for node in sorted(used):
+        if node in home:
+            piece, place = home[node]
+            if place not in piece.kept:
+                piece.kept.append(place)
+    for piece in pieces.values():
+        piece.kept.sort()
+    return list(pieces.values()), order
+
+
+def _common_constants(program: Program) -> set[float]:
+    counts = Counter(
+        program.nodes[k].a for node in program.nodes for k in operands(node) if program.nodes[k].op == "const"
+    )
+    least = COMMON * program.operations
+    return {value for value, count in counts.items() if count >= least}
+
+
+def _structure(program: Program, nodes: list[int], common: set[float]) -> tuple[tuple[Step, ...], Instance]:
+    """What is the same in all instances of a piece, and what is its own."""
+    own = {node: place for place, node in enumerate(nodes)}
+    instance = Instance(nodes, [], [])
+    arguments: dict[int, int] = {}
+
+    def operand(k: int) -> Operand:
+        node = program.nodes[k]
+        if k in own:
+            return "own", own[k]
+        if node.op != "const":
+            if k not in arguments:
+                arguments[k] = len(arguments)
+                instance.values.append(k)
+            return "value", arguments[k]
+        if node.a in common:
+            return "literal", node.a
+        instance.data.append(node.a)
+        return "data", len(instance.data) - 1
+
+    steps = tuple(
+        (program.nodes[k].op, tuple(operand(end) for end in operands(program.nodes[k]))) for k in nodes
+    )
+    return steps, instance
+
+
+def emit_rolled(program: Program, name: str) -> str:
+    """The program as loops over its pieces; an `Emitter`."""
+    pieces, order = roll(program)
+    place = {k: int(node.a) for k, node in enumerate(program.nodes) if node.op == "input"}
+    size = program.inputs
+    starts = []
+    for piece, instance in order:
+        starts.append(size)
+        for number, step in enumerate(piece.kept):
+            place[instance.nodes[step]] = size + number
+        size += len(piece.kept)
+    fixed = [k for k in dict.fromkeys(program.outputs) if program.nodes[k].op == "const"]
+    for k in fixed:
+        place[k] = size
+        size += 1
+
+    values: list[int] = []
+    data: list[float] = []
+    value_starts, data_starts = [], []
+    for _, instance in order:
+        value_starts.append(len(values))
+        data_starts.append(len(data))
+        values.extend(place[k] for k in instance.values)
+        data.extend(instance.data)
+    used = sorted({int(program.nodes[k].a) for k in place if program.nodes[k].op == "input"})
+    tables = [
+        _table("i32", f"{name}.values", values),
+        _table("double", f"{name}.data", [literal(x) for x in data]),
+        _table("i32", f"{name}.inputs", used),
+        _table("i32", f"{name}.outputs", [place[k] for k in program.outputs]),
+        _table("ptr", f"{name}.kinds", [f"@{name}.{piece.number}" for piece, _ in order]),
+        _table("i32", f"{name}.value_starts", value_starts),
+        _table("i32", f"{name}.data_starts", data_starts),
+        _table("i32", f"{name}.starts", starts),
+    ]
+    constants = [
+        f"  %c{k} = getelementptr double, ptr %v, i64 {place[k]}\n"
+        f"  store double {literal(program.nodes[k].a)}, ptr %c{k}"
+        for k in fixed
+    ]
+    bodies = [_emit_piece(piece, name) for piece in pieces]
+    loops = _LOOPS.format(
+        name=name,
+        bytes=8 * size,
+        constants="\n".join(constants),
+        inputs=len(used),
+        instances=len(order),
+        outputs=len(program.outputs),
+    )
+    return "\n".join([*tables, *bodies, loops])
+
+
+def _table(kind: str, name: str, entries: Sequence[object]) -> str:
+    """A constant array."""
+    content = ", ".join(f"{kind} {entry}" for entry in entries)
+    return f"@{name} = private constant [{len(entries)} x {kind}] [{content}]"
+
+
+def _emit_piece(piece: Piece, name: str) -> str:
+    """A piece as `void(values, places of its arguments, data, start of its results)`."""
+    out = Instructions()
+    known: dict[Operand, str] = {}
+
+    def operand(key: Operand) -> str:
+        kind, number = key
+        if kind == "literal":
+            return literal(number)
+        if key not in known:
+            if kind == "data":
+                known[key] = out.load(f"%d{number}", "%data", int(number))
+            else:
+                out.lines.append(f"  %p{number}.at = getelementptr i32, ptr %places, i64 {number}")
+                out.lines.append(f"  %p{number} = load i32, ptr %p{number}.at, !invariant.load !0")
+                out.lines.append(f"  %q{number} = zext i32 %p{number} to i64")
+                known[key] = out.load(f"%v{number}", "%v", f"%q{number}")
+        return known[key]
+
+    for number, (op, ends) in enumerate(piece.steps):
+        given = [operand(end) for end in ends]
+        known["own", number] = out.operation(f"%n{number}", op, given[0], given[1] if ends[1:] else None)
+    for number, step in enumerate(piece.kept):
+        out.store(f"%k{number}", known["own", step], "%results", number)
+    head = (
+        f"define private void @{name}.{piece.number}(ptr %v, ptr noalias readonly %places, "
+        "ptr noalias readonly %data, ptr noalias writeonly %results) noinline {"
+    )
+    return "\n".join([head, *out.lines, "  ret void\n}"])
+
+
+_LOOPS = """
+declare ptr @malloc(i64)
+declare void @free(ptr)
+!0 = !{{}}
+
+define void @{name}(ptr noalias %x, ptr noalias %y) {{
+entry:
+  %v = call ptr @malloc(i64 {bytes})
+  %none = icmp eq ptr %v, null
+  br i1 %none, label %fail, label %copy
+fail:
+  %f = phi i64 [ 0, %entry ], [ %f.next, %failing ]
+  %f.more = icmp slt i64 %f, {outputs}
+  br i1 %f.more, label %failing, label %failed
+failing:
+  %f.to = getelementptr double, ptr %y, i64 %f
+  store double 0x7FF8000000000000, ptr %f.to
+  %f.next = add i64 %f, 1
+  br label %fail
+failed:
+  ret void
+copy:
+  %i = phi i64 [ 0, %entry ], [ %i.next, %copying ]
+  %i.more = icmp slt i64 %i, {inputs}
+  br i1 %i.more, label %copying, label %copied
+copying:
+  %i.table = getelementptr i32, ptr @{name}.inputs, i64 %i
+  %i.short = load i32, ptr %i.table
+  %i.place = zext i32 %i.short to i64
+  %i.from = getelementptr double, ptr %x, i64 %i.place
+  %i.value = load double, ptr %i.from
+  %i.to = getelementptr double, ptr %v, i64 %i.place
+  store double %i.value, ptr %i.to
+  %i.next = add i64 %i, 1
+  br label %copy
+copied:
+{constants}
+  br label %piece
+piece:
+  %k = phi i64 [ 0, %copied ], [ %k.next, %run ]
+  %k.more = icmp slt i64 %k, {instances}
+  br i1 %k.more, label %run, label %give
+run:
+  %kind.at = getelementptr ptr, ptr @{name}.kinds, i64 %k
+  %kind = load ptr, ptr %kind.at
+  %values.at = getelementptr i32, ptr @{name}.value_starts, i64 %k
+  %values.start = load i32, ptr %values.at
+  %places = getelementptr i32, ptr @{name}.values, i32 %values.start
+  %data.at = getelementptr i32, ptr @{name}.data_starts, i64 %k
+  %data.start = load i32, ptr %data.at
+  %data = getelementptr double, ptr @{name}.data, i32 %data.start
+  %start.at = getelementptr i32, ptr @{name}.starts, i64 %k
+  %start = load i32, ptr %start.at
+  %results = getelementptr double, ptr %v, i32 %start
+  call void %kind(ptr %v, ptr %places, ptr %data, ptr %results)
+  %k.next = add i64 %k, 1
+  br label %piece
+give:
+  %o = phi i64 [ 0, %piece ], [ %o.next, %giving ]
+  %o.more = icmp slt i64 %o, {outputs}
+  br i1 %o.more, label %giving, label %done
+giving:
+  %o.table = getelementptr i32, ptr @{name}.outputs, i64 %o
+  %o.short = load i32, ptr %o.table
+  %o.place = zext i32 %o.short to i64
+  %o.from = getelementptr double, ptr %v, i64 %o.place
+  %o.value = load double, ptr %o.from
+  %o.to = getelementptr double, ptr %y, i64 %o
+  store double %o.value, ptr %o.to
+  %o.next = add i64 %o, 1
+  br label %give
+done:
+  call void @free(ptr %v)
+  ret void
+}}
+"""

@@ -1,0 +1,460 @@
+"""Native functions to LLVM text; whatever else a function contains is refused with the line it stands in."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from types import FunctionType
+from typing import Any, NamedTuple
+
+from newton_euler.codegen import native
+from newton_euler.codegen.native import Kind, NativeError, is_native, machine_type, signature_of
+from newton_euler.codegen.trigonometry import literal
+
+COMPARISONS = {ast.Lt: "lt", ast.LtE: "le", ast.Gt: "gt", ast.GtE: "ge", ast.Eq: "eq", ast.NotEq: "ne"}
+FLOAT_OPERATIONS = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
+INT_OPERATIONS = {
+    ast.Add: "add",
+    ast.Sub: "sub",
+    ast.Mult: "mul",
+    ast.FloorDiv: "sdiv",
+    ast.Mod: "srem",
+}
+INTRINSICS = {
+    "abs": "llvm.fabs.f64",
+    "sqrt": "llvm.sqrt.f64",
+    "min": "llvm.minnum.f64",
+    "max": "llvm.maxnum.f64",
+}
+
+DECLARATIONS = """
+declare double @llvm.fabs.f64(double)
+declare double @llvm.sqrt.f64(double)
+declare double @llvm.minnum.f64(double, double)
+declare double @llvm.maxnum.f64(double, double)
+declare double @llvm.pow.f64(double, double)
+declare double @llvm.ceil.f64(double)
+"""
+
+
+def text(functions: list[Callable[..., Any]]) -> str:
+    """LLVM text of these native functions and of all they call."""
+    done: dict[str, str] = {}
+    owners: dict[str, Callable[..., Any]] = {}
+    entries = [function.__name__ for function in functions]
+    tables: dict[str, str] = {}
+    waiting = list(functions)
+    while waiting:
+        function = waiting.pop()
+        known = owners.setdefault(function.__name__, function)
+        if known is not function:
+            raise NativeError(f"two functions are called {function.__name__}")
+        if function.__name__ not in done:
+            translator = Translator(function)
+            inner = function.__name__ not in entries
+            done[function.__name__] = translator.translate("internal " if inner else "")
+            for name, table in translator.tables.items():
+                if tables.setdefault(name, table) != table:
+                    raise NativeError(f"two tables are called {name}")
+            waiting.extend(translator.callees)
+    return "\n".join([DECLARATIONS, *tables.values(), *done.values()])
+
+
+def sources(functions: list[Callable[..., Any]]) -> str:
+    """What their text depends on: the files of all native functions they may call, and this one."""
+    files = {__file__, str(native.__file__)}
+    waiting = list(functions)
+    while waiting:
+        function = waiting.pop()
+        if function.__code__.co_filename not in files:
+            files.add(function.__code__.co_filename)
+            waiting += (
+                f for f in function.__globals__.values() if isinstance(f, FunctionType) and is_native(f)
+            )
+    return "".join(Path(file).read_text(encoding="utf-8") for file in sorted(files))
+
+
+class Value(NamedTuple):
+    """An LLVM operand with its type."""
+
+    type: Kind
+    operand: str
+
+
+class Translator:
+    """One function to LLVM text. Variables live in memory; LLVM moves them to registers."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function = function
+        self.signature = signature_of(function)
+        self.tables: dict[str, str] = {}
+        self.callees: list[Callable[..., Any]] = []
+        self._lines: list[str] = []
+        self._slots: list[str] = []
+        self._records: dict[str, Value] = {}
+        self._fields: dict[tuple[str, str], Value] = {}
+        self._entry: list[str] = []
+        self._variables: dict[str, Value] = {}
+        self._loops: list[tuple[str, str]] = []
+        self._count = 0
+        self._open = True
+
+    def translate(self, linkage: str = "") -> str:
+        """The whole function."""
+        definition = _definitions(self.function.__code__.co_filename)[self.function.__name__]
+        arguments = []
+        for name, kind in self.signature.arguments.items():
+            arguments.append(f"{machine_type(kind)} %{name}.in")
+            if isinstance(kind, str):
+                self._store(name, Value(kind, f"%{name}.in"))
+            else:
+                self._records[name] = Value(kind, f"%{name}.in")
+        self._block(definition.body)
+        if self._open:
+            if self.signature.result != "void":
+                raise self._error(definition, "ends without a return")
+            self._emit("ret void")
+        result, name = machine_type(self.signature.result), self.function.__name__
+        head = f"define {linkage}{result} @{name}({', '.join(arguments)}) {{"
+        return "\n".join([head, "entry:", *self._slots, *self._entry, *self._lines, "}"])
+
+    # Statements
+
+    def _block(self, statements: list[ast.stmt]) -> None:
+        for statement in statements:
+            if not self._open:
+                raise self._error(statement, "is never reached")
+            method = getattr(self, f"_on_{type(statement).__name__.lower()}", None)
+            if method is None:
+                raise self._error(statement, f"holds {type(statement).__name__}")
+            method(statement)
+
+    def _on_expr(self, statement: ast.Expr) -> None:
+        if not isinstance(statement.value, ast.Constant):  # a docstring
+            self._value(statement.value)
+
+    def _on_assign(self, statement: ast.Assign) -> None:
+        if len(statement.targets) != 1:
+            raise self._error(statement, "assigns to several targets")
+        self._assign(statement.targets[0], self._value(statement.value))
+
+    def _on_augassign(self, statement: ast.AugAssign) -> None:
+        target = statement.target
+        before = ast.copy_location(ast.BinOp(_loaded(target), statement.op, statement.value), statement)
+        self._assign(target, self._value(before))
+
+    def _assign(self, target: ast.expr, value: Value) -> None:
+        if isinstance(target, ast.Name):
+            self._store(target.id, value, target)
+        elif isinstance(target, ast.Subscript):
+            self._emit(f"store double {self._float(value).operand}, ptr {self._element(target)}")
+        else:
+            raise self._error(target, f"assigns to {type(target).__name__}")
+
+    def _on_if(self, statement: ast.If) -> None:
+        yes, no, after = self._labels("if", "else", "endif")
+        self._branch(statement.test, yes, no)
+        self._begin(yes)
+        self._block(statement.body)
+        reached = self._jump(after)
+        self._begin(no)
+        self._block(statement.orelse)
+        reached = self._jump(after) or reached
+        if reached:
+            self._begin(after)
+
+    def _on_while(self, statement: ast.While) -> None:
+        test, body, after = self._labels("while", "do", "done")
+        self._jump(test)
+        self._begin(test)
+        self._branch(statement.test, body, after)
+        self._begin(body)
+        self._loops.append((test, after))
+        self._block(statement.body)
+        self._loops.pop()
+        self._jump(test)
+        self._begin(after)
+
+    def _on_for(self, statement: ast.For) -> None:
+        call = statement.iter
+        if not (
+            isinstance(statement.target, ast.Name)
+            and isinstance(call, ast.Call)
+            and isinstance(call.func, ast.Name)
+            and call.func.id == "range"
+            and len(call.args) <= 2
+        ):
+            raise self._error(statement, "loops over something else than range(stop) or range(start, stop)")
+        bounds = [self._value(argument) for argument in call.args]
+        stop = bounds[-1]
+        start = bounds[0] if len(bounds) == 2 else Value("i64", "0")
+        name = statement.target.id
+        self._store(name, start)
+        test, body, step, after = self._labels("for", "do", "next", "done")
+        self._jump(test)
+        self._begin(test)
+        more = self._new(f"icmp slt i64 {self._load(name).operand}, {stop.operand}")
+        self._emit(f"br i1 {more}, label %{body}, label %{after}")
+        self._begin(body)
+        self._loops.append((step, after))
+        self._block(statement.body)
+        self._loops.pop()
+        self._jump(step)
+        self._begin(step)
+        self._store(name, Value("i64", self._new(f"add i64 {self._load(name).operand}, 1")))
+        self._jump(test)
+        self._begin(after)
+
+    def _on_break(self, statement: ast.Break) -> None:
+        self._jump(self._loops[-1][1])
+
+    def _on_continue(self, statement: ast.Continue) -> None:
+        self._jump(self._loops[-1][0])
+
+    def _on_return(self, statement: ast.Return) -> None:
+        kind = self.signature.result
+        if statement.value is None:
+            self._emit("ret void")
+        else:
+            value = self._value(statement.value)
+            value = self._float(value) if kind == "double" else value
+            if value.type != kind:
+                raise self._error(statement, f"returns {value.type}, not {kind}")
+            self._emit(f"ret {kind} {value.operand}")
+        self._open = False
+
+    # Conditions
+
+    def _branch(self, test: ast.expr, yes: str, no: str) -> None:
+        """Jump to one of two labels; `and` and `or` look no further than they must."""
+        if isinstance(test, ast.BoolOp):
+            for part in test.values[:-1]:
+                (further,) = self._labels("test")
+                if isinstance(test.op, ast.And):
+                    self._branch(part, further, no)
+                else:
+                    self._branch(part, yes, further)
+                self._begin(further)
+            self._branch(test.values[-1], yes, no)
+        elif isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not):
+            self._branch(test.operand, no, yes)
+        elif isinstance(test, ast.Compare) and len(test.ops) == 1:
+            a, b = self._value(test.left), self._value(test.comparators[0])
+            word = COMPARISONS[type(test.ops[0])]
+            if a.type == b.type == "i64":
+                word = word if word in ("eq", "ne") else f"s{word}"
+                found = self._new(f"icmp {word} i64 {a.operand}, {b.operand}")
+            else:
+                word = "une" if word == "ne" else f"o{word}"
+                found = self._new(f"fcmp {word} double {self._float(a).operand}, {self._float(b).operand}")
+            self._emit(f"br i1 {found}, label %{yes}, label %{no}")
+            self._open = False
+        else:
+            raise self._error(test, "tests something else than a comparison")
+
+    # Expressions
+
+    def _value(self, node: ast.expr) -> Value:
+        method = getattr(self, f"_of_{type(node).__name__.lower()}", None)
+        if method is None:
+            raise self._error(node, f"holds {type(node).__name__}")
+        value: Value = method(node)
+        return value
+
+    def _of_constant(self, node: ast.Constant) -> Value:
+        return self._number(node, node.value)
+
+    def _number(self, node: ast.expr, value: object) -> Value:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self._error(node, f"holds {value!r}")
+        return Value("double", literal(value)) if isinstance(value, float) else Value("i64", str(value))
+
+    def _of_name(self, node: ast.Name) -> Value:
+        if node.id in self._variables:
+            return self._load(node.id)
+        if node.id in self._records:
+            return self._records[node.id]
+        value = self._global(node)
+        if isinstance(value, tuple):
+            numbers = ", ".join(f"double {literal(float(x))}" for x in value)
+            self.tables[node.id] = f"@{node.id} = private constant [{len(value)} x double] [{numbers}]"
+            return Value("ptr", f"@{node.id}")
+        return self._number(node, value)
+
+    def _global(self, node: ast.Name) -> Any:
+        try:
+            return self.function.__globals__[node.id]
+        except KeyError as error:
+            raise self._error(node, f"uses {node.id!r} before it has a value") from error
+
+    def _of_attribute(self, node: ast.Attribute) -> Value:
+        """A field of a record, from where it was put on entry."""
+        if not isinstance(node.value, ast.Name) or node.value.id not in self._records:
+            raise self._error(node, "holds an attribute of something else than a record")
+        record, name = self._records[node.value.id], node.attr
+        assert not isinstance(record.type, str)
+        if name not in record.type.kinds:
+            raise self._error(node, f"uses {name!r}, which {record.type.__name__} has not")
+        if (node.value.id, name) not in self._fields:
+            place, kind = list(record.type.kinds).index(name), record.type.kinds[name]
+            word, machine = f"%{node.value.id}.{name}", machine_type(kind)
+            self._entry += [
+                f"  {word}.at = getelementptr i64, ptr {record.operand}, i64 {place}",
+                f"  {word} = load {machine}, ptr {word}.at",
+            ]
+            self._fields[node.value.id, name] = Value(kind, word)
+        return self._fields[node.value.id, name]
+
+    def _of_unaryop(self, node: ast.UnaryOp) -> Value:
+        value = self._value(node.operand)
+        if not isinstance(node.op, ast.USub):
+            raise self._error(node, f"holds {type(node.op).__name__}")
+        if value.type == "i64":
+            return Value("i64", self._new(f"sub i64 0, {value.operand}"))
+        return Value("double", self._new(f"fneg double {value.operand}"))
+
+    def _of_binop(self, node: ast.BinOp) -> Value:
+        a, b, op = self._value(node.left), self._value(node.right), type(node.op)
+        if a.type == b.type == "i64" and op in INT_OPERATIONS:
+            return Value("i64", self._new(f"{INT_OPERATIONS[op]} i64 {a.operand}, {b.operand}"))
+        x, y = self._float(a), self._float(b)
+        if op is ast.Pow:
+            return Value(
+                "double", self._new(f"call double @llvm.pow.f64(double {x.operand}, double {y.operand})")
+            )
+        if op not in FLOAT_OPERATIONS:
+            raise self._error(node, f"holds {op.__name__}")
+        return Value("double", self._new(f"{FLOAT_OPERATIONS[op]} contract double {x.operand}, {y.operand}"))
+
+    def _of_ifexp(self, node: ast.IfExp) -> Value:
+        yes, no, after = self._labels("if", "else", "endif")
+        name = f"choice{self._count}"
+        self._branch(node.test, yes, no)
+        for label, part in ((yes, node.body), (no, node.orelse)):
+            self._begin(label)
+            self._store(name, self._value(part), part)
+            self._jump(after)
+        self._begin(after)
+        return self._load(name)
+
+    def _of_subscript(self, node: ast.Subscript) -> Value:
+        if isinstance(node.slice, ast.Slice):
+            return Value("ptr", self._element(node))
+        return Value("double", self._new(f"load double, ptr {self._element(node)}"))
+
+    def _element(self, node: ast.Subscript) -> str:
+        """Address of a[k], which is also the vector a[k:]."""
+        vector, place = self._value(node.value), node.slice
+        if isinstance(place, ast.Slice):
+            if place.upper is not None or place.step is not None or place.lower is None:
+                raise self._error(node, "holds a slice other than a[k:]")
+            place = place.lower
+        index = self._value(place)
+        if vector.type != "ptr" or index.type != "i64":
+            raise self._error(node, f"indexes {vector.type} with {index.type}")
+        return self._new(f"getelementptr double, ptr {vector.operand}, i64 {index.operand}")
+
+    def _of_call(self, node: ast.Call) -> Value:
+        if not isinstance(node.func, ast.Name | ast.Attribute) or node.keywords:
+            raise self._error(node, "calls something else than a function by its name")
+        arguments = [self._value(argument) for argument in node.args]
+        if isinstance(node.func, ast.Attribute) or node.func.id in self._variables:
+            callback, (x, y) = self._value(node.func), arguments
+            self._emit(f"call void {callback.operand}(ptr {x.operand}, ptr {y.operand})")
+            return Value("void", "")
+        name = node.func.id
+        if name == "float":
+            return self._float(arguments[0])
+        if name == "int":
+            return Value("i64", self._new(f"fptosi double {arguments[0].operand} to i64"))
+        if name in INTRINSICS:
+            given = ", ".join(f"double {self._float(argument).operand}" for argument in arguments)
+            return Value("double", self._new(f"call double @{INTRINSICS[name]}({given})"))
+        function = self._global(node.func)
+        if not is_native(function):
+            raise self._error(node, f"calls {name}, which is not native")
+        return self._call(node, function, arguments)
+
+    def _call(self, node: ast.Call, function: Callable[..., Any], arguments: list[Value]) -> Value:
+        self.callees.append(function)
+        signature = signature_of(function)
+        given = []
+        for argument, kind in zip(arguments, signature.arguments.values(), strict=True):
+            converted = self._float(argument) if kind == "double" else argument
+            if converted.type != kind:
+                raise self._error(node, f"passes {converted.type} for {kind}")
+            given.append(f"{machine_type(kind)} {converted.operand}")
+        call = f"call {signature.result} @{function.__name__}({', '.join(given)})"
+        if signature.result == "void":
+            self._emit(call)
+            return Value("void", "")
+        return Value(signature.result, self._new(call))
+
+    def _float(self, value: Value) -> Value:
+        if value.type == "i64":
+            return Value("double", self._new(f"sitofp i64 {value.operand} to double"))
+        if value.type != "double":
+            raise NativeError(f"{self.function.__name__}: {value.type} where a number is needed")
+        return value
+
+    # Instructions, variables and labels
+
+    def _store(self, name: str, value: Value, node: ast.expr | None = None) -> None:
+        known = self._variables.get(name)
+        if name in self._records:
+            raise self._error(node, f"assigns to {name!r}, which is a record")
+        if known is None:
+            known = self._variables[name] = Value(value.type, f"%{name}.slot")
+            self._slots.append(f"  {known.operand} = alloca {machine_type(value.type)}")
+        if known.type == "double":
+            value = self._float(value)
+        if known.type != value.type:
+            raise self._error(node, f"assigns {value.type} to {name!r}, which is {known.type}")
+        self._emit(f"store {machine_type(value.type)} {value.operand}, ptr {known.operand}")
+
+    def _load(self, name: str) -> Value:
+        kind, slot = self._variables[name]
+        return Value(kind, self._new(f"load {machine_type(kind)}, ptr {slot}"))
+
+    def _new(self, instruction: str) -> str:
+        self._count += 1
+        self._emit(f"%t{self._count} = {instruction}")
+        return f"%t{self._count}"
+
+    def _emit(self, instruction: str) -> None:
+        self._lines.append(f"  {instruction}")
+
+    def _labels(self, *names: str) -> list[str]:
+        self._count += 1
+        return [f"{name}{self._count}" for name in names]
+
+    def _begin(self, label: str) -> None:
+        self._lines.append(f"{label}:")
+        self._open = True
+
+    def _jump(self, label: str) -> bool:
+        """Jump unless the block has ended already; returns whether it jumped."""
+        jumped = self._open
+        if jumped:
+            self._emit(f"br label %{label}")
+        self._open = False
+        return jumped
+
+    def _error(self, node: ast.AST | None, problem: str) -> NativeError:
+        line = getattr(node, "lineno", 0)
+        return NativeError(f"{self.function.__name__}, line {line}: {problem}, which native code cannot")
+
+
+@lru_cache
+def _definitions(file: str) -> dict[str, ast.FunctionDef]:
+    """The functions that a file defines, by name."""
+    body = ast.parse(Path(file).read_text(encoding="utf-8")).body
+    return {node.name: node for node in body if isinstance(node, ast.FunctionDef)}
+
+
+def _loaded(target: ast.expr) -> ast.expr:
+    """The target of an assignment as an expression to read."""
+    copy = ast.parse(ast.unparse(target), mode="eval").body
+    return ast.copy_location(copy, target)

@@ -1,0 +1,125 @@
+"""Closing the loops of a model file where it starts, as well as its own digits allow.
+
+A file rounds its numbers, so that constraints that are redundant by design contradict each other a little.
+The independent ones are closed to round-off; what is left of the others is an offset that the loops keep.
+Everything is dimensionless, as where a scene's redundant constraints are decided: velocities in the spread of
+the mechanism and rad, each loop in what one of them moves its bodies by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.equations.independence import independent
+from newton_euler.equations.redundancy import loosely_closed
+from newton_euler.equations.solve import largest, singular_values
+from newton_euler.equations.sparse import sparse_vector
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE
+from newton_euler.model.scene import REDUNDANCY_TOLERANCE
+from newton_euler.scalars import Array
+
+CLOSED = 1e-12
+"""Dimensionless residual of what is closed as it stands: round-off of the file's own numbers."""
+
+NEWTON_STEPS = 60
+
+LONGEST_STEP = 0.2
+"""rad or spreads of the mechanism, of one step of assembly, so that it stays on the branch it starts on."""
+
+
+class Units(NamedTuple):
+    """What makes the equations of a file's loops dimensionless."""
+
+    velocities: Array
+    """(nv,) the spread of the mechanism, m, for slides and free translations, 1 for turns."""
+    rows: Array
+    """(k,) m or rad: `reach` of a loop, the length of its own row for a coupling."""
+
+    def jacobian(self, jacobian: Array) -> Array:
+        """(k, nv) without units."""
+        return np.asarray(jacobian * self.velocities / self.rows[:, None])
+
+
+class Closure(NamedTuple):
+    """A configuration in which the loops of a file are closed as well as they can be."""
+
+    q: Array
+    residuals: Array
+    """(k,) m or rad."""
+    noise: float
+    """The largest residual, dimensionless."""
+    independent: float
+    """The same of what could be closed and is not."""
+    tolerance: float
+    """Dimensionless size below which constraints were taken as redundant."""
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether what is left is no more than rounding of the file explains."""
+        # what no motion closes is rounding however constraints are taken
+        loose = loosely_closed(max(self.tolerance, REDUNDANCY_TOLERANCE))
+        return self.independent <= CLOSURE_TOLERANCE and self.noise <= loose
+
+    @property
+    def offset(self) -> float:
+        """The largest residual, m or rad."""
+        return largest(self.residuals)
+
+
+def close(
+    q: Array,
+    evaluate: Callable[[Array], tuple[Array, Array]],
+    move: Callable[[Array, Array], Array],
+    units: Units,
+    tolerance: float,
+) -> Closure:
+    """Close loops near a configuration by Newton's steps of least length.
+
+    Args:
+        q: where to start.
+        evaluate: residuals (k,), m or rad, and their Jacobian (k, nv) at a configuration.
+        move: a configuration moved by a step (nv,).
+        units: of residuals and steps.
+        tolerance: of the scene, see `newton_euler.Scene.redundancy_tolerance`.
+    """
+    best: Closure | None = None
+    for _ in range(NEWTON_STEPS + 1):
+        phi, jacobian = evaluate(q)
+        gaps, matrix = phi / units.rows, units.jacobian(jacobian)
+        rank = len(independent([sparse_vector(row) for row in matrix], tolerance).rows)
+        u, s, vt = singular_values(matrix)
+        shares = u[:, :rank].T @ gaps
+        found = Closure(q, phi, largest(gaps), largest(u[:, :rank] @ shares), tolerance)
+        if best is None or found.independent < best.independent:
+            best = found
+        elif best.independent < CLOSURE_TOLERANCE:
+            break
+        step = vt[:rank].T @ (shares / s[:rank])
+        step *= min(1.0, LONGEST_STEP / max(largest(step), 1e-300))
+        q = move(q, -units.velocities * step)
+    assert best is not None
+    return best
+
+
+def reach(motions: Sequence[Array], levers: Sequence[float], velocities: Array) -> tuple[float, float]:
+    """How far one velocity moves what two bodies share, and turns it, at most: m and rad.
+
+    Of each body by itself, so that a loop in which both cancel is seen to be stiff but for noise; see
+    `newton_euler.equations.relative_terms.RelativeTerms.row_scales`.
+
+    Args:
+        motions: (6, nv) of each body, velocity of its mass center and angular velocity.
+        levers: m, from these centers to the point that they share.
+        velocities: (nv,) units.
+    """
+    turns, moves = np.zeros(len(velocities)), np.zeros(len(velocities))
+    first, second = (np.any(motion != 0.0, axis=0) for motion in motions)
+    own = first != second
+    for motion, lever in zip(motions, levers, strict=True):
+        turning = np.linalg.norm(motion[3:], axis=0) * velocities * own
+        turns = np.maximum(turns, turning)
+        moves = np.maximum(moves, np.linalg.norm(motion[:3], axis=0) * velocities * own + lever * turning)
+    return float(np.max(moves, initial=0.0)) or 1.0, float(np.max(turns, initial=0.0)) or 1.0

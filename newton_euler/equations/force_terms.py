@@ -1,0 +1,160 @@
+"""What the forces of a scene do to its bodies all together, their energies and their power.
+
+Once for all formulations, over generic scalars. Forces on joint coordinates act through those, see
+`newton_euler.model.measured`; here are their energies only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from newton_euler.equations import balls
+from newton_euler.model.armature import BallArmature
+from newton_euler.model.constraints import Frame
+from newton_euler.model.forces import (
+    BallSpring,
+    JointSpring,
+    PointSpring,
+    Wrench,
+    line_of,
+    pull_along,
+    wrench_at,
+)
+from newton_euler.model.joints import Pose
+from newton_euler.model.measured import Key
+from newton_euler.scalars import Array, Scalar, cross, sqrt
+
+if TYPE_CHECKING:
+    from newton_euler.model.scene import Scene
+
+Measurements = Mapping[Key, tuple[Scalar, ...]]
+"""Joint coordinates (m or rad), their rates, and what else may follow."""
+
+Surroundings = tuple[list[Pose], list[Frame], Measurements, Scalar]
+"""What forces depend on: reference poses and frames of all bodies, joint coordinates, and the time, s."""
+
+
+def turned(
+    scene: Scene, spring: BallSpring, poses: Sequence[Pose], frames: Sequence[Frame]
+) -> tuple[tuple[int, int], Array, Array]:
+    """The two bodies of a spring of a ball, and theta and omega, (3,) rad and rad/s, world frame."""
+    i, j = balls.ends(scene.mechanism, spring.joint)
+    between = frames[i], frames[j]
+    return (i, j), balls.turn(poses[i], poses[j], spring.rest, between), balls.spin(*between)
+
+
+def body_wrenches(scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame]) -> list[Array]:
+    """What springs of balls, springs between points and wrenches do to each body (ground first), (6,).
+
+    N and N m, force and torque about the centre of mass, world frame. `poses` are the reference poses of the
+    frames at the initial pose.
+    """
+    total: list[Array] = [np.zeros(6) for _ in frames]
+    for force in scene.forces:
+        if isinstance(force, PointSpring):
+            line = line_of(force, scene.mechanism, poses, frames)
+            pull = pull_along(force, line)
+            total[line.first] = total[line.first] + np.concatenate([pull, cross(line.s_i, pull)])
+            total[line.second] = total[line.second] - np.concatenate([pull, cross(line.s_j, pull)])
+        elif isinstance(force, Wrench):
+            k = scene.mechanism.body_index(force.body)
+            push, torque, arm = wrench_at(force, k, poses, frames)
+            total[k] = total[k] + np.concatenate([push, torque + cross(arm, push)])
+        elif isinstance(force, BallSpring):
+            (i, j), theta, omega = turned(scene, force, poses, frames)
+            couple = np.concatenate([np.zeros(3), force.torque(theta, omega)])
+            total[i], total[j] = total[i] - couple, total[j] + couple
+    return total
+
+
+def springs_energy(
+    scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured: Measurements
+) -> Scalar:
+    """Energy of all springs, J."""
+    energy: Scalar = 0.0
+    for spring in scene.forces:
+        if isinstance(spring, JointSpring):
+            energy = energy + spring.energy(measured[spring.joint, spring.coordinate][0])
+        elif isinstance(spring, PointSpring):
+            d = line_of(spring, scene.mechanism, poses, frames).d
+            length = sqrt(d @ d)
+            stretch = length - spring.rest_length
+            energy = energy + 0.5 * spring.stiffness * (stretch * stretch)
+        elif isinstance(spring, BallSpring):
+            energy = energy + spring.energy(turned(scene, spring, poses, frames)[1])
+    return energy
+
+
+def rotors_energy(scene: Scene, frames: Sequence[Frame], measured: Measurements) -> Scalar:
+    """Kinetic energy of the armatures, J."""
+    energy: Scalar = 0.0
+    for armature in scene.armatures:
+        if isinstance(armature, BallArmature):
+            i, j = balls.ends(scene.mechanism, armature.joint)
+            omega = balls.spin(frames[i], frames[j])
+            square = omega @ omega
+        else:
+            rate = measured[armature.key][1]
+            square = rate * rate
+        energy = energy + 0.5 * armature.inertia * square
+    return energy
+
+
+def power(
+    scene: Scene,
+    poses: Sequence[Pose],
+    frames: Sequence[Frame],
+    measured: Measurements,
+    time: Scalar,
+) -> Scalar:
+    """Power, W, of what has no energy of its own: control laws, dampers and wrenches."""
+    power: Scalar = 0.0
+    for law in scene.joint_forces:
+        x, rate = measured[law.joint, law.coordinate][:2]
+        power = power + law.power(x, rate, time)
+    for force in scene.forces:
+        if isinstance(force, PointSpring):
+            line = line_of(force, scene.mechanism, poses, frames)
+            if force.has_direction:
+                along = line.d @ line.rate
+                power = power - force.damping * (along * along) / (line.d @ line.d)
+        elif isinstance(force, Wrench):
+            k = scene.mechanism.body_index(force.body)
+            push, torque, arm = wrench_at(force, k, poses, frames)
+            omega = frames[k].angular_velocity
+            power = power + push @ (frames[k].velocity + cross(omega, arm)) + torque @ omega
+        elif isinstance(force, BallSpring):
+            i, j = balls.ends(scene.mechanism, force.joint)
+            power = power + force.power(balls.spin(frames[i], frames[j]))
+    return power
+
+
+def pulls(
+    scene: Scene,
+    poses: Sequence[Pose],
+    frames: Sequence[Frame],
+    measured: Measurements,
+    time: Scalar,
+) -> dict[str, float]:
+    """N, how strong each of a scene's forces is, by what errors call it; a torque as a force at the
+    mechanism's size."""
+    size = scene.mechanism.size
+    found: dict[str, float] = {}
+    for law in scene.joint_forces:
+        joint = scene.mechanism.joints[scene.mechanism.joint_index(law.joint)]
+        turns = joint.coordinate_kinds[law.coordinate] == "hinge"
+        x, rate = measured[law.joint, law.coordinate][:2]
+        found[law.element] = abs(law.force(x, rate, time)) / (size if turns else 1.0)
+    for force in scene.forces:
+        if isinstance(force, PointSpring):
+            pull = pull_along(force, line_of(force, scene.mechanism, poses, frames))
+            found[force.element] = float(np.max(np.abs(pull)))
+        elif isinstance(force, Wrench):
+            found[force.element] = float(np.max(np.abs([force.force, force.torque / size])))
+        elif isinstance(force, BallSpring):
+            torque = force.torque(*turned(scene, force, poses, frames)[1:])
+            found[force.element] = float(np.max(np.abs(torque))) / size
+    return found

@@ -1,0 +1,129 @@
+"""Independent rows of a dimensionless matrix: the one decision that every form, engine and reader shares.
+
+A row counts as dependent where what it adds to the others is smaller than a tolerance and a gap sets it apart
+from what the weakest independent row adds. Everything is sparse: there may be thousands of rows.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.equations.sparse import (
+    Factor,
+    Rows,
+    add,
+    dot,
+    factorise,
+    gram,
+    pattern_order,
+    sparse_vector,
+)
+from newton_euler.scalars import Array
+
+ROUND_OFF = 1e-10
+"""Independent part of a row below which it is round-off, whatever the tolerance."""
+
+NAMED = 1e-13
+"""What a row adds to the others above which it is not exactly redundant."""
+
+CERTAIN = 1e-4
+"""Pivot of the Gram matrix above which its row is independent: a pivot is the square of what the row adds to
+those before it, so that smaller ones leave doubt."""
+
+GAP = 10.0
+"""Least ratio of what the weakest independent row adds to what the strongest redundant one does."""
+
+
+class Independent(NamedTuple):
+    """A choice of rows that imply all others, but for noise."""
+
+    factor: Factor
+    """Of the Gram matrix of these rows."""
+    weak: dict[int, float]
+    """Those that add little to the ones before them, and how much, the strongest first."""
+    strong: float
+    """The least that one of the others adds."""
+    noise: float
+    """The most that another row adds to them."""
+
+    @property
+    def rows(self) -> list[int]:
+        """Their numbers, in order."""
+        return sorted(self.factor.order)
+
+
+def independent(rows: Rows, tolerance: float) -> Independent:
+    """Choose independent rows of a dimensionless matrix.
+
+    Rows are added by what is new in them, the most first, until less than `tolerance` is new and a gap
+    separates it; where there is none, until the rest is round-off.
+    """
+    lengths = [length(row) for row in rows]
+    noise = max((each for each in lengths if each <= ROUND_OFF), default=0.0)
+    rows = [row if each > ROUND_OFF else {} for row, each in zip(rows, lengths, strict=True)]
+    products = gram(rows, rows)
+    order = [i for i in pattern_order(products) if rows[i]]
+    certain = max(CERTAIN, (GAP * tolerance) ** 2)
+    factor = factorise(products, order, scales=[1.0] * len(rows), drop=certain)
+    used = set(factor.order)
+    doubtful = [i for i in order if i not in used]
+    least = float(np.sqrt(min((factor.pivots[i] for i in factor.order), default=1.0)))
+    weak, strong = dict[int, float](), least
+    while doubtful and (new := _together(rows, factor, doubtful)) > NAMED:
+        if new <= ROUND_OFF or GAP * new <= min(tolerance, least / GAP):
+            noise = max(noise, new)
+            break
+        shares = {i: remainder(rows, factor, rows[i]) for i in doubtful}
+        found = max(shares, key=lambda i: shares[i])
+        share = shares[found]
+        if share <= ROUND_OFF or (share <= tolerance and GAP * share <= least):
+            noise = max(noise, share)
+            break
+        least = min(least, share)
+        if share < np.sqrt(CERTAIN):
+            weak[found] = share
+        else:
+            strong = least
+        doubtful.remove(found)
+        factor = factorise(products, [*factor.order, found])
+    return Independent(factor, weak, strong, noise)
+
+
+def length(row: dict[int, float]) -> float:
+    """Euclidean norm of a sparse vector."""
+    return float(np.sqrt(sum(x * x for x in row.values())))
+
+
+def remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
+    """Length of the part of a row that is new to those of a factor; solved twice, for digits that squaring
+    loses."""
+    left = dict(row)
+    for _ in range(2):
+        right = {j: dot(rows[j], left) for j in factor.order}
+        for j, share in factor.solve({j: x for j, x in right.items() if x != 0.0}).items():
+            for k, x in rows[j].items() if share != 0.0 else ():
+                left[k] = left.get(k, 0.0) - share * x
+    return length(left)
+
+
+def least_step(rows: Rows, factor: Factor, right: Array, columns: int) -> Array:
+    """The shortest x (columns,) with rows @ x = right (k,) for the rows of a factor."""
+    used = set(factor.order)
+    weights = factor.solve({i: x for i, x in sparse_vector(right).items() if i in used})
+    step = np.zeros(columns)
+    for i in factor.order:
+        for k, x in rows[i].items():
+            step[k] += x * weights.get(i, 0.0)
+    return step
+
+
+def _together(rows: Rows, factor: Factor, doubtful: list[int]) -> float:
+    """Length of what is new in a random combination of rows: round-off only if nothing is new in any."""
+    weights = np.random.default_rng(1).uniform(1.0, 2.0, len(doubtful))
+    together: dict[int, float] = {}
+    for i, weight in zip(doubtful, weights, strict=True):
+        for k, x in rows[i].items():
+            add(together, k, weight * x)
+    return remainder(rows, factor, together)

@@ -1,0 +1,393 @@
+"""Redundant constraints and the degrees of freedom they leave, decided once for each scene.
+
+A constraint row is redundant if it follows from the others in every configuration; a row that depends on
+the others in one configuration only, as in a dead center, is none. So several configurations are examined.
+
+Files are rarely exact: axes tilted by 1e-12 to 1e-7 rad and points rounded to 1e-6 m leave rows that add
+very little to the others, although the design is plainly redundant. Taken literally they would lock the
+mechanism. Rows whose independent part is smaller than `Scene.redundancy_tolerance` count as redundant
+where a gap sets them apart (`newton_euler.equations.independence`), and are named with their singular
+value (on such models see J. Garcia de Jalon and M. D. Gutierrez-Lopez, Multibody System Dynamics 30,
+2013). The decision is made in joint coordinates, with each row in units of the motions that it is a
+difference of; all other forms of the equations, dense and sparse, of every engine, take the degrees of
+freedom from it.
+
+Everything is sparse: scenes may have thousands of rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from newton_euler.equations.independence import (
+    NAMED,
+    ROUND_OFF,
+    Independent,
+    independent,
+    least_step,
+    length,
+    remainder,
+)
+from newton_euler.equations.relative_terms import RelativeTerms
+from newton_euler.equations.solve import largest, singular_values
+from newton_euler.equations.sparse import Rows, RowsInUse, Solution, dense
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.scalars import Array
+
+CONFIGURATIONS = 4
+"""Number of configurations that decide."""
+
+REACH = 0.1
+"""Distance between them: radians, and sizes of the mechanism."""
+
+LOOSE = 10.0
+"""Residual of a nearly redundant constraint in units of the scene's tolerance: noise of that size times the
+largest angles, and sizes of the mechanism, that joints move by."""
+
+SUSPECT = 1e-2, 100.0
+"""Singular value below which, and distance to the next larger one from which, a row that is taken literally
+looks like one of a design that was meant to be redundant."""
+
+MOST_NAMED = 20
+"""Redundant constraints of a scene that is too large for its singular values."""
+
+DENSE_LIMIT = 1_000_000
+"""Largest number of elements of a Jacobian whose singular values are computed to name them."""
+
+NEWTON_STEPS = 30
+"""From a singular configuration Newton's steps converge slowly."""
+
+CLOSED = 1e-11
+"""Residual, dimensionless, of the independent rows of a configuration that is closed."""
+
+
+class Equations(Protocol):
+    """Any form of the equations of a scene, with constraints that hold all of the scene's."""
+
+    scene: Scene
+    nv: int
+
+
+class Dense(Equations, Protocol):
+    """A form with a dense Jacobian; see `newton_euler.equations.system.System`."""
+
+    name: str
+    phi_units: Array
+    velocity_units: Array
+
+    def coordinates(self, state: State) -> tuple[Array, Array]: ...
+
+    def phi_jacobian(self, q: Array) -> Array: ...
+
+
+@runtime_checkable
+class Eliminated(Dense, Protocol):
+    """A form that sparse elimination solves."""
+
+    omitted: list[int] | None
+    """Rows to leave out instead of those that are chosen here."""
+
+    def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution: ...
+
+    def rows_of(self, relative: Collection[int]) -> list[int]:
+        """Rows of `phi` that hold these of the joint-coordinate form, and all that its tree holds."""
+
+
+class NearlyRedundant(NamedTuple):
+    """A constraint that is almost implied by the others."""
+
+    joint: str
+    """Name of the joint or gear with the largest share in it."""
+    singular_value: float
+    """Dimensionless, of the constraint Jacobian in joint coordinates."""
+    taken: Literal["redundant", "literally"]
+
+    def __str__(self) -> str:
+        return f"joint {self.joint!r}: singular value {self.singular_value:.1e}, taken {self.taken}"
+
+
+def residual(nearly: Iterable[NearlyRedundant]) -> float:
+    """The largest singular value that is taken as redundant, 0 for none."""
+    return max((weak.singular_value for weak in nearly if weak.taken == "redundant"), default=0.0)
+
+
+class Configuration(NamedTuple):
+    """Constraint rows at a closed configuration."""
+
+    q: Array
+    rows: Rows
+    """Dimensionless."""
+    chosen: Independent
+
+    @property
+    def rank(self) -> int:
+        return len(self.chosen.factor.order)
+
+
+@dataclass(frozen=True, eq=False)
+class Mobility:
+    """Degrees of freedom of a scene.
+
+    Attributes:
+        degrees_of_freedom: number of independent velocities where no configuration is singular.
+        independent: rows of the joint-coordinate form that imply all others.
+        redundant: other rows that are not zero everywhere: with them multipliers are not unique.
+        nearly: constraints that are almost redundant, and how they are taken.
+        residual: largest singular value that is taken as redundant; 0 if all are exactly so.
+        configurations: those that were examined and are closed.
+        states: the same, at rest.
+    """
+
+    degrees_of_freedom: int
+    independent: list[int]
+    redundant: list[int]
+    nearly: tuple[NearlyRedundant, ...]
+    configurations: list[Configuration]
+    states: list[State]
+
+    @property
+    def residual(self) -> float:
+        return residual(self.nearly)
+
+
+_KNOWN: WeakKeyDictionary[Scene, Mobility] = WeakKeyDictionary()
+_LEFT_OUT: WeakKeyDictionary[Scene, dict[str, list[int]]] = WeakKeyDictionary()
+
+
+def mobility(scene: Scene) -> Mobility:
+    """Decide which constraints of a scene are redundant; asked again for the same scene, the same."""
+    if scene not in _KNOWN:
+        with np.errstate(all="ignore"):  # what overflows is reported by a run
+            _KNOWN[scene] = _mobility(RelativeTerms(scene))
+    return _KNOWN[scene]
+
+
+def constraint_rank(system: Equations) -> int:
+    """Number of independent constraints of any form of a scene's equations."""
+    return system.nv - mobility(system.scene).degrees_of_freedom
+
+
+def loop_rank(system: Equations, but: Collection[str]) -> int:
+    """Number of independent constraints of any form that close loops, which couplings may follow from.
+
+    Args:
+        but: names of joints whose constraints do not count either.
+    """
+    relative, tolerance = RelativeTerms(system.scene), system.scene.redundancy_tolerance
+    loops = relative.row_owners[: len(relative.row_owners) - len(relative.couplings)]
+    kept = [row for row, owner in enumerate(loops) if owner not in but]
+    seen = mobility(system.scene).configurations
+    ranks = [len(independent([at.rows[row] for row in kept], tolerance).rows) for at in seen]
+    return system.nv - relative.nv + max(ranks)
+
+
+def rows_left_out(system: Dense) -> list[int]:
+    """Rows of `phi` that noise keeps from being redundant, left out the same everywhere.
+
+    Of a form that knows the rows of the joint-coordinate form, all but those; of another one those that a
+    factorization with pivoting leaves at a configuration where no others are redundant.
+    """
+    decided, count = mobility(system.scene), len(system.phi_units)
+    if decided.residual == 0.0:
+        return []
+    known = _LEFT_OUT.setdefault(system.scene, {})
+    if isinstance(system, Eliminated):
+        if system.omitted is not None:
+            return system.omitted
+        used = system.rows_of(decided.independent)
+    elif system.name in known:
+        return known[system.name]
+    else:
+        from scipy.linalg import qr
+
+        best = max(range(len(decided.states)), key=lambda k: decided.configurations[k].rank)
+        q, _ = system.coordinates(decided.states[best])
+        jacobian = system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None]
+        used = qr(jacobian.T, mode="r", pivoting=True)[1][: constraint_rank(system)].tolist()
+    known[system.name] = sorted(set(range(count)) - set(used))
+    return known[system.name]
+
+
+def loosely_closed(tolerance: float) -> float:
+    """Residual, sizes or rad, up to which constraints that are redundant but for noise may be open."""
+    return max(LOOSE * tolerance, CLOSURE_TOLERANCE)
+
+
+def without(rows: Array, left_out: Sequence[int]) -> Array:
+    """A copy of an array (k, ...) with some of its rows zero."""
+    changed = np.array(rows)
+    changed[list(left_out)] = 0.0
+    return changed
+
+
+def inherit_mobility(scene: Scene, of: Scene) -> None:
+    """Give a scene with the same geometry as another one what has been decided of that, if it has been."""
+    if of in _KNOWN:
+        _KNOWN[scene] = _KNOWN[of]
+
+
+def rows_in_use(system: Eliminated, used: Sequence[int] | None = None) -> RowsInUse:
+    """Select rows of a form of the equations that are independent and imply all others.
+
+    They hold the `used` rows of the joint-coordinate form, the independent ones of its mobility if None.
+    """
+    decided = mobility(system.scene)
+    used = decided.independent if used is None else list(used)
+    numbers = system.rows_of(used)
+    pivots = []
+    for at, state in zip(decided.configurations, decided.states, strict=True):
+        # elsewhere, as where the four-bar is flat, pivots are zero or round-off
+        if len(independent([at.rows[i] for i in used], 0.0).rows) == len(used):
+            q, _ = system.coordinates(state)
+            solution = system.sparse_solution(q, np.zeros(system.nv), RowsInUse(numbers))
+            pivots.append((solution.pivots, solution.mass_pivots))
+    scales, mass_scales = (
+        [float(max(column)) for column in zip(*each, strict=True)] for each in zip(*pivots, strict=True)
+    )
+    return RowsInUse(numbers, scales, mass_scales)
+
+
+def _mobility(system: RelativeTerms) -> Mobility:
+    seen, alive = _examine(system)
+    best = max(seen, key=lambda at: at.rank)
+    used, rest = best.chosen.rows, np.zeros(system.nv)
+    return Mobility(
+        system.nv - len(used),
+        used,
+        sorted(alive - set(used)),
+        tuple(_nearly(system, [at for at in seen if at.rank == len(used)])),
+        seen,
+        [system.state(at.q, rest) for at in seen],
+    )
+
+
+def _nearly(system: RelativeTerms, seen: Sequence[Configuration]) -> Iterator[NearlyRedundant]:
+    """Small singular values on both sides of the rank.
+
+    Those taken literally where no configuration has larger ones, those of redundant rows where they are
+    largest: in some poses noise does nothing.
+    """
+    own, _ = system.coordinates(State.initial(system.scene.mechanism))
+    exact = [NAMED if np.array_equal(at.q, own) else CLOSED for at in seen]
+    if all(at.chosen.weak for at in seen):
+        spectra = [_spectrum(system, at) for at in seen]
+        values, rank, owner = max(spectra, key=lambda each: each.values[each.rank - 1])
+        smallest, apart = SUSPECT
+        for k in range(1, rank):
+            if values[k] < smallest and values[k] * apart < values[k - 1]:
+                yield NearlyRedundant(owner(k), values[k], "literally")
+    noisiest = max(range(len(seen)), key=lambda k: seen[k].chosen.noise / exact[k])
+    if seen[noisiest].chosen.noise > exact[noisiest]:
+        values, rank, owner = _spectrum(system, seen[noisiest])
+        for k in range(rank, len(values)):
+            if values[k] > exact[noisiest]:
+                yield NearlyRedundant(owner(k), values[k], "redundant")
+
+
+class Spectrum(NamedTuple):
+    """How much the rows of a configuration say, strongest first: singular values of their Jacobian.
+
+    Of one too large for these, what rows add to those before them, and what redundant ones add to all others.
+    """
+
+    values: list[float]
+    rank: int
+    """Number of values that are not taken as redundant."""
+    owner: Callable[[int], str]
+    """Name of the joint or gear with the largest share in one."""
+
+
+def _spectrum(system: RelativeTerms, at: Configuration) -> Spectrum:
+    rows, chosen, owners = at.rows, at.chosen, system.row_owners
+    if len(rows) * system.nv <= DENSE_LIMIT:
+        u, s, _ = singular_values(dense(rows, system.nv))
+
+        def largest_share(k: int) -> str:
+            weights: dict[str, float] = {}
+            for owner, share in zip(owners, u[:, k] ** 2, strict=True):
+                weights[owner] = weights.get(owner, 0.0) + share
+            return max(weights, key=lambda owner: weights[owner])
+
+        return Spectrum(s.tolist(), at.rank, largest_share)
+    others = set(range(len(rows))) - set(chosen.factor.order)
+    left = {k: remainder(rows, chosen.factor, rows[k]) for k in others}
+    redundant = sorted(left, key=lambda k: -left[k])[:MOST_NAMED]
+    named = [*chosen.weak, *redundant]
+    values = [chosen.strong, *chosen.weak.values(), *(left[k] for k in redundant)]
+    return Spectrum(values, 1 + len(chosen.weak), lambda k: owners[named[k - 1]])
+
+
+def _examine(system: RelativeTerms) -> tuple[list[Configuration], set[int]]:
+    """Examine closed configurations; also which rows are not zero in all of them."""
+    tolerance = system.scene.redundancy_tolerance
+    pose = State.initial(system.scene.mechanism)
+    q, v = system.coordinates(pose if system.scene.initial_state is None else system.scene.initial_state)
+    own, _ = system.coordinates(pose)
+    directions = _directions(system, v)
+    alive: set[int] = set()
+    seen: list[Configuration] = []
+    for number in range(CONFIGURATIONS):
+        phi, rows = _scaled(system, q)
+        found = independent(rows, tolerance)
+        others = np.delete(phi, found.rows)
+        if number == 0 or (
+            largest(phi[found.rows]) < CLOSED and largest(others) < max(CLOSED, LOOSE * tolerance)
+        ):
+            alive.update(i for i, row in enumerate(rows) if length(row) > ROUND_OFF)
+            seen.append(Configuration(q, rows, found))
+        best = max(seen, key=lambda at: at.rank)
+        if number > 0 and best.rank == len(alive):
+            break  # all that can be
+        if number == 0 and not np.array_equal(own, q):
+            q = own
+        else:
+            q = _neighbour(system, best.q, next(directions))
+    return seen, alive
+
+
+def _scaled(system: RelativeTerms, q: Array) -> tuple[Array, Rows]:
+    """Dimensionless residuals and Jacobian rows, each in units of its own motions."""
+    phi, jacobian = system.phi_and_jacobian(q)
+    units, scales = system.velocity_units, system.phi_units * system.row_scales(q)
+    rows = [
+        {k: x * units[k] / scale for k, x in row.items()} for row, scale in zip(jacobian, scales, strict=True)
+    ]
+    return phi / scales, rows
+
+
+def _directions(system: RelativeTerms, v: Array) -> Iterator[Array]:
+    """Yield directions to other configurations: the velocity's, then random ones.
+
+    From a singular configuration random steps lead off all of its branches, and what they come back to is too
+    near to it to tell; a velocity is that of a branch.
+    """
+    speed = np.max(np.abs(v / system.velocity_units), initial=0.0)
+    if speed > 0.0:
+        yield v / speed
+    rng = np.random.default_rng(0)
+    while True:
+        yield system.velocity_units * rng.uniform(-1.0, 1.0, system.nv)
+
+
+def _neighbour(system: RelativeTerms, q: Array, direction: Array) -> Array:
+    """Find another configuration that meets the independent constraints, some way off in a direction."""
+    tolerance, unit = system.scene.redundancy_tolerance, system.velocity_units
+    step = REACH * direction
+    _, rows = _scaled(system, q)
+    rate = np.array([sum(x * step[k] / unit[k] for k, x in row.items()) for row in rows])
+    back = least_step(rows, independent(rows, tolerance).factor, rate, system.nv)
+    q = system.retract(q, step - unit * back)
+    for _ in range(NEWTON_STEPS):
+        phi, rows = _scaled(system, q)
+        factor = independent(rows, tolerance).factor
+        if largest(phi[factor.order]) < 0.01 * CLOSED:
+            break
+        q = system.retract(q, -unit * least_step(rows, factor, phi, system.nv))
+    return q

@@ -1,0 +1,122 @@
+"""Dense linear algebra of constrained dynamics, for floats.
+
+Ranks are decided on dimensionless matrices: rows in meters are divided by the mechanism's size and so
+are velocities in m/s. Entries of a constraint Jacobian are then of order 1 whatever the size of the
+mechanism, and a row of round-off is told from a constraint. Rows that are redundant but for noise are left
+out before, see `newton_euler.equations.redundancy`; what is left is of full rank but in singular
+configurations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from newton_euler.scalars import Array
+
+RANK_TOLERANCE = 1e-9
+"""Singular values of a dimensionless matrix below this, or this share of the largest, count as zero."""
+
+
+def largest(residuals: Array) -> float:
+    """The largest of a set of residuals, 0 for none."""
+    return float(np.max(np.abs(residuals), initial=0.0))
+
+
+def singular_values(matrix: Array, full: bool = False) -> tuple[Array, Array, Array]:
+    """U, s and V^T of a matrix, reduced or `full`.
+
+    Raises `numpy.linalg.LinAlgError` for one that is not finite: LAPACK would go on for ever, or print.
+    """
+    if not np.isfinite(matrix).all():
+        raise np.linalg.LinAlgError("a matrix is not finite")
+    u, s, vt = np.linalg.svd(matrix, full_matrices=full)
+    return u, s, vt
+
+
+def numerical_rank(singular_values: Array) -> int:
+    """Number of singular values of a dimensionless matrix that are not round-off."""
+    return int(np.sum(singular_values > RANK_TOLERANCE * max(1.0, np.max(singular_values, initial=0.0))))
+
+
+def rank(matrix: Array) -> int:
+    """Numerical rank of a dimensionless matrix."""
+    return numerical_rank(singular_values(matrix)[1]) if matrix.size else 0
+
+
+def minimum_norm(
+    matrix: Array, right: Array, row_units: Array, column_units: Array, rank: int | None = None
+) -> Array:
+    """Compute the x (n,) of least dimensionless length with matrix @ x = right in the least-squares sense.
+
+    Args:
+        matrix: (k, n); right: (k,).
+        row_units, column_units: (k,) and (n,) units of the rows and of x.
+        rank: that the matrix has at most, but for noise.
+    """
+    if not matrix.size:
+        return np.zeros(matrix.shape[1])
+    u, s, vt = singular_values(matrix * column_units / row_units[:, None])
+    r = numerical_rank(s) if rank is None else min(numerical_rank(s), rank)
+    return np.asarray(column_units * (vt[:r].T @ ((u[:, :r].T @ (right / row_units)) / s[:r])))
+
+
+def independent_rows(jacobian: Array, row_units: Array, column_units: Array) -> Array:
+    """(k, r) combinations of the rows of a Jacobian that imply all of them.
+
+    With them as C, constraints J a = gamma become C^T J a = C^T gamma, and multipliers mu of those are
+    lambda = C mu: of all equivalent multipliers the smallest, in dimensionless terms.
+    """
+    u, s, _ = singular_values(jacobian * column_units / row_units[:, None])
+    return np.asarray(u[:, : numerical_rank(s)] / row_units[:, None])
+
+
+def solve_constrained(
+    mass: Array,
+    force: Array,
+    jacobian: Array,
+    gamma: Array,
+    row_units: Array,
+    column_units: Array,
+) -> tuple[Array, Array]:
+    """Acceleration a (n,) and multipliers lambda (k,) of M a = f + J^T lambda, J a = gamma.
+
+    Redundant constraints are combined into independent ones first. With L the Cholesky factor of M
+    and QR = L^-1 J^T, L^T a = L^-1 f + Q (R^-T gamma - Q^T L^-1 f); not squaring J keeps its digits.
+    Units are as in `minimum_norm`. Raises `numpy.linalg.LinAlgError` for an indefinite M, and for what is
+    not finite.
+    """
+    if not (np.isfinite(force).all() and np.isfinite(gamma).all()):
+        raise np.linalg.LinAlgError("a force is not finite")
+    lower = np.linalg.cholesky(mass)
+    if not jacobian.size:
+        return np.linalg.solve(lower.T, np.linalg.solve(lower, force)), np.zeros(len(gamma))
+    combine = independent_rows(jacobian, row_units, column_units)
+    columns = np.linalg.solve(lower, np.column_stack([force, jacobian.T @ combine]))
+    free = columns[:, 0]
+    q, r = np.linalg.qr(columns[:, 1:])
+    push = np.linalg.solve(r.T, combine.T @ gamma) - q.T @ free
+    return np.linalg.solve(lower.T, free + q @ push), combine @ np.linalg.solve(r, push)
+
+
+def orthonormal_range(matrix: Array) -> Array:
+    """Orthonormal columns that span the range of a dimensionless matrix."""
+    u, s, _ = singular_values(matrix)
+    return np.asarray(u[:, : numerical_rank(s)])
+
+
+def orthonormal_null(matrix: Array, rank: int | None = None) -> Array:
+    """Orthonormal columns that span the null space of a dimensionless matrix; of its own rank if None."""
+    if not matrix.size:
+        return np.eye(matrix.shape[1])
+    _, s, vt = singular_values(matrix, full=True)
+    return np.asarray(vt[numerical_rank(s) if rank is None else rank :].T)
+
+
+def least_squares(matrix: Array, right: Array, rank_tolerance: float | None = None) -> Array:
+    """The shortest of the least-squares solutions.
+
+    Raises `numpy.linalg.LinAlgError` for what is not finite: LAPACK might go on for ever.
+    """
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        raise np.linalg.LinAlgError("a matrix is not finite")
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=rank_tolerance)[0])

@@ -1,0 +1,100 @@
+"""What an integrator, a projection and a harness need of equations of motion.
+
+Both formulations of this package are such systems, and so are other engines' models once they are
+asked for accelerations under rigid constraints.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import Evaluation, MassProperties, State
+from newton_euler.scalars import Array, Scalar
+
+
+class System(Protocol):
+    """Second-order equations with constraints: qdot = rate(q, v), vdot = acceleration(q, v)."""
+
+    name: str
+    scene: Scene
+    mechanism: Mechanism
+    nq: int
+    nv: int
+    phi_units: Array
+    """(k,) what makes the rows of `phi` dimensionless: the mechanism's size for metres, 1 for radians."""
+    velocity_units: Array
+    """(nv,) the same for velocities."""
+
+    def mass_properties(self) -> MassProperties:
+        """What the bodies weigh in this system's own model."""
+
+    def coordinates(self, state: State) -> tuple[Array, Array]:
+        """q (nq,) and v (nv,) of a state."""
+
+    def state(self, q: Array, v: Array) -> State:
+        """Body poses and velocities, by this system's own kinematics."""
+
+    def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
+        """Coordinate (m or rad) and rate of each control law."""
+
+    def rate(self, q: Array, v: Array) -> Array:
+        """qdot (nq,)."""
+
+    def acceleration(self, q: Array, v: Array) -> Array:
+        """vdot (nv,)."""
+
+    def phi(self, q: Array) -> Array:
+        """Constraint residuals (k,) that projection has to remove."""
+
+    def joint_phi(self, q: Array) -> Array:
+        """Residuals of all joints' equations, then of all couplings, m or rad."""
+
+    def phi_jacobian(self, q: Array) -> Array:
+        """(k, nv): derivative of `phi` along `retract`, and of its rate by v."""
+
+    def retract(self, q: Array, step: Array) -> Array:
+        """q moved by a small step (nv,)."""
+
+    def evaluate(self, q: Array, v: Array) -> Evaluation:
+        """Accelerations, reactions and energies."""
+
+    def velocity_transformation(self, q: Array) -> Array:
+        """(6 b, nv): v and omega of body 0, 1, ... for each velocity."""
+
+
+@runtime_checkable
+class Rheonomic(Protocol):
+    """A system whose constraints may depend on time: what it says of them holds at `time`."""
+
+    time: Scalar
+
+    def phi_t(self) -> Array:
+        """Partial derivative (k,) of `phi` by time."""
+
+
+S = TypeVar("S")
+
+
+def at_time(system: S, time: float) -> S:
+    """The same system at a time in s."""
+    if not isinstance(system, Rheonomic):
+        return system
+    changed = copy.copy(system)
+    changed.time = time
+    return changed
+
+
+def dimensionless_jacobian(system: System, q: Array) -> Array:
+    """(k, nv) `phi_jacobian` in units of the mechanism's size: what ranks and conditions are judged by."""
+    return np.asarray(system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None])
+
+
+def opening(system: System, q: Array, v: Array) -> Array:
+    """dPhi/dt (k,) = Phi_q qdot + Phi_t."""
+    rate = system.phi_jacobian(q) @ v
+    return np.asarray(rate + system.phi_t() if isinstance(system, Rheonomic) else rate)

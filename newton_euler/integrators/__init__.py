@@ -1,0 +1,1 @@
+"""Integrators, projection onto the constraints, and passing singular configurations."""

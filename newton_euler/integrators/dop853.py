@@ -1,0 +1,195 @@
+"""Runge-Kutta of order 8 with error estimates of orders 5 and 3 and dense output of order 7.
+
+The pair of Dormand and Prince in the form DOP853: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary
+Differential Equations I, second edition, Springer 1993, section II.5 (step) and II.6 (dense output).
+Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+from newton_euler.codegen.native import Record, Vector, native
+from newton_euler.integrators.march import Equations, evaluate
+
+STAGES = 12
+"""Stages of a step; stage 12 is the derivative at its end, stages 13 to 15 serve dense output."""
+
+# fmt: off
+NODES = (
+    0, 0.05260015195876773, 0.0789002279381516, 0.1183503419072274, 0.2816496580927726,
+    0.3333333333333333, 0.25, 0.3076923076923077, 0.6512820512820513, 0.6, 0.8571428571428571, 1, 1,
+    0.1, 0.2, 0.7777777777777778,
+)
+"""c: where in the step each stage is taken."""
+
+COUPLING = (
+    0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+    0.05260015195876773, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+    0.0197250569845379, 0.0591751709536137, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+    0.02958758547680685, 0, 0.08876275643042054, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+    0.2413651341592667, 0, -0.8845494793282861, 0.924834003261792, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+    0.037037037037037035, 0, 0, 0.17082860872947386, 0.12546768756682242, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+    0,
+    0.037109375, 0, 0, 0.17025221101954405, 0.06021653898045596, -0.017578125, 0, 0, 0, 0, 0, 0, 0, 0,
+    0, 0,
+    0.03709200011850479, 0, 0, 0.17038392571223998, 0.10726203044637328, -0.015319437748624402,
+    0.008273789163814023, 0, 0, 0, 0, 0, 0, 0, 0, 0,
+    0.6241109587160757, 0, 0, -3.3608926294469414, -0.868219346841726, 27.59209969944671,
+    20.154067550477894, -43.48988418106996, 0, 0, 0, 0, 0, 0, 0, 0,
+    0.47766253643826434, 0, 0, -2.4881146199716677, -0.590290826836843, 21.230051448181193,
+    15.279233632882423, -33.28821096898486, -0.020331201708508627, 0, 0, 0, 0, 0, 0, 0,
+    -0.9371424300859873, 0, 0, 5.186372428844064, 1.0914373489967295, -8.149787010746927,
+    -18.52006565999696, 22.739487099350505, 2.4936055526796523, -3.0467644718982196, 0, 0, 0, 0, 0, 0,
+    2.273310147516538, 0, 0, -10.53449546673725, -2.0008720582248625, -17.9589318631188,
+    27.94888452941996, -2.8589982771350235, -8.87285693353063, 12.360567175794303, 0.6433927460157636,
+    0, 0, 0, 0, 0,
+    0.054293734116568765, 0, 0, 0, 0, 4.450312892752409, 1.8915178993145003, -5.801203960010585,
+    0.3111643669578199, -0.1521609496625161, 0.20136540080403034, 0.04471061572777259, 0, 0, 0, 0,
+    0.056167502283047954, 0, 0, 0, 0, 0, 0.25350021021662483, -0.2462390374708025, -0.12419142326381637,
+    0.15329179827876568, 0.00820105229563469, 0.007567897660545699, -0.008298, 0, 0, 0,
+    0.03183464816350214, 0, 0, 0, 0, 0.028300909672366776, 0.053541988307438566, -0.05492374857139099,
+    0, 0, -0.00010834732869724932, 0.0003825710908356584, -0.00034046500868740456, 0.1413124436746325,
+    0, 0,
+    -0.42889630158379194, 0, 0, 0, 0, -4.697621415361164, 7.683421196062599, 4.06898981839711,
+    0.3567271874552811, 0, 0, 0, -0.0013990241651590145, 2.9475147891527724, -9.15095847217987, 0,
+)
+"""a, sixteen a row: the weights of earlier stages in the state of each stage."""
+
+ERROR_3 = (
+    -0.18980075407240762, 0, 0, 0, 0, 4.450312892752409, 1.8915178993145003, -5.801203960010585,
+    -0.4226823213237919, -0.1521609496625161, 0.20136540080403034, 0.02265179219836082, 0,
+)
+"""Weights of the error estimate of order 3, stages 0 to 12."""
+
+ERROR_5 = (
+    0.01312004499419488, 0, 0, 0, 0, -1.2251564463762044, -0.4957589496572502, 1.6643771824549864,
+    -0.35032884874997366, 0.3341791187130175, 0.08192320648511571, -0.022355307863886294, 0,
+)
+"""Weights of the error estimate of order 5, stages 0 to 12."""
+
+DENSE = (
+    -8.428938276109013, 0, 0, 0, 0, 0.5667149535193777, -3.0689499459498917, 2.38466765651207,
+    2.117034582445028, -0.871391583777973, 2.2404374302607883, 0.6315787787694688, -0.08899033645133331,
+    18.148505520854727, -9.194632392478356, -4.436036387594894,
+    10.427508642579134, 0, 0, 0, 0, 242.28349177525817, 165.20045171727028, -374.5467547226902,
+    -22.113666853125306, 7.733432668472264, -30.674084731089398, -9.332130526430229, 15.697238121770845,
+    -31.139403219565178, -9.35292435884448, 35.81684148639408,
+    19.985053242002433, 0, 0, 0, 0, -387.0373087493518, -189.17813819516758, 527.8081592054236,
+    -11.57390253995963, 6.8812326946963, -1.0006050966910838, 0.7777137798053443, -2.778205752353508,
+    -60.19669523126412, 84.32040550667716, 11.99229113618279,
+    -25.69393346270375, 0, 0, 0, 0, -154.18974869023643, -231.5293791760455, 357.6391179106141,
+    93.40532418362432, -37.45832313645163, 104.0996495089623, 29.8402934266605, -43.53345659001114,
+    96.32455395918828, -39.17726167561544, -149.72683625798564,
+)
+"""Weights of stages 0 to 15 in the last four terms of the dense output, sixteen a row."""
+# fmt: on
+
+
+@dataclass(frozen=True, eq=False)
+class Dop853(Record):
+    """The method and its state.
+
+    Attributes:
+        rtol, atol: tolerances.
+        near_rtol, near_atol: the same next to a singular configuration, which may be larger.
+        most: the largest number of steps.
+        now, at, end: states with time and parameters: where a step begins, of a stage, where it ends.
+        k: (16, n + 1) derivatives of the stages.
+        terms: (7, n) of the dense output.
+    """
+
+    rtol: float
+    atol: float
+    near_rtol: float
+    near_atol: float
+    most: int
+    now: Vector
+    at: Vector
+    end: Vector
+    k: Vector
+    terms: Vector
+
+
+@native
+def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> int:
+    """Stage s of a step of size h, its state in `at` and its derivative into row s of k; returns a status."""
+    n = system.n
+    k = method.k
+    for i in range(n):
+        at[i] = 0.0
+    for j in range(s):
+        weight = COUPLING[16 * s + j]
+        if weight != 0.0:
+            rates = k[(n + 1) * j :]
+            for i in range(n):
+                at[i] += weight * rates[i]
+    for i in range(n):  # once, for each sum with the state loses digits
+        at[i] = method.now[i] + h * at[i]
+    at[n] = method.now[n] + NODES[s] * h
+    return evaluate(system, at, k[(n + 1) * s :])
+
+
+@native
+def error_norm(n: int, h: float, method: Dop853) -> float:
+    """The error of a step in units of the tolerance, root mean square."""
+    now = method.now
+    end = method.end
+    k = method.k
+    fifth = 0.0
+    third = 0.0
+    for i in range(n):
+        scale = method.atol + method.rtol * max(abs(now[i]), abs(end[i]))
+        five = 0.0
+        three = 0.0
+        for j in range(STAGES + 1):
+            five += ERROR_5[j] * k[(n + 1) * j + i]
+            three += ERROR_3[j] * k[(n + 1) * j + i]
+        fifth += (five / scale) * (five / scale)
+        third += (three / scale) * (three / scale)
+    if fifth == 0.0 and third == 0.0:
+        return 0.0
+    return h * fifth / sqrt((fifth + 0.01 * third) * n)
+
+
+@native
+def prepare_dense(n: int, h: float, method: Dop853) -> None:
+    """The terms of the dense output of a step, all sixteen stages known."""
+    k = method.k
+    terms = method.terms
+    last = (n + 1) * STAGES
+    for i in range(n):
+        change = method.end[i] - method.now[i]
+        terms[i] = change
+        terms[n + i] = h * k[i] - change
+        terms[2 * n + i] = 2.0 * change - h * (k[last + i] + k[i])
+    for row in range(4):
+        term = terms[(3 + row) * n :]
+        for i in range(n):
+            term[i] = 0.0
+        for j in range(16):
+            weight = DENSE[16 * row + j]
+            if weight != 0.0:
+                rates = k[(n + 1) * j :]
+                for i in range(n):
+                    term[i] += weight * rates[i]
+        for i in range(n):
+            term[i] = h * term[i]
+
+
+@native
+def interpolate(count: int, n: int, share: float, method: Dop853, y: Vector) -> None:
+    """The first `count` of the n elements of the state at a share (0 to 1) of the step."""
+    terms = method.terms
+    left = 1.0 - share
+    w1 = share * left
+    w2 = share * w1
+    w3 = left * w2
+    w4 = share * w3
+    w5 = left * w4
+    w6 = share * w5
+    for i in range(count):
+        low = share * terms[i] + w1 * terms[n + i] + w2 * terms[2 * n + i] + w3 * terms[3 * n + i]
+        high = w4 * terms[4 * n + i] + w5 * terms[5 * n + i] + w6 * terms[6 * n + i]
+        y[i] = method.now[i] + (low + high)

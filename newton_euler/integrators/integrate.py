@@ -1,0 +1,266 @@
+"""Integration of a `System` over time: scipy's adaptive methods and two with fixed steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from newton_euler.equations.blame import blamed, fastest_joint, strongest_force
+from newton_euler.equations.system import System, at_time
+from newton_euler.errors import (
+    IntegrationError,
+    NewtonEulerError,
+    OptionError,
+    check_choice,
+    is_count,
+    is_finite_number,
+)
+from newton_euler.integrators.stabilize import project_position, project_velocity
+from newton_euler.scalars import Array
+
+ADAPTIVE = ("DOP853", "Radau")
+"""Runge-Kutta of order 8 (Hairer, Norsett, Wanner, Solving ODEs I, 1993, section II.5) and the stiff
+Radau IIA of order 5 (Hairer, Wanner, Solving ODEs II, 1996, section IV.8), both as in scipy."""
+
+FIXED = ("RK4", "Euler")
+"""Classical Runge-Kutta of order 4, and semi-implicit Euler: velocities first, then positions with
+the new velocities. Euler takes gyroscopic torques t = -omega x I omega explicitly: they do no work, but each
+step h adds h^2/2 t^T I^-1 t to the energy of a freely turning body, a share of order (h omega)^2."""
+
+INTEGRATORS = ADAPTIVE + FIXED
+
+NUDGE = 1e-8
+"""Relative, and of coordinates (m, rad) and velocities below 1, for differences."""
+
+MOST_STEPS = 50_000
+"""Steps after which an adaptive method is taken to be getting nowhere, if a run does not say."""
+
+TINY, PATIENT = 1e-10, 50
+"""The same of so many steps below this share of the whole, none longer in between, that do not grow, as where
+a linkage locks. After a start, or a singular configuration, each is longer than the one before."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """q (n, nq) and v (n, nv) at the n output times that were reached, and what it took.
+
+    Attributes:
+        stopped: what ended it before the last output; None if nothing did.
+    """
+
+    q: Array
+    v: Array
+    steps: int
+    evaluations: int
+    stopped: IntegrationError | None
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to integrate.
+
+    Attributes:
+        integrator: one of `INTEGRATORS`.
+        rtol, atol: error control of the adaptive methods, per step and component.
+        step: s, of the methods with fixed steps; made smaller where it does not divide the time
+            between outputs, or sampling instants of controllers.
+        most_steps: steps after which an adaptive method is taken to be getting nowhere; if not given, a
+            million in native code and `MOST_STEPS` in Python.
+        projection: whether to project onto the constraints after each step and at outputs.
+    """
+
+    integrator: str = "DOP853"
+    rtol: float = 1e-10
+    atol: float = 1e-12
+    step: float | None = None
+    most_steps: int | None = None
+    projection: bool = True
+
+    def __post_init__(self) -> None:
+        check_choice("integrator", self.integrator, INTEGRATORS)
+        for name in ("rtol", "atol"):
+            value = getattr(self, name)
+            if not is_finite_number(value) or not 0.0 < value < 1.0:
+                raise OptionError(name, value, "a number between 0 and 1")
+            object.__setattr__(self, name, float(value))
+        if self.most_steps is not None:
+            if not is_count(self.most_steps):
+                raise OptionError("most_steps", self.most_steps, "a whole number of steps")
+            object.__setattr__(self, "most_steps", int(self.most_steps))
+        if self.integrator in FIXED:
+            if self.step is None or not is_finite_number(self.step) or self.step <= 0.0:
+                raise OptionError("step", self.step, f"a positive number of seconds for {self.integrator}")
+            object.__setattr__(self, "step", float(self.step))
+        elif self.step is not None:
+            raise OptionError("step", self.step, f"none: {self.integrator} chooses its own steps")
+
+    def near(self, noise: float, size: float) -> tuple[float, float]:
+        """rtol and atol of steps next to a singular configuration of a mechanism of a size, m.
+
+        A motion is known no better than the noise of constraints that are taken as redundant (their largest
+        singular value). There it bends branches that meet by design around each other, and a step that saw
+        more than the noise would follow the bend.
+        """
+        return self.rtol + noise, self.atol + noise * min(1.0, size)
+
+    def chosen(self) -> dict[str, Any]:
+        """What a run was asked for, by name."""
+        control = {"step": self.step} if self.step else {"rtol": self.rtol, "atol": self.atol}
+        return {"integrator": self.integrator} | control
+
+
+def integrate(system: System, q: Array, v: Array, times: Array, options: Options) -> Solution:
+    """Integrate from q, v at times[0]: the solution at all times, or at those before it had to stop.
+
+    It stops, with the time, the reason and the joint or force that it is about, for steps that shrink to
+    nothing, numbers that are not finite, and equations or constraints that cannot be solved.
+    """
+    evaluations = 0
+    good = np.concatenate([q, v])  # where accelerations were finite last
+
+    def derivative(t: float, y: Array) -> Array:
+        nonlocal evaluations, good
+        evaluations += 1
+        q, v = y[: system.nq], y[system.nq :]
+        now = at_time(system, t)
+        try:
+            rates = np.concatenate([now.rate(q, v), now.acceleration(q, v)])
+        except (NewtonEulerError, np.linalg.LinAlgError) as error:
+            raise IntegrationError(t, _with_blame(system, t, good, str(error))) from error
+        if not np.all(np.isfinite(rates)):
+            raise IntegrationError(t, _with_blame(system, t, good, "accelerations are not finite"))
+        good = y
+        return rates
+
+    def project(t: float, y: Array) -> Array:
+        now = at_time(system, t)
+        if not options.projection:  # a norm of Euler parameters is none of the mechanism's constraints
+            return np.concatenate([now.retract(y[: system.nq], np.zeros(system.nv)), y[system.nq :]])
+        try:
+            q = project_position(now, y[: system.nq])
+            return np.concatenate([q, project_velocity(now, q, y[system.nq :])])
+        except (NewtonEulerError, np.linalg.LinAlgError) as error:
+            raise IntegrationError(t, f"projection fails: {error}") from error
+
+    steps, stopped = 0, None
+    rows: list[Array] = []
+    try:
+        with np.errstate(all="ignore"):  # numbers are checked
+            rows.append(project(float(times[0]), good))
+            march = _march_adaptive if options.integrator in ADAPTIVE else _march_fixed
+            for step, y in march(system, derivative, project, rows[0], times, options):
+                steps = step
+                if not np.all(np.isfinite(y)):
+                    reason = _with_blame(system, float(times[len(rows)]), good, "the solution is not finite")
+                    raise IntegrationError(float(times[len(rows)]), reason)
+                rows.append(y)
+    except IntegrationError as error:
+        stopped = error
+    table = np.array(rows).reshape(len(rows), system.nq + system.nv)
+    return Solution(table[:, : system.nq], table[:, system.nq :], steps, evaluations, stopped)
+
+
+def _with_blame(system: System, time: float, y: Array, reason: str) -> str:
+    """A reason with the joint that moves fastest and the largest force at a time in s."""
+    state = system.state(y[: system.nq], y[system.nq :])
+    return blamed(reason, fastest_joint(system.mechanism, state), strongest_force(system.scene, state, time))
+
+
+Derivative = Callable[[float, Array], Array]
+Projection = Callable[[float, Array], Array]
+
+
+def _march_adaptive(
+    system: System, derivative: Derivative, project: Projection, y: Array, times: Array, options: Options
+) -> Iterator[tuple[int, Array]]:
+    """Yield (steps so far, y) at times[1:], from the steps' dense output."""
+    from scipy.integrate import DOP853, Radau
+
+    from newton_euler.equations.redundancy import mobility
+    from newton_euler.integrators.passing import PassingDOP853
+
+    def jacobian(t: float, y: Array) -> Array:
+        """By one-sided differences: scipy's own nudge grows without end for what nothing depends on."""
+        at = derivative(t, y)
+        nudges = NUDGE * np.maximum(1.0, np.abs(y))
+        columns = [(derivative(t, y + np.eye(1, len(y), k)[0] * h) - at) / h for k, h in enumerate(nudges)]
+        return np.array(columns).T
+
+    given = {"rtol": options.rtol, "atol": options.atol}
+    if options.integrator == "Radau":
+        solver = Radau(derivative, times[0], y, times[-1], jac=jacobian, **given)
+    elif options.projection:
+        near = options.near(mobility(system.scene).residual, system.mechanism.size)
+        solver = PassingDOP853(system, project, derivative, times[0], y, times[-1], near, **given)
+        project = solver.project
+    else:
+        solver = DOP853(derivative, times[0], y, times[-1], **given)
+    steps, due, tiny, last = 0, 1, 0, 0.0
+    while due < len(times):
+        try:
+            message = solver.step()
+        except ValueError as error:  # scipy's, of a Jacobian that is not finite
+            raise IntegrationError(
+                float(solver.t), _with_blame(system, solver.t, solver.y, str(error))
+            ) from error
+        if solver.status == "failed":
+            raise IntegrationError(float(solver.t), _with_blame(system, solver.t, solver.y, str(message)))
+        steps += 1
+        if solver.step_size >= TINY * (times[-1] - times[0]):
+            tiny = 0
+        elif solver.step_size <= last:
+            tiny += 1
+        last = solver.step_size
+        if tiny > PATIENT:
+            reason = _with_blame(system, solver.t, solver.y, "steps have become too small")
+            raise IntegrationError(float(solver.t), reason)
+        most = options.most_steps or MOST_STEPS
+        if steps > most:
+            reason = f"more than {most} steps of {options.integrator}; for stiff equations use Radau"
+            raise IntegrationError(float(solver.t), _with_blame(system, solver.t, solver.y, reason))
+        if times[due] <= solver.t:
+            dense = solver.dense_output()
+            while due < len(times) and times[due] <= solver.t:
+                yield steps, project(times[due], dense(times[due]))
+                due += 1
+        solver.y = project(solver.t, solver.y)
+        if options.projection:
+            solver.f = derivative(solver.t, solver.y)
+
+
+def _march_fixed(
+    system: System, derivative: Derivative, project: Projection, y: Array, times: Array, options: Options
+) -> Iterator[tuple[int, Array]]:
+    """Yield (steps so far, y) at times[1:], in equal steps between outputs."""
+    advance = _rk4 if options.integrator == "RK4" else _semi_implicit_euler
+    assert options.step is not None
+    steps = 0
+    for begin, end in pairwise(times):
+        count = max(1, int(np.ceil((end - begin) / options.step * (1.0 - 1e-9))))
+        h = (end - begin) / count
+        for k in range(count):
+            moved = advance(system, derivative, begin + k * h, y, h)
+            if not np.all(np.isfinite(moved)):
+                reason = _with_blame(system, float(begin + k * h), y, "the solution is not finite")
+                raise IntegrationError(float(begin + (k + 1) * h), reason)
+            y = project(begin + (k + 1) * h, moved)
+        steps += count
+        yield steps, y
+
+
+def _rk4(system: System, derivative: Derivative, t: float, y: Array, h: float) -> Array:
+    k1 = derivative(t, y)
+    k2 = derivative(t + 0.5 * h, y + 0.5 * h * k1)
+    k3 = derivative(t + 0.5 * h, y + 0.5 * h * k2)
+    k4 = derivative(t + h, y + h * k3)
+    return y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+
+def _semi_implicit_euler(system: System, derivative: Derivative, t: float, y: Array, h: float) -> Array:
+    q = y[: system.nq]
+    v = y[system.nq :] + h * derivative(t, y)[system.nq :]
+    return np.concatenate([q + h * system.rate(q, v), v])

@@ -1,0 +1,201 @@
+"""scipy's DOP853 through singular configurations, as `newton_euler.integrators.adaptive` passes them.
+
+Accelerations lose digits with the cube of the distance to a configuration where the rank of the constraints
+drops, and error control alone shortens steps without end there. So a step is placed with no stage near by,
+and its error is that of what is left of it on the constraints.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.integrate import DOP853
+
+from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
+from newton_euler.equations.system import System, at_time, dimensionless_jacobian, opening
+from newton_euler.errors import IntegrationError, NewtonEulerError
+from newton_euler.integrators.adaptive import (
+    EXPONENT,
+    HOPS,
+    LARGEST,
+    SAFETY,
+    crossing_factor,
+    error_on_constraints,
+)
+from newton_euler.integrators.closing import Surface, close_by
+from newton_euler.integrators.dop853 import STAGES, Dop853
+from newton_euler.integrators.march import HOP, NEAR, UNSAFE
+from newton_euler.model.euler_parameters import rotations
+from newton_euler.model.state import MassProperties
+from newton_euler.scalars import Array
+
+FAR = 100.0 * NEAR
+"""Health at both ends above which the stages of a step are not looked at."""
+
+Rates = Callable[[float, Array], Array]
+
+
+class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
+    """DOP853 that hops over singular configurations."""
+
+    h_abs: float
+    h_previous: float
+
+    def __init__(
+        self,
+        system: System,
+        project: Rates,
+        derivative: Rates,
+        t: float,
+        y: Array,
+        end: float,
+        near: tuple[float, float],
+        **tolerances: float,
+    ) -> None:
+        """As scipy's, for the equations of a system, with its usual projection of a state at a time.
+
+        `near` are rtol and atol next to singular configurations, see
+        `newton_euler.integrators.integrate.Options.near`.
+        """
+        self._system, self._project, self._tolerances = system, project, near
+        self._masses = system.mass_properties()
+        self._rank = constraint_rank(system)
+        self._best = 0.0
+        self._states: deque[Array] = deque(maxlen=STAGES)
+        self._hops = 0
+        self._near = False
+        self._growth = 0.0
+
+        def watched(t: float, y: Array) -> Array:
+            self._states.append(y)
+            return derivative(t, y)
+
+        super().__init__(watched, t, y, end, **tolerances)
+
+    def _step_impl(self) -> Any:
+        """Take a step; after one shortened for its place alone the next is as long as the error allows.
+
+        scipy lets no step grow after one that was rejected, and steps that do not grow do not get across.
+        """
+        self._growth = LARGEST
+        outcome = super()._step_impl()
+        if outcome[0] and self._near:
+            self.h_abs = self.h_previous * max(self.h_abs / self.h_previous, self._growth)
+        return outcome
+
+    def _jacobian(self, y: Array) -> Array:
+        jacobian = dimensionless_jacobian(self._system, y[: self._system.nq])
+        return without(jacobian, rows_left_out(self._system))
+
+    def _health(self, y: Array) -> float:
+        """1 at the best so far; near a singular configuration it falls with the square of the distance.
+
+        By the smallest singular value that is not zero where no configuration is singular.
+        """
+        if self._rank == 0 or not np.all(np.isfinite(y)):
+            return 1.0
+        values = np.linalg.svd(self._jacobian(y), compute_uv=False)
+        found = float((values[self._rank - 1] / values[0]) ** 2)
+        self._best = max(self._best, found)
+        return found / self._best
+
+    def project(self, t: float, y: Array) -> Array:
+        """A state of the last step on the constraints.
+
+        Raises:
+            IntegrationError: where it cannot be put there.
+        """
+        if not self._near:
+            return self._project(t, y)
+        try:
+            return close_densely(self._system, self._masses, t, y)
+        except NewtonEulerError as error:
+            raise IntegrationError(t, f"projection fails: {error}") from error
+
+    def _estimate_error_norm(self, k: Array, h: float, scale: Array) -> float:
+        """Of a step from `self.y` with the rates k (13, n) of its stages; what is too large shortens it.
+
+        Near a singular configuration it is made just so large that the step is shortened to where it fits.
+        """
+        error = float(super()._estimate_error_norm(k, h, scale))
+        ends = self._health(self.y), self._health(self._states[-1])
+        self._near = False
+        if min(ends) < FAR:
+            healths = np.array([self._health(y) for y in (self.y, *self._states)])
+            self._near = min(healths) < NEAR
+        if not self._near:
+            self._hops = 0
+            return error
+        if min(healths[1:]) < UNSAFE <= healths[0]:
+            return _error_for(HOP)
+        error = min(error, self._error_on_constraints(k, h))
+        factor = crossing_factor(0, healths, error)
+        if factor < 1.0 and self._hops < HOPS:
+            self._hops += 1
+            return _error_for(factor)
+        if error < 1.0:
+            self._hops = 0
+            self._growth = min(self._growth, SAFETY * error**EXPONENT if error > 0.0 else LARGEST)
+        else:
+            self._growth = 0.0
+        return error
+
+    def _error_on_constraints(self, k: Array, h: float) -> float:
+        n = len(self.y)
+        rows = np.zeros((STAGES + 4, n + 1))
+        rows[: STAGES + 1, :n] = k
+        end = np.append(self.y + h * (k[:STAGES].T @ self.B), self.t + h)
+        method = Dop853(
+            rtol=float(self.rtol),
+            atol=float(self.atol),
+            near_rtol=self._tolerances[0],
+            near_atol=self._tolerances[1],
+            most=0,
+            now=np.append(self.y, self.t),
+            at=end.copy(),
+            end=end,
+            k=rows.ravel(),
+            terms=np.zeros(0),
+        )
+        return error_on_constraints(n, h, self._closing, method)
+
+    def _closing(self, x: Array, y: Array) -> None:
+        """Projection near a singular configuration, in the form that steppers call."""
+        n = len(x) - 1
+        try:
+            y[:n] = close_densely(self._system, self._masses, x[n], x[:n])
+            y[n] = 1.0
+        except NewtonEulerError:
+            y[n] = -1.0
+
+
+def close_densely(system: System, masses: MassProperties, t: float, y: Array) -> Array:
+    """`newton_euler.integrators.closing.close_by` for any system, with its masses, at a time."""
+    now, unused = at_time(system, t), rows_left_out(system)
+
+    def surface(y: Array) -> Surface:
+        q, v = y[: system.nq], y[system.nq :]
+        parts = (now.phi(q), opening(now, q, v), now.phi_jacobian(q))
+        phi, opens, jacobian = (without(part, unused) for part in parts)
+        return Surface(phi, opens, jacobian, mass_matrix(now, masses, q))
+
+    return close_by(surface, now, y)
+
+
+def mass_matrix(system: System, masses: MassProperties, q: Array) -> Array:
+    """(nv, nv) M of the bodies' kinetic energy 1/2 v^T M v, without rotors."""
+    motions = system.velocity_transformation(q).reshape(len(masses.mass), 6, system.nv)
+    now = rotations(system.state(q, np.zeros(system.nv)).quaternion)
+    turned = now @ rotations(system.scene.initial_state.quaternion).transpose(0, 2, 1)
+    inertia = turned @ masses.inertia @ turned.transpose(0, 2, 1)
+    slide, turn = motions[:, :3], motions[:, 3:]
+    momenta = np.concatenate([masses.mass[:, None, None] * slide, inertia @ turn], axis=1)
+    return np.asarray(motions.reshape(-1, system.nv).T @ momenta.reshape(-1, system.nv))
+
+
+def _error_for(factor: float) -> float:
+    """The error for which scipy's step control takes a step that is shorter by a factor."""
+    return float((SAFETY / factor) ** (DOP853.error_estimator_order + 1))

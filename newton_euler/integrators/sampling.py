@@ -1,0 +1,165 @@
+"""Runs with sampled controllers, from one sampling instant to the next, whatever integrates in between."""
+
+from __future__ import annotations
+
+import copy
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from newton_euler.errors import IntegrationError, is_finite_number
+from newton_euler.integrators.integrate import Options
+from newton_euler.model.control import Sampled
+from newton_euler.model.scene import Scene
+from newton_euler.parameters import place_of, with_values
+from newton_euler.scalars import Array
+
+if TYPE_CHECKING:
+    from newton_euler.compiled import Code
+
+SAME = 1e-9
+"""Times that differ by less than this share of a controller's period are one: multiples of different
+periods meet only up to round-off."""
+
+
+MOST_IDLE = 100_000
+"""Numbers in the table and a matrix of a march that is kept for the next run. Making one ready takes a tenth
+of a short run; beside a longer one it is nothing."""
+
+
+class Interval(NamedTuple):
+    """A part of a run in which forces are held.
+
+    Attributes:
+        due: laws whose controllers are called where it begins.
+        times: (n,) s, n >= 2: where it begins, the output times in it, where it ends.
+        wanted: (n,) which of `times` are outputs of this interval. One where the next interval begins
+            belongs to that: at a sampling instant the new force holds already.
+    """
+
+    due: tuple[Sampled, ...]
+    times: Array
+    wanted: Array
+
+
+def intervals(scene: Scene) -> Iterator[Interval]:
+    """What a run of the scene consists of; a single interval if nothing is sampled.
+
+    Controllers are called at multiples of their periods from 0 on, but not at the end of the run.
+    """
+    outputs, laws = scene.times, scene.sampled
+    end = float(outputs[-1])
+    begin, due, calls = 0.0, list(range(len(laws))), [0] * len(laws)
+    while begin < end:
+        for k in due:
+            calls[k] += 1
+        upcoming = [_instant(law, number, outputs) for law, number in zip(laws, calls, strict=True)]
+        stop = min([*upcoming, end])
+        first, last = np.searchsorted(outputs, [begin, stop])
+        inside = outputs[first:] if stop == end else outputs[first:last]
+        times = np.union1d(inside, [begin, stop])
+        yield Interval(tuple(laws[k] for k in due), times, np.isin(times, inside))
+        begin, due = stop, [k for k, law in enumerate(laws) if upcoming[k] - stop < SAME * law.period]
+
+
+def _instant(law: Sampled, number: int, outputs: Array) -> float:
+    """When a controller is called for that time, from 0; an output time is met exactly."""
+    time, slack = number * law.period, SAME * law.period
+    k = int(np.searchsorted(outputs, time - slack))
+    return float(outputs[k]) if k < len(outputs) and outputs[k] < time + slack else time
+
+
+def sample(due: tuple[Sampled, ...], time: float, x: Array, x_rate: Array) -> dict[str, float]:
+    """Call controllers, and return their forces (N or N m) by the names of `newton_euler.parameters`.
+
+    Args:
+        due: whose controllers.
+        time: s.
+        x, x_rate: (a,) coordinates of all control laws of the scene (m or rad) and their rates.
+
+    Raises:
+        IntegrationError: for a controller that fails, or returns something else than a finite number.
+    """
+    forces = {}
+    for law in due:
+        try:
+            force = law.controller(time, x.copy(), x_rate.copy())
+        except Exception as error:
+            reason = f"controller of joint {law.joint!r} failed: {type(error).__name__}: {error}"
+            raise IntegrationError(time, _one_line(reason)) from error
+        if not is_finite_number(force):
+            reason = f"controller of joint {law.joint!r} returned {force!r:.200}"
+            raise IntegrationError(time, _one_line(reason))
+        forces[f"{place_of(law)}.held"] = float(force)
+    return forces
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+class OfScene(Protocol):
+    """Equations of a scene, which take control laws from it whenever they are evaluated."""
+
+    scene: Scene
+
+
+S = TypeVar("S", bound=OfScene)
+
+
+def holding(system: S, forces: Mapping[str, float]) -> S:
+    """The same equations with these forces held, as `sample` returns them; models are shared."""
+    changed = copy.copy(system)
+    changed.scene = with_values(system.scene, forces)
+    return changed
+
+
+class Marched(NamedTuple):
+    """A run in native code.
+
+    Attributes:
+        arrays: what the scene asks for at the output times that were reached; none if none was.
+        counts: what it took, by name.
+        stopped: what ended the run before the last output; None if nothing did.
+    """
+
+    arrays: dict[str, Array]
+    counts: dict[str, int]
+    stopped: IntegrationError | None
+
+
+def march_sampled(code: Code, x: Array, options: Options) -> Marched:
+    """Run from x (inputs,), which is changed."""
+    from newton_euler.integrators.run import March
+
+    if not code.scene.sampled:
+        march = code.idle.pop(options, None) or March(code, code.scene.times, options)
+        arrays, stopped = march.attempt(x)
+        counts = march.counted
+        if march.table.size + code.size**2 <= MOST_IDLE:
+            code.idle = {options: march}  # another thread may take it from here on
+        return Marched(arrays, counts, stopped)
+    parts: list[dict[str, Array]] = []
+    total: Counter[str] = Counter()
+    for interval in intervals(code.scene):
+        seen = np.split(code.function("measured")(x), 2)
+        try:
+            forces = sample(interval.due, float(interval.times[0]), *seen)
+        except IntegrationError as error:
+            stopped = error
+            break
+        for name, force in forces.items():
+            x[code.place(name)] = force
+        march = March(code, interval.times, options)
+        arrays, stopped = march.attempt(x)
+        total.update(march.counted)
+        if arrays:
+            parts.append({name: array[interval.wanted[: len(array)]] for name, array in arrays.items()})
+        if stopped:
+            break
+        x[:] = march.x
+    names = parts[0] if parts else {}
+    arrays = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    return Marched(arrays, dict(total), stopped)

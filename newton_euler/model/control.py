@@ -1,0 +1,130 @@
+"""Control laws: declared ones, which every engine takes into its own equations, and sampled ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+from newton_euler.errors import MechanismError, check_key, is_finite_number
+from newton_euler.model.motions import TimeFunction
+from newton_euler.scalars import Array, Scalar
+
+
+@dataclass(frozen=True)
+class PD:
+    """u = u_0 - (K_p e + K_d de/dt) with e = x - target, eq. (23) with the sign that makes it stable.
+
+    Attributes:
+        joint: name of the joint it drives.
+        stiffness: K_p in N/m or N m/rad.
+        damping: K_d in N s/m or N m s/rad.
+        target: wanted joint coordinate, m or rad from the initial pose.
+        coordinate: which of the joint's coordinates, from 0.
+        feedforward: u_0 in N or N m, a number or a function of time.
+
+    Raises:
+        MechanismError: naming the joint and the value at fault.
+    """
+
+    joint: str
+    stiffness: float
+    damping: float
+    target: float
+    coordinate: int = 0
+    feedforward: float | TimeFunction = 0.0
+
+    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "target", "feedforward")
+
+    def __post_init__(self) -> None:
+        where = self.element
+        for name in self.parameters:
+            value = getattr(self, name)
+            if name == "feedforward" and self.is_driven:
+                continue
+            if not is_finite_number(value):
+                raise MechanismError(where, f"{name} is {value!r}", "a finite number")
+            object.__setattr__(self, name, float(value))
+        check_key(where, self.joint, self.coordinate)
+
+    @property
+    def element(self) -> str:
+        """What errors call it."""
+        return f"control of joint {self.joint!r}"
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether the law depends on time."""
+        return isinstance(self.feedforward, TimeFunction)
+
+    def feedforward_at(self, time: Scalar) -> Scalar:
+        """u_0 (N or N m) at a time in s."""
+        u_0 = self.feedforward
+        return u_0.value(time) if isinstance(u_0, TimeFunction) else u_0
+
+    def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
+        """The generalized force (N or N m) at coordinate x (m or rad), its rate, and a time in s."""
+        return self.feedforward_at(time) - (self.stiffness * (x - self.target) + self.damping * x_rate)
+
+    def power(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
+        """Power of the actuator, W."""
+        return self.force(x, x_rate, time) * x_rate
+
+
+Controller = Callable[[float, Array, Array], float]
+"""time (s), coordinates (a,) and their rates (a,) of all laws of the scene, in order -> force, N or N m."""
+
+
+SHORTEST_PERIOD = 1e-6
+"""s; no digital controller is quicker, and Python would be called a million times a second."""
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A controller in discrete time: called at its period, its force held in between.
+
+    Attributes:
+        joint: name of the joint it drives.
+        controller: a `Controller`; one with a state of its own has to begin anew at time 0, because a
+            scene may be run several times.
+        period: s between its calls, at least `SHORTEST_PERIOD`; the first is at time 0.
+        coordinate: which of the joint's coordinates, from 0.
+        held: N or N m, the force at present.
+
+    Raises:
+        MechanismError: naming the joint and the value at fault.
+    """
+
+    joint: str
+    controller: Controller
+    period: float
+    coordinate: int = 0
+    held: float = 0.0
+
+    parameters: ClassVar[tuple[str, ...]] = ()
+
+    def __post_init__(self) -> None:
+        where = self.element
+        if not callable(self.controller):
+            raise MechanismError(where, f"controller is {self.controller!r}", "something to call")
+        if not is_finite_number(self.period) or self.period < SHORTEST_PERIOD:
+            needed = f"a number of seconds, at least {SHORTEST_PERIOD:g}"
+            raise MechanismError(where, f"period is {self.period!r}", needed)
+        object.__setattr__(self, "period", float(self.period))
+        check_key(where, self.joint, self.coordinate)
+
+    @property
+    def element(self) -> str:
+        """What errors call it."""
+        return f"control of joint {self.joint!r}"
+
+    def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
+        """The generalized force (N or N m): what is held."""
+        return self.held
+
+    def power(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
+        """Power of the actuator, W."""
+        return self.held * x_rate
+
+
+Law = PD | Sampled

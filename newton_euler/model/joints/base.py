@@ -1,0 +1,247 @@
+"""What joints have in common.
+
+A `Joint` is a description in the world frame at the mechanism's initial pose. `attach` ties it to
+the two bodies' reference poses and gives `JointEquations`: Phi, Phi_q and gamma of its constraint
+equations, and its coordinates. `motions` lists the elementary motions it allows, which is what a
+spanning tree, an MJCF and a URDF are built from.
+
+Joint coordinates are zero at the initial pose and measure the motion of the second body against
+the first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from newton_euler.errors import MechanismError, check_texts
+from newton_euler.model.constraints import (
+    Angle,
+    Coincidence,
+    Constraint,
+    Displacement,
+    Frame,
+    Jacobian,
+    Perpendicular,
+)
+from newton_euler.scalars import Array, cross
+
+
+class Motion(NamedTuple):
+    """One elementary motion of the second body against the first."""
+
+    kind: Literal["hinge", "slide", "ball"]
+    axis: Array
+    """(3,) unit axis in the world at the initial pose; unused for a ball."""
+
+
+class Pose(NamedTuple):
+    """A reference pose: takes world points and vectors at the initial pose into a body's frame."""
+
+    position: Array
+    rotation: Array
+
+    def point_to_body(self, point: Array) -> Array:
+        return np.asarray(self.rotation.T @ (point - self.position))
+
+    def vector_to_body(self, vector: Array) -> Array:
+        return np.asarray(self.rotation.T @ vector)
+
+
+@dataclass(frozen=True, eq=False)
+class JointEquations:
+    """Constraint equations and coordinates of one joint, tied to its two bodies.
+
+    `phi` (k,), `jacobian` (four blocks (k, 3)) and `gamma` (k,) stack the joint's constraints;
+    `is_length` (k,) tells rows in metres from rows in radians.
+    """
+
+    joint: Joint
+    first: int
+    second: int
+    constraints: tuple[Constraint, ...]
+    coordinates: tuple[Constraint, ...]
+
+    @property
+    def count(self) -> int:
+        return sum(c.count for c in self.constraints)
+
+    @property
+    def is_length(self) -> Array:
+        return np.concatenate([np.zeros(0, bool), *(np.full(c.count, c.is_length) for c in self.constraints)])
+
+    def units(self, size: float) -> Array:
+        """(k,) what makes the equations dimensionless: `size` (m) for lengths, 1 for angles."""
+        return np.where(self.is_length, size, 1.0)
+
+    def phi(self, first: Frame, second: Frame) -> Array:
+        return np.concatenate([np.zeros(0), *(c.phi(first, second) for c in self.constraints)])
+
+    def gamma(self, first: Frame, second: Frame) -> Array:
+        return np.concatenate([np.zeros(0), *(c.gamma(first, second) for c in self.constraints)])
+
+    def jacobian(self, first: Frame, second: Frame) -> Jacobian:
+        blocks = [c.jacobian(first, second) for c in self.constraints]
+        empty = np.zeros((0, 3))
+        return (
+            Jacobian(*(np.concatenate([empty, *column]) for column in zip(*blocks, strict=True)))
+            if blocks
+            else Jacobian(empty, empty, empty, empty)
+        )
+
+
+def perpendicular_pair(axis: Array) -> tuple[Array, Array]:
+    """Unit vectors u and w that make (u, w, axis) right-handed and orthonormal; axis (3,) unit."""
+    helper = np.zeros(3)
+    # the first of the smallest components: their last digits, which processors differ in, choose nothing
+    helper[int(np.argmin(np.abs(axis).round(6)))] = 1.0
+    w = cross(axis, helper)
+    w /= np.linalg.norm(w)
+    return cross(w, axis), w
+
+
+def finite_vector(joint: str, name: str, value: object) -> Array:
+    """A read-only array (3,) of finite numbers; raises `MechanismError`."""
+    try:
+        vector = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        vector = np.zeros(0)
+    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
+        raise MechanismError(f"joint {joint!r}", f"{name} is {value!r}", "three finite numbers")
+    vector.flags.writeable = False
+    return vector
+
+
+def unit_vector(joint: str, name: str, value: object) -> Array:
+    """A read-only array (3,) of norm 1 along an axis of a joint; raises `MechanismError`."""
+    vector = finite_vector(joint, name, value)
+    largest = float(np.max(np.abs(vector)))
+    if largest < 1e-12:
+        raise MechanismError(f"joint {joint!r}", f"{name} is {vector.tolist()}", "a non-zero axis")
+    vector = np.ldexp(vector, -np.frexp(largest)[1])  # exact, and no square can overflow
+    vector /= np.linalg.norm(vector)
+    vector.flags.writeable = False
+    return vector
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """What all joints share.
+
+    Attributes:
+        name: unique in its mechanism.
+        first, second: names of the two bodies; reactions are those acting on the second.
+        point: (3,) joint point in the world at the initial pose, metres.
+        point_on_second: (3,) the second body's own joint point where it is another one; it must
+            lie where the joint's constraints allow it. Reactions are reduced to this point.
+        actuated: whether a control law may drive the joint.
+    """
+
+    name: str
+    first: str
+    second: str
+    point: Array
+    point_on_second: Array | None = field(default=None, kw_only=True)
+    actuated: bool = field(default=False, kw_only=True)
+
+    kind: ClassVar[str]
+    axis_names: ClassVar[tuple[str, ...]] = ()
+    only_closes: ClassVar[bool] = False
+    """True for a joint that no `motions` describe, so that it can only close loops of a tree."""
+
+    def __post_init__(self) -> None:
+        check_texts(f"joint {self.name!r:.100}", self, "name", "first", "second")
+        if not isinstance(self.actuated, bool):
+            raise MechanismError(
+                f"joint {self.name!r:.100}", f"actuated is {self.actuated!r:.100}", "a truth value"
+            )
+        object.__setattr__(self, "point", finite_vector(self.name, "point", self.point))
+        second = self.point if self.point_on_second is None else self.point_on_second
+        object.__setattr__(self, "point_on_second", finite_vector(self.name, "point_on_second", second))
+        for name in self.axis_names:
+            object.__setattr__(self, name, unit_vector(self.name, name, getattr(self, name)))
+
+    @property
+    def reaction_point(self) -> Array:
+        """(3,) the joint point fixed in the second body, in the world at the initial pose."""
+        assert self.point_on_second is not None
+        return self.point_on_second
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        """The elementary motions of the second body against the first, in their order."""
+        return ()
+
+    @property
+    def motion_points(self) -> tuple[Array, ...]:
+        """For each of `motions` (3,) a point on a hinge's axis, a ball's center or where a slide pushes, in
+        the world at the initial pose."""
+        return (self.reaction_point,) * len(self.motions)
+
+    @property
+    def coordinate_kinds(self) -> tuple[str, ...]:
+        """ "hinge" or "slide" for each of the joint's coordinates."""
+        return tuple(motion.kind for motion in self.motions if motion.kind != "ball")
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        """The joint's constraint equations between bodies with these reference poses."""
+        raise NotImplementedError
+
+    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        """One coordinate for each hinge and slide among `motions`."""
+        return ()
+
+    def attach(self, first: int, first_pose: Pose, second: int, second_pose: Pose) -> JointEquations:
+        """Tie the joint to bodies number `first` and `second` at their reference poses."""
+        return JointEquations(
+            self,
+            first,
+            second,
+            self.constraints(first_pose, second_pose),
+            self.coordinates(first_pose, second_pose),
+        )
+
+    # What the joint kinds are made of: the constraint sets of Appendix A.
+
+    def _coincident(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        """Phi^(s,3), eq. (25)."""
+        return (Coincidence(first.point_to_body(self.point), second.point_to_body(self.reaction_point)),)
+
+    def _parallel(self, axis: Array, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        """Phi^(p1,2), eq. (27): tilde(s_i) s_j = 0.
+
+        Of its three components the two along u and w of body i are kept (-w.s_j and u.s_j); the
+        third, along the axis itself, is zero whatever the bodies do.
+        """
+        s_j = second.vector_to_body(axis)
+        return tuple(Perpendicular(first.vector_to_body(a), s_j) for a in perpendicular_pair(axis))
+
+    def _on_line(self, axis: Array, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        """Phi^(p2,2), eq. (28): tilde(s_i) d = 0, again its two components across the axis."""
+        return tuple(self._across(a, first, second) for a in perpendicular_pair(axis))
+
+    def _across(self, normal: Array, first: Pose, second: Pose) -> Constraint:
+        """The second body's point stays in a plane through the first's, fixed in the first."""
+        return Displacement(
+            first.vector_to_body(normal),
+            first.point_to_body(self.point),
+            second.point_to_body(self.reaction_point),
+        )
+
+    def _slide(self, axis: Array, first: Pose, second: Pose) -> Constraint:
+        return Displacement(
+            first.vector_to_body(axis),
+            first.point_to_body(self.point),
+            second.point_to_body(self.reaction_point),
+            offset=float(axis @ (self.reaction_point - self.point)),
+        )
+
+    def _turn(self, axis: Array, pointer: Array, first: Pose, second: Pose) -> Constraint:
+        """The angle about `axis`, seen on `pointer`, a vector of the second body across it."""
+        return Angle(
+            first.vector_to_body(pointer),
+            first.vector_to_body(cross(axis, pointer)),
+            second.vector_to_body(pointer),
+        )

@@ -1,0 +1,189 @@
+"""Several slides, then several hinges or a ball: what robot models put between two bodies at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from newton_euler.errors import MechanismError
+from newton_euler.model.constraints import Constraint, Displacement, Perpendicular
+from newton_euler.model.hinge_angles import (
+    ClosedRow,
+    HingeAngle,
+    HingeRow,
+    RowDisplacement,
+    RowSlide,
+    Separation,
+    dual_axes,
+)
+from newton_euler.model.joints.base import Joint, Motion, Pose, finite_vector, perpendicular_pair, unit_vector
+from newton_euler.scalars import Array, cross
+
+INDEPENDENT = 1e-3
+"""Least volume (area, length) that the unit axes of independent slides or hinges span."""
+
+
+@dataclass(frozen=True, eq=False)
+class Compound(Joint):
+    """Slides along axes of the first body, then hinges in a row.
+
+    The axes need not be perpendicular, nor meet: the first hinge's passes through `point`, the last one's
+    through `point_on_second`, and what is between them has no mass. Its coordinates are the displacements
+    along the slides, which add up as vectors, then the angles of the hinges; see
+    `newton_euler.model.hinge_angles` for their limits.
+
+    Attributes:
+        slides: (n, 3) axes, n <= 3, world at the initial pose.
+        hinges: (m, 3) axes, m <= 3, in their order from the first body to the second.
+        offsets: (m - 1, 3) from the axis of each hinge to that of the next, m, world at the initial pose; 0
+            where all pass through the point. By their sum `point_on_second` is beyond `point`.
+        ball: a ball joint instead of hinges.
+
+    Raises:
+        MechanismError: also for axes that are not independent.
+    """
+
+    slides: Array = field(default_factory=lambda: np.zeros((0, 3)), kw_only=True)
+    hinges: Array = field(default_factory=lambda: np.zeros((0, 3)), kw_only=True)
+    offsets: Array | None = field(default=None, kw_only=True)
+    ball: bool = field(default=False, kw_only=True)
+    kind: ClassVar[str] = "compound"
+
+    def __post_init__(self) -> None:
+        beyond = self.point_on_second
+        super().__post_init__()
+        where = f"joint {self.name!r}"
+        for name in ("slides", "hinges"):
+            try:
+                given = [unit_vector(self.name, name, axis) for axis in getattr(self, name)]
+            except TypeError as error:
+                raise MechanismError(where, f"{name} is {getattr(self, name)!r:.100}", "axes") from error
+            axes = np.array(given).reshape(-1, 3)
+            gram = np.sqrt(max(0.0, np.linalg.det(axes @ axes.T))) if len(axes) <= 3 else 0.0
+            if gram < INDEPENDENT:
+                problem = f"its {name} {axes.tolist()} depend on each other"
+                raise MechanismError(where, problem, "at most three axes, not in one plane or line")
+            axes.flags.writeable = False
+            object.__setattr__(self, name, axes)
+        if not isinstance(self.ball, bool):
+            raise MechanismError(where, f"ball is {self.ball!r:.100}", "a truth value")
+        if self.ball and len(self.hinges):
+            raise MechanismError(where, "has a ball and hinges", "one or the other")
+        needed = max(len(self.hinges) - 1, 0)
+        stated = np.zeros((needed, 3)) if self.offsets is None else self.offsets
+        try:
+            vectors = [finite_vector(self.name, "offsets", each) for each in stated]
+        except TypeError as error:
+            raise MechanismError(where, f"offsets is {self.offsets!r:.100}", "vectors") from error
+        if len(vectors) != needed:
+            problem = f"has {len(vectors)} offsets between {len(self.hinges)} hinges"
+            raise MechanismError(where, problem, f"{needed} of them, or none")
+        offsets = np.reshape(vectors, (-1, 3))
+        offsets.flags.writeable = False
+        object.__setattr__(self, "offsets", offsets)
+        if beyond is None:
+            object.__setattr__(self, "point_on_second", self.point + offsets.sum(axis=0))
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        slides = (Motion("slide", axis) for axis in self.slides)
+        hinges = (Motion("hinge", axis) for axis in self.hinges)
+        return (*slides, *hinges, *((Motion("ball", np.zeros(3)),) if self.ball else ()))
+
+    @property
+    def motion_points(self) -> tuple[Array, ...]:
+        last = self.reaction_point
+        hinges = [last - self._between[k:].sum(axis=0) for k in range(len(self.hinges))]
+        return (*[hinges[0] if hinges else last] * len(self.slides), *hinges, *[last] * self.ball)
+
+    @property
+    def _between(self) -> Array:
+        """(m - 1, 3)"""
+        assert self.offsets is not None
+        return self.offsets
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        return (*self._placed(first, second), *self._oriented(first, second))
+
+    def _placed(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        """What the slides leave of the equations of a common point."""
+        normals: tuple[Array, ...] = ()
+        match len(self.slides):
+            case 0 if np.any(self._between):
+                return (ClosedRow(self._separation(first, second)),)
+            case 0:
+                return self._coincident(first, second)
+            case 1:
+                normals = perpendicular_pair(self.slides[0])
+            case 2:
+                normal = cross(*self.slides)
+                normals = (normal / np.linalg.norm(normal),)
+        return tuple(self._displacement(normal, 0.0, first, second) for normal in normals)
+
+    def _oriented(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        """What the hinges leave of the equations of a common orientation."""
+        if self.ball or len(self.hinges) == 3:
+            return ()
+        if len(self.hinges) == 2:
+            a, b = self.hinges
+            ends = first.vector_to_body(a), second.vector_to_body(b)
+            return (Perpendicular(*ends, cosine=float(a @ b)),)
+        if len(self.hinges) == 1:
+            return self._parallel(self.hinges[0], first, second)
+        x, y, z = np.eye(3)
+        return tuple(
+            Perpendicular(first.vector_to_body(a), second.vector_to_body(b))
+            for a, b in ((x, y), (y, z), (z, x))
+        )
+
+    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        beyond = self.reaction_point - self.point - self._between.sum(axis=0)
+        slides = []
+        for dual in dual_axes(self.slides):
+            slide = self._displacement(dual, float(dual @ beyond), first, second)
+            if isinstance(slide, RowDisplacement):
+                slide = RowSlide(slide.a_first, slide.separation, slide.offset)
+            slides.append(slide)
+        return (*slides, *self._angles(first, second))
+
+    def _displacement(
+        self, axis: Array, offset: float, first: Pose, second: Pose
+    ) -> Displacement | RowDisplacement:
+        """How far the second body is along an axis of the first, less an offset, m."""
+        a = first.vector_to_body(axis)
+        if np.any(self._between):
+            return RowDisplacement(a, self._separation(first, second), offset)
+        ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
+        return Displacement(a, *ends, offset=offset)
+
+    def _separation(self, first: Pose, second: Pose) -> Separation:
+        offsets = []
+        for offset, a, b in zip(self._between, self.hinges[:-1], self.hinges[1:], strict=True):
+            offsets.append(np.linalg.solve(np.column_stack([a, b, cross(a, b)]), offset))
+        ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
+        return Separation(self._row(first, second), *ends, np.array(offsets))
+
+    def _angles(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        axes = self.hinges
+        if len(axes) == 0:
+            return ()
+        if len(axes) == 1:
+            return (self._turn(axes[0], perpendicular_pair(axes[0])[0], first, second),)
+        row = self._row(first, second)
+        return tuple(HingeAngle(k, row) for k in range(len(axes)))
+
+    def _row(self, first: Pose, second: Pose) -> HingeRow:
+        axes = self.hinges
+        ends = (
+            first.vector_to_body(axes[0]),
+            first.vector_to_body(axes[1]),
+            second.vector_to_body(axes[-1]),
+            second.vector_to_body(axes[-2]),
+        )
+        if len(axes) == 2:
+            return HingeRow(*ends)
+        a, b, c = axes
+        cosines = float(a @ b), float(b @ c)
+        return HingeRow(*ends, cosines, float(b @ cross(a, c)), float(a @ c) - cosines[0] * cosines[1])

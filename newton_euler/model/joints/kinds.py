@@ -1,0 +1,297 @@
+"""Joint kinds: Appendix A of the paper and more, one class a kind."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from newton_euler.errors import MechanismError, is_finite_number
+from newton_euler.model.constraints import Constraint, Distance, Perpendicular, Reversed
+from newton_euler.model.joints.base import Joint, Motion, Pose, perpendicular_pair
+from newton_euler.model.joints.compound import Compound
+from newton_euler.scalars import Array
+
+AXIS_TOLERANCE = 1e-9
+"""How far from perpendicular (radians) a universal joint's axes may be at the initial pose."""
+
+LEAST_LENGTH = 1e-6
+"""m; a shorter rod is a ball joint, and one of length 0 has no direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spherical(Joint):
+    """Ball joint, eq. (25): three equations."""
+
+    kind: ClassVar[str] = "spherical"
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        return (Motion("ball", np.zeros(3)),)
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        return self._coincident(first, second)
+
+
+@dataclass(frozen=True, eq=False)
+class Universal(Joint):
+    """Cardan joint, eq. (26): four equations; `axis_on_first` stays perpendicular to `axis_on_second`.
+
+    Its coordinates are the angle about the first body's axis, then that about the second's.
+    """
+
+    axis_on_first: Array = field(kw_only=True)
+    axis_on_second: Array = field(kw_only=True)
+    kind: ClassVar[str] = "universal"
+    axis_names: ClassVar[tuple[str, ...]] = ("axis_on_first", "axis_on_second")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        cosine = float(self.axis_on_first @ self.axis_on_second)
+        if abs(cosine) > AXIS_TOLERANCE:
+            raise MechanismError(
+                f"joint {self.name!r}",
+                f"its two axes have a cosine of {cosine:.3g}",
+                f"perpendicular axes, |cosine| at most {AXIS_TOLERANCE:g}",
+            )
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        return (Motion("hinge", self.axis_on_first), Motion("hinge", self.axis_on_second))
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        cross_axes = Perpendicular(
+            first.vector_to_body(self.axis_on_first), second.vector_to_body(self.axis_on_second)
+        )
+        return (*self._coincident(first, second), cross_axes)
+
+    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        a, b = self.axis_on_first, self.axis_on_second
+        return self._turn(a, b, first, second), Reversed(self._turn(b, a, second, first))
+
+
+@dataclass(frozen=True, eq=False)
+class _AxisJoint(Joint):
+    """A joint with one axis that is common to both bodies."""
+
+    axis: Array = field(kw_only=True)
+    axis_names: ClassVar[tuple[str, ...]] = ("axis",)
+
+
+@dataclass(frozen=True, eq=False)
+class Revolute(_AxisJoint):
+    """Hinge, eq. (27): five equations."""
+
+    kind: ClassVar[str] = "revolute"
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        return (Motion("hinge", self.axis),)
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        return self._coincident(first, second) + self._parallel(self.axis, first, second)
+
+    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        return (self._turn(self.axis, perpendicular_pair(self.axis)[0], first, second),)
+
+
+@dataclass(frozen=True, eq=False)
+class Cylindrical(_AxisJoint):
+    """Slide along and hinge about one axis: four equations, Phi^(p1,2) and Phi^(p2,2).
+
+    Its coordinates are the displacement, then the angle.
+    """
+
+    kind: ClassVar[str] = "cylindrical"
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        return (Motion("slide", self.axis), Motion("hinge", self.axis))
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        return self._parallel(self.axis, first, second) + self._on_line(self.axis, first, second)
+
+    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        turn = self._turn(self.axis, perpendicular_pair(self.axis)[0], first, second)
+        return self._slide(self.axis, first, second), turn
+
+
+@dataclass(frozen=True, eq=False)
+class Translational(_AxisJoint):
+    """Slide without rotation, eq. (28): five equations, h_i and h_j across the axis."""
+
+    kind: ClassVar[str] = "translational"
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        return (Motion("slide", self.axis),)
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        h_i, h_j = perpendicular_pair(self.axis)
+        return (
+            *self._parallel(self.axis, first, second),
+            *self._on_line(self.axis, first, second),
+            Perpendicular(first.vector_to_body(h_i), second.vector_to_body(h_j)),
+        )
+
+    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        return (self._slide(self.axis, first, second),)
+
+
+@dataclass(frozen=True, eq=False)
+class Prismatic(Translational):
+    """The paper's translational joint under the name that robot models give it."""
+
+    kind: ClassVar[str] = "prismatic"
+
+
+@dataclass(frozen=True, eq=False)
+class Screw(Cylindrical):
+    """A nut on a spindle: five equations, those of `Cylindrical` and slide - pitch * turn = 0.
+
+    Its coordinates are the displacement, then the angle. The fifth equation couples them, see
+    `newton_euler.model.couplings`, and is not among `constraints`.
+
+    Attributes:
+        pitch: metres per radian; positive for a right-handed thread.
+    """
+
+    pitch: float = field(kw_only=True)
+    kind: ClassVar[str] = "screw"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not is_finite_number(self.pitch) or self.pitch == 0.0:
+            needed = "a finite number of metres per radian, not 0"
+            raise MechanismError(f"joint {self.name!r}", f"pitch is {self.pitch!r}", needed)
+        object.__setattr__(self, "pitch", float(self.pitch))
+
+
+@dataclass(frozen=True, eq=False)
+class Planar(_AxisJoint):
+    """A plane face on another: three equations; `axis` is the normal of both.
+
+    Its coordinates are the displacements along `perpendicular_pair(axis)`, vectors of the first
+    body, then the angle about the axis.
+    """
+
+    kind: ClassVar[str] = "planar"
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        slides = (Motion("slide", a) for a in perpendicular_pair(self.axis))
+        return (*slides, Motion("hinge", self.axis))
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        return (*self._parallel(self.axis, first, second), self._across(self.axis, first, second))
+
+    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        u, w = perpendicular_pair(self.axis)
+        turn = self._turn(self.axis, u, first, second)
+        return self._slide(u, first, second), self._slide(w, first, second), turn
+
+
+@dataclass(frozen=True, eq=False)
+class PointOnLine(_AxisJoint):
+    """The second body's point stays on a line of the first, along `axis`: two equations.
+
+    Its coordinate is the displacement along the line.
+    """
+
+    kind: ClassVar[str] = "point_on_line"
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        return (Motion("slide", self.axis), Motion("ball", np.zeros(3)))
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        return self._on_line(self.axis, first, second)
+
+    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        return (self._slide(self.axis, first, second),)
+
+
+@dataclass(frozen=True, eq=False)
+class Rod(Joint):
+    """A massless rod on balls: one equation, the distance from `point` to `point_on_second` stays.
+
+    Its reaction is the force along it; tension pulls the second body towards the first.
+    """
+
+    kind: ClassVar[str] = "rod"
+    only_closes: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not LEAST_LENGTH <= self.length < math.inf:
+            problem = f"its two points are {self.length:.3g} m apart"
+            needed = f"point_on_second at least {LEAST_LENGTH:g} m from point, a ball joint otherwise"
+            raise MechanismError(f"joint {self.name!r}", problem, needed)
+
+    @property
+    def length(self) -> float:
+        """m."""
+        return math.dist(self.reaction_point, self.point)
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        s_i, s_j = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
+        return (Distance(s_i, s_j, self.length),)
+
+
+@dataclass(frozen=True, eq=False)
+class Fixed(Joint):
+    """No motion at all: six equations."""
+
+    kind: ClassVar[str] = "fixed"
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        x, y, z = np.eye(3)
+        return (
+            *self._coincident(first, second),
+            *(
+                Perpendicular(first.vector_to_body(a), second.vector_to_body(b))
+                for a, b in ((x, y), (y, z), (z, x))
+            ),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Free(Joint):
+    """All motion: no equation. It says that a body floats on purpose."""
+
+    kind: ClassVar[str] = "free"
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        x, y, z = np.eye(3)
+        slides = (Motion("slide", x), Motion("slide", y), Motion("slide", z))
+        return (*slides, Motion("ball", np.zeros(3)))
+
+    def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        return ()
+
+    def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
+        return tuple(self._slide(axis, first, second) for axis in np.eye(3))
+
+
+JOINT_KINDS: dict[str, type[Joint]] = {
+    kind.kind: kind
+    for kind in (
+        Fixed,
+        Revolute,
+        Prismatic,
+        Translational,
+        Cylindrical,
+        Screw,
+        Planar,
+        Universal,
+        Spherical,
+        PointOnLine,
+        Compound,
+        Rod,
+        Free,
+    )
+}
+"""Joint classes by the name that files use."""

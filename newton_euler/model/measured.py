@@ -1,0 +1,103 @@
+"""Joint coordinates that something acts on, each measured once: control laws, springs, couplings.
+
+A slide is measured from the poses of its two bodies. Of an angle they only tell the part within a
+turn. How many turns it has made is known from the integral of its rate, which is carried along in q
+and starts within half a turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from newton_euler.model.constraints import Constraint, Frame, Jacobian
+from newton_euler.model.joints import JointEquations
+from newton_euler.scalars import Array, Scalar, arctan2, cos, sin
+
+if TYPE_CHECKING:
+    from newton_euler.model.couplings import Coupling
+    from newton_euler.model.scene import Scene
+
+Key = tuple[str, int]
+"""Name of a joint, and which of its coordinates."""
+
+
+def wanted(scene: Scene, couplings: Iterable[Coupling]) -> list[Key]:
+    """The coordinates whose values matter in a scene with these couplings, each once."""
+    forces = [(force.joint, force.coordinate) for force in scene.joint_forces]
+    coupled = [key for coupling in couplings for key in coupling.factors]
+    return list(dict.fromkeys([*forces, *coupled]))
+
+
+class Measured(NamedTuple):
+    """A joint coordinate at a state, with d2x/dt2 = jacobian . accelerations - gamma."""
+
+    x: Scalar
+    """m or rad from the initial pose."""
+    rate: Scalar
+    jacobian: Jacobian
+    """Through which a force on it acts on the two bodies, blocks (1, 3)."""
+    gamma: Scalar
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinate:
+    """A hinge or slide that is measured between two bodies.
+
+    Attributes:
+        first, second: the bodies.
+        constraint: its residual is the coordinate.
+        carried: where in q its angle is carried; None for a slide, and where its turns do not matter.
+    """
+
+    first: int
+    second: int
+    constraint: Constraint
+    carried: int | None
+
+    def measure(self, q: Array, frames: Sequence[Frame]) -> Measured:
+        """The coordinate where the bodies have these frames."""
+        first, second = frames[self.first], frames[self.second]
+        jacobian = self.constraint.jacobian(first, second)
+        x = self.constraint.phi(first, second)[0]
+        if self.carried is not None:
+            past = x - q[self.carried]
+            x = q[self.carried] + arctan2(sin(past), cos(past))
+        rate = jacobian.rate(first, second)[0]
+        return Measured(x, rate, jacobian, self.constraint.gamma(first, second)[0])
+
+
+def coordinates(
+    keys: dict[Key, JointEquations], size: int, counted: Collection[Key]
+) -> dict[Key, Coordinate]:
+    """Coordinates of these joints; angles whose turns are `counted` are carried from place `size` of q on."""
+    found: dict[Key, Coordinate] = {}
+    for key, equations in keys.items():
+        constraint = equations.coordinates[key[1]]
+        carried = None if constraint.is_length or key not in counted else size
+        size += carried is not None
+        found[key] = Coordinate(equations.first, equations.second, constraint, carried)
+    return found
+
+
+def carried_angles(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> Array:
+    """The carried angles within half a turn, rad."""
+    angles = [
+        c.constraint.phi(frames[c.first], frames[c.second])
+        for c in measured.values()
+        if c.carried is not None
+    ]
+    return np.concatenate([np.zeros(0), *angles])
+
+
+def carried_rates(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> Array:
+    """Rates of the carried angles, rad/s."""
+    rates = [np.zeros(0)]
+    for c in measured.values():
+        if c.carried is not None:
+            first, second = frames[c.first], frames[c.second]
+            rates.append(c.constraint.jacobian(first, second).rate(first, second))
+    return np.concatenate(rates)

@@ -1,0 +1,298 @@
+"""Body and Mechanism: the one description that every engine's model is built from.
+
+Everything is given in the world frame at one initial pose, in SI units. The frame of a body has
+its origin at the centre of mass, as in the paper, and the orientation `Body.quaternion`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from newton_euler.errors import MechanismError, check_choice, elements_of
+from newton_euler.model.constraints import Frame
+from newton_euler.model.couplings import JointCoupling, check_couplings
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.joints import Joint, JointEquations, Pose
+from newton_euler.model.shapes import UNIT_TOLERANCE, Capsule, Mesh, Shape
+from newton_euler.scalars import Array
+
+CLOSURE_TOLERANCE = 1e-9
+"""How far (metres or radians) a joint may be open at an initial pose."""
+
+REALISABLE_TOLERANCE = 1e-12
+"""Relative slack of A + B >= C, for the round-off of an eigenvalue."""
+
+_NAME = re.compile(r"[A-Za-z0-9_.\-]+")
+
+
+def spread(points: Sequence[Array]) -> float:
+    """How far points (3,) lie from their mean at most, m; 1 if they are one."""
+    found = float(np.max(np.linalg.norm(np.array(points) - np.mean(points, axis=0), axis=1)))
+    return found if found > 0.0 else 1.0
+
+
+def check_name(what: str, name: object) -> None:
+    """Raise `MechanismError` for a name that files and reports cannot use."""
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise MechanismError(
+            f"{what} {name!r:.100}", "has an unusable name", "letters, digits, _, . and - only"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid body.
+
+    Attributes:
+        name: unique in its mechanism; letters, digits, `_`, `.` and `-`.
+        mass: kg.
+        center_of_mass: (3,) r, world at the initial pose, m.
+        inertia: (3, 3) J' about the centre of mass in the body frame, kg m^2.
+        quaternion: (4,) p, w-x-y-z, orientation of the body frame at the initial pose.
+        shapes: what it looks like; bars from the centre of mass to the joints if empty.
+        allow_unrealisable_inertia: accept principal moments that break A + B >= C, which no mass
+            distribution has, so that a published table can be run as printed.
+        meshes: what it looks like in more detail, for viewers; model files get the shapes.
+    """
+
+    name: str
+    mass: float
+    center_of_mass: Array
+    inertia: Array
+    quaternion: Array = (1.0, 0.0, 0.0, 0.0)  # type: ignore[assignment]
+    shapes: tuple[Shape, ...] = ()
+    allow_unrealisable_inertia: bool = False
+    meshes: tuple[Mesh, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_name("body", self.name)
+        for name, shape in (
+            ("mass", ()),
+            ("center_of_mass", (3,)),
+            ("inertia", (3, 3)),
+            ("quaternion", (4,)),
+        ):
+            raw = getattr(self, name)
+            try:
+                value = np.array(raw, dtype=float)
+            except (TypeError, ValueError, OverflowError):
+                value = np.zeros((0, 0))
+            if value.shape != shape or not np.all(np.isfinite(value)):
+                count = int(np.prod(shape))
+                needed = "a finite number" if not shape else f"{count} finite numbers, shape {shape}"
+                raise MechanismError(f"body {self.name!r}", f"{name} is {raw!r}", needed)
+            value.flags.writeable = False
+            object.__setattr__(self, name, value if shape else float(value))
+        if not isinstance(self.allow_unrealisable_inertia, bool):
+            problem = f"allow_unrealisable_inertia is {self.allow_unrealisable_inertia!r:.100}"
+            raise MechanismError(f"body {self.name!r}", problem, "True or False")
+
+    @classmethod
+    def ground(
+        cls, name: str = "ground", shapes: tuple[Shape, ...] = (), meshes: tuple[Mesh, ...] = ()
+    ) -> Body:
+        """The fixed body of a mechanism: the world frame itself. Its mass counts for nothing."""
+        return cls(name, 0.0, np.zeros(3), np.zeros((3, 3)), shapes=shapes, meshes=meshes)
+
+    def check(self) -> None:
+        """Raise `MechanismError` unless a moving rigid body can have these values."""
+        where = f"body {self.name!r}"
+        if self.mass <= 0.0:
+            raise MechanismError(where, f"mass is {self.mass:g} kg", "a positive mass")
+        scale = float(np.max(np.abs(self.inertia)))
+        asymmetry = float(np.max(np.abs(self.inertia - self.inertia.T)))
+        if asymmetry > 1e-12 * scale:
+            raise MechanismError(
+                where, f"inertia differs from its transpose by {asymmetry:.3g} kg m^2", "a symmetric inertia"
+            )
+        a, b, c = (float(x) for x in np.linalg.eigvalsh(self.inertia))
+        moments = f"principal moments are {a:.6g}, {b:.6g}, {c:.6g} kg m^2"
+        if a <= 0.0:
+            raise MechanismError(where, moments, "a positive definite inertia")
+        if a + b < c * (1.0 - REALISABLE_TOLERANCE) and not self.allow_unrealisable_inertia:
+            raise MechanismError(
+                where, moments, "a realisable inertia, the two smaller adding up to the largest at least"
+            )
+
+    @property
+    def pose(self) -> Pose:
+        """The body's frame at the initial pose."""
+        return Pose(self.center_of_mass, rotation(self.quaternion))
+
+
+class Mechanism:
+    """Bodies and the joints between them; validated on construction.
+
+    Attributes:
+        bodies: `bodies[0]` is the ground; it never moves.
+        joints: in the order in which constraint rows and reactions are listed.
+        couplings: gears between joint coordinates, and sums of several that stay 0.
+    """
+
+    DEFINED_BY = ("bodies", "joints", "couplings")
+
+    @np.errstate(all="ignore")  # what overflows is refused
+    def __init__(
+        self, bodies: Iterable[Body], joints: Iterable[Joint], couplings: Iterable[JointCoupling] = ()
+    ) -> None:
+        self.bodies = elements_of("mechanism", "bodies", bodies, Body)
+        self.joints = elements_of("mechanism", "joints", joints, Joint)
+        self.couplings = elements_of("mechanism", "couplings", couplings, JointCoupling)
+        if len(self.bodies) < 2:
+            raise MechanismError(
+                "mechanism", f"has {len(self.bodies)} bodies", "the ground and at least one more"
+            )
+        for joint in self.joints:
+            check_name("joint", joint.name)
+        for coupling in self.couplings:
+            check_name(coupling.kind, coupling.name)
+        for what, named in (("body", self.bodies), ("joint", self.joints)):
+            for name, count in Counter(element.name for element in named).items():
+                if count > 1:
+                    raise MechanismError(f"{what} {name!r}", f"{count} of that name", "unique names")
+        for body in self.bodies:
+            norm = float(np.linalg.norm(body.quaternion))
+            if abs(norm - 1.0) > UNIT_TOLERANCE:
+                raise MechanismError(
+                    f"body {body.name!r}", f"quaternion has norm {norm:.9g}", "a unit quaternion, w-x-y-z"
+                )
+        for body in self.bodies[1:]:
+            body.check()
+        self._check_joints()
+        check_couplings(self.couplings, self)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Once only: what is worked out of a mechanism is kept."""
+        if name in self.__dict__:
+            raise AttributeError(f"{name} of a mechanism cannot be changed; make another mechanism")
+        super().__setattr__(name, value)
+
+    def _check_joints(self) -> None:
+        for joint in self.joints:
+            where = f"joint {joint.name!r}"
+            for body in (joint.first, joint.second):
+                if not isinstance(body, str) or body not in self._body_indices:
+                    raise MechanismError(
+                        where, f"connects an unknown body {body!r}", f"one of {', '.join(self.body_names)}"
+                    )
+            if joint.first == joint.second:
+                raise MechanismError(where, f"connects {joint.first!r} to itself", "two bodies")
+        self._check_connected()
+        frames = [
+            Frame(body.center_of_mass, rotation(body.quaternion), np.zeros(3), np.zeros(3))
+            for body in self.bodies
+        ]
+        self.check_closed(frames, "at the initial pose")
+
+    def _check_connected(self) -> None:
+        reached, ahead = {0}, [0]
+        while ahead:
+            joints = [self.joints[k] for k in self.joints_at[ahead.pop()]]
+            near = {self.body_index(name) for joint in joints for name in (joint.first, joint.second)}
+            ahead.extend(near - reached)
+            reached |= near
+        for index, name in enumerate(self.body_names):
+            if index not in reached:
+                raise MechanismError(
+                    f"body {name!r}", "no joint leads to it from the ground", "a joint, `free` if it floats"
+                )
+
+    def check_closed(self, frames: list[Frame], when: str) -> None:
+        """Raise `MechanismError` for the first joint open by more than `CLOSURE_TOLERANCE`."""
+        for equations in self.equations:
+            phi = equations.phi(frames[equations.first], frames[equations.second])
+            gap = float(np.max(np.abs(phi), initial=0.0))
+            if not gap <= CLOSURE_TOLERANCE:  # of coordinates that overflow it is not a number
+                unit = "m" if equations.is_length[int(np.argmax(np.abs(phi)))] else "rad"
+                raise MechanismError(
+                    f"joint {equations.joint.name!r}",
+                    f"is open by {gap:.3g} {unit} {when}",
+                    f"a closed loop, to {CLOSURE_TOLERANCE:g}",
+                )
+
+    @cached_property
+    def body_names(self) -> tuple[str, ...]:
+        return tuple(body.name for body in self.bodies)
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def size(self) -> float:
+        """A characteristic length, m: how far joint points and centres of mass lie from their mean."""
+        return spread([*(body.center_of_mass for body in self.bodies[1:]), *(j.point for j in self.joints)])
+
+    @cached_property
+    def longest(self) -> float:
+        """How far the longest body goes from its centre of mass, m: to a joint with equations, or on average
+        (root of the mean square over its mass). Unlike `size` it does not depend on where bodies float."""
+        lengths = [float(np.sqrt(0.5 * np.trace(body.inertia) / body.mass)) for body in self.bodies[1:]]
+        for equations in self.equations:
+            ends = (
+                (equations.first, equations.joint.point),
+                (equations.second, equations.joint.reaction_point),
+            )
+            for index, point in ends:
+                if index > 0 and equations.count > 0:
+                    lengths.append(float(np.linalg.norm(point - self.bodies[index].center_of_mass)))
+        return max(lengths)
+
+    @cached_property
+    def _body_indices(self) -> dict[str, int]:
+        return {name: index for index, name in enumerate(self.body_names)}
+
+    @cached_property
+    def _joint_indices(self) -> dict[str, int]:
+        return {name: index for index, name in enumerate(self.joint_names)}
+
+    def body_index(self, name: str) -> int:
+        """Index of a body; raises `UnknownNameError`."""
+        check_choice("body", name, self.body_names)
+        return self._body_indices[name]
+
+    def joint_index(self, name: str) -> int:
+        """Index of a joint; raises `UnknownNameError`."""
+        check_choice("joint", name, self.joint_names)
+        return self._joint_indices[name]
+
+    @cached_property
+    def joints_at(self) -> tuple[tuple[int, ...], ...]:
+        """For each body the indices of its joints, in order."""
+        found: list[list[int]] = [[] for _ in self.bodies]
+        for index, joint in enumerate(self.joints):
+            for name in (joint.first, joint.second):
+                found[self.body_index(name)].append(index)
+        return tuple(map(tuple, found))
+
+    def attach(self, poses: list[Pose]) -> tuple[JointEquations, ...]:
+        """All joints' equations, tied to bodies with these reference poses (one for each body)."""
+        attached = []
+        for joint in self.joints:
+            i, j = self.body_index(joint.first), self.body_index(joint.second)
+            attached.append(joint.attach(i, poses[i], j, poses[j]))
+        return tuple(attached)
+
+    @cached_property
+    def equations(self) -> tuple[JointEquations, ...]:
+        """The joints' equations in the frames of the bodies."""
+        return self.attach([body.pose for body in self.bodies])
+
+    def shapes(self, index: int) -> tuple[Shape, ...]:
+        """What body number `index` looks like: its own shapes, or bars from its centre to its joints."""
+        body = self.bodies[index]
+        if body.shapes or index == 0:
+            return body.shapes
+        joints = [self.joints[k] for k in self.joints_at[index]]
+        points = [joint.point if joint.first == body.name else joint.reaction_point for joint in joints]
+        return tuple(
+            Capsule(body.center_of_mass, point, 0.02 * self.size)
+            for point in points
+            if float(np.linalg.norm(point - body.center_of_mass)) > 1e-6 * self.size
+        )

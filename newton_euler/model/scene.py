@@ -1,0 +1,343 @@
+"""Scene: a mechanism and everything that one run of it needs."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from newton_euler.errors import AssemblyError, MechanismError, check_choice, is_finite_number
+from newton_euler.model.armature import Armature, BallArmature, check_armatures
+from newton_euler.model.control import Law, Sampled
+from newton_euler.model.couplings import check_motions, couplings, residuals
+from newton_euler.model.forces import BallSpring, Force, JointSpring, check_forces
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
+from newton_euler.model.motions import PrescribedMotion
+from newton_euler.model.shapes import UNIT_TOLERANCE
+from newton_euler.model.state import State
+from newton_euler.scalars import Array
+
+OUTPUTS = ("velocities", "reactions", "actuation", "violation", "energy")
+"""What may be asked for beside the poses."""
+
+MAXIMUM_OUTPUTS = 1_000_000
+
+MAXIMUM_DURATION = 1e7
+"""s, four months: fixed steps of a millisecond would go on for a day."""
+
+REDUNDANCY_TOLERANCE = 1e-4
+"""Noise that files have at most: points rounded to 1e-6 m on a mechanism of a centimeter."""
+
+VELOCITY_TOLERANCE = 1e-9
+"""How fast a joint may open in the initial state, as a share of the largest speed: as exact as
+`CLOSURE_TOLERANCE` leaves the positions, in sizes of the mechanism."""
+
+_NAME = re.compile(r"[A-Za-z0-9_.\-]{1,100}")
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A mechanism, its surroundings, its start and what is wanted of the run.
+
+    Attributes:
+        name: names files: letters, digits, `_`, `.` and `-`, at most 100, not `.` or `..`.
+        mechanism: bodies and joints.
+        duration: s, at most `MAXIMUM_DURATION`.
+        output_period: s between outputs; the last output is at `duration`.
+        gravity: (3,) m/s^2, world frame.
+        control: control laws of actuated joints, in the order of `Trajectory.actuator_force`.
+        initial_state: the mechanism's initial pose, at rest, if not given; joints closed in position
+            and velocity, as `newton_euler.assemble` makes them. With `motions` it is assembled from
+            there, if not given, so that joints are where those begin.
+        outputs: names out of `OUTPUTS`.
+        forces: springs, dampers and wrenches beside gravity and control.
+        motions: prescribed motions of joints.
+        armatures: rotor inertias on joint coordinates and balls.
+        description: one printable line for people.
+        redundancy_tolerance: dimensionless size of the independent part of a constraint below which it counts
+            as redundant, see `newton_euler.equations.redundancy`; 0 takes all constraints literally.
+
+    Raises:
+        MechanismError: naming the field, body or joint at fault.
+        UnknownNameError: for a law of an unknown joint and for an unknown output.
+    """
+
+    name: str
+    mechanism: Mechanism
+    duration: float
+    output_period: float
+    gravity: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    control: tuple[Law, ...] = ()
+    initial_state: State = field(default=None)  # type: ignore[assignment]
+    outputs: frozenset[str] = frozenset(OUTPUTS)
+    forces: tuple[Force, ...] = ()
+    motions: tuple[PrescribedMotion, ...] = ()
+    armatures: tuple[Armature | BallArmature, ...] = ()
+    description: str = ""
+    redundancy_tolerance: float = REDUNDANCY_TOLERANCE
+
+    @np.errstate(all="ignore")  # what overflows is refused, here or by a run
+    def __post_init__(self) -> None:
+        self._check_texts()
+        where = f"scene {self.name!r}"
+        if not isinstance(self.mechanism, Mechanism):
+            raise MechanismError(where, f"mechanism is {self.mechanism!r}", "a Mechanism")
+        for name in ("duration", "output_period"):
+            value = getattr(self, name)
+            if not is_finite_number(value) or not 0.0 < value <= MAXIMUM_DURATION:
+                needed = f"a positive number of seconds, at most {MAXIMUM_DURATION:g}"
+                raise MechanismError(where, f"{name} is {value!r}", needed)
+            object.__setattr__(self, name, float(value))
+        tolerance = self.redundancy_tolerance
+        if not is_finite_number(tolerance) or not 0.0 <= tolerance < 1.0:
+            raise MechanismError(
+                where, f"redundancy_tolerance is {tolerance!r}", "a number from 0 to below 1"
+            )
+        if self.duration > MAXIMUM_OUTPUTS * self.output_period:
+            raise MechanismError(
+                where,
+                f"duration {self.duration:g} s at output_period {self.output_period:g} s asks for more "
+                f"than {MAXIMUM_OUTPUTS} outputs",
+                "a longer output_period",
+            )
+        self._check_gravity()
+        if not isinstance(self.outputs, Iterable) or isinstance(self.outputs, str):
+            raise MechanismError(where, f"outputs is {self.outputs!r}", "a set of names")
+        for output in self.outputs:
+            check_choice("output", output, OUTPUTS)
+        object.__setattr__(self, "outputs", frozenset(self.outputs))
+        self._check_control()
+        object.__setattr__(self, "motions", check_motions(self.motions, self.mechanism))
+        if self.initial_state is None:
+            object.__setattr__(self, "initial_state", self._begin())
+        else:
+            self._check_state(self.initial_state)
+        self._check_forces()
+        self._check_armatures()
+
+    def _check_texts(self) -> None:
+        name, description = self.name, self.description
+        if not isinstance(name, str) or not _NAME.fullmatch(name) or name in (".", ".."):
+            needed = "letters, digits, _, . and - only, at most 100, not . or .."
+            raise MechanismError("scene", f"name is {name!r:.150}", needed)
+        if not isinstance(description, str) or not description.isprintable():
+            raise MechanismError(
+                f"scene {name!r}", f"description is {description!r:.150}", "one line of printable text"
+            )
+
+    def _check_gravity(self) -> None:
+        try:
+            gravity = np.array(self.gravity, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            gravity = np.zeros(0)
+        if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
+            raise MechanismError(
+                f"scene {self.name!r}", f"gravity is {self.gravity!r}", "three finite numbers, m/s^2"
+            )
+        gravity.flags.writeable = False
+        object.__setattr__(self, "gravity", gravity)
+
+    def _check_control(self) -> None:
+        laws = self.control
+        if not isinstance(laws, Iterable) or not all(isinstance(law, Law) for law in laws):
+            raise MechanismError(f"scene {self.name!r}", f"control is {laws!r}", "a tuple of control laws")
+        object.__setattr__(self, "control", tuple(laws))
+        driven = Counter((law.joint, law.coordinate) for law in self.control)
+        for law in self.control:
+            where = f"control of joint {law.joint!r}"
+            joint = self.mechanism.joints[self.mechanism.joint_index(law.joint)]
+            if not joint.actuated:
+                raise MechanismError(where, "the joint is not actuated", "an actuated joint")
+            if driven[law.joint, law.coordinate] > 1:
+                raise MechanismError(where, "has several laws for one coordinate", "one law a coordinate")
+            kinds = [m.kind for m in joint.motions if m.kind != "ball"]
+            if not 0 <= law.coordinate < len(kinds):
+                raise MechanismError(where, f"coordinate is {law.coordinate}", f"an index below {len(kinds)}")
+
+    def _check_forces(self) -> None:
+        forces = tuple(self.forces) if isinstance(self.forces, Iterable) else (self.forces,)
+        for force in forces:
+            if not isinstance(force, Force):
+                needed = "JointSpring, BallSpring, PointSpring or Wrench"
+                raise MechanismError(f"scene {self.name!r}", f"forces holds {force!r:.200}", needed)
+        object.__setattr__(self, "forces", forces)
+        check_forces(self.forces, self.mechanism, self.initial_state.frames())
+
+    def _check_armatures(self) -> None:
+        given = self.armatures
+        if not isinstance(given, Iterable) or not all(isinstance(a, Armature | BallArmature) for a in given):
+            raise MechanismError(
+                f"scene {self.name!r}", f"armatures is {given!r:.200}", "a tuple of armatures"
+            )
+        object.__setattr__(self, "armatures", tuple(given))
+        check_armatures(self.armatures, self.mechanism)
+
+    @np.errstate(all="ignore")  # a norm may overflow
+    def check_numbers(self, state: object, where: str) -> None:
+        """Raise `MechanismError` for what is no state of the scene's bodies, closed or not."""
+        if not isinstance(state, State):
+            raise MechanismError(where, f"is {state!r:.200}", "a State")
+        count = len(self.mechanism.bodies)
+        for name, width in (
+            ("position", 3),
+            ("quaternion", 4),
+            ("linear_velocity", 3),
+            ("angular_velocity", 3),
+        ):
+            value = getattr(state, name)
+            if (
+                not isinstance(value, np.ndarray)
+                or value.dtype.kind != "f"
+                or value.shape != (count, width)
+                or not np.all(np.isfinite(value))
+            ):
+                raise MechanismError(
+                    where,
+                    f"{name} has another shape or holds what is not finite",
+                    f"an array of finite floats, shape ({count}, {width})",
+                )
+        norms = np.linalg.norm(state.quaternion, axis=1)
+        if not np.all(norms > UNIT_TOLERANCE):
+            body = self.mechanism.body_names[int(np.argmin(norms))]
+            raise MechanismError(where, f"quaternion of body {body!r} is zero", "one of norm 1")
+
+    def _check_state(self, state: State) -> None:
+        self.check_numbers(state, f"initial state of scene {self.name!r}")
+        norms = np.linalg.norm(state.quaternion, axis=1)
+        worst = int(np.argmax(np.abs(norms - 1.0)))
+        if abs(norms[worst] - 1.0) > UNIT_TOLERANCE:
+            raise MechanismError(
+                f"body {self.mechanism.body_names[worst]!r}",
+                f"initial quaternion has norm {norms[worst]:.9g}",
+                "a unit quaternion, w-x-y-z",
+            )
+        self._check_ground(state)
+        try:
+            self.mechanism.check_closed(state.frames(), "in the initial state")
+            self._check_velocities(state)
+        except MechanismError:
+            if not self._is_closed_but_for_noise(state):
+                raise
+        self._check_couplings(state)
+
+    def _is_closed_but_for_noise(self, state: State) -> bool:
+        """Whether a state opens nearly redundant joints alone, and no more than it has to."""
+        from newton_euler.assemble import assemble  # which needs scenes
+        from newton_euler.equations.redundancy import mobility
+
+        if mobility(self).residual == 0.0:
+            return False
+        try:
+            closed = assemble(self, state)
+        except AssemblyError:
+            return False
+        apart = (
+            (closed.position - state.position, 1.0),
+            (closed.quaternion - state.quaternion, 1.0),
+            (closed.linear_velocity - state.linear_velocity, self._speed(state)),
+        )
+        return all(np.max(np.abs(gap)) <= CLOSURE_TOLERANCE * max(1.0, unit) for gap, unit in apart)
+
+    def _begin(self) -> State:
+        """The initial pose at rest, or what is next to it where joints have to move."""
+        start = State.initial(self.mechanism)
+        if not self.motions:
+            return start
+        from newton_euler.assemble import assemble  # which needs scenes
+
+        return assemble(self, start)
+
+    def _check_ground(self, state: State) -> None:
+        ground = self.mechanism.bodies[0]
+        shift = float(np.linalg.norm(state.position[0] - ground.center_of_mass))
+        turn = float(
+            np.linalg.norm(
+                np.outer(state.quaternion[0], state.quaternion[0])
+                - np.outer(ground.quaternion, ground.quaternion)
+            )
+        )
+        if shift > CLOSURE_TOLERANCE or turn > UNIT_TOLERANCE:
+            problem = "is not at its own pose in the initial state"
+        elif np.any(state.linear_velocity[0]) or np.any(state.angular_velocity[0]):
+            problem = "moves in the initial state"
+        else:
+            return
+        raise MechanismError(f"ground {ground.name!r}", problem, "the ground's own pose, at rest")
+
+    def _check_velocities(self, state: State) -> None:
+        """Raise `MechanismError` for the first joint that opens, |Phi_q qdot| > `VELOCITY_TOLERANCE`."""
+        frames, size, speed = state.frames(), self.mechanism.size, self._speed(state)
+        for equations in self.mechanism.equations:
+            first, second = frames[equations.first], frames[equations.second]
+            rates = np.abs(equations.jacobian(first, second).rate(first, second))
+            allowed = VELOCITY_TOLERANCE * speed * np.where(equations.is_length, 1.0, 1.0 / size)
+            if np.any(rates > allowed):
+                worst = int(np.argmax(rates - allowed))
+                unit = "m/s" if equations.is_length[worst] else "rad/s"
+                raise MechanismError(
+                    f"joint {equations.joint.name!r}",
+                    f"opens at {rates[worst]:.3g} {unit} in the initial state",
+                    f"at most {allowed[worst]:.3g} {unit}, as newton_euler.assemble(scene, guess) makes it",
+                )
+
+    def _check_couplings(self, state: State) -> None:
+        """Raise `MechanismError` for the first coupling or motion that the state does not follow."""
+        found = couplings(self)
+        phi, rates = residuals(self.mechanism, found, state.frames(), 0.0)
+        speed = self._speed(state)
+        for coupling, gap, opening in zip(found, phi, rates, strict=True):
+            unit = "m" if coupling.is_length else "rad"
+            allowed = VELOCITY_TOLERANCE * speed * (1.0 if coupling.is_length else 1.0 / self.mechanism.size)
+            allowed *= sum(abs(factor) for factor in coupling.factors.values())
+            if abs(gap) > CLOSURE_TOLERANCE:
+                problem, needed = f"is off by {gap:.3g} {unit}", f"at most {CLOSURE_TOLERANCE:g} {unit}"
+            elif abs(opening) > allowed:
+                problem, needed = f"is off by {opening:.3g} {unit}/s", f"at most {allowed:.3g} {unit}/s"
+            else:
+                continue
+            raise MechanismError(
+                f"{coupling.what} {coupling.name!r}",
+                f"{problem} in the initial state",
+                f"{needed}, as newton_euler.assemble(scene, guess) makes it",
+            )
+
+    def _speed(self, state: State) -> float:
+        """The largest speed of a state, m/s."""
+        spin = float(np.max(np.linalg.norm(state.angular_velocity, axis=1)))
+        return float(np.max(np.linalg.norm(state.linear_velocity, axis=1))) + self.mechanism.size * spin
+
+    @property
+    def sampled(self) -> tuple[Sampled, ...]:
+        """The sampled controllers among the control laws."""
+        return tuple(law for law in self.control if isinstance(law, Sampled))
+
+    @property
+    def joint_forces(self) -> tuple[Law | JointSpring, ...]:
+        """All that acts on joint coordinates: the control laws, then the springs of joints."""
+        return (*self.control, *(force for force in self.forces if isinstance(force, JointSpring)))
+
+    @property
+    def loaded_balls(self) -> frozenset[str]:
+        """Names of the joints on whose balls there is a spring, a damper or an armature."""
+        springs = (force.joint for force in self.forces if isinstance(force, BallSpring))
+        rotors = (armature.joint for armature in self.armatures if isinstance(armature, BallArmature))
+        return frozenset((*springs, *rotors))
+
+    @property
+    def tracks_work(self) -> bool:
+        """Whether runs carry the work of what is not in the potential energy as one more state."""
+        return "energy" in self.outputs and len(self.control) + len(self.forces) + len(self.motions) > 0
+
+    @cached_property
+    def times(self) -> Array:
+        """(n,) output times, s: every period from 0, and the end."""
+        count = int(np.floor(self.duration / self.output_period * (1.0 + 1e-12)))
+        times = self.output_period * np.arange(count + 1)
+        if self.duration - times[-1] > 1e-9 * self.output_period:
+            return np.append(times, self.duration)
+        times[-1] = self.duration
+        return times

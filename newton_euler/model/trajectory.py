@@ -1,0 +1,215 @@
+"""Trajectory: what every engine returns."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from newton_euler.errors import IntegrationError
+from newton_euler.limits import MB, exceeded
+from newton_euler.model.source_file import SourceError, read_content
+from newton_euler.scalars import Array
+
+if TYPE_CHECKING:
+    from zipfile import ZipFile
+
+SHAPES = {
+    "time": "n",
+    "body_names": "b",
+    "joint_names": "j",
+    "position": "nb3",
+    "quaternion": "nb4",
+    "linear_velocity": "nb3",
+    "angular_velocity": "nb3",
+    "reaction_force": "nj3",
+    "reaction_torque": "nj3",
+    "actuator_force": "na",
+    "constraint_violation": "nj",
+    "kinetic_energy": "n",
+    "potential_energy": "n",
+    "work": "n",
+}
+"""Of the arrays of a trajectory: n times, b bodies, j joints, a actuators."""
+
+NEEDED = ("time", "body_names", "joint_names", "position", "quaternion")
+"""Arrays that every run has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A run at n output times: b bodies (ground first), j joints, a actuators; world frame, SI.
+
+    Arrays that the scene did not ask for are None and are left out of files.
+
+    Attributes:
+        engine: name of the engine that made it.
+        settings: the options it ran with and what it counted (steps, evaluations).
+        wall_time: s, of the run itself, without building the model.
+    """
+
+    engine: str
+    settings: dict[str, Any]
+    wall_time: float
+    time: Array = field(metadata={"shape": "n", "unit": "s"})
+    body_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    position: Array
+    """(n, b, 3) centres of mass, m."""
+    quaternion: Array
+    """(n, b, 4) w-x-y-z, continuous in sign."""
+    linear_velocity: Array | None = None
+    """(n, b, 3) of the centres of mass, m/s."""
+    angular_velocity: Array | None = None
+    """(n, b, 3) rad/s."""
+    reaction_force: Array | None = None
+    """(n, j, 3) constraint force on the second body, N; not unique where constraints are redundant, see
+    `newton_euler.equations.reactions`."""
+    reaction_torque: Array | None = None
+    """(n, j, 3) constraint torque on the second body about the joint point, N m; as unique as the force."""
+    actuator_force: Array | None = None
+    """(n, a) along the actuated coordinates, N or N m."""
+    constraint_violation: Array | None = None
+    """(n, j) largest residual of each joint's equations, m or rad."""
+    kinetic_energy: Array | None = None
+    """(n,) J."""
+    potential_energy: Array | None = None
+    """(n,) of gravity, zero at the world origin, and of springs, zero at rest, J."""
+    work: Array | None = None
+    """(n,) done since the start by control, dampers, wrenches and prescribed motions, J."""
+
+    def arrays(self) -> dict[str, Array]:
+        """The arrays of the run by name, names as arrays of text."""
+        skipped = ("engine", "settings", "wall_time")
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in skipped}
+        return {name: np.asarray(value) for name, value in values.items() if value is not None}
+
+    def first(self, outputs: int) -> Trajectory:
+        """The run at its first outputs; itself if it has no more."""
+        if outputs >= len(self.time):
+            return self
+        cut: dict[str, Any] = {
+            name: values[:outputs] for name, values in self.arrays().items() if values.dtype.kind == "f"
+        }
+        return replace(self, **cut)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the arrays to an .npz; the file appears whole or not at all."""
+        content = io.BytesIO()  # a zip file on a full disk would fail once more on its way out
+        arrays: dict[str, Any] = dict(self.arrays())
+        np.savez_compressed(content, **arrays)
+        with atomic_file(path) as temporary:
+            temporary.write_bytes(content.getbuffer())
+
+
+def check_finite(times: Array, arrays: Mapping[str, Array]) -> None:
+    """Raise `IntegrationError` for the first time at which an array, a row for each, is not finite."""
+    wrong = {name: np.argwhere(~np.isfinite(array)) for name, array in arrays.items()}
+    first = [(int(rows[0, 0]), name) for name, rows in wrong.items() if len(rows)]
+    if first:
+        row, name = min(first)
+        raise IntegrationError(float(times[row]), f"{name} is not finite")
+
+
+def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
+    """Read the arrays of a saved trajectory by name, each with the type and the shape of `SHAPES`.
+
+    Raises:
+        SourceError: naming the file, and the array at fault if one is.
+    """
+    from zipfile import BadZipFile, ZipFile
+    from zlib import error as ZlibError
+
+    content = io.BytesIO(read_content(path, "array_size"))
+    try:
+        with ZipFile(content) as archive:
+            arrays = _unpacked(archive)
+            _check_arrays(arrays)
+    except (OSError, EOFError, ValueError, KeyError, RuntimeError, BadZipFile, ZlibError) as error:
+        raise SourceError(os.fspath(path), f"holds no trajectory: {error}") from error
+    return arrays
+
+
+def _unpacked(archive: ZipFile) -> dict[str, Array]:
+    """The arrays of an .npz file by name, of which no more is unpacked than their headers say.
+
+    Raises:
+        ValueError: for what no trajectory has; and whatever the archive raises.
+    """
+    from zipfile import ZIP_DEFLATED, ZIP_STORED
+
+    found: dict[str, Array] = {}
+    unpacked = 0
+    for entry in archive.infolist():
+        name = entry.filename.removesuffix(".npy")
+        if name not in SHAPES or name in found:
+            raise ValueError(f"{entry.filename!r:.100} is none of its arrays")
+        if entry.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+            raise ValueError(f"{entry.filename!r:.100} is compressed in a way that NumPy does not use")
+        with archive.open(entry) as stream:
+            shape, order, dtype = _header(stream)
+            size = dtype.itemsize * math.prod(shape)
+            kind = "U" if name.endswith("_names") else "f"
+            if dtype.kind != kind or len(shape) != len(SHAPES[name]) or min(shape) < 0:
+                raise ValueError(f"{name} is an array of {dtype}, shape {shape}")
+            unpacked += size
+            if problem := exceeded("array_size", unpacked / MB):
+                raise ValueError(problem)
+            data = stream.read(size)
+            if len(data) < size or stream.read(1):
+                raise ValueError(f"{name} is not as long as its shape {shape}")
+        found[name] = (
+            np.frombuffer(data, dtype).reshape(shape, order=order) if size else np.empty(shape, dtype)
+        )
+    return found
+
+
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], Literal["C", "F"], np.dtype[Any]]:
+    """Shape, order and type of the array that a stream of an .npy file holds."""
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError("its arrays have an unknown format")
+    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+    return shape, "F" if fortran else "C", dtype
+
+
+def _check_arrays(arrays: Mapping[str, Array]) -> None:
+    """Raise `ValueError` for arrays that are missing, of shapes that do not fit, or not finite."""
+    sizes = {digit: int(digit) for digit in "34"}
+    for name in NEEDED:
+        if name not in arrays:
+            raise ValueError(f"no array {name!r}")
+    for name, array in arrays.items():
+        for letter, size in zip(SHAPES[name], array.shape, strict=True):
+            sizes.setdefault(letter, size)
+    for name, array in arrays.items():
+        needed = tuple(sizes[letter] for letter in SHAPES[name])
+        if array.shape != needed:
+            raise ValueError(f"{name} has shape {array.shape}; needed: {needed}")
+        if array.dtype.kind == "f" and not np.all(np.isfinite(array)):
+            raise ValueError(f"{name} is not finite")
+    if sizes["n"] == 0 or sizes["b"] == 0 or np.any(np.diff(arrays["time"]) <= 0.0):
+        raise ValueError("no bodies, or no times that increase")
+
+
+@contextmanager
+def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary path beside `path`, in a folder made if need be, that becomes `path` on success only.
+
+    Whatever ends the block otherwise, an error or an interrupt, leaves what was at `path` before.
+    """
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.parent / f".{target.stem}-{os.urandom(4).hex()}{target.suffix}"
+    try:
+        temporary.touch(exist_ok=False)
+        yield temporary
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)

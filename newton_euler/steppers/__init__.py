@@ -1,1 +1,0 @@
-"""Integrators that run in native code, written once for all scenes."""

@@ -1,0 +1,258 @@
+"""Exercised model files: what drives and moves them, against MuJoCo's own runs of the files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from mechanisms import mass_on_rail, planar_four_bar
+from mjcf_models import PAIR, model, reading, verified
+from urdf_files import CHAIN
+
+import newton_euler
+import urdf.read
+from crosscheck.cli import main
+from crosscheck.comparison.coverage import covered_by
+from mjcf.read import Reading
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import opening
+from newton_euler.exercise import SHIFT, SPEED, SPIN, moving, swings
+from newton_euler.model.activity import Bounds, Course
+from newton_euler.model.control import PD
+from newton_euler.model.motions import Sine, Sum
+from newton_euler.model.scene import Scene
+
+ACTUATORS = (
+    '<motor name="free" joint="p"/>'
+    '<motor name="end" joint="q" gear="2" ctrllimited="true" ctrlrange="0 0.1"/>'
+    '<position name="servo" joint="r" kp="300" kv="5" ctrlrange="-1 1"/>'
+    '<general name="slow" joint="p" dyntype="filter" dynprm="0.05" gainprm="3" ctrlrange="-0.2 0.2"/>'
+    '<general name="sum" joint="q" dyntype="integrator" gainprm="3" ctrlrange="-2 2" actrange="-0.1 0.3"/>'
+    '<general name="of_length" joint="q" gaintype="affine" gainprm="1 2"/>'
+)
+
+FILE = model(
+    PAIR, f"<actuator>{ACTUATORS}</actuator>", '<option timestep="0.0005" integrator="RK4" gravity="0 0 -1"/>'
+)
+
+
+def sines(scene: Scene) -> dict[tuple[str, int], list[Sine]]:
+    """What drives each joint coordinate."""
+    found = {}
+    for law in scene.control:
+        assert isinstance(law, PD)
+        push = law.feedforward
+        terms = push.terms if isinstance(push, Sum) else [push] if isinstance(push, Sine) else []
+        found[law.joint, law.coordinate] = [term for term in terms if isinstance(term, Sine)]
+    return found
+
+
+def test_start_velocities_fit_the_constraints_and_move_all_joints() -> None:
+    scene = planar_four_bar()
+    moved, words = moving(scene)
+    system = Relative(moved)
+    q, v = system.coordinates(moved.initial_state)
+    assert np.abs(opening(system, q, v)).max() < 1e-12 * SPIN
+    omega = moved.initial_state.angular_velocity
+    turning = [np.linalg.norm(omega[e.second] - omega[e.first]) for e in moved.mechanism.equations]
+    assert min(turning) > 0.01 * SPIN
+    assert max(turning) == pytest.approx(SPIN)
+    assert words == f"start velocities up to {max(turning):.2g} rad/s"
+    again, _ = moving(scene)
+    assert np.array_equal(again.initial_state.angular_velocity, omega)
+
+
+def test_a_mass_slides_at_most_so_fast_and_a_motor_moves_it_about_so_far() -> None:
+    scene = mass_on_rail(duration=1.0, control=(PD("rail", 0.0, 0.0, 0.0),))
+    size = scene.mechanism.size
+    speed = np.linalg.norm(moving(scene)[0].initial_state.linear_velocity[1])
+    assert speed == pytest.approx(SPEED * size)
+    (swing,) = swings(scene, [{("rail", 0): 3.0}])
+    push = Sine(3.0 * swing.amplitude, swing.angular_frequency)
+    driven = mass_on_rail(duration=1.0, control=(PD("rail", 0.0, 0.0, 0.0, feedforward=push),))
+    way = np.abs(newton_euler.simulate(driven).position[:, 1, 2]).max()
+    assert 0.5 * SHIFT * size < way < 1.1 * SHIFT * size
+
+
+def test_controls_swing_within_half_of_their_ranges(tmp_path: Path) -> None:
+    found = reading(tmp_path, FILE, exercise=True)
+    assert verified(found)
+    driven = sines(found.scene)
+    frequencies = [sine.angular_frequency / (2.0 * np.pi) for each in driven.values() for sine in each]
+    assert len(set(frequencies)) == 5
+    assert 0.7 <= min(frequencies) <= max(frequencies) <= 1.9
+    (servo,) = driven["two_joints", 0]
+    size = found.scene.mechanism.size
+    assert servo.amplitude == pytest.approx(300.0 * min(SHIFT * size, 0.25))
+    hows = {entry.element: entry.how for entry in found.report.entries}
+    end = hows["actuator 'end'"]  # a quarter of the range off its end, half of that to and fro
+    assert "its control 0.025 + 0.0125 sin(" in end
+    assert "its control held at 0" in hows["actuator 'of_length'"]
+    (line,) = [line for line in found.report.start if line.startswith("exercised: ")]
+    assert line.startswith("exercised: 5 actuators driven by sines of 0.7 to 1.9 Hz within their ranges, ")
+    assert "1 control moved off the end of its range, 1 actuator keeps its control (of_length)" in line
+    slow = driven["p", 0][1]  # what its filter leaves of the range, at its fastest
+    assert 0.0 < slow.amplitude <= 3.0 * 0.5 * 0.2 / np.hypot(1.0, 0.05 * 2.0 * np.pi * 1.9) * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("exercise", [False, True])
+def test_a_range_without_end_is_read(tmp_path: Path, exercise: bool) -> None:
+    """MuJoCo takes controls beyond 1e10 for a mistake, ranges not."""
+    text = (
+        '<mujoco><worldbody><body><joint name="j"/><geom size="1" pos="1 0 0"/></body></worldbody>'
+        '<actuator><motor joint="j" ctrllimited="true" ctrlrange="-1e12 1e12"/></actuator></mujoco>'
+    )
+    assert verified(reading(tmp_path, text, exercise=exercise))
+
+
+def controls(found: Reading, time: float) -> list[float]:
+    """ctrl of `FILE` with which MuJoCo does what the scene says."""
+    driven = sines(found.scene)
+
+    def swing(sine: Sine, gain: float) -> tuple[float, float]:
+        w = sine.angular_frequency
+        return sine.amplitude / gain * np.sin(w * time), sine.amplitude / gain * w * np.cos(w * time)
+
+    free, slow = driven["p", 0]
+    end, total = driven["two_joints", 1]
+    (servo,) = driven["two_joints", 0]
+    filtered, rate = swing(slow, 3.0)
+    return [
+        swing(free, 1.0)[0],
+        0.025 + swing(end, 2.0)[0],
+        swing(servo, 300.0)[0],
+        filtered + 0.05 * rate,
+        swing(total, 3.0)[1],
+        0.0,
+    ]
+
+
+def test_mujoco_moves_alike_with_the_controls_that_swing(tmp_path: Path) -> None:
+    """The file itself with these controls, filters and integrators included: 1e-4 m at 0.5 ms, order 1."""
+    found = reading(tmp_path, FILE, exercise=True, duration=0.5, output_period=0.1)
+    run = newton_euler.simulate(found.scene)
+    own, data = found.start.model, mujoco.MjData(found.start.model)
+    body = {name: own.body(name).id for name in ("one", "two")}
+    start = found.scene.initial_state
+    system = Relative(found.scene)
+    seen = system.measured(*system.coordinates(start), system.links(*system.coordinates(start)))
+    data.qvel[:] = [seen[key].rate for key in (("p", 0), ("two_joints", 1), ("two_joints", 0))]
+    steps = round(0.5 / own.opt.timestep)
+    for n in range(steps):
+        data.ctrl[:] = controls(found, (n + 0.5) * own.opt.timestep)
+        mujoco.mj_step(own, data)
+    mujoco.mj_kinematics(own, data)
+    names = found.scene.mechanism.body_names
+    for name, k in body.items():
+        way = run.position[-1, names.index(name)] - run.position[0, names.index(name)]
+        assert np.abs(way).max() > 0.01
+        assert data.xipos[k] == pytest.approx(run.position[-1, names.index(name)], abs=1e-4)
+
+
+def test_velocities_of_a_keyframe_are_kept(tmp_path: Path) -> None:
+    text = FILE.replace("</mujoco>", '<keyframe><key qvel="1 2 3"/></keyframe></mujoco>')
+    as_it_stands, found = (reading(tmp_path, text, exercise=exercise) for exercise in (False, True))
+    assert np.array_equal(
+        as_it_stands.scene.initial_state.linear_velocity, found.scene.initial_state.linear_velocity
+    )
+
+
+def test_a_reading_is_not_exercised_unless_asked_for(tmp_path: Path) -> None:
+    found = reading(tmp_path, FILE)
+    assert not np.any(found.scene.initial_state.linear_velocity)
+    assert not any(sines(found.scene).values())
+    assert not any(line.startswith("exercised") for line in found.report.start)
+
+
+def test_a_force_at_its_limit_is_not_driven(tmp_path: Path) -> None:
+    motor = '<actuator><motor name="m" joint="p" ctrlrange="-9 9" forcerange="-1 1"/></actuator>'
+    at_limit = model(PAIR, f'{motor}<keyframe><key ctrl="5"/></keyframe>')
+    assert not any(sines(reading(tmp_path, at_limit, exercise=True).scene).values())
+    within = reading(tmp_path, model(PAIR, motor), exercise=True)
+    (sine,) = sines(within.scene)["p", 0]
+    assert 0.0 < sine.amplitude <= 0.5
+
+
+def test_a_watched_limit_sees_a_force_that_swings() -> None:
+    law = PD("rail", 0.0, 0.0, 0.0, feedforward=Sine(2.0, 7.0))
+    scene = mass_on_rail(duration=1.0, control=(law,))
+    course = Course(scene, newton_euler.simulate(scene))
+    for high, active in ((1.9, True), (2.1, False)):
+        watch = Bounds((), -2.5, high, "N", Sine(2.0, 7.0))
+        assert watch.judge(course).active == active
+
+
+def test_a_urdf_moves_at_the_start(tmp_path: Path) -> None:
+    path = tmp_path / "chain.urdf"
+    path.write_text(CHAIN)
+    still, moved = (urdf.read.read(path, exercise=exercise) for exercise in (False, True))
+    assert not np.any(still.scene.initial_state.angular_velocity)
+    assert np.all(np.any(moved.scene.initial_state.angular_velocity[1:], axis=1))
+    assert any(line.startswith("exercised: start velocities up to ") for line in moved.report.start)
+
+
+def test_exercise_covers_what_a_file_leaves_still(tmp_path: Path) -> None:
+    text = FILE.replace('gravity="0 0 -1"', 'gravity="0 0 0"')
+    shares = []
+    for exercise in (False, True):
+        scene = reading(tmp_path, text, exercise=exercise).scene
+        covered = covered_by(scene, 1e-6, 1e-6)
+        shares.append(1.0 - len(covered.untested) / len(covered.elements))
+    assert shares[0] == 0.0
+    assert shares[1] >= 0.9
+
+
+@pytest.mark.parametrize(("command", "exercised"), [("run", True), ("convert", False)])
+def test_runs_exercise_by_default(
+    command: str, exercised: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "model.xml"
+    path.write_text(FILE)
+    more = ["--output", str(tmp_path / "out"), "--set", "duration=0.1"] if command == "run" else []
+    target = [] if command == "run" else [str(tmp_path / "model.yaml")]
+    for settings, expected in (([], exercised), (["--set", "exercise=off"], False)):
+        with pytest.raises(SystemExit) as end:
+            main([command, str(path), *target, *more, *settings])
+        assert end.value.code == 0
+        assert ("exercised: " in capsys.readouterr().out) == expected
+
+
+def test_bench_exercises_as_run_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "model.xml"
+    path.write_text(FILE)
+    moves: list[bool] = []
+
+    def bench(scene: Scene, *_: object) -> tuple[list[str], list[Path]]:
+        moves.append(bool(np.any(scene.initial_state.linear_velocity)))
+        return [], []
+
+    monkeypatch.setattr("crosscheck.studies.benchmark.run.bench", bench)
+    for settings in ([], ["--set", "exercise=off"]):
+        with pytest.raises(SystemExit):
+            main(["bench", str(path), *settings])
+    assert moves == [True, False]
+
+
+@pytest.mark.parametrize("command", [["convert", "{0}", "{0}.urdf"], ["faults", "{0}", "--reading"]])
+def test_exercise_without_effect_is_refused(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "model.xml"
+    path.write_text(FILE)
+    with pytest.raises(SystemExit) as end:
+        main([*(word.format(path) for word in command), "--set", "exercise=on"])
+    assert end.value.code == 2
+    assert "--set exercise=on has no effect here: " in capsys.readouterr().err
+
+
+def test_models_of_which_one_is_exercised_are_different(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their starts, a level that no two engines have, differ."""
+    path = Path(__file__).parents[3] / "examples" / "linkage.xml"
+    with pytest.raises(SystemExit) as end:
+        main(["run", str(path), "--against", str(path), "--set", "exercise=on", "--output", str(tmp_path)])
+    assert end.value.code == 1
+    assert "DIFFERENT: " in capsys.readouterr().out

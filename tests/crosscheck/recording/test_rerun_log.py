@@ -1,0 +1,327 @@
+"""A recording read back: what is in it, and that it holds what the trajectories hold."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recordings import (
+    AXIS,
+    LID_BAR,
+    LID_BOX,
+    PERIOD,
+    VERDICT,
+    N,
+    Recording,
+    lid_runs,
+    lid_scene,
+    motion,
+    read_recording,
+)
+from rerun.chunk import RrdReader
+
+from crosscheck.recording.log import (
+    LATER,
+    LONGEST_ARROW,
+    SHELL,
+    TIME,
+    application_id,
+    write_recording,
+)
+from crosscheck.recording.plots import SMALLEST, plots
+from newton_euler.model.euler_parameters import angle_between, rotation
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.scalars import Array
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return lid_scene()
+
+
+@pytest.fixture(scope="module")
+def runs(scene: Scene) -> dict[str, Trajectory]:
+    return lid_runs(scene)
+
+
+@pytest.fixture(scope="module")
+def recording(
+    scene: Scene, runs: dict[str, Trajectory], tmp_path_factory: pytest.TempPathFactory
+) -> Recording:
+    path = tmp_path_factory.mktemp("recording") / "lid.rrd"
+    write_recording(path, scene, runs, VERDICT)
+    return read_recording(path)
+
+
+def of_engines(*paths: str) -> set[str]:
+    return {path.replace("*", engine) for path in paths for engine in ("zeta", "alpha")}
+
+
+MOVING = of_engines(
+    "/mechanism/*/slider",
+    "/mechanism/*/lid",
+    "/joints/*/rail",
+    "/joints/*/hinge",
+    "/reactions/*/rail",
+    "/reactions/*/hinge",
+    "/plots/slider_position/rail/*",
+    "/plots/control/rail/*",
+    "/plots/energy/kinetic/*",
+    "/plots/energy/potential/*",
+    *(f"/plots/rotation_vector/{axis}/*" for axis in "xyz"),
+    *(f"/plots/euler_parameters/e{k}/*" for k in range(4)),
+    "/plots/drift_log10/*",
+) | {
+    f"/plots/{kind}/{quantity}/alpha"
+    for kind in ("difference", "difference_log10")
+    for quantity in ("position", "angle")
+}
+
+
+def test_holds_these_entities_and_no_others(recording: Recording) -> None:
+    still = {"/", "/ground", "/verdict", "/__properties"} | of_engines("/mechanism/*/lid/normal")
+    assert recording.entities == MOVING | still
+
+
+def test_every_moving_entity_has_every_output_time(recording: Recording) -> None:
+    expected = [0, 300_000_000, 600_000_000, 900_000_000, 1_200_000_000]
+    assert recording.times == dict.fromkeys(MOVING, expected)
+
+
+def test_scalars_are_exact(recording: Recording, runs: dict[str, Trajectory]) -> None:
+    first, other = runs["zeta"], runs["alpha"]
+    for engine, run in runs.items():
+        drift = np.log10(run.constraint_violation.max(axis=1))
+        for path, expected in {
+            f"/plots/control/rail/{engine}": run.actuator_force[:, 0],
+            f"/plots/slider_position/rail/{engine}": run.position[:, 1] @ AXIS,
+            f"/plots/energy/kinetic/{engine}": run.kinetic_energy,
+            f"/plots/energy/potential/{engine}": run.potential_energy,
+            f"/plots/euler_parameters/e0/{engine}": run.quaternion[:, 2, 0],
+            f"/plots/euler_parameters/e3/{engine}": run.quaternion[:, 2, 3],
+            f"/plots/drift_log10/{engine}": drift,
+        }.items():
+            np.testing.assert_array_equal(recording.scalars(path), expected, err_msg=path)
+    distance = np.linalg.norm(other.position - first.position, axis=2).max(axis=1)
+    angle = angle_between(first.quaternion, other.quaternion).max(axis=1)
+    for quantity, values in {"position": distance, "angle": angle}.items():
+        linear = recording.scalars(f"/plots/difference/{quantity}/alpha")
+        np.testing.assert_array_equal(linear, values)
+        logarithm = recording.scalars(f"/plots/difference_log10/{quantity}/alpha")
+        np.testing.assert_array_equal(logarithm, np.log10(values))
+
+
+def test_no_difference_is_drawn_at_the_floor(
+    scene: Scene, runs: dict[str, Trajectory], tmp_path: Path
+) -> None:
+    write_recording(tmp_path / "same.rrd", scene, {"one": runs["zeta"], "two": runs["zeta"]}, VERDICT)
+    values = read_recording(tmp_path / "same.rrd").scalars("/plots/difference_log10/position/two")
+    np.testing.assert_array_equal(values, np.full(N, np.log10(SMALLEST)))
+
+
+def test_poses_are_x_y_z_w(recording: Recording, runs: dict[str, Trajectory]) -> None:
+    for engine, run in runs.items():
+        path = f"/mechanism/{engine}/lid"
+        e0, e1, e2, e3 = run.quaternion[:, 2].T
+        quaternion = np.array(recording.columns[path, "Transform3D:quaternion"])[:, 0]
+        np.testing.assert_array_equal(quaternion, np.column_stack([e1, e2, e3, e0]).astype("float32"))
+        translation = np.array(recording.columns[path, "Transform3D:translation"])[:, 0]
+        np.testing.assert_array_equal(translation, run.position[:, 2].astype("float32"))
+
+
+def rotation_of(xyzw: Array) -> Array:
+    x, y, z, w = xyzw
+    return rotation(np.array([w, x, y, z]))
+
+
+def test_shapes_in_the_body_frame_stand_where_the_mechanism_has_them(
+    scene: Scene, recording: Recording
+) -> None:
+    lid = scene.mechanism.bodies[2]
+    to_world = rotation(lid.quaternion)
+    drawn = {
+        component: np.array(value)
+        for (path, component), value in recording.static.items()
+        if path == "/mechanism/zeta/lid" and "fill_mode" not in component
+    }
+    center = to_world @ drawn["Boxes3D:centers"][0] + lid.center_of_mass
+    np.testing.assert_allclose(center, LID_BOX.center, atol=1e-7)
+    turned = to_world @ rotation_of(drawn["Boxes3D:quaternions"][0])
+    np.testing.assert_allclose(turned, rotation(LID_BOX.quaternion), atol=1e-6)
+    np.testing.assert_allclose(drawn["Boxes3D:half_sizes"][0], LID_BOX.half_sizes, rtol=1e-6)
+    start = to_world @ drawn["Capsules3D:translations"][0] + lid.center_of_mass
+    np.testing.assert_allclose(start, LID_BAR.start, atol=1e-7)
+    along_z = [0.0, 0.0, drawn["Capsules3D:lengths"][0]]
+    end = start + to_world @ rotation_of(drawn["Capsules3D:quaternions"][0]) @ along_z
+    np.testing.assert_allclose(end, LID_BAR.end, atol=1e-6)
+    assert drawn["Capsules3D:radii"][0] == pytest.approx(LID_BAR.radius)
+
+
+def test_engines_are_drawn_apart(scene: Scene, recording: Recording) -> None:
+    path, other = "/mechanism/zeta/lid", "/mechanism/alpha/lid"
+    for component in ("Boxes3D:colors", "Boxes3D:fill_mode", "Capsules3D:fill_mode"):
+        assert recording.static[path, component] != recording.static[other, component]
+    shell = SHELL * scene.mechanism.size
+    half_sizes = recording.static[other, "Boxes3D:half_sizes"][0]
+    np.testing.assert_allclose(half_sizes, LID_BOX.half_sizes + shell, rtol=1e-6)
+    (radius,) = recording.static[other, "Capsules3D:radii"]
+    assert radius == pytest.approx(LID_BAR.radius + shell)
+    short, long = (np.linalg.norm(recording.static[f"{p}/normal", "Arrows3D:vectors"]) for p in (path, other))
+    assert long > 1.2 * short
+
+
+def test_an_engine_has_one_colour_and_its_name_in_every_plot(recording: Recording) -> None:
+    for engine in ("zeta", "alpha"):
+        color = recording.static[f"/mechanism/{engine}/lid", "Boxes3D:colors"]
+        lines = [p for p in MOVING if p.startswith("/plots/") and p.endswith(f"/{engine}")]
+        assert len(lines) >= 12
+        for path in lines:
+            assert recording.static[path, "SeriesLines:colors"] == color
+            assert recording.static[path, "SeriesLines:names"] == [engine]
+
+
+def test_normal_is_the_thin_axis_of_the_panel(recording: Recording) -> None:
+    # the box is turned like the body, so that its thin axis is the body's z
+    path = "/mechanism/zeta/lid/normal"
+    vector = np.array(recording.static[path, "Arrows3D:vectors"][0])
+    np.testing.assert_allclose(vector / np.linalg.norm(vector), [0.0, 0.0, 1.0], atol=1e-6)
+
+
+def test_joint_points_and_reactions_follow_the_second_body(
+    scene: Scene, runs: dict[str, Trajectory], recording: Recording
+) -> None:
+    lid = scene.mechanism.bodies[2]
+    arm = rotation(lid.quaternion).T @ ([0.4, 0.1, 0.3] - lid.center_of_mass)
+    force = max(np.linalg.norm(run.reaction_force, axis=2).max() for run in runs.values())
+    scale = LONGEST_ARROW * scene.mechanism.size / force
+    for engine, run in runs.items():
+        expected = [
+            r + rotation(p) @ arm for r, p in zip(run.position[:, 2], run.quaternion[:, 2], strict=True)
+        ]
+        points = np.array(recording.columns[f"/joints/{engine}/hinge", "Points3D:positions"])[:, 0]
+        np.testing.assert_allclose(points, expected, atol=1e-6)
+        path = f"/reactions/{engine}/hinge"
+        origins = np.array(recording.columns[path, "Arrows3D:origins"])[:, 0]
+        np.testing.assert_array_equal(origins, points)
+        vectors = np.array(recording.columns[path, "Arrows3D:vectors"])[:, 0]
+        np.testing.assert_allclose(vectors, scale * run.reaction_force[:, 1], rtol=1e-5)
+
+
+def test_verdict_is_markdown(recording: Recording) -> None:
+    assert recording.static["/verdict", "TextDocument:text"] == [VERDICT]
+    assert recording.static["/verdict", "TextDocument:media_type"] == ["text/markdown"]
+
+
+def test_runs_open_side_by_side(scene: Scene, runs: dict[str, Trajectory], tmp_path: Path) -> None:
+    """Two runs of one scene: one application, whose layout fits both, and two recordings."""
+    one, two = tmp_path / "one.rrd", tmp_path / "two.rrd"
+    write_recording(one, scene, runs, VERDICT)
+    write_recording(two, scene, {engine: motion(scene, 7) for engine in runs}, VERDICT, "a second run")
+    together = tmp_path / "together.rrd"
+    merge = [sys.executable, "-m", "rerun", "rrd", "merge", one, two, "-o", together]
+    subprocess.run(merge, check=True, capture_output=True)
+    a, b = RrdReader(together).recordings()
+    assert a.application_id == b.application_id == "crosscheck_lid_scene"
+    assert a.recording_id != b.recording_id
+    assert {x.application_id for x in RrdReader(together).blueprints()} == {a.application_id}
+    first, second = read_recording(one), read_recording(two)
+    assert first.entities == second.entities
+    assert first.static["/__properties", "RecordingInfo:name"] == ["lid_scene"]
+    assert second.static["/__properties", "RecordingInfo:name"] == ["a second run"]
+    assert layout(one) == layout(two)
+
+
+def test_other_scenes_have_a_layout_of_their_own(scene: Scene) -> None:
+    assert application_id(replace(scene, name="other")) != application_id(scene)
+
+
+def test_a_recording_can_open_at_a_time(
+    scene: Scene, runs: dict[str, Trajectory], recording: Recording, tmp_path: Path
+) -> None:
+    """Viewers start where the blueprint's timeline does: it holds the rows from that time on."""
+    path = tmp_path / "later.rrd"
+    write_recording(path, scene, runs, VERDICT, opens_at=2.5 * PERIOD)
+    found: dict[tuple[str, str], list[int]] = {}
+    for chunk in RrdReader(path).stream():
+        if not chunk.is_static:
+            (timeline,) = chunk.timeline_names
+            times = chunk.to_record_batch().column(timeline).cast("int64").to_pylist()
+            found[chunk.entity_path, timeline] = times
+    everything, later = (
+        [0, 300_000_000, 600_000_000, 900_000_000, 1_200_000_000],
+        [900_000_000, 1_200_000_000],
+    )
+    assert found == {(e, TIME): everything for e in MOVING} | {(e, LATER): later for e in MOVING}
+    assert layout(path)["TimePanelBlueprint:timeline"] == [LATER]
+
+
+def layout(path: Path) -> dict[str, list[str]]:
+    """What the views of a file's blueprint show, and the timeline that it plays."""
+    reader = RrdReader(path)
+    (entry,) = reader.blueprints()
+    values: dict[str, list[str]] = {"ViewBlueprint:space_origin": [], "TimePanelBlueprint:timeline": []}
+    for chunk in reader.stream(store=entry):
+        batch = chunk.to_record_batch()
+        for component in values.keys() & set(batch.schema.names):
+            values[component] += batch.column(component).to_pylist()[0]
+    return {component: sorted(entries) for component, entries in values.items()}
+
+
+def test_blueprint_is_in_the_file_and_shows_every_plot(
+    scene: Scene, runs: dict[str, Trajectory], tmp_path: Path
+) -> None:
+    path = tmp_path / "lid.rrd"
+    write_recording(path, scene, runs, VERDICT)
+    origins, timelines = layout(path).values()
+    expected = {"/plots/" + "/".join(plot.path) for plot in plots(scene, runs)}
+    assert len(expected) == 16
+    assert origins == sorted(expected | {"/", "/verdict"})
+    assert timelines == [TIME]
+
+
+def test_outputs_that_were_not_asked_for_are_left_out(
+    scene: Scene, runs: dict[str, Trajectory], tmp_path: Path
+) -> None:
+    bare = replace(
+        runs["zeta"],
+        reaction_force=None,
+        reaction_torque=None,
+        actuator_force=None,
+        constraint_violation=None,
+        kinetic_energy=None,
+        potential_energy=None,
+    )
+    write_recording(tmp_path / "bare.rrd", scene, {"zeta": bare, "alpha": bare}, VERDICT)
+    kinds = ("/reactions/", "/plots/control/", "/plots/drift_log10/", "/plots/energy/")
+    skipped = {path for path in MOVING if path.startswith(kinds)}
+    assert len(skipped) == 12
+    assert set(read_recording(tmp_path / "bare.rrd").times) == MOVING - skipped
+    assert len(plots(scene, {"zeta": bare})) == 8  # without the lines there is no empty plot either
+
+
+def test_one_engine_alone_has_no_differences(
+    scene: Scene, runs: dict[str, Trajectory], tmp_path: Path
+) -> None:
+    write_recording(tmp_path / "one.rrd", scene, {"zeta": runs["zeta"]}, VERDICT)
+    moving = set(read_recording(tmp_path / "one.rrd").times)
+    assert moving == {path for path in MOVING if "zeta" in path}
+
+
+def test_a_failing_write_leaves_what_was_there(
+    scene: Scene, runs: dict[str, Trajectory], tmp_path: Path
+) -> None:
+    # energies are logged after the 3D entities, so this fails in the middle of the file
+    short = replace(runs["zeta"], kinetic_energy=np.zeros(N - 1))
+    with pytest.raises(IndexError, match="boolean index did not match"):
+        write_recording(tmp_path / "new.rrd", scene, {"zeta": short}, VERDICT)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "old.rrd").write_bytes(b"old")
+    with pytest.raises(IndexError, match="boolean index did not match"):
+        write_recording(tmp_path / "old.rrd", scene, {"zeta": short}, VERDICT)
+    assert [path.name for path in tmp_path.iterdir()] == ["old.rrd"]
+    assert (tmp_path / "old.rrd").read_bytes() == b"old"

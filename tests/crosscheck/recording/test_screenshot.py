@@ -1,0 +1,55 @@
+"""Pictures of recordings, taken by the viewer without a display."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from pathlib import Path
+
+import pytest
+from recordings import VERDICT, lid_runs, lid_scene
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.recording.log import write_recording
+from crosscheck.recording.screenshot import screenshot
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return lid_scene()
+
+
+@pytest.fixture(scope="module")
+def runs(scene: Scene) -> dict[str, Trajectory]:
+    return lid_runs(scene)
+
+
+def test_screenshot_of_no_recording(tmp_path: Path) -> None:
+    with pytest.raises(CrosscheckError, match=r"absent\.rrd"):
+        screenshot(tmp_path / "absent.rrd", tmp_path / "out.png", 0.0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_screenshot_without_a_working_viewer(
+    scene: Scene, runs: dict[str, Trajectory], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_recording(tmp_path / "lid.rrd", scene, runs, VERDICT)
+    viewer = tmp_path / "viewer"
+    viewer.write_text("#!/bin/sh\necho panicked for want of an adapter\nexit 101\n")
+    viewer.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(viewer))
+    with pytest.raises(CrosscheckError, match=r"mesa-vulkan-drivers and libvulkan1 \(panicked for"):
+        screenshot(tmp_path / "lid.rrd", tmp_path / "out.png", 0.0)
+    assert not (tmp_path / "out.png").exists()
+
+
+@pytest.mark.skipif(not list(Path("/usr/share/vulkan/icd.d").glob("*.json")), reason="needs a Vulkan driver")
+def test_screenshot(scene: Scene, runs: dict[str, Trajectory], tmp_path: Path) -> None:
+    write_recording(tmp_path / "lid.rrd", scene, runs, VERDICT)
+    screenshot(tmp_path / "lid.rrd", tmp_path / "out.png", 0.6)
+    png = (tmp_path / "out.png").read_bytes()
+    assert png.startswith(b"\x89PNG")
+    assert struct.unpack(">II", png[16:24]) == (1600, 900)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["lid.rrd", "out.png"]

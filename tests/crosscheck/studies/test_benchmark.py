@@ -1,0 +1,413 @@
+"""The benchmark: what it measures, what it makes of it, and how it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import signal
+import time
+from functools import partial
+
+import numpy as np
+import pytest
+from command_line import run
+from mechanisms import slider_tree, spinning_top
+
+import newton_euler
+from crosscheck.errors import CrosscheckError
+from crosscheck.limit import time_limit
+from crosscheck.studies.benchmark import pinocchio as benchmark_pinocchio
+from crosscheck.studies.benchmark import reference as benchmark_reference
+from crosscheck.studies.benchmark import work_precision
+from crosscheck.studies.benchmark.engines import ENGINES, Benchmark, poses_only
+from crosscheck.studies.benchmark.plot import write
+from crosscheck.studies.benchmark.reference import Difference, Reference, reference
+from crosscheck.studies.benchmark.report import (
+    answer,
+    as_json,
+    cheapest,
+    frontier,
+    markdown,
+    measurements_from,
+    row,
+    terminal_tables,
+)
+from crosscheck.studies.benchmark.work_precision import (
+    Ladder,
+    Loading,
+    Measured,
+    Measurement,
+    Model,
+    Run,
+    Setting,
+)
+from newton_euler.model.euler_parameters import from_rotation_vector, product
+
+
+def made_up(engine, setting, error, seconds, evaluations=100):
+    """A measurement whose angle is a tenth as far off as its position."""
+    return Measurement(
+        engine, "method", setting, error, 0.1 * error, evaluations, 2.0 * seconds, (seconds,) * 3
+    )
+
+
+MADE_UP = (
+    made_up("newton_euler", "coarse", 1e-4, 1e-4),
+    made_up("newton_euler", "fine", 1e-7, 2e-4),
+    made_up("newton_euler", "worse than fine", 1e-6, 3e-4),
+    made_up("mujoco", "coarse", 1e-5, 5e-3),
+    made_up("pinocchio", "coarse", 1e-3, 5e-5),
+    made_up("pinocchio", "fine", 1e-10, 4e-3),
+)
+
+
+def result(scene, measurements=MADE_UP, uncertainty=1e-12):
+    """A benchmark that nobody ran."""
+    motion = newton_euler.simulate(poses_only(dataclasses.replace(scene, duration=0.02)))
+    differences = {"another": Difference(0.5 * uncertainty, uncertainty)}
+    against = Reference("made up", motion.position, motion.quaternion, differences, {"third": "no reason"})
+    loadings = (Loading("mujoco", "MJCF", 0.25, "written"),)
+    measured = Measured(tuple(measurements), loadings, (), {"mujoco: method": "its last setting"})
+    return Benchmark(
+        "tracker", {"leg_inertia": "aligned"}, scene, work_precision.machine(), against, measured
+    )
+
+
+# Measuring
+
+
+def test_errors_of_poses_are_distances_and_angles_whatever_the_sign_of_a_quaternion():
+    angle = 1e-5
+    position = np.zeros((3, 2, 3))
+    quaternion = np.tile([0.5, 0.5, 0.5, 0.5], (3, 2, 1))
+    moved, turned = position.copy(), -quaternion
+    moved[1, 1] = [3e-6, 0.0, -4e-6]
+    turned[2, 0] = product(from_rotation_vector(np.array([0.0, angle, 0.0])), quaternion[2, 0])
+    errors = work_precision.pose_errors((moved, turned), (position, quaternion))
+    # round-off of quaternions of norm 1, twice
+    np.testing.assert_allclose(errors, [5e-6, angle], rtol=0.0, atol=1e-15)
+
+
+def test_equal_intervals_and_a_last_one_that_is_shorter():
+    assert work_precision.intervals(np.array([0.0, 0.5, 1.0])) == [(2, 0.5)]
+    assert work_precision.intervals(np.array([0.0, 0.5, 1.0, 1.25])) == [(2, 0.5), (1, 0.25)]
+
+
+def test_fast_settings_are_repeated_more_often_than_slow_ones():
+    assert work_precision.repeats_of(1e-6, 5) == 5
+    assert work_precision.repeats_of(1e-6, 15) == int(work_precision.SHARE / work_precision.SAMPLE)
+    assert work_precision.repeats_of(work_precision.SHARE / 4.5, 15) == 4
+    assert work_precision.repeats_of(100.0, 15) == work_precision.LEAST_REPEATS
+
+
+POSES = (np.zeros((2, 1, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1, 1)))
+
+
+def off_by(error, seconds, calls, name):
+    """A setting that is `error` off, takes `seconds` by its own clock, and notes its calls."""
+
+    def call():
+        calls.append(name)
+        return Run(seconds, 7, lambda: (POSES[0] + [error, 0.0, 0.0], POSES[1]))
+
+    return Setting(name, call)
+
+
+def refuse(reason):
+    raise CrosscheckError(reason)
+
+
+def test_settings_run_once_for_their_error_and_then_take_turns():
+    calls = []
+    ladder = Ladder("m", (off_by(1e-3, 1e-3, calls, "a"), off_by(1e-6, 0.1, calls, "b")))
+    measured = work_precision.measure(
+        {"engine": {"model": lambda: Model((ladder,), "")}}, POSES, 4, lambda message: None
+    )
+    sample = round(work_precision.SAMPLE / 1e-3) * ["a"]  # short runs follow one another
+    assert calls == [*"ab", *sample, "b", *sample, *sample, "b", *sample, "b"]
+    assert [len(m.times) for m in measured.measurements] == [4, work_precision.LEAST_REPEATS]
+    assert [m.error for m in measured.measurements] == pytest.approx([1e-3, 1e-6], rel=1e-12)
+    assert measured.measurements[0].evaluations == 7
+
+
+def test_a_ladder_ends_after_a_run_that_takes_too_long_and_says_so():
+    calls = []
+    slow = off_by(1e-3, 2.0 * work_precision.LONGEST, calls, "slow")
+    ladder = Ladder("m", (slow, off_by(1e-6, 1e-3, calls, "never")))
+    measured = work_precision.measure(
+        {"engine": {"model": lambda: Model((ladder,), "")}}, POSES, 4, lambda message: None
+    )
+    assert "never" not in calls
+    assert measured.ended == {"engine: m": "slow took 3.0 s, more than 1.5 s"}
+
+
+def work_past_the_limit():
+    end = time.process_time() + 30.0
+    while time.process_time() < end:
+        pass
+    raise AssertionError("nobody gave it up")
+
+
+def test_a_run_that_does_not_end_is_given_up_and_ends_its_ladder(monkeypatch):
+    monkeypatch.setattr(work_precision, "LIMIT", 0.05)
+    monkeypatch.setattr(work_precision, "LONGEST", 0.01)
+    settings = (Setting("hangs", work_past_the_limit), off_by(1e-6, 1e-3, [], "never"))
+    measured = work_precision.measure(
+        {"engine": {"model": lambda: Model((Ladder("m", settings),), "")}}, POSES, 3, lambda message: None
+    )
+    assert not measured.measurements
+    assert [(f.setting, f.reason) for f in measured.failures] == [
+        ("hangs", "not finished after 0.05 s of processor time")
+    ]
+    assert measured.ended["engine: m"].startswith("hangs failed after ")
+
+
+def test_native_runs_are_given_up_too(tracker):
+    endless = newton_euler.compile_scene(dataclasses.replace(poses_only(tracker), duration=1e4))
+    with pytest.raises(CrosscheckError, match=r"not finished after 0\.2 s"), time_limit(0.2):
+        endless.simulate(integrator="RK4", step=1e-5)
+
+
+def test_interrupts_from_the_keyboard_stay_what_they_are():
+    before = signal.getsignal(signal.SIGPROF)
+    with pytest.raises(KeyboardInterrupt), time_limit(30.0):
+        signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGPROF) is before
+    assert signal.getitimer(signal.ITIMER_PROF) == (0.0, 0.0)
+
+
+def test_a_model_begins_no_ladder_after_its_time(monkeypatch):
+    monkeypatch.setattr(work_precision, "BUDGET", 0.0)
+    ladder = Ladder("m", (off_by(1e-3, 1e-3, [], "a"),))
+    measured = work_precision.measure(
+        {"engine": {"model": lambda: Model((ladder,), "")}}, POSES, 3, lambda message: None
+    )
+    assert not measured.measurements
+    assert measured.ended == {"engine: m": "not begun: others of its model have taken 0 s"}
+
+
+def test_what_cannot_run_is_listed_with_its_reason_and_the_rest_goes_on():
+    settings = (
+        Setting("refused", partial(refuse, "no such luck")),
+        off_by(np.nan, 1e-3, [], "diverges"),
+        off_by(1e-3, 1e-3, [], "runs"),
+    )
+    models = {
+        "broken": partial(refuse, "will not load"),
+        "good": lambda: Model((Ladder("m", settings),), "a remark"),
+    }
+    measured = work_precision.measure({"engine": models}, POSES, 3, lambda message: None)
+    assert [m.setting for m in measured.measurements] == ["runs"]
+    assert [(f.method, f.setting, f.reason) for f in measured.failures] == [
+        ("broken", "", "will not load"),
+        ("m", "refused", "no such luck"),
+        ("m", "diverges", "its motion is not finite"),
+    ]
+    assert [(load.model, load.remark) for load in measured.loadings] == [("good", "a remark")]
+
+
+def test_the_record_of_the_machine_names_processor_cores_and_versions():
+    found = work_precision.machine()
+    assert found["processor"]
+    assert found["cores"] >= 1
+    assert {"numpy", "mujoco", "pin", "scipy"} <= found["versions"].keys()
+
+
+# What is made of it
+
+
+def test_the_cheapest_setting_is_the_fastest_that_is_exact_enough():
+    assert cheapest(MADE_UP, "newton_euler", 1e-4).setting == "coarse"
+    assert cheapest(MADE_UP, "newton_euler", 1e-5).setting == "fine"
+    assert cheapest(MADE_UP, "mujoco", 1e-6) is None
+
+
+def test_no_setting_is_more_exact_than_the_reference_is_known():
+    assert cheapest(MADE_UP, "pinocchio", 1e-9, uncertainty=1e-9).setting == "fine"
+    assert cheapest(MADE_UP, "pinocchio", 1e-9, uncertainty=2e-9) is None
+
+
+def test_what_another_setting_beats_in_time_and_error_is_not_on_the_frontier():
+    assert [m.setting for m in frontier(MADE_UP, "newton_euler")] == ["coarse", "fine"]
+
+
+def test_a_row_names_ratios():
+    found = row(MADE_UP, 1e-5, 1e-12)
+    assert found.ratio("mujoco") == pytest.approx(25.0)
+    assert found.ratio("pinocchio") == pytest.approx(20.0)
+    assert found.notes == ()
+
+
+def test_a_row_says_where_newton_euler_is_not_the_fastest_and_why():
+    found = row(MADE_UP, 1e-3, 1e-12)
+    assert found.ratio("pinocchio") == pytest.approx(0.5)
+    assert found.notes == (
+        "pinocchio is faster than newton_euler: 100 evaluations of 500 ns against 100 evaluations of 1 us",
+    )
+
+
+def test_a_row_says_what_is_missing():
+    short = row(MADE_UP, 1e-6, 1e-12)
+    assert short.notes == ("mujoco does not reach it: at best 1.0e-05 in 5 ms (method, coarse)",)
+    assert short.ratio("mujoco") is None
+    absent = row([m for m in MADE_UP if m.engine != "mujoco"], 1e-5, 1e-12)
+    assert absent.notes == ("mujoco cannot run the scene",)
+    unresolved = row(MADE_UP, 1e-11, 2e-11)
+    assert unresolved.notes == ("not resolved: the reference is known to 2.0e-11 only",)
+    assert set(unresolved.cheapest.values()) == {None}
+
+
+def test_times_within_each_others_spread_are_called_level():
+    own = dataclasses.replace(MADE_UP[0], times=(1e-4, 2e-4, 9e-4))
+    other = dataclasses.replace(own, engine="mujoco", times=(1e-4, 3e-4, 9e-4))
+    notes = row([own, other], 1e-3, 1e-12).notes
+    assert "mujoco and newton_euler are level within the spread of their times" in notes
+
+
+def test_the_answer_in_words(tracker):
+    text = answer(result(tracker), 1e-5)
+    assert text.splitlines()[0].startswith("5 s of tracker (leg_inertia=aligned) to an error of 1e-05")
+    assert "newton_euler takes 200 us with method, fine (error 1.0e-07)" in text
+    assert "mujoco takes 5 ms with method, coarse (error 1.0e-05), 25 times as long as newton_euler" in text
+
+
+def test_tables_show_errors_below_the_uncertainty_as_such(tracker):
+    found = result(tracker, uncertainty=2e-10)
+    tables = {table.title: table for table in terminal_tables(found)}
+    cells = list(tables["pinocchio: settings that none of its others beats"].columns[1].cells)
+    assert cells == ["1.0e-03", "<= 2.0e-10"]
+    assert len(tables["cheapest setting for each error, m and rad"].rows) == 9
+    assert "| <= 2.0e-10 |" in markdown(found, 1e-6)
+
+
+def test_json_reads_back_as_what_was_measured(tracker):
+    content = json.loads(as_json(result(tracker), 1e-5))
+    assert tuple(measurements_from(content)) == MADE_UP
+    assert content["reference"]["uncertainty"] == 1e-12
+    assert content["reference"]["missing"] == {"third": "no reason"}
+    assert content["table"][0]["ratio"] == {"mujoco": pytest.approx(50.0), "pinocchio": pytest.approx(0.5)}
+    assert content["table"][-1]["cheapest"]["mujoco"] is None
+
+
+def test_a_benchmark_is_written_as_json_picture_and_recording(tracker, tmp_path):
+    files = write(result(tracker), tmp_path / "new", 1e-5)
+    starts = {path.name: path.read_bytes()[:4] for path in files}
+    assert starts == {"bench.json": b'{\n "', "work_precision.png": b"\x89PNG", "bench.rrd": b"RRF2"}
+    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == sorted(starts)
+
+
+# Engines
+
+
+@pytest.fixture(scope="module")
+def short(tracker):
+    return poses_only(dataclasses.replace(tracker, duration=0.045))  # a last output out of period
+
+
+def test_every_engine_and_setting_on_a_short_scene(short, monkeypatch):
+    monkeypatch.setattr(work_precision, "LEAST_REPEATS", 1)
+    monkeypatch.setattr(work_precision, "SAMPLE", 0.0)
+    against = reference(short, lambda message: None)
+    assert against.name.startswith("Pinocchio")
+    assert len(against.differences) == 3
+    assert not against.missing
+    # a few hundred round-off errors of angles of order 1
+    assert against.uncertainty < 1e-13
+    finest = {}
+    for engine, load in ENGINES.items():
+        measured = work_precision.measure({engine: load(short)}, against.poses, 1, lambda message: None)
+        assert not measured.failures
+        finest[engine] = min(m.error for m in measured.measurements)
+        methods = {m.method for m in measured.measurements}
+        for method in methods:
+            errors = [m.error for m in measured.measurements if m.method == method]
+            assert errors[-1] < max(errors[0], 1e-13), method
+    # MuJoCo's constraints are soft, with a time constant of two steps of 20 us
+    assert finest["mujoco"] < 1e-9
+    assert finest["newton_euler"] < 1e-13
+    assert finest["pinocchio"] < 1e-13
+
+
+@pytest.mark.parametrize("make", [spinning_top, slider_tree])
+def test_pinocchio_runs_scenes_with_quaternions(make):
+    scene = poses_only(dataclasses.replace(make(), duration=0.1))
+    own = newton_euler.simulate(scene, rtol=1e-12, atol=1e-14)
+    model = benchmark_pinocchio.models(scene)["constraintDynamics, alpha 10"]()
+    settings = {f"{ladder.method}, {s.name}": s for ladder in model.ladders for s in ladder.settings}
+    found = settings["constraintDynamics, alpha 10, LSODA, atol = 0.01 rtol, rtol 1e-10"].run()
+    # a few dozen steps, each off by its tolerance
+    assert max(work_precision.pose_errors(found.poses(), (own.position, own.quaternion))) < 1e-8
+
+
+def test_a_scene_with_a_sampled_controller_is_refused(tracker):
+    sampled = newton_euler.Sampled("slide_12", lambda time, x, x_rate: 0.0, 0.01)
+    scene = dataclasses.replace(tracker, control=(sampled,))
+    with pytest.raises(CrosscheckError, match="sampled controller"):
+        poses_only(scene)
+
+
+def test_a_reference_comes_from_looser_tolerances_where_the_tight_one_fails(short, monkeypatch):
+    ways = benchmark_reference._ways
+
+    def only_loosely(scene, rtol):
+        found = ways(scene, rtol)
+        return {name: partial(refuse, "too tight") for name in found} if rtol < 1e-12 else found
+
+    monkeypatch.setattr(benchmark_reference, "_ways", only_loosely)
+    against = reference(short, lambda message: None)
+    assert against.name == "Pinocchio, DOP853 rtol 1e-11"
+    assert set(against.missing.values()) == {"too tight"}
+    # 1e-11 an error of each step, a handful of steps
+    assert against.uncertainty < 1e-9
+
+
+@pytest.mark.parametrize("integrator", ["RK4", "Euler", "implicitfast"])
+def test_mujoco_delivers_poses_of_its_own_outputs(short, integrator):
+    """A last output out of period, and poses of each output, not of the step before."""
+    import mjcf
+    from mjcf.tight import Stepper, compiled
+
+    stepper = Stepper(compiled(short), integrator, work_precision.intervals(short.times), 2, 1.0)
+    stepper.reset()
+    stepper.run()
+    same = dataclasses.replace(short, duration=0.04)
+    own = mjcf.simulate(same, timestep=0.005, integrator=integrator)
+    found = [array[: len(same.times)] for array in stepper.poses()]
+    # the same arithmetic in another order of calls; a step before is 1e-3 off
+    assert max(work_precision.pose_errors(tuple(found), (own.position, own.quaternion))) < 1e-12
+
+
+# Command line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere"], "unknown scene 'nowhere'"),
+        (["tracker", "--set", "wheels=4"], "unknown option 'wheels'"),
+        (["tracker", "--error", "-1"], "--error is -1"),
+        (["tracker", "--error", "nan"], "--error is nan"),
+        (["tracker", "--repeats", "1"], "--repeats"),
+        (["--rhs", "nowhere"], "unknown scene 'nowhere'"),
+        (["--rhs", "--batch", "10"], "choose one"),
+        (["--batch", "1"], "--batch"),
+        (["--batch", "10", "--error", "0"], "--error is 0"),
+        (["--scaling", "tracker"], "no option N; choose from: four_bar, chain"),
+        (["--scaling", "chain", "--set", "N=3"], "--scaling sets N itself"),
+    ],
+)
+def test_bad_usage_is_one_line(capsys, tmp_path, arguments, message):
+    status, out, err = run(capsys, "bench", *arguments, "--output", tmp_path / "results")
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert err.startswith("crosscheck: error: ")
+    assert message in err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("flags", [[], ["--rhs"], ["--batch", "9"]])
+def test_a_folder_that_cannot_be_written_is_found_before_the_measurement(capsys, tmp_path, flags):
+    (tmp_path / "file").write_text("in the way")
+    status, out, err = run(capsys, "bench", *flags, "--output", tmp_path / "file" / "folder")
+    assert (status, out) == (2, "")
+    assert err.startswith("crosscheck: error: cannot write ")

@@ -1,0 +1,258 @@
+"""Right-hand sides, sizes and batches: what their benchmarks measure and make of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import newton_euler
+from crosscheck.errors import CrosscheckError
+from crosscheck.studies.benchmark import batch, rhs, scaling, work_precision
+from crosscheck.studies.benchmark import reference as benchmark_reference
+from crosscheck.studies.benchmark.batch_engines import MuJoCo, Own, cheapest, identical, references
+from crosscheck.studies.benchmark.engines import poses_only
+from crosscheck.studies.benchmark.rhs import (
+    Timing,
+    fastest_other,
+    rhs_json,
+    rhs_table,
+    rhs_words,
+    time_right_hand_sides,
+)
+from newton_euler.errors import IntegrationError
+from newton_euler.model.euler_parameters import from_rotation_vector
+
+
+@pytest.fixture(scope="module")
+def short(tracker):
+    return poses_only(dataclasses.replace(tracker, duration=0.04))
+
+
+# Right-hand sides
+
+TIMINGS = (
+    Timing("newton_euler", "relative", 1800, (3e-7, 3e-7), 0.4, 120_000_000, 80_000_000),
+    Timing("newton_euler", "cartesian", reason="too large"),
+    Timing("mujoco", "mj_forward", None, (6e-6, 6e-6), 0.1, 90_000_000, 40_000_000),
+    Timing("pinocchio", "constraintDynamics", None, (5e-6, 5e-6), 0.1, 90_000_000, 40_000_000),
+)
+
+
+def test_right_hand_sides_are_compared_with_the_fastest_of_the_others():
+    assert fastest_other(TIMINGS).way == "constraintDynamics"
+    assert rhs_words(TIMINGS) == [
+        "newton_euler (relative) takes 0.06 times as long as pinocchio (constraintDynamics)",
+        "newton_euler (cartesian) cannot run the scene: too large",
+    ]
+    table = rhs_table(TIMINGS)
+    assert [next(iter(column.cells)) for column in table.columns] == [
+        *("newton_euler", "relative", "1800", "0.3", "0.3 to 0.3", "0.06", "0.40", "120", "80")
+    ]
+    assert {list(column.cells)[1] for column in table.columns[2:]} == {"-"}
+    assert json.loads(rhs_json("tracker", {}, TIMINGS))["right_hand_sides"][0]["memory"] == 120_000_000
+
+
+def test_right_hand_sides_are_timed_here_and_weighed_in_processes_of_their_own(monkeypatch):
+    wanted = {("mujoco", "mj_forward"), ("pinocchio", "constraintDynamics")}
+    ways = {way: make for way, make in rhs.WAYS.items() if way in wanted}
+    monkeypatch.setattr(rhs, "WAYS", ways)
+    monkeypatch.setattr(rhs, "BATCH", 1e-4)
+    timings = time_right_hand_sides("tracker", {}, lambda message: None)
+    assert {(t.engine, t.way) for t in timings} == wanted
+    for t in timings:
+        assert not t.reason
+        assert len(t.times) == rhs.ROUNDS
+        assert 0 < t.own_memory < t.memory
+
+
+def test_a_process_that_fails_says_why():
+    found = rhs._probe(("mujoco", "mj_forward"), "nowhere.yaml", {}, 60.0)
+    assert "nowhere.yaml" in found.reason
+    assert found.times == ()
+
+
+# Sizes
+
+
+def timing(way, seconds):
+    return Timing(*way, 100, (seconds,) * 2, 0.1, 120_000_000, 80_000_000)
+
+
+OWN, OTHER = ("newton_euler", "relative"), ("mujoco", "mj_forward")
+
+SIZES = scaling.Scaling(
+    "chain",
+    {},
+    work_precision.machine(),
+    {
+        1: (timing(OWN, 1e-6), timing(OTHER, 4e-6)),
+        10: (timing(OWN, 1e-5), timing(OTHER, 4e-4)),
+        100: (timing(OWN, 1e-3), Timing(*OTHER, reason="too large")),
+    },
+)
+
+
+def test_growth_is_the_exponent_between_sizes():
+    assert list(SIZES.growth(OWN)) == [(1, 10, pytest.approx(1.0)), (10, 100, pytest.approx(2.0))]
+    assert list(SIZES.growth(OTHER)) == [(1, 10, pytest.approx(2.0))]
+
+
+def test_sizes_as_table_words_json_and_picture():
+    cells = [list(column.cells) for column in scaling.scaling_table(SIZES).columns]
+    assert [column[0] for column in cells[2:6]] == ["1", "10", "1000", "1.00, 2.00"]
+    assert [column[1] for column in cells[2:6]] == ["4", "400", "-", "2.00"]
+    words = scaling.scaling_words(SIZES)
+    assert "newton_euler (relative) grows with exponents 1.00 from 1 to 10, 2.00 from 10 to 100" in words
+    assert "N = 10: newton_euler (relative) takes 0.025 times as long as mujoco (mj_forward)" in words
+    assert "N = 100: mujoco (mj_forward) cannot run: too large" in words
+    assert json.loads(scaling.scaling_json(SIZES))["sizes"]["100"][1]["reason"] == "too large"
+    assert scaling.scaling_picture(SIZES).startswith(b"\x89PNG")
+
+
+def test_what_fails_at_a_size_is_not_tried_at_larger_ones(monkeypatch):
+    asked = []
+
+    def made_up_timings(source, options, progress, ways, limit):
+        asked.append((options, ways))
+        return [timing(OWN, 1e-6), Timing(*OTHER, reason="too large")]
+
+    monkeypatch.setattr(scaling, "time_right_hand_sides", made_up_timings)
+    monkeypatch.setattr(scaling, "SIZES", (1, 10))
+    scaling.measure_sizes("chain", {}, lambda message: None)
+    assert asked == [({"N": "1"}, list(scaling.WAYS)), ({"N": "10"}, [OWN])]
+
+
+# Batches
+
+
+def test_outputs_are_as_rare_as_memory_needs(tracker):
+    assert batch.rarer(tracker, 10).times == pytest.approx(tracker.times)
+    rare = batch.rarer(tracker, 10_000)
+    size = 10_000 * len(rare.times) * len(tracker.mechanism.bodies) * 7 * 8
+    # one output more would be too much
+    assert 0.9 * batch.MOST < size <= batch.MOST
+    assert work_precision.intervals(rare.times) == [(len(rare.times) - 1, pytest.approx(rare.output_period))]
+    with pytest.raises(CrosscheckError, match="--batch 1000000"):
+        batch.rarer(tracker, 1_000_000)
+
+
+def test_batches_that_differ_in_one_bit_are_not_identical(short, tracker_states):
+    one, other = (newton_euler.simulate_batch(short, tracker_states[:3], threads=2) for _ in range(2))
+    assert identical(one, other)
+    other._results[1, 2] = np.nextafter(other._results[1, 2], np.inf)
+    assert not identical(one, other)
+
+
+def test_rollouts_are_the_runs_one_by_one(short, tracker_states):
+    from mjcf.tight import Rollout, Stepper, compiled
+
+    system = compiled(short)
+    rollout = Rollout(system, "RK4", 2, 1.0, 2)
+    states = tracker_states[:25]
+    starts = np.array([rollout.start(*system.coordinates(state)) for state in states])
+    found = rollout(starts)
+    for k in (0, 24):
+        single = compiled(dataclasses.replace(short, initial_state=states[k]))
+        stepper = Stepper(single, "RK4", work_precision.intervals(short.times), 2, 1.0)
+        stepper.reset()
+        stepper.run()
+        # round-off of eight steps
+        assert max(work_precision.pose_errors(rollout.poses(found[k]), stepper.poses())) < 1e-13
+
+
+class MadeUp:
+    """An engine whose runs are off by a known amount, and take a known time, at each setting."""
+
+    name = "made up"
+
+    def __init__(self, ladders: list[list[dict[str, float]]]) -> None:
+        self._ladders, self.tried = ladders, []  # numbers of what was tried, in turn
+
+    def ladders(self):
+        return iter([(str(setting), setting) for setting in ladder] for ladder in self._ladders)
+
+    def between(self, coarse, fine):
+        number = (coarse["number"] + fine["number"]) // 2
+        return None if number == coarse["number"] else (f"number {number}", at(number))
+
+    def sample(self, options, states):
+        self.tried.append(options["number"])
+        if options["error"] == np.inf:
+            raise IntegrationError(0.5, "made up")
+        turn = from_rotation_vector(np.array([0.0, 0.0, options["error"]]))
+        exact = np.zeros((1, 1, 3)), np.array([[[1.0, 0.0, 0.0, 0.0]]])
+        worst = np.zeros((1, 1, 3)), turn[None, None]
+        return options["seconds"], lambda: [exact] * (len(states) - 1) + [worst]
+
+
+def at(number, error=None, seconds=None):
+    return {
+        "number": number,
+        "error": 1.0 / number**2 if error is None else error,
+        "seconds": 1e-3 * number if seconds is None else seconds,
+    }
+
+
+def choice(ladders, error):
+    exact = [(np.zeros((1, 1, 3)), np.array([[[1.0, 0.0, 0.0, 0.0]]]))] * 3
+    engine = MadeUp(ladders)
+    return cheapest(engine, [None] * 3, exact, error, lambda message: None), engine.tried
+
+
+def test_the_setting_is_the_coarsest_that_the_worst_of_the_sample_reaches_the_error_with():
+    # 1/n^2 <= 1e-2 from n = 10 on; 5 fails and 20 does not, so 12, 8, 10, 9 lie between
+    found, tried = choice([[at(1), at(5), at(20), at(100)]], 1.0001e-2)
+    assert found.options["number"] == 10
+    assert found.error == pytest.approx(1e-2)
+    assert list(dict.fromkeys(tried)) == [1, 5, 20, 12, 8, 10, 9]
+
+
+def test_the_setting_is_the_quickest_of_all_methods():
+    slow, quick, failing = at(3, 1e-9, 0.5), at(4, 1e-9, 0.2), at(5, np.inf)
+    found, tried = choice([[slow], [failing, quick], [at(6, 1.0, 0.3), at(7, 1e-9, 0.1)]], 1e-6)
+    assert found.options is quick
+    assert 7 not in tried  # its ladder was slower already where it did not reach the error
+    with pytest.raises(
+        CrosscheckError, match=r"made up does not reach an error of 1e-10 .* least is 1\.0e-09"
+    ):
+        choice([[slow], [failing]], 1e-10)
+
+
+def test_a_batch_is_measured_for_both_engines(monkeypatch):
+    monkeypatch.setattr(batch, "LIMIT", 0.5)
+    monkeypatch.setattr(batch, "SAMPLE", 2)
+    monkeypatch.setattr(batch, "REPEATS", 2)
+    own_setting = {"formulation": "relative", "stabilization": "projection", "rtol": 1e-8}
+    other_setting = {"integrator": "RK4", "number": 2, "damping_ratio": 0.6}
+    monkeypatch.setattr(Own, "ladders", lambda self: iter([[("m, a", own_setting)]]))
+    monkeypatch.setattr(MuJoCo, "ladders", lambda self: iter([[("m, b", other_setting)]]))
+    result = batch.benchmark_batch("tracker", {}, 4, 1e-5, lambda message: None)
+    own, other = result.sides
+    assert [(t.threads, t.runs) for t in own.throughputs] == [(n, 4) for n in batch.thread_counts()]
+    # an order above the tolerances; MuJoCo RK4 at 5 ms is 3e-6 off
+    assert own.error < 1e-6
+    assert own.error < other.error < 1e-5
+    assert result.uncertainty < 1e-9
+    rows = list(batch.batch_table(result).columns[0].cells)
+    assert len(rows) == 2 * len(batch.thread_counts())
+    content = json.loads(batch.batch_json(result))
+    for side in content["sides"]:
+        for found in side["throughputs"]:
+            assert len(found["times"]) == 2
+            assert found["rate"] == found["runs"] / min(found["times"])
+
+
+def test_an_error_below_what_the_reference_is_known_to_is_refused(monkeypatch):
+    monkeypatch.setattr(batch, "SAMPLE", 1)
+    monkeypatch.setattr(batch, "references", lambda scene, states: ({}, 1e-9))
+    with pytest.raises(CrosscheckError, match=r"--error 1e-10: the reference is known to 1\.0e-09 only"):
+        batch.benchmark_batch("tracker", {}, 2, 1e-10, lambda message: None)
+
+
+def test_a_batch_without_a_reference_is_refused(short, tracker_states, monkeypatch):
+    monkeypatch.setattr(benchmark_reference, "LIMIT", 1e-3)
+    with pytest.raises(CrosscheckError, match=r"none of 1 random runs has a reference.*0\.001 s"):
+        references(short, tracker_states[:1])

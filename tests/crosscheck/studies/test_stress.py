@@ -1,0 +1,426 @@
+"""`crosscheck stress`: how cases are judged and run, the answers they are held against, and the report."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from command_line import command, run
+
+import newton_euler
+from crosscheck.errors import CrosscheckError
+from crosscheck.references import known_figures
+from crosscheck.scenes import load
+from crosscheck.studies.stress import long_runs, singular, soft, starts, traps
+from crosscheck.studies.stress.baumgarte import MOTION_LIMIT, border
+from crosscheck.studies.stress.report import as_json, counts, markdown, write
+from crosscheck.studies.stress.rotation import DAMPING, STIFFNESS
+from crosscheck.studies.stress.runs import (
+    TIGHT,
+    bar_angles,
+    last_good,
+    lasting,
+    parallelogram_angle,
+    parallelogram_error,
+    symmetric_top,
+    top_error,
+)
+from crosscheck.studies.stress.topics import (
+    REFUSAL,
+    TOPICS,
+    Bound,
+    Case,
+    Curve,
+    Measured,
+    cases_of,
+    judge,
+    run_cases,
+    stress,
+)
+from newton_euler.errors import IntegrationError
+from newton_euler.integrators.stabilize import RK4_LIMIT
+
+BOUND = Bound(1e-6, 1e-2, "for the sake of the test")
+
+
+def case(measure, bound=BOUND, **more):
+    return Case("a", "something", "newton_euler", "defaults", "error", "m", bound, measure, **more)
+
+
+def raising(error):
+    def measure():
+        raise error
+
+    return measure
+
+
+# Judging
+
+
+@pytest.mark.parametrize(
+    ("figure", "verdict"),
+    [(0.0, "survives"), (1e-6, "survives"), (1.1e-6, "degrades"), (1e-2, "degrades"), (1.1e-2, "fails")],
+)
+def test_small_figures_are_good_ones(figure, verdict):
+    assert BOUND.verdict(figure) == verdict
+
+
+@pytest.mark.parametrize(("figure", "verdict"), [(2.0, "survives"), (0.5, "degrades"), (0.05, "fails")])
+def test_large_figures_are_good_ones_of_steps(figure, verdict):
+    assert Bound(1.0, 0.1, "steps", at_least=True).verdict(figure) == verdict
+
+
+@pytest.mark.parametrize("at_least", [False, True])
+@pytest.mark.parametrize("figure", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_fails(figure, at_least):
+    assert Bound(1.0, 1.0, "any", at_least).verdict(figure) == "fails"
+
+
+def test_a_figure_within_its_bound_passes_with_its_note():
+    row = judge(case(lambda: Measured(1e-7, "well done")))
+    assert (row.verdict, row.passes, row.figure, row.reason) == ("survives", True, 1e-7, "well done")
+
+
+def test_a_figure_beyond_its_bound_does_not_pass():
+    row = judge(case(lambda: Measured(1e-3)))
+    assert (row.verdict, row.passes) == ("degrades", False)
+
+
+def test_a_refusal_of_what_has_an_answer_does_not_pass():
+    row = judge(case(raising(IntegrationError(0.5, "too hard"))))
+    assert (row.verdict, row.passes, row.figure) == ("refuses", False, None)
+    assert row.reason == "integration stopped at t = 0.5 s: too hard"
+
+
+def test_a_refusal_of_what_has_no_answer_passes_if_it_names_what_it_should():
+    measure = raising(IntegrationError(0.5, "joint 'rail'"))
+    assert judge(case(measure, REFUSAL, names=("'rail'", "t = 0.5 s"))).passes
+    row = judge(case(measure, REFUSAL, names=("'rail'", "'push'")))
+    assert (row.verdict, row.passes) == ("fails", False)
+    assert row.reason.startswith("refuses without naming 'push': ")
+
+
+def test_an_answer_to_what_has_none_fails():
+    row = judge(case(lambda: Measured(0.0), REFUSAL))
+    assert (row.verdict, row.passes, row.bound) == ("fails", False, "refusal")
+
+
+@pytest.mark.parametrize("bound", [BOUND, REFUSAL])
+def test_an_error_of_no_kind_of_ours_fails(bound):
+    row = judge(case(raising(ZeroDivisionError("by zero")), bound))
+    assert (row.verdict, row.passes, row.reason) == ("fails", False, "ZeroDivisionError: by zero")
+
+
+# Running
+
+
+def without_end():
+    while True:
+        pass
+
+
+def test_cases_run_in_processes_with_a_time_limit_and_come_back_in_order():
+    cases = [
+        case(partial(Measured, 1e-9)),
+        case(without_end, limit=0.5),
+        case(partial(os._exit, 3)),
+        case(partial(Measured, 1.0)),
+        case(partial(Measured, 0.0), REFUSAL),
+    ]
+    told = []
+    rows = run_cases(cases, told.append)
+    assert [row.verdict for row in rows] == ["survives", "fails", "fails", "fails", "fails"]
+    assert [row.figure for row in rows] == [1e-9, None, None, 1.0, 0.0]
+    assert rows[1].reason == "not done after 0.5 s of processor time"
+    assert rows[2].reason == "the process ended, 3"
+    assert rows[4].bound == "refusal"
+    assert len(told) == len(cases)
+    assert told[-1].startswith("5 of 5 cases")
+
+
+def own_process(done=None):
+    """A figure by which the process is known, after another process has left a file if one is named."""
+    while done is not None and not done.exists():
+        time.sleep(0.01)
+    return Measured(float(os.getpid()))
+
+
+def last_of_six(folder):
+    """Of six cases the last one leaves the file `done`."""
+    (folder / str(len(list(folder.iterdir())))).touch()
+    if len(list(folder.iterdir())) == 6:
+        (folder / "done").touch()
+    return own_process()
+
+
+def test_processes_are_at_topics_of_their_own(tmp_path):
+    """Six cases of one topic are done before one of another, so nobody comes to help."""
+    cases = [case(partial(own_process, tmp_path / "done"))]
+    cases += [replace(case(partial(last_of_six, tmp_path)), topic="b") for _ in range(6)]
+    rows = run_cases([*cases[1:4], *cases[:1], *cases[4:]], lambda line: None)
+    by_topic = {topic: {row.figure for row in rows if row.topic == topic} for topic in "ab"}
+    assert len(by_topic["b"]) == 1
+    assert by_topic["a"].isdisjoint(by_topic["b"])
+
+
+def slept():
+    time.sleep(0.3)
+    return Measured(1e-9)
+
+
+def test_waiting_takes_no_time_of_a_case():
+    """As where other processes have the processors, or one begins and imports."""
+    (row,) = run_cases([case(slept, limit=0.1)], lambda line: None)
+    assert row.verdict == "survives"
+
+
+@pytest.mark.parametrize("wanted", [1, 2, 7, 31, 32, 1000])
+def test_bisection_finds_where_it_becomes_true(wanted):
+    found = last_good(lambda n: n >= wanted, 1, 5000)
+    assert wanted <= found <= wanted * (1.0 + 1.0 / 31.0)
+
+
+def test_bisection_says_so_if_it_never_does():
+    assert last_good(lambda n: False, 1, 100) is None
+
+
+@pytest.mark.parametrize("letter", [letter for letter in TOPICS if letter != "j"])
+@pytest.mark.parametrize("full", [False, True])
+def test_cases_are_of_their_topic_and_say_why_their_bound(letter, full):
+    cases = cases_of(letter, full)
+    assert cases
+    assert {found.topic for found in cases} == {letter}
+    assert all(found.bound.reason and found.limit <= 150.0 for found in cases)
+    assert len({(found.name, found.engine, found.setting, found.quantity) for found in cases}) == len(cases)
+
+
+def test_an_unknown_topic_is_refused():
+    with pytest.raises(CrosscheckError, match=r"unknown topic 'x'; choose from: a, b"):
+        stress("ax", False, print)
+
+
+# The answers
+
+
+@pytest.mark.parametrize("windows", [2, 40])
+def test_closed_motion_of_windows_against_elliptic_functions(windows):
+    known = [f for f in known_figures("four_bar") if f.options["N"] == windows and f.quantity == "B0_x"]
+    assert known
+    scene = replace(load("four_bar", N=windows), output_period=0.5)
+    angle = dict(zip(scene.times.tolist(), parallelogram_angle(scene).tolist(), strict=True))
+    for figure in known:
+        # rtol 1e-13 of the quadrature, over ten seconds of a motion that doubles errors now and then
+        assert np.sin(angle[figure.time]) == pytest.approx(figure.value, abs=1e-10)
+
+
+def test_windows_that_start_flat_go_down_at_their_speed():
+    scene = singular.from_flat(lasting(load("four_bar", N=2), 0.01, 10), 2)
+    angle = parallelogram_angle(scene)
+    assert angle[0] == pytest.approx(0.5 * np.pi, abs=1e-15)
+    # ((N + 1)/2 + N) g / ((N + 1)/3 + N) / L = 3.5/3 g at first; the next term is of order t^3
+    expected = 0.5 * np.pi + singular.FLAT_SPEED * 0.01 + 0.5 * 3.5 / 3.0 * 9.81 * 0.01**2
+    assert angle[-1] == pytest.approx(expected, abs=1e-6)
+    assert bar_angles(scene.initial_state.position[None], scene.mechanism.bodies)[0] == angle[0]
+
+
+@pytest.mark.parametrize("moments", [(1.0, 2.0), (2.0, 1.0), (1e-4, 1.0)])
+def test_closed_form_of_the_symmetric_top(moments):
+    scene = symmetric_top(*moments, np.array([0.3, -0.7, 1.1]), 5.0)
+    run = TIGHT.simulate(scene)
+    # what tolerances of 1e-13 a step leave after 5 s and some hundred steps
+    assert top_error(scene, run) < 1e-10
+    other = symmetric_top(*moments, np.array([-0.3, -0.7, 1.1]), 5.0)
+    assert top_error(other, run) > 0.1
+
+
+def test_the_slider_comes_to_rest_at_its_dead_centres():
+    scene = singular.centred_slider_crank()
+    half_turn = np.pi / singular.CRANK_SPEED
+    scene = replace(
+        scene, duration=2.0 * half_turn, output_period=half_turn, outputs=frozenset({"velocities"})
+    )
+    run = TIGHT.simulate(scene)
+    r, rod = singular.CRANK, singular.ROD
+    assert run.position[:, 3, 0] == pytest.approx([rod + r, rod - r, rod + r], abs=1e-14)  # round-off
+    assert np.abs(run.linear_velocity[:, 3]).max() < 1e-13
+    assert singular.measure_dead_centre_passage(TIGHT).figure < 1e-14
+
+
+def test_a_wrong_motion_of_the_windows_is_seen():
+    scene = lasting(load("four_bar", N=1), 0.5, 5)
+    run = newton_euler.simulate(scene)
+    assert parallelogram_error(scene, run) < 1e-9
+    heavier = replace(scene, gravity=1.01 * scene.gravity)
+    assert parallelogram_error(scene, newton_euler.simulate(heavier)) > 1e-4
+
+
+def test_the_driven_hinge_is_critically_damped():
+    assert 4.0 * STIFFNESS == DAMPING**2  # for 1 kg m^2
+
+
+def test_the_limit_of_rk4_is_where_its_growth_is_one():
+    z = -RK4_LIMIT
+    growth = 1.0 + z + z**2 / 2.0 + z**3 / 6.0 + z**4 / 24.0
+    assert growth == pytest.approx(1.0, abs=1e-3)  # four digits of the limit
+    assert border(1.0).survives == pytest.approx(0.4 * MOTION_LIMIT)
+    assert border(1e4).survives == pytest.approx(0.4e-4 * RK4_LIMIT)
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0, 4.0])
+def test_growth_is_fitted(power):
+    times = np.linspace(0.0, 1e4, 201)
+    assert long_runs.growth(times, 1e-12 * times**power) == f"grows like t^{power:.2f}"
+
+
+def test_what_is_constant_does_not_grow():
+    times = np.linspace(0.0, 1e4, 201)
+    assert long_runs.growth(times, np.full(201, 1e-12)) == "does not grow"
+
+
+def test_bodies_are_put_off_by_as_much_as_asked_for():
+    scene = load("tracker")
+    state = starts.off_state(scene, 1e-4)
+    shifts = np.linalg.norm(state.position - scene.initial_state.position, axis=1)
+    np.testing.assert_allclose(shifts, [0.0, *[1e-4] * 6], rtol=1e-9)
+    assert not np.any(scene.initial_state.position - load("tracker").initial_state.position)
+
+
+# What newton_euler has to do
+
+
+def newton_euler_cases(cases):
+    return [found for found in cases if found.engine == "newton_euler"]
+
+
+@pytest.mark.parametrize(
+    "trap", newton_euler_cases(traps.cases(True)), ids=lambda c: f"{c.name}, {c.setting}"
+)
+def test_traps(trap):
+    """What has no answer is refused; what has one is found, or refused where squares of it overflow."""
+    row = judge(trap)
+    if trap.has_answer:
+        overflows = "denormal body" in trap.name or "huge force" in trap.name
+        assert row.verdict == "survives" or (overflows and row.verdict == "refuses"), row.reason
+    else:
+        assert row.passes, row.reason
+
+
+@pytest.mark.parametrize("offset", starts.OFFSETS)
+def test_starts_off_the_constraints_are_assembled(offset):
+    found = starts.measure_assembly(offset)
+    assert starts.ASSEMBLED.verdict(found.figure) == "survives"
+
+
+def test_softness_of_reactions_is_what_solimp_says():
+    # 1 - 0.9999 of the constraint's own inertia, times what other constraints make of it
+    assert 1e-4 < soft.measure_reactions().figure < 1e-2
+
+
+# The report
+
+
+@pytest.fixture
+def rows():
+    curve = Curve("a plot, of one", "step, s", "error, m", "MuJoCo | RK4", (1e-3, 1e-2), (1e-9, 1e-7))
+    cases = [
+        case(lambda: Measured(1e-7, "<fine>", (curve,))),
+        case(lambda: Measured(1e-3)),
+        case(lambda: Measured(np.nan)),
+        case(raising(IntegrationError(0.5, "too | hard"))),
+        case(raising(IntegrationError(0.5, "rail")), REFUSAL, names=("rail",)),
+    ]
+    return [judge(found) for found in cases]
+
+
+def test_passing_cases_are_counted_by_topic_and_engine(rows):
+    others = [replace(rows[1], engine="mujoco"), replace(rows[0], topic="k")]
+    assert counts([*rows, *others]) == {
+        "(a) drift and energy over long runs": {"newton_euler": "2 of 5", "mujoco": "0 of 1"},
+        "(k) floating-point traps": {"newton_euler": "1 of 1", "mujoco": ""},
+    }
+
+
+def test_markdown_lists_what_fails_like_what_passes(rows):
+    text = markdown(rows, False, 60.0, ("stress_a.png",))
+    table = [line for line in text.splitlines() if line.startswith("| something |")]
+    assert len(table) == len(rows)
+    assert all(line.replace("\\|", "").count("|") == 9 for line in table)
+    assert "| survives | \\<fine> |" in table[0]
+    assert "| **fails** |" in table[2]
+    assert "| refuses |" in table[4]
+    assert "![stress_a](stress_a.png)" in text
+    assert "for the sake of the test" in text
+
+
+def test_json_holds_all_rows_and_no_nan(rows):
+    content = json.loads(as_json(rows, True, 60.0), parse_constant=pytest.fail)
+    assert [row["verdict"] for row in content["rows"]] == [
+        "survives",
+        "degrades",
+        "fails",
+        "refuses",
+        "refuses",
+    ]
+    assert content["rows"][2]["figure"] == "nan"
+    assert content["rows"][0]["curves"][0]["x"] == [1e-3, 1e-2]
+
+
+def test_the_report_is_written_with_its_plots(rows, tmp_path):
+    written = write(rows, False, 60.0, tmp_path / "out")
+    assert {path.name for path in written} == {
+        "stress.json",
+        "stress.md",
+        "stress.rrd",
+        "stress_a_plot_of_one.png",
+    }
+    contents = {path.suffix: path.read_bytes()[:4] for path in written}
+    assert (contents[".rrd"], contents[".png"]) == (b"RRF2", b"\x89PNG")
+
+
+def test_a_folder_that_cannot_be_written_is_said_before_the_run(capsys, tmp_path):
+    (tmp_path / "file").write_text("")
+    status, out, err = run(capsys, "stress", "--ci", "--output", tmp_path / "file")
+    assert (status, out) == (2, "")
+    assert "cannot write" in err
+
+
+def test_the_recommendation_is_what_has_less_of_the_steps_error(rows):
+    def found(setting, quantity, figure):
+        more = {"setting": setting, "quantity": quantity, "figure": figure}
+        return replace(rows[0], topic="d", name="time constant 0.02 s", **more)
+
+    softness = found("step to zero", soft.SOFTNESS, 1e-7)
+    steps = [found("Euler", soft.STEP, 1e-5), found("RK4", soft.STEP, 2e-8)]
+    text = soft.recommendation([softness, *steps])
+    assert text.startswith("Recommended: RK4 with `solref = (2 timestep, 1)`.")
+    assert "- RK4: at two steps a time constant the error of the step is 0.2 times that of softness" in text
+    assert "- Euler: at two steps a time constant the error of the step is 1e+02 times" in text
+    assert soft.recommendation([softness]) == ""
+
+
+def test_softness_and_step_are_told_apart():
+    """Of order 2 in the time constant and, by RK4, 4 in the step at one time constant."""
+    softness = [soft.measure_softness(constant).figure for constant in (0.02, 0.01)]
+    assert softness[0] / softness[1] == pytest.approx(4.0, rel=0.2)
+    by_step = soft.measure_steps("RK4", 0.02)
+    assert by_step.figure < softness[0]
+    assert by_step.curves[0].x == (0.01, 0.005, 0.002)
+
+
+@pytest.mark.slow
+def test_the_ci_form_covers_all_topics(tmp_path):
+    done = command(tmp_path, "stress", "--ci", "--output", "out", timeout=600)
+    assert done.returncode == 0, done.stderr
+    content = json.loads((tmp_path / "out" / "stress.json").read_text())
+    assert {row["topic"] for row in content["rows"]} == set(TOPICS)
+    of_ours = [row for row in content["rows"] if row["engine"] == "newton_euler"]
+    assert not [row for row in of_ours if "Error" in row["reason"].split(":")[0]]
+    # projected, with error control: what users get unless they ask for something else
+    default = [row for row in of_ours if row["setting"] == "relative, projection" and row["topic"] != "k"]
+    assert len(default) > 10
+    assert [row["name"] for row in default if not row["passes"]] == []

@@ -1,0 +1,415 @@
+"""The command line: what it writes, its exit statuses, and twenty-odd kinds of bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+from command_line import check_refused, command, run, scene_file
+
+from crosscheck.comparison.levels import LEVELS, Row
+from crosscheck.errors import CrosscheckError
+from crosscheck.scenes import load
+from newton_euler.model.trajectory import load_arrays
+
+
+def test_run_writes_everything_and_agrees(capsys, tmp_path, good):
+    path = scene_file(tmp_path, good)
+    status, out, err = run(capsys, "run", path, "--output", tmp_path / "out")
+    assert (status, err) == (0, "")
+    assert out.splitlines()[-1].startswith("AGREE: newton_euler, mujoco, pinocchio agree on four_bar")
+    names = {p.name for p in (tmp_path / "out").iterdir()}
+    assert names == {"newton_euler.npz", "mujoco.npz", "pinocchio.npz", "summary.json", "four_bar.rrd"}
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["agrees"] is True
+    assert {figure["level"] for figure in summary["figures"]} == set(LEVELS[1:])
+    assert set(summary["engines"]) == {"newton_euler", "mujoco", "pinocchio"}
+    assert summary["versions"]["mujoco"].split(".")[0].isdigit()
+    arrays = load_arrays(tmp_path / "out" / "mujoco.npz")
+    assert arrays["position"].shape == (6, 4, 3)
+    assert list(arrays["body_names"]) == ["frame", "crank", "coupler", "rocker"]
+
+
+@pytest.mark.parametrize("chosen", [None, "7"])
+def test_matrices_have_one_thread_unless_the_user_says_otherwise(chosen):
+    # NumPy reads it as it is imported
+    code = "import os, sys, crosscheck.cli\nassert 'numpy' not in sys.modules\n"
+    code += "try: crosscheck.cli.main(['--version'])\nfinally: print(os.environ['OPENBLAS_NUM_THREADS'])"
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    environment |= {"OPENBLAS_NUM_THREADS": chosen} if chosen else {}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert done.stdout.splitlines()[1:] == [chosen or "1"], done.stderr
+
+
+def test_engines_can_be_chosen_and_the_recording_put_elsewhere(capsys, tmp_path, good):
+    path, recording = scene_file(tmp_path, good), tmp_path / "deep" / "run.rrd"
+    arguments = ("--engines", "newton_euler,pinocchio", "--output", tmp_path / "out", "--save", recording)
+    status, _, _ = run(capsys, "run", path, *arguments)
+    assert status == 0
+    assert recording.exists()
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "newton_euler.npz",
+        "pinocchio.npz",
+        "summary.json",
+    }
+
+
+def test_a_disagreement_is_status_1_and_names_the_place(capsys, tmp_path, good, monkeypatch):
+    import mjcf
+    from crosscheck import engines
+    from newton_euler.model.scene import Scene
+
+    def heavier(scene: Scene):
+        bodies = list(scene.mechanism.bodies)
+        bodies[2] = replace(bodies[2], mass=1.001 * bodies[2].mass)
+        return replace(
+            scene, mechanism=type(scene.mechanism)(bodies, scene.mechanism.joints), initial_state=None
+        )
+
+    mujoco = engines.ENGINES["mujoco"]
+    wrong = replace(
+        mujoco,
+        simulate=lambda scene: mjcf.simulate(heavier(scene)),
+        systems=lambda scene: mujoco.systems(heavier(scene)),
+        soft_start=None,
+    )
+    monkeypatch.setitem(engines.ENGINES, "mujoco", wrong)
+    path = scene_file(tmp_path, good)
+    status, out, _ = run(capsys, "run", path, "--output", tmp_path / "out")
+    assert status == 1
+    verdict = out.splitlines()[-1]
+    assert verdict.startswith("DISAGREE: mujoco differs; newton_euler and pinocchio agree to ")
+    assert "(all figures); on four_bar at level 'model': mass, rel: 0.001 > 1e-12, worst at coupl" in verdict
+    assert "; mujoco's model is wrong (" in verdict
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["agrees"] is False
+
+
+def test_list_names_scenes_options_and_engines(capsys):
+    status, out, _ = run(capsys, "list")
+    assert status == 0
+    assert "tracker: dual-axis solar tracker" in out
+    assert "--set panel_inertia=realisable|literal" in out
+    assert "engines: newton_euler, mujoco, pinocchio" in out
+
+
+def test_module_and_version():
+    command = [sys.executable, "-m", "crosscheck", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("crosscheck, version ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["trakcer"], "unknown scene 'trakcer'; choose from: tracker"),
+        (["tracker", "--engines", "bullet"], "unknown engine 'bullet'; choose from: newton_euler, mujoco"),
+        (["tracker", "--engines", "mujoco,mujoco"], "engine 'mujoco' is named 2 times"),
+        (["tracker", "--engines", ","], "no engine named"),
+        (["tracker", "--set", "panel_inertia"], "--set 'panel_inertia' is not of the form OPTION=VALUE"),
+        (["tracker", "--set", "panel_inertia=round"], "choose from: realisable, literal"),
+        (["tracker", "--set", "colour=red"], "unknown option 'colour'"),
+        (["tracker", "--set", "name=red"], "unknown option 'name'"),
+        (["tracker", "--set", "panel_inertia=literal", "--set", "panel_inertia=realisable"], "given twice"),
+        (["tracker", "--fast"], "No such option"),
+        (["tracker", "four_bar"], "unexpected extra argument"),
+    ],
+)
+def test_bad_usage(capsys, tmp_path, arguments, message):
+    check_refused(capsys, tmp_path, *arguments, message=message)
+
+
+def test_unknown_command(capsys):
+    status, _, err = run(capsys, "simulate")
+    assert status == 2
+    assert err == "crosscheck: error: No such command 'simulate'.\n"
+
+
+def test_paths_that_cannot_be_written(capsys, tmp_path, good):
+    path = scene_file(tmp_path, good)
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.rrd").mkdir()
+    for option, target in (("--output", "file/out"), ("--save", "file/run.rrd"), ("--save", "folder.rrd")):
+        status, out, err = run(capsys, "run", path, "--output", tmp_path / "o", option, tmp_path / target)
+        assert (status, out) == (2, "")
+        assert err.startswith("crosscheck: error: cannot write ")
+        assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("content", [None, b"", b"RRF", b"a picture"])
+def test_view_refuses_what_is_no_recording(capsys, tmp_path, content):
+    path = tmp_path / "run.rrd"
+    if content is not None:
+        path.write_bytes(content)
+    status, _, err = run(capsys, "view", path)
+    assert status == 2
+    assert "run.rrd" in err
+    assert len(err.splitlines()) == 1
+
+
+def test_view_without_a_display_says_what_to_do(capsys, tmp_path, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    path = tmp_path / "run.rrd"
+    path.write_bytes(b"RRF2")
+    status, _, err = run(capsys, "view", path)
+    assert status == 2
+    assert f"rerun --serve-web --bind 127.0.0.1 {path}" in err
+
+
+def test_view_opens_recordings_side_by_side(capsys, tmp_path, monkeypatch):
+    """In one viewer that listens to this machine only."""
+    paths = [tmp_path / "one.rrd", tmp_path / "two.rrd"]
+    for path in paths:
+        path.write_bytes(b"RRF2")
+    viewer = tmp_path / "viewer"
+    viewer.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/arguments\n')
+    viewer.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(viewer))
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert run(capsys, "view", *paths) == (0, "", "")
+    expected = f"-m rerun --bind 127.0.0.1 {paths[0]} {paths[1]}\n"
+    assert (tmp_path / "arguments").read_text() == expected
+
+
+def test_figures_draws_five_pictures(tmp_path, capsys):
+    status, out, _ = run(capsys, "figures", "--output", tmp_path)
+    assert status == 0
+    for number in range(5, 10):
+        path = tmp_path / f"figure_{number}.png"
+        assert path.read_bytes().startswith(b"\x89PNG")
+        assert str(path) in out
+
+
+def test_a_user_sees_no_traceback_from_a_broken_file(tmp_path):
+    done = command(tmp_path, "run", scene_file(tmp_path, "bodies: 3"))
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("arguments", [["run", "scene.yaml", "--engines", "pinocchio"], ["list"], ["--help"]])
+def test_output_that_cannot_be_written(tmp_path, good, arguments):
+    scene_file(tmp_path, good)
+    with open("/dev/full", "w") as full:
+        done = command(tmp_path, *arguments, stdout=full)
+    line = "crosscheck: error: cannot write standard output: No space left on device\n"
+    assert (done.returncode, done.stderr) == (2, line)
+
+
+def test_output_that_nobody_reads(tmp_path, good):
+    scene_file(tmp_path, good)
+    reader, writer = os.pipe()
+    os.close(reader)
+    with open(writer, "w") as closed:
+        done = command(tmp_path, "run", "scene.yaml", "--engines", "pinocchio", stdout=closed)
+    line = "crosscheck: error: cannot write standard output: Broken pipe\n"
+    assert (done.returncode, done.stderr) == (2, line)
+
+
+@pytest.mark.parametrize("size", [100, 100_000])
+def test_a_full_disk_leaves_all_files_or_none(tmp_path, good, size):
+    """The summary, which is written first, is longer than 100 bytes, the recording than 100 kB."""
+    scene_file(tmp_path, good)
+    limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))  # noqa: E731
+    arguments = ("scene.yaml", "--engines", "newton_euler", "--output", "out")
+    done = command(tmp_path, "run", *arguments, preexec_fn=limit)
+    assert done.returncode == 2
+    assert done.stderr.startswith("crosscheck: error: cannot write out/")
+    assert done.stderr.endswith(": File too large\n")
+    assert len(done.stderr.splitlines()) == 1
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_an_interrupt_is_one_line(tmp_path, capsys, good, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("crosscheck.run.stages", interrupted)
+    check_refused(capsys, tmp_path, scene_file(tmp_path, good), message="interrupted")
+
+
+def test_what_nobody_foresaw_is_one_line_and_what_there_is_is_kept(tmp_path, capsys, good, monkeypatch):
+    def broken(_):
+        raise ZeroDivisionError("division\nby zero")
+
+    monkeypatch.setattr("crosscheck.run.stages", lambda *_: {"comparing": broken})
+    path, out = scene_file(tmp_path, good), tmp_path / "out"
+    status, said, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
+    assert (status, err) == (3, "")
+    reason = "comparing: internal error: ZeroDivisionError: division by zero"
+    assert said.splitlines()[-1].startswith(f"UNFINISHED: {reason}; ")
+    files = {"newton_euler.npz", "mujoco.npz", "summary.json", "four_bar.rrd"}
+    assert {path.name for path in out.iterdir()} == files
+
+
+def test_a_figure_that_is_not_a_number_is_none(tmp_path, capsys, good, monkeypatch):
+    row = Row("drift", "open joints", ("mujoco",), float("nan"), 1.0, "elbow")
+    monkeypatch.setattr(
+        "crosscheck.run.stages", lambda *_: {"comparing": lambda _: [row, replace(row, value=0.5)]}
+    )
+    path, out = scene_file(tmp_path, good), tmp_path / "out"
+    status, said, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
+    assert (status, err) == (3, "")
+    assert "no figure for open joints at level 'drift' between mujoco: nan at elbow; as far" in said
+    figures = json.loads((out / "summary.json").read_text())["figures"]
+    assert [figure["value"] for figure in figures] == [0.5]
+
+
+def test_markup_in_texts_is_text(tmp_path, capsys, good):
+    path = scene_file(tmp_path, good | {"description": "[/red] [bold]b :smile:"})
+    folder = tmp_path / "[b]"
+    status, out, err = run(capsys, "run", path, "--engines", "pinocchio,newton_euler", "--output", folder)
+    assert (status, err) == (0, "")
+    assert out.startswith("four_bar: [/red] [bold]b :smile:")
+    assert f"wrote {folder}/pinocchio.npz" in out
+
+
+def test_one_engine_alone_agrees_with_nobody(tmp_path, capsys, good):
+    path = scene_file(tmp_path, good)
+    status, out, _ = run(capsys, "run", path, "--engines", "mujoco", "--output", tmp_path / "out")
+    assert status == 0
+    verdict = "ran mujoco alone on four_bar: nothing to compare it with; its own figures hold, all "
+    assert out.splitlines()[-1].startswith(verdict)
+    assert "AGREE" not in out
+    assert "agree" not in out.splitlines()[-1]
+
+
+def test_one_engine_alone_can_fail(tmp_path, capsys, good, monkeypatch):
+    row = Row("drift", "open joints, m or rad", ("mujoco",), 2.0, 1.0, "elbow at 0 s")
+    monkeypatch.setattr("crosscheck.run.stages", lambda *_: {"comparing": lambda _: [row]})
+    path = scene_file(tmp_path, good)
+    status, out, _ = run(capsys, "run", path, "--engines", "mujoco", "--output", tmp_path / "out")
+    assert status == 1
+    verdict = "its own figures fail at level 'drift': open joints, m or rad: 2 > 1, worst at elbow at 0 s"
+    assert verdict in out.splitlines()[-1]
+
+
+def test_a_second_run_leaves_nothing_of_the_first(tmp_path, capsys, good):
+    path, folder = scene_file(tmp_path, good), tmp_path / "out"
+    run(capsys, "run", path, "--engines", "mujoco,pinocchio", "--output", folder)
+    (folder / "notes.npz").write_text("somebody's own")
+    run(capsys, "run", path, "--engines", "pinocchio", "--output", folder)
+    assert {p.name for p in folder.iterdir()} == {
+        "pinocchio.npz",
+        "summary.json",
+        "four_bar.rrd",
+        "notes.npz",
+    }
+
+
+def test_a_recording_is_named_as_one(tmp_path, capsys, good):
+    path = scene_file(tmp_path, good)
+    check_refused(capsys, tmp_path, path, "--save", tmp_path / "x.npz", message="name ends in .rrd")
+
+
+def test_summary_tells_what_was_run(tmp_path, capsys, monkeypatch, good):
+    short = replace(load("tracker", panel_inertia="literal"), duration=0.02)
+    monkeypatch.setattr("crosscheck.scenes.load", lambda *_, **__: short)
+    arguments = ("--set", "panel_inertia=literal", "--engines", "pinocchio", "--output", tmp_path)
+    _, out, _ = run(capsys, "run", "tracker", *arguments)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    told = {name: summary[name] for name in ("scene", "source", "options")}
+    assert told == {"scene": "tracker", "source": "tracker", "options": {"panel_inertia": "literal"}}
+    assert set(summary["versions"]) == {"python", "numpy", "scipy", "rerun-sdk", "pin"}
+    assert summary["verdict"] == out.splitlines()[-1]
+    assert "alone on tracker (panel_inertia=literal)" in summary["verdict"]
+
+
+def test_figures_checks_its_folder_first(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("crosscheck.figures.load", lambda *_: pytest.fail("simulates first"))
+    (tmp_path / "file").write_text("")
+    status, _, err = run(capsys, "figures", "--output", tmp_path / "file")
+    assert status == 2
+    assert err.startswith("crosscheck: error: cannot write ")
+
+
+def test_view_of_a_pipe(tmp_path):
+    os.mkfifo(tmp_path / "run.rrd")
+    done = command(tmp_path, "view", "run.rrd")
+    assert (done.returncode, done.stderr) == (2, "crosscheck: error: run.rrd is not a file\n")
+
+
+CLOSED_LOOP = "closed_loop: []\ntype: []\nname_mot: []\n"
+
+
+@pytest.mark.parametrize("link", [False, True])
+def test_convert_does_not_overwrite_what_it_reads(capsys, tmp_path, link):
+    model, loops, other = tmp_path / "m.urdf", tmp_path / "o.loops.yaml", tmp_path / "o.urdf"
+    model.write_text(PENDULUM_URDF)
+    loops.write_text(CLOSED_LOOP)
+    target = model
+    if link:
+        target = tmp_path / "link.urdf"
+        target.symlink_to(model)
+    for arguments, named in (
+        ((model, target), model),
+        ((model, "--loops", loops, other), loops),  # a URDF's loop file is written beside it
+        ((model, "--set", f"loops={loops}", other), loops),
+    ):
+        status, out, err = run(capsys, "convert", *arguments)
+        assert (status, out) == (2, "")
+        assert f"would overwrite {named}, which it reads" in err
+    assert (model.read_text(), loops.read_text()) == (PENDULUM_URDF, CLOSED_LOOP)
+    assert run(capsys, "convert", model, other)[0] == 0
+
+
+PENDULUM_URDF = """<robot name="pendulum"><link name="base"/><link name="bob"><inertial>
+<origin xyz="0 0 -0.5"/><mass value="1"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="pivot" type="continuous"><parent link="base"/><child link="bob"/><axis xyz="0 1 0"/>
+<dynamics damping="0.5" friction="0.2"/></joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "target"),
+    [
+        (["explain"], "crosscheck.studies.explain.explain"),
+        (["bench"], "crosscheck.studies.benchmark.run.bench"),
+        (["faults"], "crosscheck.studies.faults.find.find_faults"),
+        (["regress"], "crosscheck.regress.run.check"),
+    ],
+)
+def test_what_a_model_file_loses_is_told(capsys, tmp_path, monkeypatch, arguments, target):
+    """Before anything is measured, which here is nothing."""
+
+    def stops(*_, **__):
+        raise CrosscheckError("reached")
+
+    monkeypatch.setattr(target, stops)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "m.urdf").write_text(PENDULUM_URDF)
+    status, _, err = run(capsys, *arguments, "m.urdf")
+    told, stopped = err.splitlines()
+    assert (status, stopped) == (2, "crosscheck: error: reached")
+    assert told == "m.urdf: joint 'pivot': left out: its dry friction 0.2"
+
+
+def test_convert_files_each_element_once(capsys, tmp_path):
+    """What reading carries over exactly and a URDF cannot hold is left out, not both."""
+    model = tmp_path / "m.xml"
+    model.write_text(
+        '<mujoco><worldbody><body name="bob"><joint name="pivot" axis="0 1 0" armature="0.3" stiffness="2" '
+        'damping="0.1"/><geom size="0.1" pos="0 0 -1"/><site name="tip" pos="0 0 -1"/></body></worldbody>'
+        '<actuator><motor name="drive" joint="pivot" ctrllimited="false"/><position name="hold" '
+        'joint="pivot" kp="3"/><motor name="push" site="tip" gear="1 0 0 0 0 0"/></actuator>'
+        '<keyframe><key ctrl="1 0.2 3"/></keyframe></mujoco>'
+    )
+    status, out, _ = run(capsys, "convert", model, tmp_path / "m.urdf")
+    assert status == 0
+    carried, left = out[: out.index("left out:\n")], out[out.index("left out:\n") :]
+    for words in ("armature", "spring", "control law", "wrench"):
+        assert words not in carried
+    assert "  joint 'pivot': revolute joint 'pivot'" in carried
+    assert "its stiffness 2 and damping 0.1 as a spring: a URDF has no forces but damping" in left
+    assert "  armature of joint 'pivot': a URDF has no rotors" in left
+    for name in ("drive", "hold"):
+        assert left.count(f"actuator '{name}'") == 1
+    assert "a URDF has no control laws" in left
+    assert left.count("actuator 'push'") == 1
+    assert "control of joint" not in left

@@ -1,0 +1,221 @@
+"""Runs that are interrupted or killed, and full disks: complete files or none."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from command_line import command, run, scene_file, short_example
+from rerun.chunk import RrdReader
+
+from crosscheck.files import ABANDONED
+from newton_euler.model.trajectory import load_arrays
+
+ENGINES = ("newton_euler", "pinocchio")
+FILES = {*(f"{engine}.npz" for engine in ENGINES), "summary.json", "four_bar.rrd"}
+UNFINISHED = re.compile(r"\.+(newton_euler|pinocchio|summary|four_bar)(-[0-9a-f]{8})+\.(npz|json|rrd)")
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+
+WRITING = 6e-3
+"""s that a run of the four-bar writes files for, measured from its first."""
+
+
+def started(folder: Path) -> subprocess.Popen[bytes]:
+    arguments = ["run", "scene.yaml", "--engines", ",".join(ENGINES), "--output", "out"]
+    return subprocess.Popen(
+        [sys.executable, "-m", "crosscheck", *arguments],
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> tuple[Path, float]:
+    """A folder with a scene and a complete run of it, and the s that it took, with compiling."""
+    folder = tmp_path_factory.mktemp("finished")
+    scene_file(folder, short_example())
+    begin = time.monotonic()
+    assert started(folder).wait(timeout=120) == 0
+    return folder, time.monotonic() - begin
+
+
+def check_complete(path: Path) -> None:
+    """Read a file to its end."""
+    if path.suffix == ".npz":
+        arrays = load_arrays(path)
+        assert len(arrays["position"]) == len(arrays["time"]) == 6
+    elif path.suffix == ".json":
+        assert json.loads(path.read_text())["scene"] == "four_bar"
+    else:
+        reader = RrdReader(path)
+        assert len(reader.recordings()) == 1
+        assert any(chunk.entity_path == "/verdict" for chunk in reader.stream())
+
+
+def check_folder(folder: Path, names: set[str]) -> list[Path]:
+    """All files of a folder are complete, and so is the set if there is a summary; what is unfinished."""
+    present = {path.name for path in folder.iterdir()} if folder.exists() else set()
+    unfinished = {name for name in present if name.startswith(".")}
+    assert all(UNFINISHED.fullmatch(name) for name in unfinished), unfinished
+    assert present - unfinished <= names
+    for name in present - unfinished:
+        check_complete(folder / name)
+    if "summary.json" in present:
+        assert present - unfinished == names
+    return [folder / name for name in unfinished]
+
+
+def kill_while_writing(process: subprocess.Popen[bytes], out: Path, number: int, delay: float) -> None:
+    """Send a signal some s after the first unfinished file is seen."""
+    known = set(out.iterdir()) if out.exists() else set()
+    while process.poll() is None:
+        if out.exists() and any(path.name.startswith(".") for path in set(out.iterdir()) - known):
+            time.sleep(delay)
+            process.send_signal(number)
+            return
+        time.sleep(2e-4)
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(k, marks=() if k in (1, 6, 8) else pytest.mark.slow) for k in range(12)]
+)
+def test_a_killed_run_leaves_complete_files_or_none(tmp_path, finished, seed):
+    """At any time in the first six, while files are written in the others; half of them over an older run."""
+    folder, duration = finished
+    chance = random.Random(seed)
+    number = SIGNALS[seed % 3]
+    older = seed % 2 == 1
+    shutil.copy(folder / "scene.yaml", tmp_path)
+    if older:
+        shutil.copytree(folder / "out", tmp_path / "out")
+    process, out = started(tmp_path), tmp_path / "out"
+    if seed < 6:
+        time.sleep(chance.uniform(0.1, 1.0) * duration)
+        process.send_signal(number)
+    else:
+        kill_while_writing(process, out, number, chance.uniform(0.0, WRITING))
+    process.wait(timeout=60)
+    unfinished = check_folder(out, FILES)
+    if number == signal.SIGKILL:
+        for path in unfinished:
+            os.utime(path, times=(time.time() - 2.0 * ABANDONED,) * 2)
+    else:
+        assert unfinished == []
+
+
+def test_the_next_run_removes_what_a_killed_one_left(tmp_path, capsys, good):
+    out = tmp_path / "out"
+    out.mkdir()
+    old = [
+        out / name
+        for name in (".summary-0123abcd.json", ".pinocchio-0123abcd.npz", "..pinocchio-0123abcd-4567cdef.npz")
+    ]
+    others = [
+        out / name for name in (".pinocchio-notes.npz", ".summary-0123abcd.txt", "pinocchio-0123abcd.npz")
+    ]
+    young = out / ".four_bar-0123abcd.rrd"
+    for path in (*old, *others, young):
+        path.write_bytes(b"half")
+    for path in (*old, *others):
+        os.utime(path, times=(time.time() - 2.0 * ABANDONED,) * 2)
+    status, _, _ = run(capsys, "run", scene_file(tmp_path, good), "--engines", "pinocchio", "--output", out)
+    assert status == 0
+    files = {"pinocchio.npz", "summary.json", "four_bar.rrd"}
+    # somebody may still be writing the young one
+    assert {path.name for path in out.iterdir()} == files | {path.name for path in (*others, young)}
+
+
+def test_a_folder_with_a_summary_is_complete_while_it_is_written(tmp_path, capsys, good, monkeypatch):
+    """The old summary goes before the first new file comes, and the new one comes last."""
+    path, out = scene_file(tmp_path, good), tmp_path / "out"
+    arguments = ("run", path, "--engines", "pinocchio", "--output", out)
+    assert run(capsys, *arguments)[0] == 0
+    came, replace = [], Path.replace
+
+    def recorded(self, target):
+        if Path(target).parent == out and not Path(target).name.startswith("."):
+            came.append((Path(target).name, (out / "summary.json").exists()))
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", recorded)
+    assert run(capsys, *arguments)[0] == 0
+    assert came == [("four_bar.rrd", False), ("pinocchio.npz", False), ("summary.json", False)]
+
+
+def limited(size: int):
+    """A limit on the size of files, as a full disk sets one."""
+    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+
+
+def check_one_line(done: subprocess.CompletedProcess[str], path: str) -> None:
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"crosscheck: error: cannot write {path}"), done.stderr
+    assert done.stderr.endswith(": File too large\n")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_full_disk_keeps_an_older_run(tmp_path, finished):
+    shutil.copytree(finished[0], tmp_path, dirs_exist_ok=True)
+    arguments = ("run", "scene.yaml", "--engines", ",".join(ENGINES), "--output", "out")
+    before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    done = command(tmp_path, *arguments, preexec_fn=limited(10_000))
+    check_one_line(done, "out/")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+
+
+def test_a_full_disk_and_a_report(tmp_path, finished):
+    shutil.copytree(finished[0] / "out", tmp_path / "out")
+    for path in (tmp_path / "out").iterdir():
+        if path.name != "summary.json":
+            path.unlink()
+    done = command(tmp_path, "report", "out", preexec_fn=limited(3_000))
+    check_one_line(done, "out/report.html")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["summary.json"]
+
+
+@pytest.mark.parametrize("target", ["model.xml", "robot.urdf", "scene2.yaml"])
+def test_a_full_disk_and_a_conversion(tmp_path, good, target):
+    scene_file(tmp_path, good)
+    done = command(tmp_path, "convert", "scene.yaml", target, preexec_fn=limited(500))
+    assert done.returncode == 2
+    assert re.fullmatch(rf"crosscheck: error: cannot write '?{target}'?: File too large\n", done.stderr)
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.yaml"]
+
+
+@pytest.mark.slow
+def test_a_full_disk_and_a_benchmark(tmp_path, good):
+    scene_file(tmp_path, good)
+    done = command(tmp_path, "bench", "scene.yaml", "--rhs", "--output", "out", preexec_fn=limited(500))
+    check_one_line(done, "out/rhs.json")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_full_disk_and_figures_of_a_benchmark(tmp_path):
+    """What `bench` writes, without measuring anything."""
+    code = (
+        "from pathlib import Path; from crosscheck.studies.benchmark.run import _write\n"
+        "from crosscheck.errors import CrosscheckError\n"
+        "try: _write(Path('out/scaling.png'), bytes(10_000))\n"
+        "except CrosscheckError as error: print(error)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+        preexec_fn=limited(500),
+    )
+    assert done.stdout == "cannot write out/scaling.png: File too large\n"
+    assert list((tmp_path / "out").iterdir()) == []

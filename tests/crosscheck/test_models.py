@@ -1,0 +1,323 @@
+"""Model files on the command line: runs with a report, conversions, and files that are hostile or broken."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from armed_scenes import COMPOUNDS, armed, sprung
+from command_line import check_refused, run
+from elements import ELEMENTS as SCENES
+from mechanisms import GRAVITY
+from mjcf_models import ELEMENTS, FOUR_BARS
+from urdf_files import CHAIN, LOOPS, TIPS, robot
+
+import mjcf
+import urdf.read
+from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS, read_model
+from crosscheck.scenes import load
+from crosscheck.scenes.write_file import write_scene
+from mjcf.read import read as read_mjcf
+from newton_euler.equations.relative import Relative
+from newton_euler.model.forces import JointSpring
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import Evaluation
+
+FOUR_BAR = FOUR_BARS["cut at C by a connect"]
+
+
+def test_an_mjcf_is_run_with_its_report(capsys, tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(FOUR_BAR)
+    status, out, err = run(capsys, "run", path, "--set", "duration=0.1", "--output", tmp_path / "out")
+    assert (status, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0].startswith("carried over: 7 exactly, 0 approximated, 1 left out")
+    assert "  equality 'c': spherical joint 'c', held rigidly" in out
+    assert re.fullmatch(
+        r"AGREE: newton_euler, mujoco, pinocchio agree on model \(duration=0.1\) in all \d+ figures; "
+        r"motion covers 10 of 10 elements",
+        lines[-1],
+    )
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert {entry["fate"] for entry in summary["mapping"]} == {"exactly", "left out"}
+    assert summary["start"][0].startswith("starts from qpos0")
+    (start,) = [line for line in lines if line.startswith("start: the same pose to ")]
+    assert all(f"{engine} " in start for engine in ("newton_euler", "mujoco", "pinocchio"))
+    advised = [line for line in lines if line.startswith("advice, ")]
+    topics = [entry["topic"] for entry in summary["advice"]]
+    assert [line.split(": ")[0].removeprefix("advice, ") for line in advised] == topics
+    assert topics[-1] == "cost"
+
+
+def test_a_urdf_is_run_with_its_loops(capsys, tmp_path):
+    assert run(capsys, "convert", "tracker_aligned", tmp_path / "tracker.urdf")[0] == 0
+    status, out, _ = run(
+        capsys, "run", tmp_path / "tracker.urdf", "--loops", tmp_path / "tracker.loops.yaml",
+        "--set", "duration=0.05", "--output", tmp_path / "out",
+    )  # fmt: skip
+    assert status == 0
+    assert "starts from coordinates 0: all loops closed" in out
+
+
+def start_of(scene: Scene) -> Evaluation:
+    system = Relative(scene)
+    return system.evaluate(*system.coordinates(scene.initial_state))
+
+
+def assert_same_scene(one: Scene, two: Scene) -> None:
+    """Bodies and accelerations at the start."""
+    own, found = start_of(one), start_of(two)
+    for k, body in enumerate(one.mechanism.bodies[1:], start=1):
+        i = two.mechanism.body_index(body.name)
+        other = two.mechanism.bodies[i]
+        assert other.mass == pytest.approx(body.mass, rel=1e-15)
+        assert other.center_of_mass == pytest.approx(body.center_of_mass, abs=1e-14)
+        for array in ("linear_acceleration", "angular_acceleration"):
+            x, y = getattr(own, array)[k], getattr(found, array)[i]
+            # 1e-12 of the largest: seventeen digits in the file, and condition numbers of 1e3
+            assert np.max(np.abs(x - y)) < 1e-12 * max(1.0, np.max(np.abs(getattr(own, array)))), body.name
+
+
+SPRINGLESS = ("spring without length",)
+"""MuJoCo's line of a spring of no length has an error of 1e-12 of its own."""
+
+BACK = {
+    name: scene
+    for name, scene in SCENES.items()
+    if not scene.motions
+    and name not in SPRINGLESS
+    and all(joint.kind != "fixed" for joint in scene.mechanism.joints)
+}
+BACK |= {name: sprung(armed(scene)) for name, scene in COMPOUNDS.items()}
+
+
+@pytest.mark.parametrize("name", BACK)
+def test_mjcf_there_and_back(name, tmp_path):
+    mjcf.write(BACK[name], tmp_path / "model.xml")
+    found = read_mjcf(tmp_path / "model.xml").scene
+    assert_same_scene(BACK[name], found)
+    # `weld_loops` halves bodies, and reading puts them together again
+    assert len(found.mechanism.bodies) == len(BACK[name].mechanism.bodies)
+
+
+@pytest.mark.parametrize("name", [*SCENES, *COMPOUNDS])
+@pytest.mark.parametrize("suffix", [".yaml", ".json"])
+def test_scene_files_there_and_back(name, suffix, tmp_path):
+    scene = SCENES[name] if name in SCENES else sprung(armed(COMPOUNDS[name]))
+    path = tmp_path / f"scene{suffix}"
+    write_scene(scene, path)
+    back = load(str(path))
+    assert_same_scene(scene, back)
+    assert back.mechanism.joint_names == scene.mechanism.joint_names
+    assert (back.duration, back.outputs) == (scene.duration, scene.outputs)
+
+
+def test_convert_says_what_a_format_cannot_hold(capsys, tmp_path):
+    model = tmp_path / "model.xml"
+    model.write_text(ELEMENTS["springs and dampers"].replace("<joint", '<joint armature="0.3"'))
+    status, out, _ = run(capsys, "convert", model, tmp_path / "model.urdf")
+    assert status == 0
+    rotors = "  armature of joint 'p', armature of joint 'two_joints', armature of joint 'two_joints'"
+    assert f"{rotors}: a URDF has no rotors" in out
+    assert out.splitlines()[-1].startswith("wrote ")
+    assert run(capsys, "convert", model, tmp_path / "model.yaml")[0] == 0
+    assert run(capsys, "convert", tmp_path / "model.yaml", tmp_path / "again.xml")[0] == 0
+    assert_same_scene(read_mjcf(model).scene, read_mjcf(tmp_path / "again.xml").scene)
+    status, _, err = run(capsys, "convert", model, tmp_path / "model.txt")
+    assert (status, "ends in .xml, .mjcf, .urdf, .yaml, .yml, .json" in err) == (2, True)
+
+
+def dampings(scene: Scene) -> dict[tuple[str, int], float]:
+    """What is along hinges and slides, N s/m or N m s/rad, by joint and coordinate."""
+    found = [force for force in scene.forces if isinstance(force, JointSpring)]
+    return {(force.joint, force.coordinate): force.damping for force in found}
+
+
+def test_a_urdf_keeps_the_damping_of_joints_there_and_back(capsys, tmp_path):
+    model, target, again = (tmp_path / name for name in ("model.xml", "model.urdf", "again.urdf"))
+    model.write_text(ELEMENTS["springs and dampers"].replace('stiffness="20"', ""))
+    status, out, _ = run(capsys, "convert", model, target)
+    own = read_mjcf(model).scene
+    assert status == 0
+    assert "joint 'p', joint 'q', joint 'r': its stiffness 0 and damping 2 as a spring" in out
+    assert "a URDF has no forces" not in out
+    assert dampings(own) == dampings(urdf.read.read(target).scene)
+    assert set(dampings(own).values()) == {2.0}
+    assert_same_scene(
+        replace(own, gravity=GRAVITY), urdf.read.read(target, tmp_path / "model.loops.yaml").scene
+    )
+    status, out, _ = run(capsys, "convert", target, again)
+    assert (status, "a URDF has no forces" in out) == (0, False)
+    assert dampings(urdf.read.read(again).scene) == dampings(own)
+
+
+def test_a_urdf_keeps_the_damping_of_springs_and_says_that_they_are_left_out(capsys, tmp_path):
+    model, target = tmp_path / "model.xml", tmp_path / "model.urdf"
+    model.write_text(ELEMENTS["springs and dampers"])
+    _, out, _ = run(capsys, "convert", model, target)
+    left_out = out[out.index("\nleft out:") :]
+    assert "its stiffness 20 and damping 2 as a spring: a URDF has no forces but damping along h" in left_out
+    assert dampings(urdf.read.read(target).scene) == dampings(read_mjcf(model).scene)
+
+
+BOMB = "<!DOCTYPE x [<!ENTITY a 'aaaaaaaaaa'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;&a;&a;'>]>"
+
+HOSTILE = {
+    "truncated.xml": (FOUR_BAR[:300], "not XML: line 1: unclosed token"),
+    "empty.xml": ("", "not XML: line 1: no element found"),
+    "bomb.xml": (f"{BOMB}<mujoco model='&b;'/>", "line 1: a document type declaration, refused"),
+    "itself.xml": ('<mujoco><include file="itself.xml"/></mujoco>', "include of 'itself.xml' by itself"),
+    "outside.xml": ('<mujoco><include file="../other.xml"/></mujoco>', "file '../other.xml' leads outside"),
+    "absolute.xml": ('<mujoco><asset><mesh file="/etc/passwd"/></asset></mujoco>', "'/etc/passwd' leads"),
+    "up.xml": ('<mujoco><compiler meshdir="../../.."/></mujoco>', "meshdir file '../../..' leads"),
+    "missing.xml": ('<mujoco><include file="none.xml"/></mujoco>', "include file 'none.xml' does not exist"),
+    "mesh.xml": ('<mujoco><asset><mesh name="m" file="none.stl"/></asset></mujoco>', "none.stl"),
+    "nan.xml": (FOUR_BAR.replace('mass="1"', 'mass="nan"'), "line 1: <inertial> has mass='nan', not finite"),
+    "huge.xml": (FOUR_BAR.replace('pos="1 0 0"', 'pos="1e300 0 0"'), "body 'rocker': body_pos is 1e+300"),
+    "twice.xml": (FOUR_BAR.replace('"rocker"', '"crank"'), "repeated name 'crank' in body"),
+    "wrong.xml": (CHAIN, "root element is <robot>, not <mujoco>"),
+    "deep.xml": ("<mujoco>" + "<body>" * 5000, "more than 400 nested elements"),
+    "many.xml": (
+        '<mujoco><worldbody><replicate count="400" offset="1 0 0"><body><joint/><geom size="1"/></body>'
+        "</replicate></worldbody></mujoco>",
+        "400 velocities, at most 300; to allow it: --set velocities=400",
+    ),
+    "truncated.urdf": (CHAIN[:300], "not XML: line 1: unclosed token"),
+    "bomb.urdf": (f"{BOMB}<robot name='&b;'/>", "a document type declaration, refused"),
+    "nan.urdf": (CHAIN.replace('value="2.0"', 'value="nan"'), "link 'b': <mass> has value='nan'"),
+    "huge.urdf": (CHAIN.replace("0.1 0.02 -0.2", "1e300 0 0"), "link 'a': <origin> has xyz='1e300 0 0'"),
+    "short.urdf": (CHAIN.replace("0.1 0.02 -0.2", "1 0"), "has xyz='1 0'; needed: 3 numbers"),
+    "twice.urdf": (CHAIN.replace('name="b"', 'name="a"'), "link 'a': 2 of that name"),
+    "nowhere.urdf": (CHAIN.replace('child link="d"', 'child link="x"'), "'third': child link 'x' does not"),
+    "kind.urdf": (CHAIN.replace("prismatic", "magic"), "'second': unknown type 'magic'; choose"),
+    "weightless.urdf": (robot(*TIPS).replace('mass value="1.0"', 'mass value="0"'), "no joint moves any"),
+    "fixed.urdf": (robot(), "no joint can move"),
+    "inertia.urdf": (CHAIN.replace('ixx="0.02"', 'ixx="-0.02"'), "'a': principal moments of inertia are -"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_files_are_one_line(name, capsys, tmp_path):
+    text, message = HOSTILE[name]
+    path = tmp_path / name
+    path.write_text(text)
+    before = os.times()
+    check_refused(capsys, tmp_path, path, message=message)
+    # the limit of the compiler's processor time and some; broken files take a second
+    assert sum(os.times()[:4]) - sum(before[:4]) < 10.0
+
+
+@pytest.mark.parametrize("suffix", [".xml", ".urdf"])
+def test_what_is_no_file(suffix, capsys, tmp_path):
+    (tmp_path / f"folder{suffix}").mkdir()
+    check_refused(capsys, tmp_path, tmp_path / f"folder{suffix}", message="not a regular file")
+    check_refused(capsys, tmp_path, tmp_path / f"none{suffix}", message="cannot be read: No such file")
+    (tmp_path / f"binary{suffix}").write_bytes(b"\xff\x00\xfe")
+    check_refused(capsys, tmp_path, tmp_path / f"binary{suffix}", message="not ")
+
+
+def test_options_of_models(capsys, tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(FOUR_BAR)
+    for options, message in (
+        (["--set", "key=up"], "no keyframe 'up'; choose from: qpos0"),
+        (
+            ["--set", "colour=red"],
+            "has no option 'colour'; choose from: duration, output_period, redundancy_tolerance, exercise",
+        ),
+        (["--set", "duration=long"], "duration is 'long'; needed: a number of seconds"),
+        (["--loops", "x.yaml"], "--loops x.yaml: only a URDF has a loop file"),
+    ):
+        check_refused(capsys, tmp_path, path, *options, message=message)
+    check_refused(capsys, tmp_path, "tracker", "--loops", "x.yaml", message="only a URDF has a loop file")
+
+
+def test_gravity_of_a_urdf(capsys, tmp_path):
+    path = tmp_path / "chain.urdf"
+    path.write_text(CHAIN)
+    for given, gravity in (("0", (0.0, 0.0, 0.0)), ("0,0.5,-1.62", (0.0, 0.5, -1.62))):
+        scene, report = read_model(str(path), {"gravity": given})
+        assert tuple(scene.gravity) == gravity
+        said = " ".join(f"{g:g}" for g in gravity)
+        assert report.start[-1].startswith(f"gravity is {said} m/s^2, a URDF has none; ")
+    assert tuple(load(str(path)).gravity) == GRAVITY
+    for given in ("9.81", "0,0", "down", "0,0,-9.81,0", "0,0,inf"):
+        message = f"gravity is '{given}'; needed: X,Y,Z in m/s^2, at most 1e+15, or 0"
+        check_refused(capsys, tmp_path, path, "--set", f"gravity={given}", message=message)
+
+
+@pytest.mark.parametrize(
+    ("options", "reader"), [(MJCF_OPTIONS, read_mjcf), (URDF_OPTIONS, urdf.read.read)], ids=["mjcf", "urdf"]
+)
+def test_options_of_models_are_listed_with_their_defaults(capsys, options, reader):
+    _, out, _ = run(capsys, "list")
+    defaults = {
+        name: of.default
+        for name, of in inspect.signature(reader).parameters.items()
+        if name not in ("path", "verified")
+    }
+    assert options.keys() == defaults.keys()
+    for name, option in options.items():
+        assert f"    --set {name}={option.values}  [default: {option.default}]\n" in out
+        if defaults[name] is not None:
+            assert option.read(name, option.default) == defaults[name]
+
+
+def test_a_model_of_several_folders_needs_the_option_root(capsys, tmp_path):
+    inner = tmp_path / "package" / "robots"
+    inner.mkdir(parents=True)
+    (tmp_path / "package" / "all.xml").write_text("<mujoco><option gravity='0 0 -1'/></mujoco>")
+    path = inner / "model.xml"
+    path.write_text(FOUR_BAR.replace("<mujoco>", '<mujoco><include file="../all.xml"/>'))
+    trusted = f"if you trust the file: --set root={tmp_path / 'package'}"
+    check_refused(capsys, tmp_path, path, message=trusted)
+    assert load(str(path), root=str(tmp_path / "package")).gravity[2] == -1.0
+
+
+def test_macros_without_end_are_given_up(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(
+        '<mujoco><worldbody><replicate count="100000000" offset="1 0 0"><body><joint/><geom size="1"/></body>'
+        "</replicate></worldbody></mujoco>"
+    )
+    # in a process of its own: what a process starts is said to have had as much memory as itself
+    measured = (
+        "import os, subprocess, sys\n"
+        "process = subprocess.Popen([sys.executable, '-m', 'crosscheck', 'run', 'model.xml'])\n"
+        "_, status, usage = os.wait4(process.pid, 0)\n"
+        "print(os.waitstatus_to_exitcode(status), usage.ru_maxrss)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    command = [sys.executable, "-c", measured]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
+    status, kilobytes = map(int, done.stdout.split())
+    assert status == 2
+    refused = r"crosscheck: error: model.xml: MuJoCo needs more than .*; to allow more: --set .*\n"
+    assert re.fullmatch(refused, done.stderr)
+    assert 10_000 < kilobytes < 1_000_000
+
+
+@pytest.mark.parametrize("file", ["truncated", "alias", "empty", "directory", "kind"])
+def test_broken_loop_files_are_one_line(file, capsys, tmp_path):
+    urdf, loops = tmp_path / "robot.urdf", tmp_path / "robot.yaml"
+    urdf.write_text(robot(*TIPS))
+    texts = {
+        "truncated": "closed_loop: [[tip_a",
+        "alias": "a: &a [x]\nclosed_loop: [*a]\n",
+        "empty": "",
+        "kind": LOOPS.format(pairs="[[tip_a, tip_b]]", types="[4d]", motors="[]"),
+    }
+    if file == "directory":
+        loops.mkdir()
+    else:
+        loops.write_text(texts[file])
+    check_refused(capsys, tmp_path, urdf, "--loops", loops, message=f"{loops}: ")

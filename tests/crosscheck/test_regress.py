@@ -1,0 +1,403 @@
+"""`crosscheck regress`: what moves is seen, what does not is not, and what it writes can be read."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import yaml
+from command_line import run
+
+from crosscheck.regress import bands, measure
+from crosscheck.regress import run as regress
+from crosscheck.regress.baseline import Carried, Figure, Record
+from crosscheck.regress.compare import Comparison, check, compare, divergence
+from crosscheck.regress.report import as_json, junit, markdown
+from crosscheck.regress.values import Value, count
+from crosscheck.scenes import load
+from newton_euler.model.mapping import CLOSE, Mapping, Part
+
+ROOT = Path(__file__).parents[2]
+
+
+def value(array, name="position", **other):
+    array = np.atleast_2d(np.asarray(array, dtype=float))
+    rows, columns = tuple(f"row {k}" for k in range(len(array))), tuple("xyz"[: array.shape[1]])
+    return Value(name, "m", rows, columns, array, 1.0, **other)
+
+
+def figure(array, band, name="position"):
+    found = value(array, name)
+    return Figure(group="relative", name=name, unit="m", rows=list(found.rows), columns=list(found.columns),
+                  value=found.array.tolist(), band=list(band))  # fmt: skip
+
+
+# Bands and figures
+
+
+def test_a_band_is_ten_times_the_error_and_round_off():
+    plain, nudged, tighter = (value([[1.0, 2.0], [3.0, 4.0]]), value([[1.0, 2.0 + 1e-9], [3.0, 4.0]]),
+                              value([[1.0, 2.0], [3.0, 4.0 - 3e-9]]))  # fmt: skip
+    # 10 times 3e-9, and 1e-13 of the scale 1; differences of numbers of 4 have 9e-16 of round-off
+    assert bands.band(plain, [nudged, tighter]) == pytest.approx([3.00001e-8] * 2, rel=1e-6)
+
+
+def test_bands_over_time_grow_and_never_shrink():
+    plain = value([[0.0], [0.0], [0.0]], over_time=True)
+    sibling = value([[0.0], [2e-9], [1e-9]], over_time=True)
+    assert bands.band(plain, [sibling]) == pytest.approx([1e-13, 2e-8 + 1e-13, 2e-8 + 1e-13], rel=1e-12)
+
+
+def test_a_count_may_move_by_two_percent_and_what_a_nudge_changes():
+    # 2 % of 101 rounded up, and 10 times one; the second sibling has the tolerance of the plain one
+    assert bands.band(count("steps", 101), [count("steps", 102), count("steps", 150)]) == pytest.approx(
+        [13.0]
+    )
+
+
+@pytest.mark.parametrize("moved", [0.9, -0.9, 1.1, -1.1])
+def test_a_figure_moves_where_it_leaves_its_band(moved):
+    stored = figure([[1.0, 2.0], [3.0, 4.0]], [1e-6, 1e-9])
+    (found,) = check([stored], [value([[1.0, 2.0], [3.0, 4.0 + moved * 1e-9]])])
+    assert found.moved == (abs(moved) > 1.0)
+    assert found.where == "row 1, y"
+    assert found.bands == pytest.approx(abs(moved), rel=1e-5)  # 4 has 4e-16 of round-off, a band 1e-9
+
+
+@pytest.mark.parametrize("now", [float("nan"), float("inf")])
+def test_what_is_not_finite_has_moved(now):
+    (found,) = check([figure([[1.0]], [1e300])], [value([[now]])])
+    assert found.moved
+
+
+def test_what_is_not_measured_any_more_has_moved():
+    stored = figure([[1.0]], [1.0])
+    for measured, problem in (
+        ("SingularityError: no", "SingularityError: no"),
+        ([value([[1.0]], "other")], "no longer measured"),
+        ([value([[1.0], [2.0]])], "is of other bodies, joints or times"),
+    ):
+        (found,) = check([stored], measured)
+        assert (found.moved, found.problem) == (True, problem)
+
+
+def test_divergence_is_at_the_first_time_out_of_a_band():
+    stored = figure([[0.0], [0.0], [0.0]], [1e-9, 1e-9, 1e-9])
+    times = np.array([0.0, 0.5, 1.0])
+    assert divergence([stored], [value([[0.0], [1e-8], [1.0]], over_time=True)], times) == 0.5
+    assert divergence([stored], [value([[0.0], [1e-10], [0.0]], over_time=True)], times) is None
+
+
+def test_a_nudged_state_is_off_by_its_share():
+    scene = load("tracker")
+    moved = measure.nudged(scene.initial_state, scene.mechanism.size, 1e-9)
+    off = np.abs(moved.position - scene.initial_state.position)
+    assert np.all(off[0] == 0.0)
+    # the largest of 18 cosines is near 1; positions of 0.1 m hold 1e-17
+    assert np.max(off) == pytest.approx(1e-9 * scene.mechanism.size, rel=0.05)
+    assert np.linalg.norm(moved.quaternion, axis=1) == pytest.approx(1.0, abs=1e-15)
+
+
+# A scene against its baseline
+
+
+@pytest.fixture(scope="module")
+def swing():
+    return replace(load("pendulum"), duration=1.0)
+
+
+@pytest.fixture(scope="module")
+def measured(swing):
+    """The baseline of a second of the pendulum."""
+    return bands.make(swing, {}, "first", [], lambda _: None)
+
+
+def no_clock():
+    return 0.0
+
+
+def test_every_group_measures_the_pendulum(measured):
+    assert measured.left_out == {}
+    assert measured.groups == list(measure.GROUPS)
+    assert measured.plan.rtol == {"relative": 1e-12, "cartesian": 1e-12}
+
+
+def test_figures_of_the_pendulum_are_those_of_mechanics(swing, measured):
+    start = measured.figure("relative", "start: linear acceleration")
+    stored = measured.plan.state.state()
+    # at rest and released a pendulum falls along its circle: g times the sine, so less than g
+    assert 0.0 < np.linalg.norm(start.array) <= np.linalg.norm(swing.gravity)
+    for engine in ("cartesian", "mujoco", "pinocchio"):
+        other = measured.figure(engine, "moving: linear acceleration").array
+        mine = measured.figure("relative", "moving: linear acceleration").array
+        assert other == pytest.approx(mine, abs=1e-11)  # round-off of 10 m/s^2, four sets of equations
+    assert np.any(np.abs(stored.linear_velocity) > 0.1)
+
+
+def test_an_unchanged_scene_is_quiet(swing, measured):
+    found = compare(swing, measured, lambda _: None, no_clock)
+    assert found.moved == []
+    assert found.diverges is None
+    assert found.changed_versions == []
+    assert found.verdict.startswith("pendulum: quiet: all ")
+
+
+def test_a_millionth_of_gravity_is_seen_in_every_engine(swing, measured):
+    heavier = replace(swing, gravity=swing.gravity * (1.0 + 1e-6))
+    found = compare(heavier, measured, lambda _: None, no_clock)
+    assert {figure.group for figure in found.moved} == set(measure.GROUPS)
+    assert found.diverges is not None
+    assert 0.0 < found.diverges <= swing.duration
+    assert "MOVED" in found.verdict
+
+
+def test_steps_are_counted_where_none_follows_round_off(swing, measured):
+    """A start moved by what processors differ in takes the very same steps, by both adaptive integrators."""
+    groups = {"relative": "DOP853", "cartesian": "DOP853", "integrators": "Radau"}
+    other = {
+        group: measure.measure_group(group, measure.regress_scene(swing), measured.plan, bands.NUDGED)
+        for group in groups
+    }
+    for group, integrator in groups.items():
+        for what in ("steps", "evaluations"):
+            name = f"{integrator}, rtol 1e-06: {what}"
+            (found,) = (each.array for each in other[group] if each.name == name)
+            assert found == measured.figure(group, name).array
+
+
+def test_versions_that_changed_are_named():
+    made = Record(date="2026-01-01", reason="first", versions={"python": "3.11.0", "numpy": "2.0.0"})
+    found = Comparison("s", (), made, {"python": "3.11.0", "numpy": "2.1.0", "pin": "4.1"}, None, 0.0)
+    assert found.changed_versions == ["numpy 2.0.0 -> 2.1.0", "pin none -> 4.1"]
+
+
+# The command
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory):
+    """A folder with a scene file of a user's own: a pendulum of half a second."""
+    folder = tmp_path_factory.mktemp("guarded")
+    content = {
+        "name": "mine",
+        "gravity": [0.0, 0.0, -9.81],
+        "duration": 0.5,
+        "output_period": 0.1,
+        "bodies": [
+            {
+                "name": "bar",
+                "mass": 1.0,
+                "center_of_mass": [0.5, 0.0, 0.0],
+                "inertia": [[0.01, 0.0, 0.0], [0.0, 0.08, 0.0], [0.0, 0.0, 0.08]],
+            }
+        ],
+        "joints": [
+            {
+                "name": "pivot",
+                "kind": "revolute",
+                "first": "ground",
+                "second": "bar",
+                "point": [0.0, 0.0, 0.0],
+                "axis": [0.0, 1.0, 0.0],
+            }
+        ],
+    }
+    (folder / "mine.yaml").write_text(yaml.safe_dump(content))
+    return folder
+
+
+def test_an_update_needs_a_reason_and_a_reason_an_update(capsys, guarded):
+    model = guarded / "mine.yaml"
+    for options in (("--update",), ("--reason", "why"), ("--update", "--reason", "  ")):
+        status, _, err = run(capsys, "regress", model, *options)
+        assert status == 2
+        assert "--reason" in err
+    assert list(guarded.iterdir()) == [model]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("tracker", "--update", "--reason", "x", "--junit", "j.xml"), "--update compares nothing"),
+        (("tracker", "--json", "same", "--markdown", "same"), "name the same file"),
+        (("--baseline", "b.json"), "of one SCENE"),
+        (("four_bar", "--set", "N=3"), "--set needs --baseline"),
+        (("tracker", "tracker"), "both named 'tracker'"),
+        (("nothing",), "unknown scene 'nothing'"),
+    ],
+)
+def test_options_that_do_not_fit(capsys, arguments, message):
+    status, out, err = run(capsys, "regress", *arguments)
+    assert (status, out) == (2, "")
+    assert message in err
+
+
+def test_a_user_guards_a_model(capsys, guarded, monkeypatch):
+    monkeypatch.chdir(guarded)
+    summary = guarded / "summary.md"
+    summary.write_text("before\n")
+    monkeypatch.setenv(regress.STEP_SUMMARY, str(summary))
+    model, stored = Path("mine.yaml"), Path("mine.baseline.json")
+    for reason in ("first", "again"):
+        status, out, _ = run(capsys, "regress", model, "--update", "--reason", reason)
+        assert status == 0
+        assert str(stored) in out
+    assert [record["reason"] for record in json.loads(stored.read_text())["history"]] == ["first", "again"]
+
+    status, out, _ = run(capsys, "regress", model, "--junit", "j.xml")
+    assert status == 0
+    assert "QUIET" in out
+    (written,) = (guarded / "output" / "regress").iterdir()
+    assert written.name == "regress.json"
+    assert json.loads(written.read_text())["quiet"]
+    suite = ElementTree.parse("j.xml").getroot().find("testsuite")
+    assert suite.get("failures") == "0"
+
+    heavier = model.read_text().replace("-9.81", "-9.810001")
+    assert heavier != model.read_text()
+    model.write_text(heavier)
+    arguments = ("--junit", "j.xml", "--json", "j.json", "--markdown", "m.md")
+    status, out, _ = run(capsys, "regress", model, *arguments)
+    assert status == 1
+    assert "mine: MOVED" in out
+    assert "(again)" in out
+    recording = guarded / "output" / "regress" / "mine.rrd"
+    assert recording.read_bytes()[:4] == b"RRF2"
+    assert "recording: output/regress/mine.rrd" in out
+    content = json.loads(Path("j.json").read_text())
+    (scene,) = content["scenes"]
+    assert (content["quiet"], scene["recording"]) == (False, "output/regress/mine.rrd")
+    suite = ElementTree.parse("j.xml").getroot().find("testsuite")
+    moved = sum(each["moved"] for each in scene["figures"])
+    assert int(suite.get("failures")) == len(suite.findall("testcase/failure")) == moved > 10
+    assert int(suite.get("tests")) == len(suite.findall("testcase")) == len(scene["figures"])
+    steps = summary.read_text()
+    assert steps.startswith("before\n## crosscheck regress: QUIET")
+    assert steps.endswith(Path("m.md").read_text())
+    assert Path("m.md").read_text().startswith("## crosscheck regress: MOVED: 1 of 1 scenes: mine")
+
+
+def test_a_recording_opens_where_poses_part(tmp_path, swing, measured, monkeypatch):
+    from crosscheck.recording import log
+    from crosscheck.regress import recording
+
+    seen = {}
+    monkeypatch.setattr(
+        log, "write_recording", lambda path, scene, runs, verdict, title, opens_at: seen.update(
+            runs=runs, opens_at=opens_at
+        )
+    )  # fmt: skip
+    heavier = replace(swing, gravity=swing.gravity * 1.01)
+    assert recording.write(tmp_path / "x.rrd", heavier, measured, 0.2, "verdict")
+    assert seen["opens_at"] == 0.2
+    now, before = seen["runs"]["newton_euler"], seen["runs"]["baseline"]
+    # the baseline's own scene gives the baseline's poses, to what its band says
+    (swing_now,) = [measure.main_run(measure.regress_scene(swing), 1e-12)]
+    assert before.position == pytest.approx(swing_now.position, abs=1e-11)
+    assert np.max(np.abs(now.position - before.position)) > 1e-3  # 1 % more gravity, for a second
+
+
+def test_no_recording_of_what_has_other_bodies(tmp_path, measured):
+    from crosscheck.regress import recording
+
+    assert not recording.write(tmp_path / "x.rrd", load("four_bar"), measured, None, "verdict")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_reports_hold_any_names():
+    odd = "a|b <c> & \x00 `d`"
+    stored = figure([[1.0]], [1e-9], odd)
+    checked = tuple(check([stored], [value([[2.0]], odd)]))
+    found = [Comparison("scene", checked, Record.now("<why> | \x01"), {}, 0.5, 0.1)]
+    root = ElementTree.fromstring(junit(found))
+    (case,) = root.iter("testcase")
+    assert "a|b <c> & ? `d`" in case.find("failure").get("message")
+    (line,) = [line for line in markdown(found, {}).splitlines() if "relative: a" in line]
+    assert line.replace("\\|", "").count("|") == 7
+    assert json.loads(as_json(found, {}))["scenes"][0]["diverges"] == 0.5
+
+
+# What a model file holds and no figure is about
+
+
+def left_out(**values):
+    report = Mapping()
+    part = Part("geom 'foot'", {"type": ("box",), "size": (0.1, 0.2)} | values, bodies=("leg",))
+    report.left_out("1 geoms that can touch", "contacts", part, topic="contacts")
+    report.left_out("2 cameras", "they move nothing", inert=True)
+    return report
+
+
+@pytest.mark.parametrize(
+    ("report", "told"),
+    [
+        (left_out(), None),
+        (left_out(size=(0.1, 0.2 * (1.0 + 0.9 * CLOSE))), None),
+        (left_out(size=(0.1, 0.3)), ("size, number 2", 0.2, 0.3, "")),
+        (left_out(size=(0.1,)), ("", None, None, "size: was 0.1 0.2, is 0.1")),
+        (left_out(type=("mesh",)), ("", None, None, "type: was box, is mesh")),
+        (left_out(friction=(1.0,)), ("", None, None, "friction: was nothing, is 1.0")),
+        (Mapping(), ("", None, None, "no longer left out: contacts")),
+    ],
+)
+def test_what_is_left_out_moves_where_its_values_do(swing, measured, report, told):
+    stored = measured.model_copy(update={"carried": Carried.of(left_out()), "figures": measured.figures[:1]})
+    stored = type(stored).model_validate_json(stored.text())
+    found = compare(swing, stored, lambda _: None, no_clock, report)
+    first = found.checked[0]
+    assert (first.group, first.name) == ("model file", "geom 'foot', contacts")
+    moved = [(each.where, each.was, each.now, each.problem) for each in found.moved]
+    assert moved == ([] if told is None else [told])
+
+
+def test_what_is_left_out_anew_moves(swing, measured):
+    stored = measured.model_copy(update={"carried": [], "figures": measured.figures[:1]})
+    (found,) = compare(swing, stored, lambda _: None, no_clock, left_out()).moved
+    assert (found.name, found.problem) == ("geom 'foot', contacts", "left out now: contacts")
+
+
+def test_a_model_file_is_guarded_with_what_is_in_no_figure(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="leg" pos="0 0 1">
+        <joint name="hip" axis="0 1 0"/><geom name="foot" size="0.1" pos="0 0 -0.5"/></body></worldbody>
+        <actuator><general name="m" joint="hip" dyntype="filter" dynprm="0.1"/></actuator>
+        <keyframe><key ctrl="1"/></keyframe></mujoco>"""
+    model, stored = Path("model.xml"), Path("model.baseline.json")
+    model.write_text(text)
+    assert run(capsys, "regress", model, "--update", "--reason", "first")[0] == 0
+    content = json.loads(stored.read_text())
+    names = [(each["element"], each["topic"]) for each in content["carried"]]
+    assert names[0] == ("actuator 'm'", "")
+    assert ("geom 'foot'", "contacts") in names
+
+    model.write_text(
+        text.replace('dynprm="0.1"', 'dynprm="0.2"').replace('name="foot"', 'name="foot" friction="2"')
+    )
+    arguments = ("--junit", "j.xml", "--json", "j.json", "--markdown", "m.md")
+    status, out, _ = run(capsys, "regress", model, *arguments)
+    assert status == 1
+    assert "MOVED: 1 of 1 scenes: model" in out
+    suite = ElementTree.parse("j.xml").getroot().find("testsuite")
+    told = [failure.get("message") for failure in suite.findall("testcase/failure")]
+    assert told == [
+        "model file: actuator 'm': dynprm, number 1: was 0.1, is 0.2: +1.00e-01, 4.98e+08 bands",
+        "model file: geom 'foot', contacts: friction, number 1: was 1, is 2: +1.00e+00, 5e+08 bands",
+    ]
+    (scene,) = json.loads(Path("j.json").read_text())["scenes"]
+    moved = [(each["name"], each["was"], each["now"]) for each in scene["figures"] if each["moved"]]
+    assert moved == [("actuator 'm'", 0.1, 0.2), ("geom 'foot', contacts", 1.0, 2.0)]
+    assert "geom 'foot', contacts" in Path("m.md").read_text()
+    assert "geom 'foot', contacts" in out
+
+    # a baseline without it is made anew, with its history
+    del content["carried"]
+    stored.write_text(json.dumps(content))
+    status, out, err = run(capsys, "regress", model)
+    assert (status, out) == (2, "")
+    assert "model.baseline.json: carried: missing, what of model.xml is in no figure; make it with: " in err
+    assert run(capsys, "regress", model, "--update", "--reason", "again")[0] == 0
+    assert [each["reason"] for each in json.loads(stored.read_text())["history"]] == ["first", "again"]

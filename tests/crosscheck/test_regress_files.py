@@ -1,0 +1,181 @@
+"""Baselines, the action and the guide of `crosscheck regress`: files that people and machines read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from command_line import run
+
+from crosscheck.cli.shared import cli
+from crosscheck.regress import measure
+from crosscheck.regress import run as regress
+from crosscheck.regress.baseline import Baseline, Carried, Figure, Plan, Record, StoredState, read
+from crosscheck.regress.compare import check_carried
+from crosscheck.scenes import SCENES
+from newton_euler.model.mapping import Mapping, Part
+from newton_euler.model.state import State
+
+ROOT = Path(__file__).parents[2]
+
+
+# Baselines
+
+
+def small_baseline():
+    state = StoredState.of(State(*(np.zeros((2, n)) for n in (3, 4, 3, 3))))
+    return Baseline(
+        scene="tracker", options={}, history=[Record.now("first")], left_out={},
+        plan=Plan(rtol={"relative": 1e-9}, step=0.1, time=0.0, state=state),
+        figures=[
+            Figure(
+                group="relative", name="position", unit="m", rows=["bar"], columns=["x"],
+                value=[[1.0 / 3.0]], band=[1e-9],
+            )
+        ],
+    )  # fmt: skip
+
+
+def test_a_baseline_survives_its_file(tmp_path):
+    measured = read(regress.usual_path("tracker"), "")
+    path = tmp_path / "b.json"
+    path.write_text(measured.text())
+    assert read(path, "") == measured
+    # a figure a line, so that changes can be read
+    assert sum(line.startswith('  {"group"') for line in measured.text().splitlines()) == len(
+        measured.figures
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        (lambda c: c.pop("plan"), "plan: Field required"),
+        (lambda c: c.update(format=2), "format"),
+        (lambda c: c.update(history=[]), "history"),
+        (lambda c: c["history"][0].update(reason=""), "history.0.reason"),
+        (lambda c: c["figures"][0].update(band=[-1.0]), "figures.0.band.0"),
+        (lambda c: c["figures"][0].update(group="speed"), "figures.0.group: Input should be 'relative', "),
+        (lambda c: c["figures"][0].update(band=[1.0, 1.0]), "figures.0: band has 2 numbers"),
+        (
+            lambda c: c["figures"][0].update(value=[[1.0, 2.0]]),
+            "figures.0: value is not a table",
+        ),
+        (lambda c: c["figures"][0].update(value=[["one"]]), "figures.0.value.0.0"),
+        (lambda c: c.update(figures=c["figures"] * 2), "file: figure 'position'"),
+        (lambda c: c["plan"]["state"].update(position=[[0.0]]), "plan.state: position is not a table"),
+        (lambda c: c.update(more=1), "more"),
+        (lambda c: c.update(scene="four_bar"), "scene: it is of 'four_bar', not of 'tracker'"),
+        (lambda c: c.update(options={"N": "3"}), "options: it is of {'N': '3'}, not of {}"),
+    ],
+)
+def test_a_corrupt_baseline_is_named_with_its_field(capsys, tmp_path, change, field):
+    content = json.loads(small_baseline().text())
+    change(content)
+    path = tmp_path / "b.json"
+    path.write_text(json.dumps(content))
+    status, out, err = run(capsys, "regress", "tracker", "--baseline", path)
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert f"{path}: {field}" in err
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", '{"scene": NaN}'])
+def test_what_is_no_baseline_is_refused(capsys, tmp_path, text):
+    path = tmp_path / "b.json"
+    path.write_text(text)
+    status, _, err = run(capsys, "regress", "tracker", "--baseline", path)
+    assert status == 2
+    assert len(err.splitlines()) == 1
+    assert str(path) in err
+
+
+def test_a_missing_baseline_names_the_command_that_makes_it(capsys, tmp_path):
+    path = tmp_path / "none.json"
+    status, _, err = run(capsys, "regress", "four_bar", "--set", "N=3", "--baseline", path)
+    assert status == 2
+    assert f"crosscheck regress four_bar --set N=3 --baseline {path} --update --reason TEXT" in err
+
+
+def test_the_library_has_a_baseline_for_each_scene():
+    for name in SCENES:
+        found = read(regress.usual_path(name), "")
+        assert (found.scene, found.options) == (name, {})
+        assert found.groups[:2] == ["relative", "cartesian"]
+        assert len(found.figure("relative", "position over time").rows) == measure.OUTPUT_COUNT + 1
+
+
+# The action and the guide
+
+
+def known_options():
+    return {option for parameter in cli.commands["regress"].params for option in parameter.opts}
+
+
+def test_the_action_runs_a_command_that_exists():
+    action = yaml.safe_load((ROOT / "action.yml").read_text())
+    assert action["runs"]["using"] == "composite"
+    (script,) = [
+        step["run"] for step in action["runs"]["steps"] if "crosscheck regress" in step.get("run", "")
+    ]
+    words = script.replace("(", " ").replace(")", " ").split()
+    used = {word for word in words if word.startswith("--") and word != "--"}
+    assert used
+    assert used <= known_options()
+    # inputs reach the shell through variables only, so that none of them is run as a command
+    assert not any("${{" in step.get("run", "") for step in action["runs"]["steps"])
+    for step in action["runs"]["steps"]:
+        assert "shell" in step or "run" not in step
+
+
+def test_the_guide_is_a_workflow_of_ten_lines_that_fits_the_action():
+    blocks = (ROOT / "docs" / "guard.md").read_text().split("```")[1::2]
+    (workflow,) = [block.removeprefix("yaml\n") for block in blocks if block.startswith("yaml")]
+    assert len(workflow.strip().splitlines()) <= 10
+    (job,) = yaml.safe_load(workflow)["jobs"].values()
+    inputs = yaml.safe_load((ROOT / "action.yml").read_text())["inputs"]
+    (step,) = [step for step in job["steps"] if "with" in step]
+    assert set(step["with"]) <= set(inputs)
+    for block in blocks:
+        for line in block.splitlines():
+            if line.startswith("$ crosscheck"):
+                name, *words = line.split()[2:]
+                assert name in cli.commands
+                known = {option for parameter in cli.commands[name].params for option in parameter.opts}
+                assert {word for word in words if word.startswith("--")} <= known
+
+
+# What a model file holds and no figure is about
+
+
+def numbered(*geoms, topic="contacts"):
+    """Geoms of these sizes, without names."""
+    report = Mapping()
+    parts = [Part(f"geom {k}", {"size": (size,)}, bodies=("leg",)) for k, size in enumerate(geoms)]
+    report.left_out(f"{len(parts)} geoms that can touch", "contacts", *parts, topic=topic)
+    return Carried.of(report)
+
+
+@pytest.mark.parametrize(
+    ("now", "told"),
+    [
+        (numbered(0.1, 0.2, 0.3), []),
+        (numbered(0.5, 0.1, 0.2, 0.3), [("geom 0, contacts", "", "left out now: contacts")]),
+        (numbered(0.2, 0.3), [("geom 0, contacts", "", "no longer left out: contacts")]),
+        (numbered(0.3, 0.5, 0.1), [("geom 1, contacts", "size", "")]),
+    ],
+)
+def test_geoms_without_names_are_known_by_their_values(now, told):
+    moved = [each for each in check_carried(numbered(0.1, 0.2, 0.3), now) if each.moved]
+    assert [(each.name, each.where, each.problem) for each in moved] == told
+
+
+def test_what_is_left_out_of_another_topic_is_another_thing():
+    moved = check_carried(numbered(0.1), numbered(0.1, topic="armature"))
+    assert [(each.name, each.problem) for each in moved if each.moved] == [
+        ("geom 0, contacts", "no longer left out: contacts"),
+        ("geom 0, armature", "left out now: contacts"),
+    ]

@@ -1,0 +1,344 @@
+"""Reading MJCF: against MuJoCo's own model of the file, element by element, and what reports say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mjcf_models import ELEMENTS, FLOATING, FOUR_BARS, PAIR, arm, model, reading, verified
+
+import newton_euler
+from mjcf.errors import MjcfError
+from mjcf.model import CompiledScene
+from mjcf.read import Reading
+from mjcf.reading.ties import Ties
+from newton_euler.compiled import FORMULATIONS, formulate
+from newton_euler.model.couplings import Gear
+from newton_euler.model.joints import (
+    Compound,
+    Cylindrical,
+    Fixed,
+    Free,
+    Prismatic,
+    Revolute,
+    Rod,
+    Spherical,
+    Universal,
+)
+
+
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_readings_are_verified(name: str, tmp_path: Path) -> None:
+    found = reading(tmp_path, ELEMENTS[name])
+    assert verified(found)
+    assert not found.report.of("approximated")
+    for formulation in FORMULATIONS:
+        system = formulate(found.scene, formulation)
+        evaluation = system.evaluate(*system.coordinates(found.scene.initial_state))
+        assert np.all(np.isfinite(evaluation.linear_acceleration))
+
+
+@pytest.mark.parametrize(
+    ("name", "kinds"),
+    [
+        ("hinge", {Revolute}),
+        ("slide", {Revolute, Prismatic}),
+        ("ball", {Revolute, Spherical}),
+        ("fixed", {Revolute}),
+        ("free", {Free, Revolute}),
+        ("universal", {Revolute, Universal}),
+        ("cylindrical", {Revolute, Cylindrical}),
+        ("planar", {Revolute, Compound}),
+        ("weld of sites", {Free, Revolute, Fixed}),
+        ("connect to the world", {Free, Revolute, Spherical}),
+        ("rod", {Revolute, Compound, Rod}),
+    ],
+)
+def test_kinds_of_joints(name: str, kinds: set[type], tmp_path: Path) -> None:
+    joints = reading(tmp_path, ELEMENTS[name]).scene.mechanism.joints
+    assert {type(joint) for joint in joints} == kinds
+
+
+def test_a_control_law_has_the_target_and_the_gains_of_the_file(tmp_path: Path) -> None:
+    scene = reading(tmp_path, ELEMENTS["actuators"]).scene
+    laws = {(law.joint, law.coordinate): law for law in scene.control}
+    # gear 3, control 5 clamped to 1; and gain 2 of 0.3, bias 0.5 - 3 q - 0.1 dq/dt; q = 0.2 at the start
+    first = laws["p", 0]
+    assert (first.stiffness, first.damping) == pytest.approx((3.0, 0.1))
+    assert first.force(0.0, 0.0, 0.0) == pytest.approx(3.0 + 0.6 + 0.5 - 0.6)
+    # gear 0.5: g (kp ctrl - kp g q) at q = -0.3
+    assert laws["two_joints", 1].force(0.0, 0.0, 0.0) == pytest.approx(0.5 * (20 * 0.4 - 20 * 0.5 * -0.3))
+
+
+@pytest.mark.parametrize("pair", [(0, 1), (0, 2), (1, 2)])
+def test_a_four_bar_written_two_ways_moves_the_same(pair: tuple[int, int], tmp_path: Path) -> None:
+    runs = []
+    for number in pair:
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        scene = reading(folder, list(FOUR_BARS.values())[number], duration=0.5).scene
+        runs.append((scene.mechanism, newton_euler.simulate(scene, rtol=1e-12, atol=1e-14)))
+    (one, first), (two, second) = runs
+    for name in ("crank", "coupler", "rocker"):
+        i, j = one.body_index(name), two.body_index(name)
+        # what the ways are asked to have in common, with runs a hundred times more exact
+        assert first.position[:, i] == pytest.approx(second.position[:, j], abs=1e-9)
+    for name in ("a", "b", "d"):
+        i, j = one.joint_index(name), two.joint_index(name)
+        sign = 1.0 if one.joints[i].second == two.joints[j].second else -1.0
+        x, y = first.reaction_force[:, i], sign * second.reaction_force[:, j]
+        assert np.max(np.abs(x[:, [0, 2]] - y[:, [0, 2]])) < 1e-9 * np.max(np.abs(x)), name
+
+
+def test_an_open_start_is_closed_and_reported(tmp_path: Path) -> None:
+    key = '<keyframe><key name="bent" qpos="0.3 -0.2 0.1"/></keyframe></mujoco>'
+    found = reading(tmp_path, FOUR_BARS["cut at C by a connect"].replace("</mujoco>", key))
+    first, second, third, *_ = found.report.start
+    assert first.startswith("bent is open, in m or rad: equality 'c' 0.")
+    assert "assembled next to bent: closed to" in second
+    assert third.startswith("branch: joints")
+    assert third.endswith("bend the same way as in bent")
+    assert verified(found)
+    other = reading(tmp_path, FOUR_BARS["cut at C by a connect"].replace("</mujoco>", key), key="qpos0")
+    assert other.report.start[0] == "starts from qpos0: all 1 equalities closed, to 0.0e+00"
+
+
+ELBOW = FOUR_BARS["cut at C by a connect"].replace("</mujoco>", "<keyframe>{0}</keyframe></mujoco>")
+UP, DOWN, ACROSS = "0.02 0.01 0", "0.02 1.55 -2.0", "-0.5 -1.2 0.5"
+
+
+def test_each_keyframe_is_assembled_the_way_its_elbow_bends(tmp_path: Path) -> None:
+    keys = (("up", UP), ("down", DOWN), ("across", ACROSS))
+    text = ELBOW.format("".join(f'<key name="{name}" qpos="{qpos}"/>' for name, qpos in keys))
+    up, down, across = (reading(tmp_path, text, key=name) for name, _ in keys)
+
+    def bend(found: Reading) -> float:
+        """Of the coupler against the rocker: no longer positive beyond where they are in line."""
+        data, body = found.start.data, found.start.model.body("coupler").id
+        b, c = data.xpos[body], data.xpos[body] + data.xmat[body].reshape(3, 3) @ [0.8, 0.0, 0.3]
+        return float(np.cross(c - b, [1.0, 0.0, 0.0] - c)[1])
+
+    assert up.report.start[2] == "branch: joints 'a', 'd' bend the same way as in up"
+    assert down.report.start[2].endswith("bend the same way as in down")
+    assert np.max(np.abs(up.start.data.qpos - [float(x) for x in UP.split()])) < 0.05
+    assert np.max(np.abs(down.start.data.qpos - [float(x) for x in DOWN.split()])) < 0.1
+    assert bend(up) * bend(down) < 0.0
+    keyframes = up.report.start[3]
+    assert keyframes.startswith("keyframes of the file, as they stand, in m or rad: up open by 0.02")
+    assert "; across open by 1.75 at equality 'c'" in keyframes
+    assert "bend the other way than in across: a dead centre lies between" in across.report.start[2]
+
+
+def test_how_far_the_file_itself_sags(tmp_path: Path) -> None:
+    stiff, soft = (
+        reading(tmp_path, FOUR_BARS["cut at C by a connect"].replace('name="c"', f'name="c" solref="{x} 1"'))
+        for x in (0.004, 0.1)
+    )
+    sags = []
+    for found, solref in ((stiff, "0.004 1"), (soft, "0.1 1")):
+        (line,) = [
+            line for line in found.report.start if line.startswith("MuJoCo's own run of the file, EULER")
+        ]
+        assert f"of solref {solref}; here they are rigid" in line
+        sags.append(float(line.split("at most ")[1].split()[0]))
+    # a time constant 25 times as long; at steps of 2 ms the shorter one has errors of the step as well
+    assert sags[1] > 5.0 * sags[0]
+    tree = reading(tmp_path, ELEMENTS["hinge"]).report.start
+    assert not [line for line in tree if line.startswith("MuJoCo's own run")]
+
+
+def test_velocities_of_a_keyframe(tmp_path: Path) -> None:
+    text = model(PAIR, '<keyframe><key qvel="1 2 3"/></keyframe>')
+    scene = reading(tmp_path, text).scene
+    assert scene.initial_state.angular_velocity[1:] == pytest.approx(np.array([[0, 1, 0], [0, 2, 0]]))
+
+
+def test_what_is_left_out_and_what_is_approximated(tmp_path: Path) -> None:
+    text = model(
+        PAIR.replace('name="p"', 'name="p" range="-1 1" limited="true" frictionloss="0.2"'),
+        '<equality><joint name="bent" joint1="p" joint2="q" polycoef="0 1 0.5 0 0"/>'
+        '<connect name="off" active="false" body1="one" body2="two" anchor="0 0 0"/></equality>'
+        '<tendon><fixed name="sum" stiffness="2"><joint joint="p" coef="1"/><joint joint="r" coef="1"/>'
+        '</fixed></tendon><actuator><muscle name="pull" joint="p" lengthrange="0 1"/></actuator>'
+        "<sensor><clock/></sensor>",
+    )
+    report = reading(tmp_path, text).report
+    lines = [str(entry) for entry in (*report.of("left out"), *report.of("approximated"))]
+    for expected in (
+        "equality 'bent': approximated: gear 'bent' of ratio 1, its polynomial replaced by its slope",
+        "equality 'off': left out: is not active",
+        "joint 'p': left out: its limits",
+        "joint 'p': left out: its dry friction 0.2",
+        "tendon 'sum': left out: its stiffness 2",
+        "actuator 'pull': left out: has dynamics",
+        "2 geoms that can touch: left out",
+        "1 sensors: left out",
+    ):
+        assert any(line.startswith(expected) for line in lines), expected
+
+
+def test_names_that_are_not_for_scenes(tmp_path: Path) -> None:
+    text = model(PAIR.replace('"one"', '"robot/left foot"').replace('"p"', '"é 1"').replace('name="two"', ""))
+    mechanism = reading(tmp_path, text).scene.mechanism
+    assert mechanism.body_names == ("ground", "robot_left_foot", "body_2")
+    assert mechanism.joint_names == ("__1", "body_2_joints")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (model(""), "no body can move"),
+        (
+            model(arm('<joint name="x" axis="1 0 0"/><joint name="y" axis="1 0 0" pos="0 0 0.1"/>')),
+            "joint 'lower_joints': its hinges",
+        ),
+        (
+            model(arm('<joint type="slide"/><joint axis="0 1 0"/><joint type="slide" axis="1 0 0"/>')),
+            "body 'lower': has slides between its hinges",
+        ),
+        (
+            ELEMENTS["connect of sites"].replace("-0.5 0 0", "-0.5 3 0"),
+            "equality 0 cannot be closed from qpos0: open by",
+        ),
+    ],
+)
+def test_what_cannot_be_read(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(MjcfError) as caught:
+        reading(tmp_path, text)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith(str(tmp_path / "model.xml"))
+
+
+TIED = model(
+    PAIR,
+    '<tendon><fixed name="t" stiffness="30" damping="2" springlength="0.2" armature="0.4">'
+    '<joint joint="p" coef="2"/><joint joint="q" coef="-0.5"/></fixed></tendon>'
+    '<equality><joint joint1="p" joint2="q" polycoef="0 -1.5 0 0 0"/></equality>'
+    '<actuator><position tendon="t" kp="40" kv="3" gear="2" armature="0.01"/></actuator>'
+    '<keyframe><key qpos="0.3 -0.2 0.1" ctrl="0.5"/></keyframe>',
+)
+
+
+OPPOSED = TIED.replace('coef="2"', 'coef="1"').replace('coef="-0.5"', 'coef="2"').replace("-1.5", "-1.2")
+
+
+def test_gains_of_a_tendon_of_tied_joints_are_not_negative(tmp_path: Path) -> None:
+    """A law on the joint that leads, where one on each of them would have damping below 0."""
+    found = reading(tmp_path, OPPOSED)
+    assert verified(found)
+    (law,) = found.scene.control
+    # p = -1.2 q, so that the actuator's length is 2 (p + 2 q) = 2 (1 - 2 / 1.2) p
+    slope = 2.0 * (1.0 - 2.0 / 1.2)
+    assert (law.joint, law.coordinate) == ("p", 0)
+    assert (law.stiffness, law.damping) == pytest.approx((40.0 * slope**2, 3.0 * slope**2))
+    CompiledScene(found.scene)
+    # a joint with a limit keeps its own share, to be held at that
+    limited = reading(tmp_path, OPPOSED.replace('name="q"', 'name="q" actuatorfrcrange="-9 9"'))
+    assert verified(limited)
+    held = {law.joint: (law.stiffness, law.force(0.1, 0.2, 0.0)) for law in limited.scene.control}
+    assert held["two_joints"] == (0.0, 9.0)
+    assert held["p"][0] == pytest.approx(40.0 * 2.0 * slope)
+
+
+def test_a_tendon_that_equalities_keep_does_no_work(tmp_path: Path) -> None:
+    kept = OPPOSED.replace('polycoef="0 -1.2', 'polycoef="0 -2')
+    found = reading(tmp_path, kept)
+    assert verified(found)
+    assert not found.scene.control
+    (entry,) = (entry for entry in found.report.of("left out") if entry.element == "actuator 0")
+    assert str(entry) == "actuator 0: left out: equalities keep its length, so that it does no work"
+
+
+def test_springs_of_a_joint_and_of_a_tendon_add_up(tmp_path: Path) -> None:
+    """Also through a gear: 30 at 2 p - 0.5 q = 0.2, with p = -1.5 q, and 7 at p = 20 degrees."""
+    own = TIED.replace('name="p"', 'name="p" stiffness="7" damping="5" springref="20"')
+    found = reading(tmp_path, own)
+    assert verified(found)
+    (spring,) = (force for force in found.scene.forces if force.joint == "p")
+    slope = 2.0 + 0.5 / 1.5
+    assert spring.stiffness == pytest.approx(7.0 + 30.0 * slope**2)
+    assert spring.damping == pytest.approx(5.0 + 2.0 * slope**2)
+    p, q = found.start.data.qpos[:2]
+    pull = 30.0 * slope * (2.0 * p - 0.5 * q - 0.2) + 7.0 * (p - np.radians(20.0))
+    assert spring.stiffness * spring.rest == pytest.approx(-pull)
+
+
+def test_springs_and_actuators_on_joints_that_a_gear_ties(tmp_path: Path) -> None:
+    """A sum of joint coordinates of which one tells the others needs no left-out line."""
+    found = reading(tmp_path, TIED)
+    assert verified(found)
+    assert not [e for e in found.report.of("left out") if e.element.startswith(("tendon", "actuator"))]
+    untied = reading(tmp_path, TIED.replace("<equality>", "<!--").replace("</equality>", "-->"))
+    lines = [str(entry) for entry in untied.report.of("left out")]
+    assert (
+        "actuator 0: left out: its force depends on a sum of 2 joint coordinates that no gears tie" in lines
+    )
+    assert verified(untied)
+
+
+def test_ties_through_several_gears() -> None:
+    ties = Ties([Gear("one", "p", "q", 2.0), Gear("two", "r", "s", 3.0), Gear("three", "s", "p", -0.5)])
+    p, q, r, s, other = (("p", 0), ("q", 0), ("r", 0), ("s", 0), ("q", 1))
+    assert ties.rates([r, s, p, q]) == {r: 1.0, s: 3.0, p: -1.5, q: -3.0}
+    # 4 r - q is 7 r, and -7/3 q
+    assert ties.slopes({r: 4.0, q: -1.0}) == pytest.approx({r: 7.0, q: -7.0 / 3.0})
+    assert ties.rates([p, other]) is None
+    assert ties.rates([other]) == {other: 1.0}
+    assert ties.rates([]) is None
+
+
+@pytest.mark.parametrize("torque_scale", ["1e-9", "0.01", "1", "40", "-2"])
+def test_an_open_weld_is_closed_whatever_its_torquescale(torque_scale: str, tmp_path: Path) -> None:
+    """MuJoCo scales what it says of angles by that."""
+    turned = '0.1 0 -0.5 0.8 0.1 0.6 0" torquescale="' + torque_scale
+    text = ELEMENTS["weld at another pose"].replace("0.1 0 -0.5 0.8 0 0.6 0", turned)
+    found = reading(tmp_path, text)
+    assert verified(found)
+    first, second = found.report.start[:2]
+    # the places are the same for all, and so is the axis times the sine of half the angle
+    assert first == reading(tmp_path, text.replace(torque_scale, "1")).report.start[0]
+    assert first.startswith("qpos0 is open, in m or rad: equality 0 0.")
+    assert second.startswith("assembled next to qpos0: closed to ")
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (
+            model(arm('<joint name="ball" type="ball"/>'), '<actuator><motor joint="ball"/></actuator>'),
+            "no control law acts on a ball joint, as joint 'ball' is",
+        ),
+        (
+            model(FLOATING, '<actuator><motor joint="root"/></actuator>'),
+            "no control law acts on a free joint, as joint 'root' is",
+        ),
+        (
+            model(
+                PAIR,
+                '<tendon><spatial name="t"><site site="s1"/><site site="s2"/></spatial></tendon>'
+                '<actuator><motor tendon="t"/></actuator>',
+            ),
+            "no control law acts through its transmission, tendon",
+        ),
+    ],
+)
+def test_what_no_control_law_acts_on(text: str, why: str, tmp_path: Path) -> None:
+    pushed = text.replace("</mujoco>", '<keyframe><key ctrl="3"/></keyframe></mujoco>')
+    (entry,) = (e for e in reading(tmp_path, pushed).report.of("left out") if e.element == "actuator 0")
+    assert entry.how == why
+
+
+def test_a_keyframe_without_a_name(tmp_path: Path) -> None:
+    keys = '<keyframe><key qpos="0.3 -0.2 0.1"/><key qpos="0.1 -0.2 0.1"/></keyframe></mujoco>'
+    text = FOUR_BARS["cut at C by a connect"].replace("</mujoco>", keys)
+    for key, called in ((None, "keyframe 0"), ("1", "keyframe 1")):
+        found = reading(tmp_path, text, key=key)
+        assert found.report.start[0].startswith(f"{called} is open, in m or rad: ")
+        assert found.scene.description == f"model.xml from {called}"
+        assert any("in m or rad: keyframe 0 open by " in line for line in found.report.start)
+
+
+def test_an_unknown_keyframe(tmp_path: Path) -> None:
+    with pytest.raises(MjcfError, match="no keyframe 'up'; choose from: qpos0, go"):
+        reading(tmp_path, ELEMENTS["actuators"], key="up")

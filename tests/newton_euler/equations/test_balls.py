@@ -1,0 +1,276 @@
+"""Springs, dampers and rotors on balls: analytic answers, finite differences, and all engines."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ball_scenes import AXIS, SCENES, sphere, twisted_loop
+from equations_of_motion import ACCELERATIONS, REACTIONS, check_arrays, evaluations
+from finite_difference import derivative, jacobian
+from mechanisms import ball_loop, inertia, pendulum
+
+import mjcf
+import newton_euler
+import urdf
+from newton_euler import Armature, BallArmature, BallSpring, Body, JointSpring, Mechanism, Scene
+from newton_euler.assemble import random_states
+from newton_euler.codegen.expression import Graph, differentiate
+from newton_euler.compiled import FORMULATIONS, Code, formulate
+from newton_euler.equations.balls import rotation_by, rotation_vector, spin, spin_rate
+from newton_euler.equations.relative import Relative
+from newton_euler.errors import MechanismError
+from newton_euler.model.euler_parameters import from_rotation_vector, rotation
+from newton_euler.model.joints import Free, Spherical
+from newton_euler.model.tree import SpanningTree, weld_loops
+
+both = pytest.mark.parametrize("formulation", FORMULATIONS)
+
+TIGHT = 1e-9
+"""Of values near 1 after about ten oscillations at a tolerance of 1e-12 a step, some hundred steps."""
+
+ROUND_OFF = 1e-11
+"""Relative: condition numbers of 1e3 to 1e5 on round-off of 1e-16; the worst of these is at 5e-12."""
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_all_equations_of_motion_agree(name: str) -> None:
+    scene = SCENES[name]
+    assert scene.loaded_balls
+    for other, found, wanted in evaluations(scene):
+        check_arrays(other, found, wanted, (*ACCELERATIONS, *REACTIONS), ROUND_OFF)
+        for energy in ("kinetic_energy", "potential_energy"):
+            assert getattr(found, energy) == pytest.approx(getattr(wanted, energy), rel=1e-12), other
+
+
+@both
+@pytest.mark.parametrize("name", ["ball in a loop", "compound, reversed"])
+def test_native_code_says_the_same(formulation: str, name: str) -> None:
+    scene = SCENES[name]
+    system, code = formulate(scene, formulation), Code(scene, formulation)
+    for state in random_states(scene, 2):
+        q, v = system.coordinates(state)
+        found = code.function("derivative")(code.packed(q, v))
+        wanted = np.concatenate([system.rate(q, v), system.acceleration(q, v)])
+        assert found[system.work.start] == pytest.approx(wanted[system.work.start], rel=1e-12)  # power
+        largest = np.max(np.abs(wanted))
+        assert np.max(np.abs(found[: len(wanted)] - wanted)) < ROUND_OFF * largest
+
+
+# Rotation vectors
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-160, 1e-12, 1e-6, 0.3, 2.0, 3.1])
+def test_rotation_vectors(angle: float) -> None:
+    """Round-off of the matrix is 1e-16, over what is missing to half a turn."""
+    vector = angle * AXIS
+    matrix = rotation(from_rotation_vector(vector))
+    assert rotation_vector(matrix) == pytest.approx(vector, abs=2e-15 / (np.pi - angle))
+    assert rotation_by(vector) == pytest.approx(matrix, abs=1e-15)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-8, 0.5, 3.0])
+def test_rotation_vectors_differentiate(angle: float) -> None:
+    """Forward mode, as the implicit method needs it, against differences; at no turn too."""
+
+    def turned(x: np.ndarray) -> np.ndarray:
+        return rotation_vector(rotation_by(x) @ rotation_by(angle * AXIS))
+
+    graph = Graph()
+    variables = graph.variables(3)
+    table = differentiate(graph, list(turned(variables)), list(variables))
+    found = graph.prune(table.ravel()).run([0.0, 0.0, 0.0]).reshape(3, 3)
+    # differences of order 6 of what varies over the 0.14 rad that 3 rad are short of half a turn
+    assert found == pytest.approx(jacobian(turned, 3), abs=1e-9)
+
+
+# Closed forms
+
+
+def angles(run: newton_euler.Trajectory) -> np.ndarray:
+    """(n, 3) rotation vectors of the body since the start."""
+    start = rotation(run.quaternion[0, 1])
+    return np.array([rotation_vector(rotation(p) @ start.T) for p in run.quaternion[:, 1]])
+
+
+@both
+@pytest.mark.parametrize("rotor", [0.0, 0.3])
+@pytest.mark.parametrize("amplitude", [0.3, 3.0])
+def test_a_globe_on_a_torsion_spring(formulation: str, rotor: float, amplitude: float) -> None:
+    """It swings about one axis at sqrt(k / (I + a)), however far."""
+    spring = BallSpring("ball", 4.0, rest=amplitude * AXIS)
+    run = newton_euler.simulate(sphere(spring, rotor=rotor), formulation, rtol=1e-12, atol=1e-14)
+    rate = np.sqrt(4.0 / (0.5 + rotor))
+    turned = amplitude * (1.0 - np.cos(rate * run.time))
+    wanted = amplitude * rate * np.sin(rate * run.time)
+    assert np.abs(run.angular_velocity[:, 1] - wanted[:, None] * AXIS).max() < 10.0 * amplitude * TIGHT
+    below = turned < 3.1  # what two poses tell
+    assert below.sum() > 20
+    assert np.abs(angles(run)[below] - turned[below, None] * AXIS).max() < 100.0 * TIGHT
+    energy = run.kinetic_energy + run.potential_energy
+    assert np.abs(energy - energy[0]).max() < TIGHT * 2.0 * amplitude**2
+    assert energy[0] - 2.0 * 9.81 * 0.3 == pytest.approx(0.5 * 4.0 * amplitude**2, rel=1e-14)
+
+
+@both
+@pytest.mark.parametrize("integrator", ["DOP853", "Radau"])
+def test_a_globe_in_oil(formulation: str, integrator: str) -> None:
+    """omega decays as exp(-d t / (I + a)); the spring's theta begins at zero, Radau's Jacobian with it."""
+    scene = sphere(BallSpring("ball", damping=0.4), rotor=0.3, spin=2.0)
+    run = newton_euler.simulate(scene, formulation, integrator, rtol=1e-10, atol=1e-12)
+    decay = np.exp(-0.4 / 0.8 * run.time)
+    assert np.abs(run.angular_velocity[:, 1] - 2.0 * decay[:, None] * AXIS).max() < 1e-7
+    lost = 0.5 * 0.8 * 4.0 * (decay**2 - 1.0)
+    assert run.work == pytest.approx(lost, abs=1e-7)  # both to 1e-10 a step over some hundreds
+    assert run.kinetic_energy - run.kinetic_energy[0] == pytest.approx(lost, abs=1e-7)
+
+
+@pytest.mark.parametrize("engine", [mjcf, urdf], ids=["mujoco", "pinocchio"])
+def test_a_damped_oscillation_in_the_other_engines(engine) -> None:  # type: ignore[no-untyped-def]
+    """1e-8: MuJoCo's RK4 at steps of 2 ms, which is of order 4 here, and Pinocchio at rtol 1e-10."""
+    scene = replace(sphere(BallSpring("ball", 4.0, 0.4, AXIS), rotor=0.3), duration=2.0)
+    options = {"timestep": 2e-3} if engine is mjcf else {}
+    run = engine.simulate(scene, **options)
+    decay = 0.5 * 0.4 / 0.8
+    rate = np.sqrt(4.0 / 0.8 - decay**2)
+    t = run.time
+    turned = 1.0 - np.exp(-decay * t) * (np.cos(rate * t) + decay / rate * np.sin(rate * t))
+    assert np.abs(angles(run) - turned[:, None] * AXIS).max() < 1e-8
+    energy = run.kinetic_energy + run.potential_energy
+    assert np.abs(energy - energy[0] - run.work).max() < 1e-7
+    assert run.work[-1] < -0.5
+
+
+@both
+def test_a_rotor_on_a_ball_between_two_bodies_that_turn(formulation: str) -> None:
+    """Two globes on balls: of two that share an axis the spins add up and their difference swings."""
+    middle = replace(sphere().mechanism.bodies[1], name="inner", quaternion=np.array([1.0, 0.0, 0.0, 0.0]))
+    outer = replace(middle, name="outer", inertia=0.2 * np.eye(3))
+    point = middle.center_of_mass
+    joints = [Spherical("one", "ground", "inner", point), Spherical("two", "outer", "inner", point)]
+    mechanism = Mechanism([Body.ground(), middle, outer], joints)
+    spring = BallSpring("two", 3.0, rest=0.8 * AXIS)
+    scene = Scene("globes", mechanism, 3.0, 0.1, forces=(spring,), armatures=(BallArmature("two", 0.1),))
+    run = newton_euler.simulate(scene, formulation, rtol=1e-12, atol=1e-14)
+    inner, outer_spin = run.angular_velocity[:, 1] @ AXIS, run.angular_velocity[:, 2] @ AXIS
+    reduced = 0.5 * 0.2 / 0.7 + 0.1
+    rate = np.sqrt(3.0 / reduced)
+    assert np.abs(0.5 * inner + 0.2 * outer_spin).max() < TIGHT
+    assert np.abs(inner - outer_spin - 0.8 * rate * np.sin(rate * run.time)).max() < 10.0 * TIGHT
+
+
+@pytest.mark.parametrize(
+    ("integrator", "formulation"),
+    [
+        ("DOP853", "relative"),
+        ("DOP853", "cartesian"),
+        ("Radau", "relative"),
+        pytest.param("Radau", "cartesian", marks=pytest.mark.slow),  # 4 s to compile the Jacobian
+    ],
+)
+def test_the_balance_of_energy_in_a_loop(formulation: str, integrator: str) -> None:
+    tolerance = {"rtol": 1e-8, "atol": 1e-10} if integrator == "Radau" else {}
+    run = newton_euler.simulate(twisted_loop(), formulation, integrator, **tolerance)
+    energy = run.kinetic_energy + run.potential_energy
+    assert np.abs(run.work).max() > 0.1  # J
+    # 1e-10, or 1e-8 with Radau, a step
+    assert np.abs(energy - energy[0] - run.work).max() < 1e-6 * np.ptp(energy)
+
+
+@pytest.mark.parametrize("name", ["ball in a loop", "compound, reversed"])
+def test_powers_and_rates_are_derivatives(name: str) -> None:
+    """Of energy along a motion, forces at work and no gravity's; of omega as the first body sees it."""
+    scene = SCENES[name]
+    system = Relative(scene)
+    (state,) = random_states(scene, 1, seed=4)
+    q, v = system.coordinates(state)
+    vdot = system.acceleration(q, v)
+
+    def moved(t: float) -> tuple[np.ndarray, np.ndarray]:
+        return system.retract(q, v * t + 0.5 * vdot * t * t), v + vdot * t
+
+    def energy(t: float) -> float:
+        found = system.evaluate(*moved(t))
+        return found.kinetic_energy + found.potential_energy
+
+    power = system.rate(q, v)[system.work][0]
+    # 1e-8: `retract` follows the motion to second order, differences of order 6 on energies of some 100 J
+    assert derivative(energy) == pytest.approx(power, abs=1e-8 * abs(energy(0.0)))
+    joint = next(iter(scene.loaded_balls))
+    equations = scene.mechanism.equations[scene.mechanism.joint_index(joint)]
+    bodies = equations.first, equations.second
+
+    def seen(t: float) -> np.ndarray:
+        frames = [link.frame for link in system.links(*moved(t))]
+        first, second = (frames[k] for k in bodies)
+        return first.rotation.T @ spin(first, second)
+
+    frames = [link.frame for link in system.links(q, v)]
+    angular = system.evaluate(q, v).angular_acceleration
+    rate = frames[bodies[0]].rotation.T @ spin_rate(frames, angular, bodies)
+    assert derivative(seen) == pytest.approx(rate, abs=1e-8 * np.max(np.abs(rate)))
+
+
+def test_a_loaded_ball_stays_in_the_tree() -> None:
+    """Another ball of the loop is cut in its place, or a body is."""
+    scene = ball_loop()
+    mechanism = scene.mechanism
+    assert [mechanism.joint_names[k] for k in weld_loops(mechanism).tree.cuts] == ["at_c"]
+    welded = weld_loops(mechanism, loaded=["at_c"])
+    assert [welded.mechanism.joint_names[k] for k in welded.tree.cuts] == ["at_c_weld"]
+    joints = [
+        Spherical(joint.name, joint.first, joint.second, joint.point) if joint.name == "at_b" else joint
+        for joint in mechanism.joints
+    ]
+    two = Mechanism(mechanism.bodies, joints)
+    for loaded, cut in (("at_b", "at_c"), ("at_c", "at_b")):
+        tree = SpanningTree(two, loaded=[loaded])
+        assert [two.joint_names[k] for k in tree.cuts] == [cut]
+
+
+# What cannot be
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: BallSpring("b", -1.0), "spring of the ball of joint 'b': stiffness is -1.0; needed"),
+        (lambda: BallSpring("b", 1.0, np.nan), "damping is nan"),
+        (lambda: BallSpring("b", rest=[1.0, 2.0]), r"rest is \[1.0, 2.0\]; needed: three finite"),
+        (lambda: BallSpring(3), "joint is 3; needed: a name"),
+        (lambda: BallArmature("b", 0.0), "armature of the ball of joint 'b': inertia is 0.0; needed: a posi"),
+        (lambda: replace(pendulum(), forces=(BallSpring("knee"),)), "is on an unknown joint 'knee'; needed"),
+        (
+            lambda: replace(pendulum(), forces=(BallSpring("pivot"),)),
+            "spring of the ball of joint 'pivot': is on a revolute joint; needed: a joint with a ball",
+        ),
+        (
+            lambda: replace(pendulum(), armatures=(BallArmature("pivot", 1.0),)),
+            "armature of the ball of joint 'pivot': is on a revolute joint",
+        ),
+        (lambda: sphere(BallSpring("ball"), BallSpring("ball")), "spring of the ball .* 2 of that name"),
+        (
+            lambda: replace(sphere(), armatures=(BallArmature("ball", 1.0),) * 2),
+            "armature of the ball of joint 'ball': 2 for one coordinate; needed: one a coordinate or ball",
+        ),
+        (lambda: replace(sphere(), forces=(JointSpring("ball"),)), "coordinate is 0; needed: a joint with a"),
+        (lambda: replace(sphere(), armatures=(Armature("ball", 1.0),)), "coordinate is 0; needed: a joint"),
+    ],
+)
+def test_what_cannot_be(make, message: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(MechanismError, match=message):
+        make()
+
+
+def test_free_joints_take_springs_and_rotors_of_both() -> None:
+    """m + a and I + a on a free body, each on a spring of its own."""
+    body = Body("stone", 2.0, [0.5, 0.0, 0.0], inertia(0.3, 0.3, 0.3))
+    mechanism = Mechanism([Body.ground(), body], [Free("floats", "ground", "stone", [0.5, 0.0, 0.0])])
+    forces = (JointSpring("floats", 3.0, rest=0.4, coordinate=1), BallSpring("floats", 2.0, rest=0.6 * AXIS))
+    rotors = (Armature("floats", 0.5, 1), BallArmature("floats", 0.1))
+    run = newton_euler.simulate(Scene("stone", mechanism, 2.0, 0.1, forces=forces, armatures=rotors))
+    shift = 0.4 * (1.0 - np.cos(np.sqrt(3.0 / 2.5) * run.time))
+    turned = 0.6 * (1.0 - np.cos(np.sqrt(2.0 / 0.4) * run.time))
+    assert run.position[:, 1, 1] == pytest.approx(shift, abs=TIGHT)  # DOP853 at rtol 1e-10
+    assert angles(run) == pytest.approx(turned[:, None] * AXIS, abs=10.0 * TIGHT)

@@ -1,0 +1,171 @@
+"""Control laws that depend on time: an oscillator against its closed form, in all engines, and in files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from mechanisms import mass_on_rail
+
+import mjcf
+import newton_euler
+import urdf
+from crosscheck.comparison.coverage import covered_by
+from crosscheck.comparison.energy import energy_balance
+from crosscheck.errors import CrosscheckError
+from crosscheck.model_files.convert import scene_report, write_as
+from crosscheck.scenes import load
+from crosscheck.scenes.size import check_functions, check_scene
+from crosscheck.scenes.write_file import write_scene
+from mjcf.rigid import RigidMuJoCo
+from mjcf.tight import Rollout, Stepper, compiled
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import at_time
+from newton_euler.errors import MechanismError
+from newton_euler.model.control import PD
+from newton_euler.model.motions import Polynomial, Sine, Sum
+from urdf.dynamics import PinocchioSystem
+
+MASS, STIFFNESS, DAMPING, TARGET = 2.0, 50.0, 4.0, 0.1
+"""kg of `mass_on_rail`, N/m, N s/m and m of the law."""
+
+CONSTANT, SLOPE, AMPLITUDE, FREQUENCY = 1.5, -0.8, 6.0, 7.0
+"""N, N/s, N and rad/s of what drives it."""
+
+PUSH = Sum((Polynomial((CONSTANT, SLOPE)), Sine(AMPLITUDE, FREQUENCY)))
+
+
+def driven(duration=2.0):
+    law = PD("rail", STIFFNESS, DAMPING, TARGET, feedforward=PUSH)
+    return replace(mass_on_rail(duration=duration, control=(law,)), output_period=0.05)
+
+
+def expected(time):
+    """m, from rest: m x'' + d x' + k x = k x_t + c + s t + a sin(w t)."""
+    answer = AMPLITUDE / (STIFFNESS - MASS * FREQUENCY**2 + 1j * DAMPING * FREQUENCY)
+    slope = SLOPE / STIFFNESS
+    constant = TARGET + (CONSTANT - DAMPING * slope) / STIFFNESS
+    start = constant + answer.imag  # of what is forced, and its rate
+    rate = slope + FREQUENCY * answer.real
+    decay = DAMPING / (2.0 * MASS)
+    own = np.sqrt(STIFFNESS / MASS - decay**2)
+    free = -start * np.cos(own * time) - (rate + decay * start) / own * np.sin(own * time)
+    forced = constant + slope * time + (answer * np.exp(1j * FREQUENCY * time)).imag
+    return forced + np.exp(-decay * time) * free
+
+
+def gap(run):
+    """m, the largest distance from the closed form."""
+    return np.abs(run.position[:, 1, 2] - expected(run.time)).max()
+
+
+def share(scene, run):
+    balance = energy_balance(scene, run)
+    return np.abs(balance.residual).max() / balance.exchanged
+
+
+@pytest.mark.parametrize("formulation", ["relative", "cartesian"])
+def test_newton_euler(formulation):
+    """1e-9 m: the tolerance of 1e-10 a step."""
+    scene = driven()
+    run = newton_euler.simulate(scene, formulation)
+    assert gap(run) < 1e-9
+    assert share(scene, run) < 1e-9
+    u = [PUSH.value(float(t)) for t in run.time] - STIFFNESS * (run.position[:, 1, 2] - TARGET)
+    u -= DAMPING * run.linear_velocity[:, 1, 2]
+    assert run.actuator_force[:, 0] == pytest.approx(u, abs=1e-9)
+
+
+def test_pinocchio():
+    scene = driven()
+    run = urdf.simulate(scene)
+    assert gap(run) < 1e-8  # m, at rtol 1e-10
+    assert share(scene, run) < 1e-8
+
+
+def test_mujocos_rk4_is_of_order_four():
+    """Each stage has the controls of its own time."""
+    scene = driven()
+    runs = [mjcf.simulate(scene, timestep=step) for step in (0.05, 0.025)]
+    assert 14.0 < gap(runs[0]) / gap(runs[1]) < 20.0
+    assert share(scene, mjcf.simulate(scene)) < 1e-9  # Simpson's rule at 1 ms
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicit"])
+def test_mujocos_other_integrators_are_of_order_one(integrator):
+    scene = driven()
+    runs = [mjcf.simulate(scene, timestep=step, integrator=integrator) for step in (1e-3, 5e-4)]
+    assert 1.9 < gap(runs[0]) / gap(runs[1]) < 2.1
+    assert max(share(scene, run) for run in runs) < 1e-12  # of the forces that were applied
+
+
+def test_the_controls_are_those_of_the_time():
+    """At a single state, in all systems."""
+    scene = driven()
+    for system in (RigidMuJoCo(scene), PinocchioSystem(scene), Relative(scene)):
+        now = at_time(system, 0.3)
+        q, v = now.coordinates(scene.initial_state)
+        wanted = (PUSH.value(0.3) + STIFFNESS * TARGET) / MASS
+        assert now.acceleration(q, v)[0] == pytest.approx(wanted, rel=1e-14)
+
+
+def test_mujocos_tight_loops():
+    """A whole run is that of `simulate`; of many at once the controls of a step are those of its middle."""
+    scene = driven()
+    intervals, errors = [(40, 0.05)], []
+    stepper = Stepper(compiled(scene), "RK4", intervals, 2, 1.0)
+    stepper.reset()
+    stepper.run()
+    assert gap_of(stepper.poses()[0], scene) == pytest.approx(gap(mjcf.simulate(scene, timestep=0.025)))
+    for number in (2, 4):
+        rollout = Rollout(compiled(scene), "RK4", number, 1.0, 1)
+        start = rollout.start(*compiled(scene).coordinates(scene.initial_state))
+        errors.append(gap_of(rollout.poses(rollout(start[None])[0])[0], scene))
+    assert 3.8 < errors[0] / errors[1] < 4.2  # order 2
+
+
+def gap_of(position, scene):
+    return np.abs(position[:, 1, 2] - expected(scene.times)).max()
+
+
+def test_scene_files_hold_the_function(tmp_path):
+    path = tmp_path / "driven.yaml"
+    write_scene(driven(), path)
+    assert load(str(path)).control == driven().control
+
+
+def test_an_mjcf_holds_the_control_of_the_start(tmp_path):
+    path, report = tmp_path / "driven.xml", scene_report(driven())
+    write_as(driven(), path, report)
+    assert any("rail" in entry.element for entry in report.of("left out"))
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    assert data.actuator_force == pytest.approx([CONSTANT + STIFFNESS * TARGET])
+
+
+def test_too_many_cycles_are_refused():
+    law = PD("rail", 0.0, 0.0, 0.0, feedforward=Sine(1.0, 1e14))
+    with pytest.raises(CrosscheckError, match="cycles"):
+        check_scene(mass_on_rail(control=(law,)))
+
+
+def test_many_slow_laws_are_not_many_cycles():
+    """As a humanoid that is exercised has: steps are as short as the fastest of them needs."""
+    law = PD("rail", 0.0, 0.0, 0.0, feedforward=Sine(1.0, 10.0))
+    check_functions("here", mass_on_rail().mechanism, (), [law] * 300, duration=10.0)
+
+
+def test_only_numbers_and_functions_are_taken():
+    with pytest.raises(MechanismError, match="feedforward"):
+        PD("rail", 0.0, 0.0, 0.0, feedforward="sin(t)")
+
+
+def test_coverage_sees_a_law_that_begins_at_zero():
+    law = PD("rail", 0.0, 0.0, 0.0, feedforward=Sine(1.0, 7.0))
+    scene = mass_on_rail(duration=1.0, control=(law,))
+    covered = covered_by(scene, 1e-8, 1e-8)
+    assert {each.element for each in covered.untested} == {"inertia of body 'mass'"}

@@ -1,0 +1,212 @@
+"""Both formulations: against the paper's symbols, against each other, and against physics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from constrained_motion import admissible_projector
+from finite_difference import derivative, jacobian
+from mechanisms import REGULAR, SLIDER_ACCELERATIONS, spinning_top
+
+from newton_euler.assemble import random_states
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.sparse import dense
+from newton_euler.model.euler_parameters import matrix_l, rotation
+from newton_euler.scalars import tilde
+
+
+def worst(a, b):
+    """Largest difference of two stacks of vectors, relative to the largest vector."""
+    return np.max(np.abs(np.asarray(a) - b)) / max(np.max(np.abs(b)), 1e-300)
+
+
+@pytest.mark.parametrize("formulation", [Relative, Cartesian])
+def test_slider_accelerations_at_the_start(tracker, formulation):
+    system = formulation(tracker)
+    at_start = system.evaluate(*system.coordinates(tracker.initial_state))
+    assert at_start.linear_acceleration[1:3, 2] == pytest.approx(SLIDER_ACCELERATIONS, abs=1e-6)
+
+
+def test_tracker_counts_as_the_paper_with_a_fixed_ground(tracker):
+    system = Cartesian(tracker)
+    matrix, right = system.system(*system.coordinates(tracker.initial_state))
+    assert (system.nv, system.rows, len(system.bodies)) == (42, 34, 6)
+    assert matrix.shape == (76, 76)
+    assert right.shape == (76,)
+    assert np.linalg.matrix_rank(system.phi_jacobian(system.coordinates(tracker.initial_state)[0])) == 40
+
+
+def test_tree_of_the_tracker_cuts_its_balls(tracker):
+    system = Relative(tracker)
+    assert [tracker.mechanism.joint_names[k] for k in system.tree.cuts] == ["ball_67", "ball_57"]
+    assert (system.tree.nq, system.nv) == (8, 8)
+
+
+def test_formulations_agree_at_random_states(tracker, tracker_states):
+    """Accelerations to 1e-10 and reactions to 1e-8: condition numbers of 1e4 to 1e5 times 1e-16."""
+    relative, cartesian = Relative(tracker), Cartesian(tracker)
+    for state in tracker_states:
+        a = relative.evaluate(*relative.coordinates(state))
+        b = cartesian.evaluate(*cartesian.coordinates(state))
+        assert worst(a.linear_acceleration, b.linear_acceleration) < 1e-10
+        assert worst(a.angular_acceleration, b.angular_acceleration) < 1e-10
+        assert worst(a.reaction_force, b.reaction_force) < 1e-8
+        assert worst(a.reaction_torque, b.reaction_torque) < 1e-8
+
+
+@pytest.mark.parametrize("build", REGULAR, ids=lambda build: build.__name__)
+def test_formulations_agree_on_every_joint_kind(build):
+    """As above; these mechanisms have moving parts of about 1 m and 1 kg, conditions below 1e5."""
+    scene = build()
+    relative, cartesian = Relative(scene), Cartesian(scene)
+    for state in random_states(scene, 10):
+        a = relative.evaluate(*relative.coordinates(state))
+        b = cartesian.evaluate(*cartesian.coordinates(state))
+        for name in ("position", "linear_velocity", "angular_velocity"):
+            assert worst(getattr(a.state, name), getattr(b.state, name)) < 1e-12
+        for name in ("linear_acceleration", "angular_acceleration"):
+            assert worst(getattr(a, name), getattr(b, name)) < 1e-10
+        one, two = (admissible_projector(f, state) for f in (relative, cartesian))
+        assert np.abs(one - two).max() < 1e-10
+        assert worst(a.reaction_force, b.reaction_force) < 1e-8
+        lever = max(np.abs(b.reaction_torque).max(), scene.mechanism.size * np.abs(b.reaction_force).max())
+        assert np.abs(a.reaction_torque - b.reaction_torque).max() < 1e-8 * lever
+
+
+def test_blocks_of_equation_21_are_the_papers(tracker, tracker_states):
+    """B = [Phi_r, 1/2 Phi_p L^T], Phi_q by differences on the unit spheres, b = omega' x J' omega'."""
+    system = Cartesian(replace(tracker, outputs=frozenset()))  # no work beside the coordinates
+    q, qdot = system.coordinates(tracker_states[0])
+    frames = system.frames(q, qdot)
+    n = len(system.bodies)
+    phi_q, b = (
+        dense(rows, columns)
+        for rows, columns in zip(system.joint_jacobian(q, frames), (7 * n, 6 * n), strict=True)
+    )
+    tangents = np.zeros((system.nq, 6 * len(system.bodies)))
+    for k, (_, p) in enumerate(system.split(q)):
+        columns = slice(7 * k + 3, 7 * k + 7)
+        half = 0.5 * phi_q[:, columns] @ matrix_l(p).T
+        assert np.allclose(b[:, 6 * k : 6 * k + 3], phi_q[:, 7 * k : 7 * k + 3])
+        assert np.allclose(b[:, 6 * k + 3 : 6 * k + 6], half, atol=1e-15)  # products of numbers below 1
+        tangents[7 * k : 7 * k + 3, 6 * k : 6 * k + 3] = np.eye(3)
+        tangents[columns, 6 * k + 3 : 6 * k + 6] = 0.5 * matrix_l(p).T
+
+    def phi_along(x):
+        return system.joint_phi(q + tangents @ x)
+
+    # second-order terms off the unit sphere are odd-free and cancel in the central difference
+    assert np.allclose(jacobian(phi_along, tangents.shape[1]), phi_q @ tangents, atol=1e-10)
+    velocity_terms = system.velocity_terms(q, qdot)
+    for k, ((_, p), (_, pdot), body) in enumerate(
+        zip(system.split(q), system.split(qdot), system.bodies, strict=True)
+    ):
+        omega = 2.0 * matrix_l(p) @ pdot
+        expected = np.cross(omega, body.inertia @ omega)
+        assert np.allclose(velocity_terms[6 * k + 3 : 6 * k + 6], expected, rtol=0, atol=1e-15)
+    mass = system.mass_matrix(q)
+    assert np.allclose(mass[3:6, 3:7], 2.0 * system.bodies[0].inertia @ matrix_l(q[3:7]))
+    norm, p_rows, c = system.norm_terms(q, qdot)
+    p_matrix = dense(p_rows, 7 * n)
+    assert np.allclose(p_matrix @ qdot, 0.0, atol=1e-15)
+    assert np.allclose(norm, 0.0, atol=1e-15)
+    assert c[-1] == pytest.approx(qdot[-4:] @ qdot[-4:])
+
+
+def test_multipliers_are_the_papers_reaction_signs(tracker):
+    """Equations (17) and (18): m rddot = f + Phi_r^T lambda, on the panel, which no actuator drives."""
+    system = Cartesian(tracker)
+    q, qdot = system.coordinates(tracker.initial_state)
+    qddot, multipliers = system.solve(q, qdot)
+    b = dense(system.joint_jacobian(q, system.frames(q, qdot))[1], 36)
+    panel = tracker.mechanism.bodies[6]
+    force = b[:, 30:33].T @ multipliers
+    moment = b[:, 33:36].T @ multipliers
+    assert np.allclose(panel.mass * qddot[35:38], force, atol=1e-13)
+    assert np.allclose(panel.inertia @ (2.0 * matrix_l(q[38:42]) @ qddot[38:42]), moment, atol=1e-13)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 10.0])
+def test_baumgarte_terms(tracker, tracker_states, alpha):
+    """Off the constraints, Phi'' = -2 alpha Phi' - alpha^2 Phi, Euler-parameter rows included."""
+    rng = np.random.default_rng(2)
+    tracker = replace(tracker, outputs=frozenset())  # no work beside the coordinates
+    cartesian = Cartesian(tracker, alpha)
+    q, v = cartesian.coordinates(tracker_states[1])
+    q, v = q + 1e-3 * rng.standard_normal(q.size), v + 1e-3 * rng.standard_normal(v.size)
+    a = cartesian.acceleration(q, v)
+    norm, p_rows, c = cartesian.norm_terms(q, v)
+    p_matrix = dense(p_rows, q.size)
+    second_rate = p_matrix @ a + c
+    assert np.allclose(second_rate, -2 * alpha * (p_matrix @ v) - alpha**2 * norm, atol=1e-11)
+    phi, gamma = cartesian.joint_phi(q), cartesian.joint_gamma(q, cartesian.frames(q, v))
+    phi_q = dense(cartesian.joint_jacobian(q, cartesian.frames(q, v))[0], q.size)
+    expected = -2 * alpha * (phi_q @ v) - alpha**2 * phi
+    # accelerations are of order 1e2 and the matrix has condition 1e4
+    assert np.allclose(phi_q @ a - gamma, expected, atol=1e-9)
+    relative = Relative(tracker, alpha)
+    q, v = relative.coordinates(tracker_states[1])
+    q, v = q + 1e-3 * rng.standard_normal(8), v + 1e-3 * rng.standard_normal(8)
+    a = relative.acceleration(q, v)
+    rate = derivative(lambda s: relative.phi_jacobian(q + s * v + 0.5 * s**2 * a) @ (v + s * a))
+    expected = -2 * alpha * (relative.phi_jacobian(q) @ v) - alpha**2 * relative.phi(q)
+    assert np.allclose(rate, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("build", REGULAR, ids=lambda build: build.__name__)
+@pytest.mark.parametrize("formulation", [Relative, Cartesian])
+def test_jacobian_is_the_derivative_of_phi_along_retract(build, formulation):
+    system = formulation(build())
+    q, _ = system.coordinates(system.scene.initial_state)
+    if not len(system.phi(q)):
+        assert formulation is Relative  # a tree has no loop to close
+        return
+    numerical = jacobian(lambda x: system.phi(system.retract(q, x)), system.nv)
+    analytic = system.phi_jacobian(q)
+    if formulation is Cartesian:  # the paper's Phi_p is the derivative along the unit spheres only
+        tangent = np.eye(system.nq)
+        for k, (_, p) in enumerate(system.split(q)):
+            block = slice(7 * k + 3, 7 * k + 7)
+            tangent[block, block] -= np.outer(p, p)
+        numerical, analytic = numerical @ tangent, analytic @ tangent
+    assert np.allclose(numerical, analytic, atol=1e-10)  # see finite_difference.derivative
+
+
+@pytest.mark.parametrize("build", REGULAR, ids=lambda build: build.__name__)
+def test_power_balances(build):
+    """d(kinetic + potential)/dt = 0 without actuators: reactions do no work, gravity's is potential."""
+    scene = build()
+    system = Relative(scene)
+    for state in random_states(scene, 3):
+        at = system.evaluate(*system.coordinates(state))
+        power = 0.0
+        for k, body in enumerate(scene.mechanism.bodies[1:], start=1):
+            a = rotation(at.state.quaternion[k])
+            world = a @ body.inertia @ a.T
+            omega = at.state.angular_velocity[k]
+            momentum_rate = world @ at.angular_acceleration[k] + tilde(omega) @ world @ omega
+            power += omega @ momentum_rate
+            power += body.mass * at.state.linear_velocity[k] @ (at.linear_acceleration[k] - scene.gravity)
+        # terms of order 100 W
+        assert abs(power) < 1e-11
+
+
+def test_top_follows_euler_equations_about_its_fixed_point():
+    scene = spinning_top()
+    top = scene.mechanism.bodies[1]
+    for formulation in (Relative, Cartesian):
+        system = formulation(scene)
+        at = system.evaluate(*system.coordinates(scene.initial_state))
+        r, omega = at.state.position[1], at.state.angular_velocity[1]
+        a = rotation(at.state.quaternion[1])
+        about_tip = a @ top.inertia @ a.T + top.mass * (r @ r * np.eye(3) - np.outer(r, r))
+        torque = np.cross(r, top.mass * scene.gravity)
+        expected = np.linalg.solve(about_tip, torque - np.cross(omega, about_tip @ omega))
+        assert np.allclose(at.angular_acceleration[1], expected, rtol=1e-12)  # 3 x 3, condition below 100
+        acceleration = np.cross(expected, r) + np.cross(omega, np.cross(omega, r))
+        support = top.mass * (acceleration - scene.gravity)
+        assert np.allclose(at.reaction_force[0], support, rtol=1e-12)
+        assert np.allclose(at.reaction_torque[0], 0.0, atol=1e-12)

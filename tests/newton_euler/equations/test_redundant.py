@@ -1,0 +1,243 @@
+"""Redundant constraints and mechanisms of any size: what is unique must not depend on either."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mechanisms import REGULAR, ball_loop, bolted, pendulum, planar_four_bar, scaled
+
+import newton_euler
+from crosscheck.scenes import load
+from crosscheck.studies.stress.singular import from_flat
+from newton_euler.assemble import random_states
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.redundancy import NearlyRedundant, mobility, rows_in_use
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.row_choice import other_rows
+from newton_euler.equations.solve import independent_rows, minimum_norm, rank
+from newton_euler.equations.sparse import dense
+from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
+from newton_euler.model.control import PD
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.joints import Fixed, Revolute, Spherical
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.simulate import CompiledScene
+
+FORMULATIONS = (Relative, Cartesian)
+
+
+def accelerations(formulation, scene, state):
+    system = formulation(scene)
+    at = system.evaluate(*system.coordinates(state))
+    return at.linear_acceleration, at.angular_acceleration
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("factor", [1e-3, 0.03, 1.0, 30.0, 1e3])
+@pytest.mark.parametrize("build", [planar_four_bar, ball_loop], ids=lambda build: build.__name__)
+def test_accelerations_scale_with_the_mechanism(formulation, factor, build):
+    scene = build()
+    small = scaled(scene, factor)
+    for state in random_states(scene, 3):
+        grown = replace(
+            state, position=factor * state.position, linear_velocity=factor * state.linear_velocity
+        )
+        linear, angular = accelerations(Relative, scene, state)
+        found = accelerations(formulation, small, grown)
+        # dimensionless systems of condition below 1e5
+        assert np.abs(found[0] / factor - linear).max() < 1e-10 * np.abs(linear).max()
+        assert np.abs(found[1] - angular).max() < 1e-10 * np.abs(angular).max()
+
+
+BOLTS = [(Fixed, {}), (Spherical, {}), (Revolute, {"axis": [0.3, 0.5, -0.2]})]
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize(("kind", "axes"), BOLTS, ids=[kind.kind for kind, _ in BOLTS])
+def test_a_second_bolt_changes_nothing(formulation, kind, axes):
+    one, two = bolted(None), bolted(kind, **axes)
+    for state in random_states(one, 3):
+        for found, wanted in zip(
+            accelerations(formulation, two, state), accelerations(Relative, one, state), strict=True
+        ):
+            assert np.abs(found - wanted).max() < 1e-11 * np.abs(wanted).max()  # condition below 1e4
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_redundant_reactions_are_the_smallest(formulation):
+    """Of all multipliers with the same accelerations: orthogonal to those that do nothing."""
+    system = formulation(planar_four_bar())
+    state = random_states(system.scene, 1)[0]
+    q, v = system.coordinates(state)
+    if formulation is Cartesian:
+        rows, units = system.joint_jacobian(q, system.frames(q, v))[0], system.row_units
+        multipliers = system.solve(q, v)[1]
+    else:
+        links = system.links(q, v)
+        rows, units = system.loop_terms(q, v, links)[1], system.phi_units
+        multipliers = system._solve(q, v, links)[1]
+    left = (dense(rows, system.nv) * system.velocity_units / units[:, None]).T
+    _, s, vt = np.linalg.svd(left)
+    idle = vt[np.sum(s > 1e-9) :]
+    assert len(idle) == 3  # a flat loop in space has three equations too many
+    assert np.abs(idle @ (units * multipliers)).max() < 1e-10 * np.abs(units * multipliers).max()
+
+
+def test_rank_is_absolute_as_well_as_relative():
+    assert rank(1e-15 * np.eye(3)) == 0
+    assert rank(np.diag([1e6, 1.0, 1e-8])) == 2
+    assert rank(np.zeros((0, 3))) == 0
+    ones = np.ones(3)
+    assert independent_rows(np.array([[1.0, 0, 0], [2.0, 0, 0], [0, 1e-14, 0]]), ones, ones).shape == (3, 1)
+    x = minimum_norm(np.array([[1.0, 1.0, 0.0]]), np.array([2.0]), np.ones(1), np.array([1.0, 1.0, 5.0]))
+    assert x == pytest.approx([1.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize("formulation", ["relative", "cartesian"])
+@pytest.mark.parametrize("target", [4.0, -7.0])
+def test_a_hinge_is_driven_past_half_a_turn(formulation, target):
+    """The law's angle is the one turned through, not the one that poses show."""
+    scene = pendulum()
+    joint = replace(scene.mechanism.joints[0], actuated=True)
+    driven = replace(
+        scene,
+        mechanism=Mechanism(scene.mechanism.bodies, [joint]),
+        control=(PD("pivot", 20.0, 5.0, target),),
+        gravity=(0.0, 0.0, 0.0),
+        duration=8.0,
+        initial_state=None,
+    )
+    run = newton_euler.simulate(driven, formulation)
+    assert abs(run.actuator_force[0, 0]) == pytest.approx(20.0 * abs(target))
+    assert np.abs(run.actuator_force[-1]).max() < 1e-6  # e^(-4 t) of 140 N m
+    a = np.arctan2(run.position[-1, 1, 0], run.position[-1, 1, 2])
+    b = np.arctan2(run.position[0, 1, 0], run.position[0, 1, 2])
+    assert np.remainder(a - b - target + np.pi, 2 * np.pi) - np.pi == pytest.approx(0.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("build", REGULAR, ids=lambda build: build.__name__)
+def test_assembly_closes_a_disturbed_state(build):
+    scene = build()
+    rng = np.random.default_rng(4)
+    start = State.initial(scene.mechanism)
+    loose = State(
+        start.position
+        + 1e-3 * rng.standard_normal(start.position.shape) * (start.position != 0.0).any(axis=1)[:, None],
+        start.quaternion,
+        rng.standard_normal(start.position.shape),
+        rng.standard_normal(start.position.shape),
+    )
+    state = newton_euler.assemble(scene, loose)
+    frames = state.frames()
+    for equations in scene.mechanism.equations:
+        i, j = frames[equations.first], frames[equations.second]
+        assert np.abs(equations.phi(i, j)).max(initial=0.0) < 1e-14
+        assert np.abs(equations.jacobian(i, j).rate(i, j)).max(initial=0.0) < 1e-13
+    assert np.array_equal(state.position[0], start.position[0])
+    assert np.abs(state.position - loose.position).max() < 1e-2  # no farther than it must
+    assert replace(scene, initial_state=state).initial_state is state
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_a_flat_start_leaves_no_pivot_that_is_usually_zero(formulation):
+    """A parallelogram that lies flat: one row is exactly zero there, and nowhere near."""
+    thin = np.diag([1e-4, 0.02, 0.02])
+    bodies = [
+        Body.ground(),
+        Body("crank", 1.0, [0.25, 0.0, 0.0], thin),
+        Body("coupler", 1.0, [1.0, 0.0, 0.0], thin),
+        Body("rocker", 1.0, [1.25, 0.0, 0.0], thin),
+    ]
+    joints = [
+        Revolute("a", "ground", "crank", [0.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0]),
+        Revolute("b", "crank", "coupler", [0.5, 0.0, 0.0], axis=[0.0, 1.0, 0.0]),
+        Revolute("c", "ground", "rocker", [1.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0]),
+        Spherical("d", "coupler", "rocker", [1.5, 0.0, 0.0]),
+    ]
+    scene = Scene("flat", Mechanism(bodies, joints), 1.0, 0.1, (0.0, 0.0, -9.81))
+    rows = rows_in_use(formulation(scene))
+    # of pivots that are 1 in a unit of their own; round-off is below 1e-15 of that
+    assert min(rows.scales) > 1e-9 * max(rows.scales)
+    with pytest.raises(NewtonEulerError, match=r"at t = 0 s: the run starts at rest at a singular.*joint '"):
+        newton_euler.simulate(scene, "relative" if formulation is Relative else "cartesian")
+
+
+@pytest.mark.parametrize("own", [False, True], ids=["a state of upright bars", "drawn flat"])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("windows", [2, 5])
+def test_from_flat_bars_the_rows_are_those_of_upright_ones(windows, formulation, own):
+    """Where bars lie flat a row a window is dependent that is not elsewhere."""
+    upright = load("four_bar", N=windows)
+    flat = from_flat(upright, windows)
+    if own:
+        flat = replace(flat, mechanism=drawn_at(flat.mechanism, flat.initial_state))
+    assert len(rows_in_use(formulation(flat)).numbers) == len(rows_in_use(formulation(upright)).numbers)
+    assert len(mobility(flat).redundant) == len(mobility(upright).redundant)
+
+
+def drawn_at(mechanism: Mechanism, state: State) -> Mechanism:
+    """The mechanism of hinges with another state's pose as its own."""
+    bodies = [
+        replace(body, center_of_mass=state.position[k], quaternion=state.quaternion[k])
+        for k, body in enumerate(mechanism.bodies)
+    ]
+    joints = []
+    for joint in mechanism.joints:
+        k = mechanism.body_index(joint.first)
+        body, turned = mechanism.bodies[k], rotation(state.quaternion[k])
+        arm = rotation(body.quaternion).T @ (joint.point - body.center_of_mass)
+        point = state.position[k] + turned @ arm
+        joints.append(replace(joint, point=point, point_on_second=point))
+    return Mechanism(bodies, joints)
+
+
+@pytest.fixture(scope="module")
+def bricard():
+    """Bricard's mechanism past 1.248 s, where one row of a hinge comes to depend on all others but one."""
+    outputs = frozenset({"velocities"})
+    scene = replace(load("bricard"), duration=1.3, output_period=0.02, outputs=outputs)
+    return scene, newton_euler.simulate(scene, rtol=1e-12, atol=1e-14)
+
+
+def test_other_rows_are_independent_all_the_way(bricard):
+    scene, run = bricard
+    system, decided = Relative(scene), mobility(scene)
+    still = np.zeros((len(scene.mechanism.bodies), 3))
+    way = [State(*pose, still, still) for pose in zip(run.position, run.quaternion, strict=True)]
+    jacobians = [dimensionless_jacobian(system, system.coordinates(state)[0]) for state in way]
+    alive = sorted({*decided.independent, *decided.redundant})
+    choices = [[row for row in alive if row != left_out] for left_out in alive]
+
+    def smallest(rows):
+        return min(np.linalg.svd(jacobian[rows])[1][-1] for jacobian in jacobians)
+
+    worst, best = min(choices, key=smallest), max(choices, key=smallest)
+    assert smallest(worst) < 1e-2
+    assert other_rows(scene, worst, way) == best
+    assert other_rows(scene, best, way) is None
+    assert other_rows(scene, worst, []) is None
+
+
+def test_a_run_stops_at_rows_that_degenerate_and_goes_on_with_others(bricard, monkeypatch):
+    """Rows that a compiled scene is told to use, of which one comes to depend on the others.
+
+    What there is to warn of is said once, however many rows are tried.
+    """
+    scene, wanted = bricard
+    weak = NearlyRedundant("hinge", 1e-7, "literally")
+    monkeypatch.setattr(CompiledScene, "nearly_redundant", (weak,))
+    decided = mobility(scene)
+    alive = sorted({*decided.independent, *decided.redundant})
+    for left_out in alive:
+        used = [row for row in alive if row != left_out]
+        code = CompiledScene(scene, "cartesian", independent=used)
+        with pytest.warns(NearlyRedundantWarning) as heard:
+            found = code.simulate(rtol=1e-12, atol=1e-14)
+        assert len(heard) == 1
+        # 30 steps to 1e-12 each
+        assert found.position == pytest.approx(wanted.position, abs=1e-10), left_out

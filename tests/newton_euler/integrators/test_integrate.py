@@ -1,0 +1,146 @@
+"""Integrators: closed-form pendulum, measured orders, projection, and refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mechanisms import ball_loop, pendulum, slider_tree, spinning_top
+from scipy.special import ellipj, ellipk
+
+import newton_euler
+from crosscheck.scenes import load
+from newton_euler.equations.relative import Relative
+from newton_euler.errors import IntegrationError, OptionError, UnknownNameError
+from newton_euler.integrators.integrate import INTEGRATORS, Options, integrate
+from newton_euler.integrators.stabilize import STABILIZATIONS
+from newton_euler.model.control import PD
+from newton_euler.model.euler_parameters import angle_between
+from newton_euler.simulate import run
+
+
+def exact_height(scene, times):
+    """Height of a physical pendulum's centre of mass, by Jacobi's elliptic functions.
+
+    phi = angle from hanging: sin(phi/2) = k sn(K + w t | k^2), k = sin(phi0 / 2), w^2 = m g c / I.
+    """
+    rod = scene.mechanism.bodies[1]
+    c = np.linalg.norm(rod.center_of_mass)
+    w = np.sqrt(rod.mass * 9.81 * c / (np.sort(np.linalg.eigvalsh(rod.inertia))[1] + rod.mass * c**2))
+    m = (1.0 + rod.center_of_mass[2] / c) / 2.0  # sin^2(phi0 / 2)
+    sn = ellipj(ellipk(m) + w * times, m)[0]
+    return -c * (1.0 - 2.0 * m * sn**2)
+
+
+@pytest.mark.parametrize("formulation", ["relative", "cartesian"])
+@pytest.mark.parametrize("integrator", ["DOP853", "Radau"])
+def test_pendulum_matches_its_closed_form(formulation, integrator):
+    scene = pendulum()
+    # Radau at order 5 needs many more steps for the same error
+    rtol, bound = (1e-12, 1e-10) if integrator == "DOP853" else (1e-8, 1e-6)
+    run = newton_euler.simulate(scene, formulation, integrator, rtol=rtol, atol=1e-2 * rtol)
+    assert np.abs(run.position[:, 1, 2] - exact_height(scene, run.time)).max() < bound
+    energy = run.kinetic_energy + run.potential_energy
+    assert np.abs(energy - energy[0]).max() < 10 * bound
+
+
+@pytest.mark.parametrize(("integrator", "order"), [("RK4", 4), ("Euler", 1)])
+@pytest.mark.parametrize("formulation", ["relative", "cartesian"])
+def test_measured_order_of_fixed_steps(integrator, order, formulation):
+    scene = replace(ball_loop(), duration=0.3)  # it falls through a singular pose later
+    exact = newton_euler.simulate(scene, rtol=1e-12, atol=1e-13)
+    errors = []
+    for step in (0.02, 0.01, 0.005):
+        run = newton_euler.simulate(scene, formulation, integrator, step=step)
+        errors.append(np.abs(run.position - exact.position).max())
+    measured = np.log2(np.array(errors[:-1]) / errors[1:])
+    # higher terms of the error at these steps shift the order by up to 0.3
+    assert np.all(np.abs(measured - order) < 0.3), measured
+
+
+def test_error_follows_the_tolerance():
+    scene = spinning_top()
+    exact = newton_euler.simulate(scene, rtol=1e-13, atol=1e-14)
+    for rtol in (1e-6, 1e-9):
+        run = newton_euler.simulate(scene, rtol=rtol, atol=rtol)
+        error = angle_between(run.quaternion, exact.quaternion).max()
+        # per-step control of order 8 over 10 turns: the global error stays within 100 tolerances
+        assert 0.0 < error < 100 * rtol
+
+
+def test_tree_with_balls_slides_and_a_free_body_in_both_formulations():
+    scene = slider_tree()
+    a = newton_euler.simulate(scene, "relative", rtol=1e-11)
+    b = newton_euler.simulate(scene, "cartesian", rtol=1e-11)
+    # motions of about 5 m at rtol 1e-11, some 50 steps
+    assert np.abs(a.position - b.position).max() < 1e-9
+    assert angle_between(a.quaternion, b.quaternion).max() < 1e-9
+    stone = scene.mechanism.body_index("stone")
+    fall = scene.mechanism.bodies[stone].center_of_mass[2] - 0.5 * 9.81 * a.time**2
+    assert np.abs(a.position[:, stone, 2] - fall).max() < 1e-10
+
+
+def test_projection_restores_positions_and_velocities():
+    scene = ball_loop()
+    system = Relative(scene)
+    rng = np.random.default_rng(0)
+    q, v = system.coordinates(scene.initial_state)
+    options = Options(integrator="RK4", step=0.05)
+    q, v = q + 1e-3 * rng.standard_normal(q.size), v + rng.standard_normal(v.size)
+    assert np.abs(system.phi(q)).max() > 1e-4
+    solution = integrate(system, q, v, np.array([0.0, 0.1]), options)
+    for q, v in zip(solution.q, solution.v, strict=True):
+        assert np.abs(system.phi(q)).max() < 1e-14  # round-off of metres
+        assert np.abs(system.phi_jacobian(q) @ v).max() < 1e-13
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"integrator": "Dopri"}, f"choose from: {', '.join(INTEGRATORS)}"),
+        ({"formulation": "lagrange"}, "choose from: relative, cartesian"),
+        ({"stabilization": "gggl"}, f"choose from: {', '.join(STABILIZATIONS)}"),
+        ({"rtol": 0.0}, "rtol is 0.0"),
+        ({"rtol": float("nan")}, "rtol is nan"),
+        ({"atol": -1.0}, "atol is -1.0"),
+        ({"integrator": "RK4"}, "step is None"),
+        ({"integrator": "RK4", "step": 0.0}, "step is 0.0"),
+        ({"integrator": "RK4", "step": True}, "step is True"),
+        ({"integrator": "Euler", "step": 1e-25}, "step is 1e-25"),
+        ({"step": 0.1}, "chooses its own steps"),
+        ({"alpha": float("inf")}, "alpha is inf"),
+        ({"most_steps": 0}, "most_steps is 0"),
+        ({"most_steps": 1e6}, "most_steps is 1000000.0"),
+    ],
+)
+def test_impossible_options_are_refused(options, message):
+    with pytest.raises((OptionError, UnknownNameError)) as caught:
+        newton_euler.simulate(pendulum(), **options)
+    assert message in str(caught.value)
+
+
+def test_a_run_that_gets_nowhere_says_so():
+    with pytest.raises(IntegrationError, match="more than 5 steps of DOP853"):
+        run(Relative(pendulum()), "newton_euler", Options(most_steps=5), {})
+    with pytest.raises(IntegrationError, match=r"more than 5 steps; .* at joint 'pivot'"):
+        newton_euler.simulate(pendulum(), most_steps=5)
+
+
+def test_a_run_that_explodes_says_when():
+    scene = pendulum()
+    joints = [replace(scene.mechanism.joints[0], actuated=True)]
+    mechanism = newton_euler.Mechanism(scene.mechanism.bodies, joints)
+    wild = replace(scene, mechanism=mechanism, control=(PD("pivot", 0.0, -1e5, 0.0),), initial_state=None)
+    with pytest.raises(IntegrationError, match="stopped at t = ") as caught:
+        newton_euler.simulate(wild, integrator="RK4", step=0.01)
+    assert 0.0 <= caught.value.time <= 2.0
+
+
+def test_hundreds_of_turns_cost_no_digits():
+    """A crank turns 500 times in 300 s; with its angle kept as it is, 1.5e-11 of the energy is lost."""
+    scene = replace(load("slider_crank"), duration=300.0, output_period=3.0, outputs=frozenset({"energy"}))
+    run = newton_euler.simulate(scene, rtol=1e-13, atol=1e-15)
+    energy = run.kinetic_energy + run.potential_energy
+    # 97,000 steps of 1e-13, most of it in phase
+    assert np.abs(energy - energy[0]).max() < 4e-12 * np.abs(energy).max()

@@ -1,0 +1,313 @@
+"""Runs through configurations where the constraints lose rank: right or refused, never another motion."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mechanisms import bar, pendulum
+from scipy.integrate import solve_ivp
+
+import newton_euler
+from newton_euler.errors import IntegrationError
+from newton_euler.integrators import march
+from newton_euler.integrators.stabilize import check_still_closed
+from newton_euler.model.joints import Free, Revolute
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import MassProperties, State
+
+Y = np.array([0.0, 1.0, 0.0])
+MASSES = (1.0, 2.0, 1.5)
+
+
+def parallelogram(angle, speed):
+    """Cranks of 1 m on a base of 2 m, unequal bars, from an angle above the base (rad) at a speed (rad/s)."""
+    a, d = np.zeros(3), np.array([2.0, 0.0, 0.0])
+    along = np.array([np.cos(angle), 0.0, np.sin(angle)])
+    b, c = a + along, d + along
+    ends = (("crank", a, b), ("coupler", b, c), ("rocker", d, c))
+    bodies = [bar(name, *pair, mass) for (name, *pair), mass in zip(ends, MASSES, strict=True)]
+    joints = [
+        Revolute("A", "ground", "crank", a, axis=Y),
+        Revolute("B", "crank", "coupler", b, axis=Y),
+        Revolute("C", "coupler", "rocker", c, axis=Y),
+        Revolute("D", "ground", "rocker", d, axis=Y),
+    ]
+    mechanism = Mechanism([Body.ground(), *bodies], joints)
+    state, turning = State.initial(mechanism), -speed * Y
+    tip = np.cross(turning, along)
+    state.linear_velocity[1:] = [0.5 * tip, tip, 0.5 * tip]
+    state.angular_velocity[[1, 3]] = turning
+    gravity = np.array([0.0, 0.0, -9.81])
+    return Scene("parallelogram", mechanism, 2.0, 0.1, gravity, initial_state=state)
+
+
+def crank(scene):
+    """(n, 3) centre of the crank: one angle describes it all."""
+    about_y = [float(Y @ inertia @ Y) for inertia in MassProperties.of(scene.mechanism).inertia]
+    inertia = about_y[1] + about_y[3] + 0.25 * (MASSES[0] + MASSES[2]) + MASSES[1]
+    weight = 9.81 * (0.5 * (MASSES[0] + MASSES[2]) + MASSES[1])
+    x, _, z = scene.mechanism.bodies[1].center_of_mass
+    start = [np.arctan2(z, x), -scene.initial_state.angular_velocity[1, 1]]
+    angle = solve_ivp(
+        lambda t, y: [y[1], -weight / inertia * np.cos(y[0])],
+        (0.0, scene.duration), start, method="DOP853", rtol=1e-13, atol=1e-14, t_eval=scene.times,
+    ).y[0]  # fmt: skip
+    return 0.5 * np.column_stack([np.cos(angle), 0.0 * angle, np.sin(angle)])
+
+
+STARTS = [(0.01273512508226915, 0.9629523373408642), (0.0331005, 6.3064917), (-0.0946231, 7.5090199)]
+
+
+def refusal(scene, tolerance, **options):
+    """Why a run stopped; empty if it went through, and then it is right."""
+    try:
+        run = newton_euler.simulate(scene, **options)
+    except IntegrationError as caught:
+        return str(caught)
+    assert np.abs(run.position[:, 1] - crank(scene)).max() < tolerance  # another branch is off by 1
+    return ""
+
+
+@pytest.mark.parametrize("rtol", [1e-9, 1e-10, 1e-11, 1e-12, 1e-13])
+@pytest.mark.parametrize(("angle", "speed"), STARTS)
+def test_projection_passes_or_refuses(angle, speed, rtol):
+    """From a few hundredths of a radian off flat, where the other branch is a metre away."""
+    reason = refusal(parallelogram(angle, speed), 1e-6, rtol=rtol, atol=1e-2 * rtol)
+    assert not reason or "near a singular configuration" in reason
+    assert not reason or rtol < 1e-10  # tighter than round-off allows there
+
+
+FORMULATIONS = ("relative", "cartesian")
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"stabilization": "baumgarte"},
+        {"stabilization": "none"},
+        {"integrator": "Radau", "rtol": 1e-8, "atol": 1e-10},
+        {"integrator": "Radau", "rtol": 1e-6, "atol": 1e-8},
+    ],
+)
+@pytest.mark.parametrize(("angle", "speed"), [*STARTS, (-1.0, -5.0)])
+def test_what_cannot_pass_says_so(angle, speed, options):
+    reason = refusal(parallelogram(angle, speed), 1e-3, **options)
+    assert not reason or "near a singular configuration" in reason
+
+
+@pytest.mark.parametrize("step", [1e-2, 1e-3, 3e-4])
+@pytest.mark.parametrize("stabilization", ["projection", "baumgarte"])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize(("angle", "speed"), [*STARTS, (-1.0, -5.0)])
+def test_fixed_steps_pass_or_refuse(angle, speed, formulation, stabilization, step):
+    """Of what goes over to the other branch, a metre away, nothing passes for a result."""
+    options = {"integrator": "RK4", "step": step, "stabilization": stabilization}
+    reason = refusal(parallelogram(angle, speed), 1e-4, formulation=formulation, **options)
+    assert not reason or "contradict each other near a singular configuration, where joint" in reason
+    # with projection they lose their digits only within 1e-4 rad, where few of these steps end
+    assert not reason or stabilization == "baumgarte" or step < 1e-3
+
+
+@pytest.mark.parametrize("step", [1e-2, 1e-3])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize(("angle", "speed"), [*STARTS, (0.008725, 6.961159), (-0.0934, 7.4808)])
+def test_fixed_steps_without_stabilization_pass_or_refuse(angle, speed, formulation, step):
+    """What is not seen near by, with long steps, is seen by joints that it opens."""
+    options = {"integrator": "RK4", "step": step, "stabilization": "none"}
+    # joints that are open by less than 0.01 of the size move the crank by as much
+    reason = refusal(parallelogram(angle, speed), 2e-2, formulation=formulation, **options)
+    assert not reason or "near a singular configuration" in reason or "has come open by" in reason
+
+
+def test_a_joint_that_comes_open_ends_a_run_where_it_does():
+    """A bar in Cartesian coordinates that nothing holds to its pivot, and what was closed enough before."""
+    scene = replace(pendulum(), duration=20.0, outputs=frozenset({"violation"}))
+    with pytest.raises(IntegrationError, match=r"joint .pivot. has come open by 0\.\d+ ") as caught:
+        newton_euler.simulate(scene, "cartesian", "RK4", step=5e-2, stabilization="none")
+    found = caught.value.partial
+    rows = len(found.time)
+    assert 1 < rows < len(scene.times)
+    assert caught.value.time == scene.times[rows]
+    assert found.constraint_violation.max() <= 1e-2 * max(1.0, scene.mechanism.longest)
+    with pytest.raises(IntegrationError) as unasked:  # for its violation
+        newton_euler.simulate(
+            replace(scene, outputs=frozenset()), "cartesian", "RK4", step=5e-2, stabilization="none"
+        )
+    assert unasked.value.time == caught.value.time
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize(("angle", "speed"), STARTS)
+def test_steps_of_order_1_stay_on_their_branch(angle, speed, formulation):
+    """Their error halves with the step: no digits are lost, and none are there to lose."""
+    scene = parallelogram(angle, speed)
+    errors = []
+    for step in (2e-4, 1e-4):
+        run = newton_euler.simulate(scene, formulation, "Euler", step=step)
+        errors.append(np.abs(run.position[:, 1] - crank(scene)).max())
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("gaps", "stops"),
+    [
+        ([0.0, 0.005, 0.009], None),
+        ([0.0, 0.005, 0.02], 2.0),
+        ([0.0, 0.02, 0.0], 1.0),
+        ([0.1, 0.15, 0.001], None),  # a start that gains close
+        ([0.1, 0.15, 0.21], 2.0),
+    ],
+)
+def test_what_is_open_and_what_has_come_open(gaps, stops):
+    scene = pendulum()
+    longest = scene.mechanism.longest  # the first residuals of a hinge are lengths
+    phi = np.zeros((3, 5))
+    phi[:, 1] = longest * np.array(gaps) * [1.0, -1.0, 1.0]
+    if stops is None:
+        check_still_closed(scene, np.arange(3.0), phi)
+        return
+    with pytest.raises(IntegrationError, match="joint 'pivot' has come open by") as caught:
+        check_still_closed(scene, np.arange(3.0), phi)
+    assert caught.value.time == stops
+
+
+def satellite(distance):
+    """An arm of 1 m that turns on a satellite so far away (m), whose own joint binds nothing."""
+    here = np.array([distance, 0.0, 0.0])
+    ball = np.diag([1.0, 1.0, 1.0])
+    arm = Body("arm", 1.0, [1.0 + distance, 0.0, 0.0], 0.01 * ball)
+    mechanism = Mechanism(
+        [Body.ground(), Body("satellite", 1e3, here, 10.0 * ball), arm],
+        [
+            Free("float", "ground", "satellite", np.zeros(3)),
+            Revolute("pin", "satellite", "arm", here, axis=Y),
+        ],
+    )
+    assert mechanism.longest == 1.0
+    state = State.initial(mechanism)
+    state.angular_velocity[2], state.linear_velocity[2] = 10.0 * Y, [0.0, 0.0, -10.0]
+    return Scene("satellite", mechanism, 20.0, 0.2, np.zeros(3), initial_state=state)
+
+
+def test_a_joint_of_what_floats_far_away_comes_open_as_here():
+    """No force depends on the place: only round-off does, by 1e-10 m at most."""
+    refusals = []
+    for distance in (0.0, 1e3, 1e6):
+        with pytest.raises(IntegrationError, match=r"joint .pin. has come open by 0\.01") as caught:
+            newton_euler.simulate(satellite(distance), "cartesian", "RK4", step=5e-2, stabilization="none")
+        refusals.append(str(caught.value))
+    assert len(set(refusals)) == 1
+
+
+def test_a_wheel_on_its_axle_is_as_long_as_its_mass_goes():
+    wheel = Body("wheel", 1e-9, np.zeros(3), 1e-21 * np.diag([0.25, 0.5, 0.25]))  # a disk of 1e-6 m
+    mechanism = Mechanism([Body.ground(), wheel], [Revolute("axle", "ground", "wheel", np.zeros(3), axis=Y)])
+    assert mechanism.longest == pytest.approx(1e-6 / np.sqrt(2.0))  # of its mass, r^2 / 2 on average
+    phi = np.array([[0.0] * 5, [2e-8, 0.0, 0.0, 0.0, 0.0]])
+    with pytest.raises(IntegrationError, match="joint 'axle' has come open by 2e-08"):
+        check_still_closed(Scene("wheel", mechanism, 1.0, 1.0), np.arange(2.0), phi)
+
+
+@pytest.mark.parametrize(("steps", "status"), [(9.5, march.DONE), (10.5, march.OPEN)])
+def test_what_the_last_newton_step_leaves_counts(steps, status):
+    """Steps that leave a fifth of the residual squared, of a start so many away from the tolerance."""
+    assert march.NEWTON_STEPS == 10
+
+    def position(x, scratch):
+        scratch[:] = [0.2 * x[0], x[0], 1.0]  # the residual squared stands for the state
+
+    x = np.array([march.OPEN_TOLERANCE**2 * 5.0**steps, 0.0])
+    begun = x[0]
+    system = march.Equations(
+        n=1,
+        nq=1,
+        inputs=2,
+        derivative=None,
+        dense=None,
+        projecting=1,
+        tolerance=1e-16,
+        lanes=1,
+        position=position,
+        velocity=None,
+        closing=None,
+        beside=np.zeros(5),
+        pause=None,
+        turning=np.zeros(1),
+        counts=np.zeros(march.COUNTS),
+    )
+    assert march.project(system, 0, x) == status
+    assert x[0] == pytest.approx(begun * 0.2**10)
+
+
+# Starting flat
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize(
+    "options", [{}, {"integrator": "RK4", "step": 1e-3}, {"integrator": "Euler", "step": 1e-3}], ids=str
+)
+def test_a_flat_start_in_motion_goes_on(formulation, options):
+    scene = parallelogram(0.0, 2.0)
+    run = newton_euler.simulate(scene, formulation, **options)
+    # 1e-3 of a radian a step: of order 1, and of order 4 but for the digits lost at passages
+    tolerance = {"RK4": 1e-3, "Euler": 1e-2}.get(options.get("integrator"), 1e-8)
+    assert np.abs(run.position[:, 1] - crank(scene)).max() < tolerance
+
+
+INTEGRATORS = [
+    {},
+    {"integrator": "Radau", "rtol": 1e-7, "atol": 1e-9},
+    {"integrator": "RK4", "step": 1e-3},
+    {"integrator": "Euler", "step": 1e-3},
+]
+
+SLOW = ("Radau", "cartesian")
+"""Whose Jacobian takes seconds to compile."""
+
+BOTH_FORMULATIONS = [
+    pytest.param(
+        options,
+        formulation,
+        marks=[pytest.mark.slow] * ((options.get("integrator"), formulation) == SLOW),
+        id=f"{options}-{formulation}",
+    )
+    for options in INTEGRATORS
+    for formulation in FORMULATIONS
+]
+
+
+@pytest.mark.parametrize(("options", "formulation"), BOTH_FORMULATIONS)
+def test_a_flat_start_at_rest_is_refused(formulation, options):
+    """Both branches begin with the same velocities, none; no equation tells them apart."""
+    with pytest.raises(IntegrationError) as caught:
+        newton_euler.simulate(parallelogram(0.0, 0.0), formulation, **options)
+    assert caught.value.time == 0.0
+    message = (
+        r"the run starts at rest at a singular configuration, where joint '[A-D]' loses rank, and which way"
+    )
+    assert re.search(message, caught.value.reason)
+
+
+@pytest.mark.parametrize("stabilization", ["projection", "none"])
+@pytest.mark.parametrize(("options", "formulation"), BOTH_FORMULATIONS)
+def test_flat_bars_that_nothing_pulls_at_stay(formulation, options, stabilization):
+    scene = replace(parallelogram(0.0, 0.0), gravity=np.zeros(3))
+    if "step" in options:
+        options = options | {"step": 0.1}  # in Python, where the dense path is
+    run = newton_euler.simulate(scene, formulation, stabilization=stabilization, **options)
+    assert np.ptp(run.position, axis=0).max() < 1e-12
+    assert run.kinetic_energy.max() < 1e-24
+
+
+@pytest.mark.parametrize("stabilization", ["baumgarte", "none"])
+@pytest.mark.parametrize("options", INTEGRATORS[:3], ids=str)
+def test_a_flat_start_without_projection_is_refused(options, stabilization):
+    with pytest.raises(
+        IntegrationError, match="starts without projection at a singular configuration"
+    ) as caught:
+        newton_euler.simulate(parallelogram(0.0, 2.0), stabilization=stabilization, **options)
+    assert caught.value.time == 0.0

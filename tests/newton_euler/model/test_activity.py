@@ -1,0 +1,147 @@
+"""What limits, contacts and dry friction of a file did in a run without them, against closed forms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from mjcf.read import read
+from newton_euler import simulate
+from newton_euler.model.activity import Course
+from newton_euler.model.mapping import Mapping
+from urdf.read import read as read_urdf
+
+FALL = """<mujoco><option gravity="0 0 -10"/><worldbody>
+<geom name="floor" type="plane" size="9 9 1"/>{above}
+<body name="ball" pos="0 0 1.3"><freejoint/><geom name="ball" size="0.1" margin="{margin}"/></body>
+</worldbody></mujoco>"""
+
+SWING = """<mujoco><option gravity="0 0 {gravity}"/><worldbody><site name="wall" pos="1 0 0"/>
+<body><joint name="j" axis="0 1 0" {joint}/><geom type="box" size="0.5 0.1 0.1" pos="0.5 0 0" mass="1"/>
+<site name="tip" pos="1 0 0"/></body></worldbody>{more}</mujoco>"""
+"""A bar, level at the start."""
+
+
+def after(path: Path, duration: float) -> Mapping:
+    found = (read_urdf if path.suffix == ".urdf" else read)(path, duration=duration, output_period=0.01)
+    return found.report.after(Course(found.scene, simulate(found.scene)))
+
+
+def told(report: Mapping, start: str) -> tuple[str, str]:
+    (entry,) = (e for e in report.entries if f"{e.element}: {e.how}".startswith(start))
+    return entry.fate, entry.how
+
+
+def mjcf(folder: Path, text: str) -> Path:
+    path = folder / "model.xml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("duration", "margin", "fate", "how"),
+    [
+        (0.48, 0.0, "inactive", "inactive at all 49 output times"),
+        # it has 1.2 m to fall, sqrt(2 * 1.2 / 10) = 0.4899 s
+        (
+            0.5,
+            0.0,
+            "left out",
+            "active at 2 of 51 output times, first at 0.49 s: geom 'floor' and geom 'ball'",
+        ),
+        # 0.2 m earlier: sqrt(2 * 1.0 / 10) = 0.4472 s
+        (0.48, 0.2, "left out", "active at 4 of 49 output times, first at 0.45 s"),
+    ],
+)
+def test_contacts_are_seen_by_their_margin(duration, margin, fate, how, tmp_path):
+    report = after(mjcf(tmp_path, FALL.format(margin=margin, above="")), duration)
+    found = told(report, "2 geoms that can touch")
+    assert found[0] == fate
+    assert how in found[1]
+    assert report.counts() == f"1 element is {fate}"
+
+
+def test_contacts_are_seen_on_all_parts_of_a_body(tmp_path):
+    """A ball on an arm that is fixed to a turning body, which MuJoCo has as a body of its own."""
+    text = """<mujoco><option gravity="0 0 0"/><worldbody>
+    <geom name="post" type="sphere" size="0.1" pos="0 1 0"/>
+    <body><joint name="j" axis="0 0 1"/><geom type="sphere" size="0.1" contype="0" conaffinity="0"/>
+    <body pos="1 0 0" euler="30 20 10"><geom name="hand" size="0.1"/></body></body></worldbody>
+    <keyframe><key qvel="1"/></keyframe></mujoco>"""
+    fate, how = told(after(mjcf(tmp_path, text), 1.6), "2 geoms that can touch")
+    # the centers are 0.2 m apart at a chord of 2 sin(angle / 2): from pi/2 - 0.2003 = 1.3705 s on
+    assert fate == "left out"
+    assert "first at 1.38 s: geom 'post' and geom 'hand'" in how
+
+
+def test_limits_are_seen_with_how_near_they_came(tmp_path):
+    """Without gravity the angle is the rate times time."""
+    text = SWING.format(gravity=0, joint='range="-20 {}"', more='<keyframe><key qvel="1"/></keyframe>')
+    fate, how = told(after(mjcf(tmp_path, text.format(60)), 1.0), "joint 'j': its limits")
+    assert (fate, how.split("; ")[-1]) == ("inactive", "closest 0.0472 rad at 1 s")  # pi/3 - 1
+    fate, how = told(after(mjcf(tmp_path, text.format(45)), 1.0), "joint 'j': its limits")
+    assert (fate, how.split("; ")[-1]) == ("left out", "passed from 0.79 s on, by up to 0.215 rad")
+
+
+def test_turns_are_counted(tmp_path):
+    text = SWING.format(gravity=0, joint='range="-20 720"', more='<keyframe><key qvel="10"/></keyframe>')
+    fate, how = told(after(mjcf(tmp_path, text), 1.5), "joint 'j': its limits")
+    assert (fate, how.split("; ")[-1]) == ("left out", "passed from 1.26 s on, by up to 2.43 rad")
+
+
+def test_dry_friction_does_nothing_where_nothing_moves(tmp_path):
+    text = SWING.format(gravity="{}", joint='frictionloss="0.1"', more="")
+    assert told(after(mjcf(tmp_path, text.format(0)), 0.1), "joint 'j': its dry")[0] == "inactive"
+    fate, how = told(after(mjcf(tmp_path, text.format(-10)), 0.1), "joint 'j': its dry")
+    assert (fate, how.split("; ")[-1]) == ("left out", "moves from 0.01 s on")
+
+
+@pytest.mark.parametrize(("limit", "fate"), [(0.9, "left out"), (1.0, "inactive")])
+def test_limits_of_tendons_through_sites(limit, fate, tmp_path):
+    """The tip of the bar goes around a circle of 1 m: the chord is 2 sin(t / 2), 0.9589 at 1 s."""
+    sites = '<site site="wall"/><site site="tip"/>'
+    more = f'<tendon><spatial name="t" range="-1 {limit}">{sites}</spatial></tendon>'
+    text = SWING.format(gravity=0, joint="", more=more + '<keyframe><key qvel="1"/></keyframe>')
+    found, how = told(after(mjcf(tmp_path, text), 1.0), "tendon 't': its limits")
+    assert found == fate
+    assert ("0.0411 m at 1 s" if fate == "inactive" else "passed from 0.94 s on, by up to 0.0589 m") in how
+
+
+@pytest.mark.parametrize(("limit", "fate"), [(2.9, "left out"), (3.1, "inactive")])
+def test_limits_of_the_force_of_an_actuator(limit, fate, tmp_path):
+    """A position servo on a heavy wheel of constant rate 1: kp (0 - x) is -3 at 1 s."""
+    text = SWING.format(
+        gravity=0,
+        joint='armature="1e6"',
+        more=f'<actuator><position name="servo" joint="j" kp="3" forcerange="-{limit} {limit}"/></actuator>'
+        + '<keyframe><key qvel="1"/></keyframe>',
+    )
+    assert told(after(mjcf(tmp_path, text), 1.0), "actuator 'servo': its limit of the force")[0] == fate
+
+
+@pytest.mark.parametrize(
+    ("speed", "upper", "fate"), [(2, 2, "inactive"), (1, 2, "left out"), (2, 0.3, "left out")]
+)
+def test_limits_of_a_urdf(speed, upper, fate, tmp_path):
+    """A point mass on a slide falls by 10 / 2 * 0.12^2 = 0.07 m, at 1.2 m/s in the end; from 0.25 m."""
+    path = tmp_path / "robot.urdf"
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    path.write_text(
+        f"""<robot name="r"><link name="base"/>
+        <link name="m"><inertial><mass value="1"/>{inertia}</inertial></link>
+        <joint name="j" type="prismatic"><parent link="base"/><child link="m"/><axis xyz="0 0 -1"/>
+        <limit lower="-1" upper="{upper - 0.25}" velocity="{speed}" effort="1"/></joint></robot>"""
+    )
+    found, how = told(after(path, 0.12), "joint 'j': its limits")
+    assert found == fate
+    if upper == 0.3:
+        assert "passed from 0.11 s on" in how  # 9.81 / 2 t^2 > 0.05
+
+
+def test_an_element_counts_once_as_the_worst_of_it(tmp_path):
+    joint = 'range="-90 90" frictionloss="0.1"'
+    report = after(mjcf(tmp_path, SWING.format(gravity=-10, joint=joint, more="")), 0.1)
+    fates = {e.topic: e.fate for e in report.entries if e.element == "joint 'j'" and e.topic}
+    assert fates == {"limits": "inactive", "dry friction": "left out"}
+    assert report.counts() == "1 element is inactive, 1 left out"  # the bar's geom touches nothing

@@ -1,0 +1,256 @@
+"""What the public constructors refuse: errors of the package's own for any value at all, and no warning."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from mechanisms import pendulum
+
+import newton_euler
+from newton_euler import (
+    PD,
+    Body,
+    Gear,
+    JointSpring,
+    Mechanism,
+    PointSpring,
+    Polynomial,
+    PrescribedMotion,
+    Sampled,
+    Scene,
+    Sine,
+    State,
+    Sum,
+    Wrench,
+)
+from newton_euler.errors import NewtonEulerError
+from newton_euler.model.armature import Armature
+from newton_euler.model.joints import JOINT_KINDS
+from newton_euler.model.shapes import Box, Capsule
+
+ORIGIN, Y, Z = [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
+MECHANISM = pendulum().mechanism
+
+GOOD: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
+    "Body": (
+        Body,
+        {
+            "name": "a",
+            "mass": 1.0,
+            "center_of_mass": ORIGIN,
+            "inertia": np.eye(3),
+            "quaternion": [1.0, 0, 0, 0],
+        },
+    ),
+    "Box": (Box, {"half_sizes": [1.0, 1.0, 1.0], "center": ORIGIN, "quaternion": [1.0, 0, 0, 0]}),
+    "Capsule": (Capsule, {"start": ORIGIN, "end": Z, "radius": 0.1}),
+    "Gear": (Gear, {"name": "g", "driver": "a", "follower": "b", "ratio": 2.0, "driver_coordinate": 0}),
+    "Polynomial": (Polynomial, {"coefficients": [1.0]}),
+    "Sine": (Sine, {"amplitude": 1.0, "angular_frequency": 2.0, "phase": 0.1, "offset": 0.2}),
+    "Sum": (Sum, {"terms": [Polynomial([1.0])]}),
+    "PrescribedMotion": (
+        PrescribedMotion,
+        {"joint": "pivot", "function": Polynomial([0.0]), "coordinate": 0},
+    ),
+    "PD": (
+        PD,
+        {"joint": "a", "stiffness": 1.0, "damping": 1.0, "target": 0.0, "coordinate": 0, "feedforward": 0.0},
+    ),
+    "Sampled": (Sampled, {"joint": "a", "controller": lambda t, x, v: 0.0, "period": 0.1, "coordinate": 0}),
+    "JointSpring": (
+        JointSpring,
+        {"joint": "a", "stiffness": 1.0, "damping": 0.0, "rest": 0.0, "coordinate": 0},
+    ),
+    "PointSpring": (
+        PointSpring,
+        {
+            "name": "s",
+            "first": "ground",
+            "second": "rod",
+            "point_on_first": ORIGIN,
+            "point_on_second": Z,
+            "stiffness": 1.0,
+            "rest_length": 1.0,
+            "damping": 0.0,
+        },
+    ),
+    "Wrench": (
+        Wrench,
+        {"name": "w", "body": "rod", "point": ORIGIN, "force": Z, "torque": ORIGIN, "frame": "world"},
+    ),
+    "Armature": (Armature, {"joint": "a", "inertia": 1.0, "coordinate": 0}),
+    "Mechanism": (Mechanism, {"bodies": MECHANISM.bodies, "joints": MECHANISM.joints, "couplings": ()}),
+    "Scene": (
+        Scene,
+        {
+            "name": "s",
+            "mechanism": MECHANISM,
+            "duration": 1.0,
+            "output_period": 0.1,
+            "gravity": ORIGIN,
+            "control": (),
+            "initial_state": State.initial(MECHANISM),
+            "outputs": ["energy"],
+            "forces": (),
+            "motions": (),
+            "armatures": (),
+            "description": "",
+        },
+    ),
+    "simulate": (
+        lambda **options: newton_euler.simulate(options.pop("scene", pendulum()), **options),
+        {
+            "formulation": "relative",
+            "integrator": "DOP853",
+            "rtol": 1e-3,
+            "atol": 1e-3,
+            "step": None,
+            "stabilization": "none",
+            "alpha": 1.0,
+            "most_steps": 100,
+        },
+    ),
+    "compile_scene": (
+        lambda **options: newton_euler.compile_scene(pendulum(), **options),
+        {"formulation": "relative", "stabilization": "projection", "alpha": 1.0, "parameters": ()},
+    ),
+}
+
+OVERFLOWING: dict[str, Callable[[], object]] = {
+    "a joint far from its body": lambda: Mechanism(
+        [Body.ground(), Body("a", 1.0, [1e308] * 3, np.eye(3))],
+        [JOINT_KINDS["revolute"]("j", "ground", "a", [-1e308] * 3, axis=Z)],
+    ),
+    "a quaternion": lambda: Mechanism(
+        [Body.ground(), Body("a", 1.0, ORIGIN, np.eye(3), [1e200] * 4)],
+        [JOINT_KINDS["free"]("j", "ground", "a", ORIGIN)],
+    ),
+    "an inertia": lambda: Mechanism(
+        [Body.ground(), Body("a", 1.0, ORIGIN, 1e308 * np.array([[1.0, -1.0, 0], [1.0, 1.0, 0], Z]))],
+        [JOINT_KINDS["free"]("j", "ground", "a", ORIGIN)],
+    ),
+    "an initial quaternion": lambda: Scene(
+        "s", MECHANISM, 1.0, 0.1, initial_state=starting(quaternion=np.full((2, 4), 1e200))
+    ),
+}
+
+
+def starting(**changes: Any) -> State:
+    return replace(State.initial(MECHANISM), **changes)
+
+
+@pytest.mark.parametrize("what", OVERFLOWING)
+def test_what_overflows_is_refused_without_a_warning(what):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(NewtonEulerError):
+            OVERFLOWING[what]()
+
+
+@pytest.mark.parametrize("value", [1, 0, "no", None, 1.0, np.eye(2)])
+def test_an_unrealisable_inertia_is_allowed_by_a_truth_value_alone(value):
+    with pytest.raises(NewtonEulerError, match=r"body 'a': allow_unrealisable_inertia is .*; needed: True"):
+        Body("a", 1.0, ORIGIN, np.eye(3), allow_unrealisable_inertia=value)
+
+
+def test_numpys_numbers_are_options():
+    options = {"rtol": np.float32(1e-6), "atol": np.float64(1e-8), "most_steps": np.int64(1000)}
+    run = newton_euler.simulate(pendulum(), **options)
+    assert run.settings["rtol"] == float(np.float32(1e-6))
+    assert type(run.settings["rtol"]) is float
+    fixed = newton_euler.simulate(pendulum(), integrator="RK4", step=np.float32(0.125))
+    assert type(fixed.settings["step"]) is float
+    batch = newton_euler.simulate_batch(pendulum(), [State.initial(MECHANISM)], threads=np.int32(1))
+    assert batch.settings["threads"] == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"states": State.initial(MECHANISM)},
+        {"states": 3},
+        {"parameters": 3},
+        {"parameters": [1.0]},
+        {"parameters": {"gravity": 9.81}},
+        {"states": [State.initial(MECHANISM)], "threads": True},
+    ],
+    ids=str,
+)
+def test_a_batch_of_no_sequence_is_refused(arguments):
+    with pytest.raises(NewtonEulerError, match=r"^(states|parameters|gravity|threads) is .*; needed: "):
+        newton_euler.simulate_batch(pendulum(), **arguments)
+
+
+AXES: dict[str, dict[str, Any]] = {
+    **{
+        kind: {"axis": Z}
+        for kind in ("revolute", "prismatic", "translational", "cylindrical", "planar", "point_on_line")
+    },
+    "screw": {"axis": Z, "pitch": 0.1},
+    "universal": {"axis_on_first": Z, "axis_on_second": Y},
+    "compound": {"slides": [Y], "hinges": [Z], "ball": False},
+    "rod": {"point_on_second": Z},
+}
+for kind, joint in JOINT_KINDS.items():
+    ends = {"name": "j", "first": "ground", "second": "rod", "point": ORIGIN, "actuated": False}
+    GOOD[kind] = (joint, ends | AXES.get(kind, {}))
+
+WRONG: dict[str, Any] = {
+    "None": None,
+    "text": "x y",
+    "list": [1.0],
+    "empty list": [],
+    "nested list": [[1.0, [2.0]], "a"],
+    "dictionary": {"a": 1},
+    "NaN": float("nan"),
+    "infinity": -np.inf,
+    "huge": 1e308,
+    "enormous": 10**400,
+    "tiny": 5e-324,
+    "true": True,
+    "object": object(),
+    "complex": 1j,
+    "huge vector": [1e308, 1e308, -1e308],
+    "NaN vector": [0.0, np.nan, 0.0],
+    "matrix": np.full((3, 3), 1e200),
+    "texts": ["a", "b", "c"],
+    "type": dict,
+}
+
+CASES = [(name, field) for name, (_, fields) in GOOD.items() for field in fields]
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_what_is_right_is_taken(name):
+    make, fields = GOOD[name]
+    assert make(**fields) is not None
+
+
+@pytest.mark.parametrize(("name", "field"), CASES, ids=lambda part: part)
+def test_what_is_wrong_is_refused_in_the_packages_own_words(name, field):
+    """A value is taken or refused; it is never another error, and nothing overflows on the way."""
+    make, fields = GOOD[name]
+    for what, value in WRONG.items():
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            try:
+                made = make(**(fields | {field: value}))
+            except NewtonEulerError as error:
+                refused = str(error)
+            except Exception as error:
+                pytest.fail(f"{what}: {type(error).__name__}: {error}")
+            else:
+                assert_finite(made)
+                continue
+        assert "\n" not in refused, what
+
+
+def assert_finite(made: object) -> None:
+    for value in vars(made).values():
+        if isinstance(value, float | np.ndarray) and np.asarray(value).dtype.kind == "f":
+            assert np.isfinite(value).all(), value

@@ -1,0 +1,315 @@
+"""Planar joints, points on lines and rods against closed forms, and redundant joints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from constrained_motion import SYSTEMS, check_agreement, check_compiled, check_rates
+from mechanisms import GRAVITY, bar, planar_four_bar
+from scipy.integrate import solve_ivp
+
+import newton_euler
+from newton_euler import Body, Mechanism, Scene, State
+from newton_euler.assemble import random_states
+from newton_euler.compiled import Code
+from newton_euler.equations.relative import Relative
+from newton_euler.errors import MechanismError
+from newton_euler.model.euler_parameters import from_rotation_vector, rotation
+from newton_euler.model.joints import Joint, Planar, PointOnLine, Revolute, Rod, Spherical
+from newton_euler.model.tree import SpanningTree
+
+ORIGIN = [0.0, 0.0, 0.0]
+INTEGRATED = 2e-8
+"""What rtol = 1e-10 leaves of positions of order 1 m after 2 s."""
+
+
+@pytest.fixture(params=["relative", "cartesian"])
+def formulation(request):
+    return request.param
+
+
+def launched(scene: Scene, body: int, velocity, omega) -> Scene:
+    """The scene with one body in motion at its initial pose."""
+    start = State.initial(scene.mechanism)
+    linear, angular = start.linear_velocity.copy(), start.angular_velocity.copy()
+    linear[body], angular[body] = velocity, omega
+    return replace(scene, initial_state=State(start.position, start.quaternion, linear, angular))
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, 0.0), GRAVITY])
+def test_a_puck_on_a_slanted_plane(formulation, swapped, gravity):
+    """It slides on a straight line or a parabola and spins steadily; the plane carries m g n."""
+    normal = np.array([0.48, -0.6, 0.64])
+    puck = Body(
+        "puck", 2.0, [0.3, 0.1, 0.2], np.diag([0.02, 0.02, 0.03]), from_rotation_vector([0.4, 0.2, 0.1])
+    )
+    pair = ("puck", "ground") if swapped else ("ground", "puck")
+    mechanism = Mechanism([Body.ground(), puck], [Planar("table", *pair, puck.center_of_mass, axis=normal)])
+    scene = Scene("puck", mechanism, 2.0, 0.2, gravity)
+    v = np.cross(normal, [1.0, 0.5, -0.2])
+    run = newton_euler.simulate(launched(scene, 1, v, 5.0 * normal), formulation)
+    g = np.asarray(gravity)
+    inside = g - normal * (normal @ g)
+    t = run.time[:, None]
+    assert np.abs(run.position[:, 1] - puck.center_of_mass - t * v - 0.5 * t**2 * inside).max() < INTEGRATED
+    assert np.abs(run.angular_velocity[:, 1] - 5.0 * normal).max() < INTEGRATED
+    sign = -1.0 if swapped else 1.0
+    assert np.abs(run.reaction_force[:, 0] + sign * 2.0 * normal * (normal @ g)).max() < 1e-10
+    # the normal is no principal axis: the plane has to hold the puck
+    tensor = rotation(puck.quaternion) @ puck.inertia @ rotation(puck.quaternion).T
+    held = np.cross(5.0 * normal, tensor @ (5.0 * normal))
+    assert sign * run.reaction_torque[0, 0] == pytest.approx(held, abs=1e-12)
+    assert run.constraint_violation.max() < 1e-12
+
+
+def test_a_bead_on_an_inclined_wire(formulation):
+    """a = g . e along the wire, and a free spin; the wire carries the rest of the weight."""
+    along, omega = np.array([0.6, 0.0, -0.8]), np.array([1.0, -2.0, 3.0])
+    bead = Body("bead", 0.5, [0.1, 0.2, 0.3], 0.001 * np.eye(3))
+    joint = PointOnLine("wire", "ground", "bead", bead.center_of_mass, axis=along)
+    scene = Scene("bead", Mechanism([Body.ground(), bead], [joint]), 2.0, 0.2, GRAVITY)
+    run = newton_euler.simulate(launched(scene, 1, 0.3 * along, omega), formulation)
+    t = run.time[:, None]
+    wanted = bead.center_of_mass + (0.3 * t + 0.5 * t**2 * (9.81 * 0.8)) * along
+    assert np.abs(run.position[:, 1] - wanted).max() < INTEGRATED
+    assert np.abs(run.angular_velocity[:, 1] - omega).max() < INTEGRATED
+    g = np.asarray(GRAVITY)
+    assert np.abs(run.reaction_force[:, 0] + 0.5 * (g - along * (along @ g))).max() < 1e-10
+    assert np.abs(run.reaction_torque).max() < 1e-10
+
+
+def spherical_pendulum(t, start, velocity):
+    """Positions (n, 3) of a point mass at a fixed distance from the origin, by another integrator."""
+
+    def rate(_, y):
+        r, v = y[:3], y[3:]
+        g = np.asarray(GRAVITY)
+        return np.concatenate([v, g - r * ((v @ v + g @ r) / (r @ r))])
+
+    y = np.concatenate([start, velocity])
+    return solve_ivp(rate, (0.0, t[-1]), y, "DOP853", t, rtol=1e-12, atol=1e-13).y[:3].T
+
+
+def test_a_spherical_pendulum_on_a_rod(formulation):
+    """A body on a rod at its centre moves as a point; so does a tiny one on a ball joint far away."""
+    start, velocity = np.array([0.6, 0.0, -0.8]), np.array([0.4, 1.5, 0.3])
+    swing = np.cross(start, velocity)
+    wanted = None
+    for joint, moment, omega in (
+        (Rod("rod", "ground", "bob", ORIGIN, point_on_second=start), 0.05, np.array([3.0, 1.0, 2.0])),
+        (Spherical("ball", "ground", "bob", ORIGIN), 1e-10, swing),
+    ):
+        bob = Body("bob", 1.5, start, moment * np.eye(3))
+        scene = Scene("pendulum", Mechanism([Body.ground(), bob], [joint]), 2.0, 0.1, GRAVITY)
+        run = newton_euler.simulate(launched(scene, 1, velocity, omega), formulation)
+        wanted = spherical_pendulum(run.time, start, velocity) if wanted is None else wanted
+        assert np.abs(run.position[:, 1] - wanted).max() < INTEGRATED  # the tiny inertia is 1e-10 of m l^2
+        if joint.kind == "rod":
+            tension = 1.5 * (velocity @ velocity + np.asarray(GRAVITY) @ start)
+            assert run.reaction_force[0, 0] == pytest.approx(-tension * start, rel=1e-10)
+            assert np.abs(run.reaction_torque).max() < 1e-12  # a rod has none about its own point
+            assert np.abs(run.angular_velocity[:, 1] - omega).max() < INTEGRATED
+            assert run.constraint_violation.max() < 1e-13
+
+
+def hung(count: int, *more: Joint) -> Scene:
+    """A bar hung by parallel rods of length 0.5 m in the plane x-z."""
+    ends = [[0.1, 0.0, 0.0], [0.9, 0.0, 0.0], [0.4, 0.0, 0.0]]
+    swing = 0.5 * np.array([np.sin(0.7), 0.0, -np.cos(0.7)])
+    body = bar("coupler", list(ends[0] + swing), list(ends[1] + swing), 3.0)
+    rods = [Rod(f"rod_{k}", "ground", "coupler", p, point_on_second=p + swing) for k, p in enumerate(ends)]
+    mechanism = Mechanism([Body.ground(), body], [*rods[:count], *more])
+    return Scene("hung", mechanism, 2.0, 0.1, GRAVITY)
+
+
+def test_a_coupler_on_parallel_rods_is_a_simple_pendulum(formulation):
+    """It does not turn, whether a plane guides it or it floats; pinned links of no mass do the same."""
+    plane = Planar("plane", "ground", "coupler", [0.5, 0.0, 0.0], axis=[0.0, 1.0, 0.0])
+    start = 0.5 * np.array([np.sin(0.7), 0.0, -np.cos(0.7)])
+    wanted = None
+    for scene in (hung(2), hung(2, plane)):
+        run = newton_euler.simulate(scene, formulation)
+        wanted = spherical_pendulum(run.time, start, np.zeros(3)) if wanted is None else wanted
+        moved = run.position[:, 1] - run.position[0, 1] + start
+        assert np.abs(moved - wanted).max() < INTEGRATED
+        assert np.abs(run.angular_velocity).max() < INTEGRATED
+        # both rods carry half of the weight at the start
+        tension = 3.0 * 9.81 * np.cos(0.7)
+        forces = run.reaction_force[0, :2]
+        assert forces.sum(axis=0) == pytest.approx(-tension * start / 0.5, abs=1e-10)
+
+
+def four_bar(pinned: bool) -> Scene:
+    """A coupler between two cranks that are not parallel, of hardly any mass, or between two rods."""
+    a, b, c, d = [0.0, 0.0, 0.0], [-0.2, 0.0, -0.6], [0.9, 0.0, -0.7], [0.6, 0.0, 0.0]
+    y = [0.0, 1.0, 0.0]
+    coupler = bar("coupler", b, c, 2.0)
+    if pinned:
+        links = [
+            replace(bar(name, *ends), mass=1e-9, inertia=1e-10 * np.eye(3))
+            for name, ends in (("left", (a, b)), ("right", (d, c)))
+        ]
+        joints: list[Joint] = [
+            Revolute("at_a", "ground", "left", a, axis=y),
+            Revolute("at_b", "left", "coupler", b, axis=y),
+            Spherical("at_c", "right", "coupler", c),
+            Revolute("at_d", "ground", "right", d, axis=y),
+        ]
+        return Scene("four_bar", Mechanism([Body.ground(), coupler, *links], joints), 1.0, 0.1, GRAVITY)
+    rods: list[Joint] = [
+        Planar("plane", "ground", "coupler", a, axis=y),
+        Rod("left", "ground", "coupler", a, point_on_second=b),
+        Rod("right", "coupler", "ground", c, point_on_second=d),
+    ]
+    return Scene("four_bar", Mechanism([Body.ground(), coupler], rods), 1.0, 0.1, GRAVITY)
+
+
+def test_two_rods_are_two_cranks_without_mass(formulation):
+    one, two = (newton_euler.simulate(four_bar(pinned), formulation) for pinned in (True, False))
+    assert np.abs(one.position[:, 1] - two.position[:, 1]).max() < 1e-7  # 1e-9 kg of 2 kg, for a second
+    assert np.ptp(two.position[:, 1], axis=0).max() > 0.05
+
+
+# All kinds at once, as joints of the tree and as those that close its loops, in both directions
+
+
+def assembly(swapped: bool) -> Scene:
+    """A plate on a plane, a stick whose end is on a line of the plate, held by rods; a floating block."""
+
+    def pair(first, second):
+        return (second, first) if swapped else (first, second)
+
+    bodies = [
+        Body.ground(),
+        bar("plate", [0.1, 0.0, 0.1], [0.8, 0.3, 0.2], 2.0),
+        bar("stick", [0.5, 0.2, 0.2], [0.6, 0.4, 1.0]),
+        bar("block", [1.2, 0.2, 0.9], [1.4, 0.6, 1.1], 1.3),
+        bar("tail", [1.4, 0.6, 1.1], [1.7, 0.9, 1.5], 0.7),
+    ]
+    joints: list[Joint] = [
+        Planar("table", *pair("ground", "plate"), [0.2, 0.1, 0.1], axis=[0.1, -0.2, 1.0]),
+        PointOnLine("slot", *pair("plate", "stick"), [0.5, 0.2, 0.2], axis=[1.0, 0.4, 0.1]),
+        PointOnLine("guide", *pair("ground", "stick"), [0.6, 0.4, 1.0], axis=[0.3, 1.0, -0.2]),
+        Rod("tie", *pair("plate", "block"), [0.8, 0.3, 0.2], point_on_second=[1.2, 0.2, 0.9]),
+        Rod("stay", "block", "ground", [1.4, 0.6, 1.1], point_on_second=[1.0, 1.0, 2.0]),
+        Revolute("hinge", *pair("block", "tail"), [1.4, 0.6, 1.1], axis=[0.2, 0.9, 0.4]),
+        Planar("cover", *pair("tail", "ground"), [1.7, 0.9, 1.5], axis=[0.9, 0.1, 0.3]),
+    ]
+    if swapped:  # both ends of the rod change places
+        joints[3] = Rod("tie", "block", "plate", [1.2, 0.2, 0.9], point_on_second=[0.8, 0.3, 0.2])
+    return Scene("assembly", Mechanism(bodies, joints), 0.5, 0.1, GRAVITY)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_rates_agreement_and_compiled_programs(swapped):
+    scene = assembly(swapped)
+    check_agreement(scene)
+    for formulation, system in SYSTEMS.items():
+        check_rates(system(scene))
+        check_compiled(scene, formulation, (0.0, 0.1, 0.2))
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_joint_coordinates_come_back_from_states(swapped):
+    system = Relative(assembly(swapped))
+    for state in random_states(system.scene, 3):
+        q, v = system.coordinates(state)
+        again = system.state(q, v)
+        for name in ("position", "linear_velocity", "angular_velocity"):
+            assert np.abs(getattr(again, name) - getattr(state, name)).max() < 1e-12
+
+
+def floating() -> Scene:
+    """A block that six rods hold, and a stick hinged to it: no other joint reaches the ground."""
+    corners = np.array([[1, 0, 0], [0, 1, 0], [-1, -1, 0], [1, 1, 0.1], [-1, 0.2, 0], [0.1, -1, 0.0]])
+    block = Body("block", 2.0, [0, 0, 1.0], np.diag([0.2, 0.3, 0.4]))
+    rods: list[Joint] = [
+        Rod(
+            f"rod_{k}",
+            "ground",
+            "block",
+            c,
+            point_on_second=0.3 * np.roll(corners, 2, axis=0)[k] + [0, 0, 0.9],
+        )
+        for k, c in enumerate(corners[:5])
+    ]
+    stick = bar("stick", [0, 0, 1.0], [0.2, 0.1, 1.6])
+    hinge = Revolute("hinge", "block", "stick", [0, 0, 1.0], axis=[0.1, 1.0, 0.0])
+    return Scene("platform", Mechanism([Body.ground(), block, stick], [*rods, hinge]), 0.5, 0.1, GRAVITY)
+
+
+def test_bodies_that_only_rods_reach_float(formulation):
+    scene = floating()
+    tree = SpanningTree(scene.mechanism)
+    assert [joint.name for joint in tree.floating] == ["block_floats"]
+    assert [tree.joint(kept.joint).name for kept in tree.joints] == ["block_floats", "hinge"]
+    assert (tree.nq, tree.nv, len(tree.cuts)) == (8, 7, 5)
+    check_rates(SYSTEMS[formulation](scene))
+    check_agreement(scene)
+    check_compiled(scene, formulation, (0.0, 0.1))
+    run = newton_euler.simulate(scene, formulation)
+    energy = run.kinetic_energy + run.potential_energy
+    assert np.abs(energy - energy[0]).max() < 1e-8
+    assert np.ptp(run.kinetic_energy) > 0.1
+    assert run.constraint_violation.max() < 1e-12
+    assert run.reaction_force.shape[1] == len(scene.mechanism.joints)
+
+
+# Redundant joints
+
+
+def door(hinges: int) -> Scene:
+    body = bar("leaf", [0.0, 0.0, 0.5], [0.8, 0.0, 0.5], 10.0)
+    axis = [0.05, 0.0, 1.0]
+    joints: list[Joint] = [
+        Revolute(name, "ground", "leaf", np.multiply(height, axis), axis=axis)
+        for name, height in (("upper", 1.0), ("lower", 0.0))
+    ][:hinges]
+    return Scene("door", Mechanism([Body.ground(), body], joints), 1.0, 0.1, GRAVITY)
+
+
+def unused(code: Code) -> set[str]:
+    """Joints with rows that are not in use."""
+    return {name for k, name in enumerate(code.system.row_owners) if k not in set(code.rows.numbers)}
+
+
+def test_a_door_on_two_hinges_uses_the_rows_of_one(formulation):
+    assert not unused(Code(door(1), formulation))
+    found = unused(Code(door(2), formulation))
+    assert found
+    assert found <= {"upper", "lower"}
+    if formulation == "relative":
+        assert found == {"lower"}
+    one, two = (newton_euler.simulate(door(n), formulation) for n in (1, 2))
+    assert np.abs(one.position - two.position).max() < INTEGRATED
+
+
+def test_of_parallel_rods_one_is_redundant(formulation):
+    plane = Planar("plane", "ground", "coupler", [0.5, 0.0, 0.0], axis=[0.0, 1.0, 0.0])
+    assert not unused(Code(hung(2, plane), formulation))
+    code = Code(hung(3, plane), formulation)
+    (found,) = unused(code)
+    assert found in ("rod_0", "rod_1", "rod_2")
+    assert code.redundant
+    one, two = (newton_euler.simulate(hung(n, plane), formulation) for n in (2, 3))
+    assert np.abs(one.position - two.position).max() < INTEGRATED
+
+
+def test_rows_have_owners(formulation):
+    for scene in (floating(), planar_four_bar()):
+        system = SYSTEMS[formulation](scene)
+        assert len(system.row_owners) == len(system.phi_units)
+        assert set(system.row_owners) <= {*scene.mechanism.joint_names, *scene.mechanism.body_names}
+    system = SYSTEMS[formulation](floating())
+    assert system.row_owners[:2] == ("rod_0", "rod_1")
+
+
+def test_bodies_out_of_reach_are_refused():
+    with pytest.raises(MechanismError, match="body 'b': no joint leads to it"):
+        Mechanism(
+            [Body.ground(), *(bar(n, ORIGIN, [1.0, 0, 0]) for n in "ab")],
+            [Rod("rod", "ground", "a", ORIGIN, point_on_second=[1.0, 0, 0])],
+        )

@@ -1,0 +1,154 @@
+"""Many runs at once: the same as one by one, whatever the number of threads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mechanisms import line_spring, mass_on_rail
+
+import newton_euler
+from newton_euler import simulate_batch
+from newton_euler.errors import IntegrationError, MechanismError, OptionError, UnknownNameError
+from newton_euler.model.armature import Armature
+from newton_euler.model.control import PD
+from newton_euler.model.motions import Polynomial, Sine, Sum
+from newton_euler.parameters import parameter_values
+
+
+@pytest.fixture(scope="module")
+def short(tracker):
+    return replace(tracker, duration=0.5, output_period=0.1)
+
+
+def same(a, b) -> bool:
+    """Whether two trajectories are equal to the last bit."""
+    return all(np.array_equal(x, b.arrays()[name]) for name, x in a.arrays().items())
+
+
+def test_runs_are_those_one_by_one(short, tracker_states):
+    batch = simulate_batch(short, tracker_states[:6], threads=1)
+    assert len(batch) == 6
+    for run, state in zip(batch, tracker_states, strict=False):
+        alone = newton_euler.simulate(replace(short, initial_state=state))
+        # starts are worked out in another order, so rounding differs; it grows a hundredfold in half a second
+        assert np.abs(run.position - alone.position).max() < 1e-11
+        assert np.abs(run.reaction_force - alone.reaction_force).max() < 1e-8
+    assert batch[-1].settings["steps"] > 0
+    assert len(batch[1:3]) == 2
+
+
+def test_a_run_from_the_scenes_own_state_is_the_scenes_own_run(short):
+    """To the last bit: the same native code from the same numbers."""
+    batch = simulate_batch(short, parameters={"gravity": [short.gravity, short.gravity]}, threads=2)
+    compiled = newton_euler.compile_scene(short, parameters=["gravity"])
+    assert same(batch[0], batch[1])
+    assert same(batch[1], compiled.simulate())
+
+
+def test_stacked_arrays_are_those_of_the_runs(short, tracker_states):
+    batch = simulate_batch(short, tracker_states[:3], threads=1)
+    assert batch.stacked("position").base is not None  # a view: nothing is copied
+    for k, run in enumerate(batch):
+        assert np.array_equal(batch.stacked("position")[k], run.position)
+        assert np.array_equal(np.abs(batch.stacked("quaternion")[k]), np.abs(run.quaternion))
+    with pytest.raises(UnknownNameError, match="unknown array 'speed'"):
+        batch.stacked("speed")
+
+
+def test_states_are_checked_and_their_number_named(short, tracker_states):
+    moved = tracker_states[1].position.copy()
+    moved[6] += 1e-6
+    bad = replace(tracker_states[1], position=moved)
+    with pytest.raises(MechanismError, match=r"run 2: joint '.*': is open by"):
+        simulate_batch(short, [tracker_states[0], tracker_states[1], bad])
+
+
+def test_threads_change_nothing(short, tracker_states):
+    one, three = (simulate_batch(short, tracker_states[:10], threads=n) for n in (1, 3))
+    assert all(same(a, b) for a, b in zip(one, three, strict=True))
+
+
+@pytest.mark.parametrize("formulation", ["relative", "cartesian"])
+def test_parameters_are_those_of_a_scene_made_with_them(short, formulation):
+    inertia = 1.5 * short.mechanism.bodies[6].inertia
+    values = {"panel_7.mass": 30.0, "panel_7.inertia": inertia, "gravity": [0.0, 0.5, -9.0]}
+    values |= {"slide_12.stiffness": 70.0, "slide_13.damping": 40.0, "slide_13.target": 0.01}
+    batch = simulate_batch(short, parameters={k: [v] for k, v in values.items()}, formulation=formulation)
+    bodies = list(short.mechanism.bodies)
+    bodies[6] = replace(bodies[6], mass=30.0, inertia=inertia)
+    law_12, law_13 = short.control
+    control = (replace(law_12, stiffness=70.0), replace(law_13, damping=40.0, target=0.01))
+    mechanism = newton_euler.Mechanism(bodies, short.mechanism.joints)
+    other = replace(
+        short, mechanism=mechanism, gravity=values["gravity"], control=control, initial_state=None
+    )
+    expected = newton_euler.simulate(other, formulation)
+    # other constants are folded, so rounding differs; it grows a hundredfold in half a second
+    assert np.abs(batch[0].position - expected.position).max() < 1e-11
+    force = np.abs(expected.reaction_force).max()
+    # the tolerance of both runs; their steps are not the same to the last digit
+    assert np.abs(batch[0].reaction_force - expected.reaction_force).max() < 1e-10 * force
+
+
+def test_a_run_that_fails_does_not_end_the_others(short):
+    batch = simulate_batch(short, parameters={"slide_12.damping": [50.0, -1e6, 60.0]})
+    assert list(batch.errors) == [1]
+    with pytest.raises(IntegrationError, match="stopped at t = "):
+        batch[1]
+    assert np.all(np.isfinite(batch[2].position))
+    assert np.all(np.isnan(batch.stacked("position")[1]))
+
+
+def test_every_parameter_has_the_scenes_own_value(short):
+    values = parameter_values(short)
+    assert values["panel_7.mass"] == short.mechanism.bodies[6].mass
+    assert values["slide_13.target"] == short.control[1].target
+    run = simulate_batch(short, parameters={name: [value] for name, value in values.items()})[0]
+    assert np.abs(run.position - newton_euler.simulate(short).position).max() < 1e-11  # as above
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({}, OptionError, "one state or value a run"),
+        ({"states": []}, OptionError, "one state or value a run"),
+        ({"parameters": {"gravity": [[0, 0, 1]], "panel_7.mass": [1.0, 2.0]}}, OptionError, "of one length"),
+        ({"parameters": {"panel_7.color": [1.0]}}, UnknownNameError, "unknown parameter 'panel_7.color'"),
+        ({"parameters": {"panel_7.mass": [-1.0]}}, MechanismError, "positive mass"),
+        ({"parameters": {"panel_7.mass": ["heavy"]}}, MechanismError, "parameter 'panel_7.mass'"),
+        ({"parameters": {"gravity": [[0.0, np.nan, 0.0]]}}, MechanismError, "parameter 'gravity'"),
+        ({"parameters": {"gravity": [[0.0, 0.0, 0.0]]}, "threads": 0}, OptionError, "threads is 0"),
+    ],
+)
+def test_bad_batches_are_refused(short, options, error, message):
+    with pytest.raises(error) as caught:
+        simulate_batch(short, **options)
+    assert message in str(caught.value)
+
+
+def test_functions_of_time_and_rotors_have_parameters():
+    """All that a function is linear in; numbers tell elements of one name apart."""
+    push = Sum((Sine(1.0, 7.0, offset=0.5), Polynomial((0.2, -1.0))))
+    law = PD("rail", 5.0, 0.1, 0.0, feedforward=push)
+    spring = replace(line_spring(rest_length=2.0), name="rail")
+    scene = mass_on_rail(spring, duration=0.5, control=(law,), armatures=(Armature("rail", 0.3),))
+    assert parameter_values(scene, ["rail.feedforward"])["rail.feedforward"].tolist() == [1.0, 0.5, 0.2, -1.0]
+    values = {
+        "rail.feedforward": [2.0, 0.25, 0.4, -3.0],
+        "rail.rotor.inertia": 0.6,
+        "forces[0].stiffness": 70.0,
+    }
+    batch = simulate_batch(scene, parameters={name: [value] for name, value in values.items()})
+    other = Sum((Sine(2.0, 7.0, offset=0.25), Polynomial((0.4, -3.0))))
+    expected = newton_euler.simulate(
+        replace(
+            scene,
+            control=(replace(law, feedforward=other),),
+            forces=(replace(spring, stiffness=70.0),),
+            armatures=(Armature("rail", 0.6),),
+        )
+    )
+    # both are integrated to 1e-10, their code is not the same
+    assert np.abs(batch[0].position - expected.position).max() < 1e-9

@@ -1,0 +1,331 @@
+"""MuJoCo and Pinocchio against this package: every joint, coupling, prescribed motion and force."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+from elements import ELEMENTS, FORCES, JOINTS, MOTIONS, forced, gear_train, moved, rod_loop, screw_press
+from finite_difference import derivative, jacobian
+from mechanisms import pendulum
+
+import mjcf
+import newton_euler
+import urdf
+from mjcf import tight as mjcf_tight
+from mjcf.errors import MjcfError
+from mjcf.rigid import RigidMuJoCo
+from mjcf.soft import SoftMuJoCo
+from newton_euler.assemble import random_states
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import System, at_time, opening
+from newton_euler.model.euler_parameters import angle_between
+from newton_euler.model.forces import Wrench
+from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import Evaluation, State
+from newton_euler.model.trajectory import Trajectory
+from urdf import tight as urdf_tight
+from urdf.dynamics import PinocchioSystem
+from urdf.errors import LoopFileError, UrdfError
+from urdf.loops import parse_loops
+
+ENGINES = (RigidMuJoCo, PinocchioSystem)
+
+MOTION = 1e-10
+"""Of accelerations relative to the largest: condition numbers of 1e4 to 1e5 on round-off of 1e-16."""
+
+REACTIONS = 1e-9
+"""Relative to the largest: the multipliers lose the constraints' condition once more."""
+
+REDUNDANT = ("motion of a loop, redundant",)
+"""Whose reactions across the plane are not determined."""
+
+
+@cache
+def states(name: str) -> list[State]:
+    return random_states(ELEMENTS[name], 3)
+
+
+@cache
+def run(name: str) -> Trajectory:
+    return newton_euler.simulate(ELEMENTS[name])
+
+
+def assert_same(found: Evaluation, wanted: Evaluation, with_reactions: bool = True) -> None:
+    for name in ("linear_acceleration", "angular_acceleration"):
+        x, y = getattr(found, name), getattr(wanted, name)
+        # 1e-3: bodies that fall freely hardly turn
+        assert np.max(np.abs(x - y)) < MOTION * max(np.max(np.abs(y)), 1e-3), name
+    if with_reactions:
+        # joints that transmit nothing are held to the weight of 1 kg at 0.1 m
+        for name, scale in (("reaction_force", 10.0), ("reaction_torque", 1.0)):
+            x, y = getattr(found, name), getattr(wanted, name)
+            assert np.max(np.abs(x - y)) < REACTIONS * max(np.max(np.abs(y)), scale), name
+    assert found.actuator_force == pytest.approx(wanted.actuator_force, rel=1e-10, abs=1e-10)
+    # sums of a dozen terms good to 1e-16 each
+    scale = abs(wanted.kinetic_energy) + abs(wanted.potential_energy)
+    assert abs(found.kinetic_energy - wanted.kinetic_energy) < 1e-12 * scale
+    assert abs(found.potential_energy - wanted.potential_energy) < 1e-12 * scale
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=lambda engine: engine.name)
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_engines_agree_under_rigid_constraints(name: str, engine: type[System]) -> None:
+    scene = ELEMENTS[name]
+    relative, system = Relative(scene), engine(scene)  # type: ignore[call-arg]
+    for state in states(name):
+        found = system.evaluate(*system.coordinates(state))
+        wanted = relative.evaluate(*relative.coordinates(state))
+        assert_same(found, wanted, name not in REDUNDANT)
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=lambda engine: engine.name)
+@pytest.mark.parametrize("name", MOTIONS)
+def test_prescribed_motions_at_later_times(name: str, engine: type[System]) -> None:
+    scene, whole = ELEMENTS[name], run(name)
+    relative, system = Relative(scene), engine(scene)  # type: ignore[call-arg]
+    assert whole.linear_velocity is not None
+    assert whole.angular_velocity is not None
+    for k in (1, len(whole.time) - 1):
+        parts = (whole.position, whole.quaternion, whole.linear_velocity, whole.angular_velocity)
+        state = State(*(part[k] for part in parts))
+        time = float(whole.time[k])
+        now, then = at_time(system, time), at_time(relative, time)
+        q, v = now.coordinates(state)
+        # projected by newton_euler to round-off, of lengths of 1 m and speeds of some m/s
+        assert np.max(np.abs(now.phi(q))) < 1e-12
+        assert np.max(np.abs(opening(now, q, v))) < 1e-11
+        assert_same(now.evaluate(q, v), then.evaluate(*then.coordinates(state)), name not in REDUNDANT)
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=lambda engine: engine.name)
+@pytest.mark.parametrize("name", ["screw, cut", "rods", "rods only", "gears", "gear, cut", *MOTIONS])
+def test_constraint_derivatives(name: str, engine: type[System]) -> None:
+    """Also where loops are open. Differences are good to 1e-12, third derivatives reach 100 here."""
+    system = at_time(engine(ELEMENTS[name]), 0.1)  # type: ignore[call-arg]
+    rng = np.random.default_rng(7)
+    q, _ = system.coordinates(ELEMENTS[name].initial_state)
+    q = system.retract(q, rng.uniform(-0.2, 0.2, system.nv))
+    assert np.max(np.abs(system.phi(q))) > 0.01
+    wanted = jacobian(lambda step: system.phi(system.retract(q, step)), system.nv)
+    assert np.max(np.abs(system.phi_jacobian(q) - wanted)) < 1e-9
+    wanted = derivative(lambda t: at_time(system, 0.1 + t).phi(q))
+    assert np.max(np.abs(opening(system, q, np.zeros(system.nv)) - wanted)) < 1e-9
+
+
+@pytest.mark.parametrize("name", ["rods", "rods only", "gear, cut"])
+def test_velocity_products_of_mujoco(name: str) -> None:
+    rigid = RigidMuJoCo(JOINTS[name])
+    rng = np.random.default_rng(7)
+    q, _ = rigid.coordinates(rigid.scene.initial_state)
+    q, v = rigid.retract(q, rng.uniform(-0.2, 0.2, rigid.nv)), rng.normal(size=rigid.nv)
+    wanted = derivative(lambda t: rigid.phi_jacobian(rigid.retract(q, t * v)) @ v)
+    # as above
+    assert np.max(np.abs(rigid.velocity_product(q, v) - wanted)) < 1e-9
+
+
+def error(found: Trajectory, wanted: Trajectory) -> float:
+    """m or rad, over all bodies and times."""
+    return max(
+        float(np.max(np.abs(found.position - wanted.position))),
+        float(np.max(angle_between(found.quaternion, wanted.quaternion))),
+    )
+
+
+RUNS = [*JOINTS, *MOTIONS, "forces, ball_loop", "spring without length", "control and forces"]
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_runs_of_pinocchio(name: str) -> None:
+    """Both at rtol 1e-10: joined errors of 1e-10 of angles of 1 rad, larger by what motions magnify."""
+    found, wanted = urdf.simulate(ELEMENTS[name]), run(name)
+    assert error(found, wanted) < 1e-8
+    assert_work(found, wanted, 1e-8)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_runs_of_mujoco(name: str) -> None:
+    """Loops, couplings and motions are springs of two steps: 1e-4 rad at most at 1 ms here, order 2."""
+    coarse, fine = (mjcf.simulate(ELEMENTS[name], timestep=h) for h in (1e-3, 5e-4))
+    wanted = run(name)
+    assert error(fine, wanted) < 1e-4
+    # trees without any of them are exact to order 4, down to the reference's own error
+    assert error(fine, wanted) < max(error(coarse, wanted) / 3.0, 1e-9)
+    # forces of soft constraints stay 0.2 % off, and with them the work of motions
+    assert_work(fine, wanted, 4e-3)
+
+
+def assert_work(found: Trajectory, wanted: Trajectory, tolerance: float) -> None:
+    """Relative to the energy that there is."""
+    if wanted.work is None:
+        assert found.work is None
+        return
+    assert found.work is not None
+    assert wanted.kinetic_energy is not None
+    scale = np.max(np.abs(wanted.work)) + np.max(wanted.kinetic_energy)
+    assert np.max(np.abs(found.work - wanted.work)) < tolerance * scale
+
+
+def test_work_only_where_something_does_work() -> None:
+    """And where energy is asked for."""
+    assert mjcf.simulate(replace(pendulum(), duration=0.1)).work is None
+    scene = replace(forced(pendulum()), duration=0.1)
+    assert mjcf.simulate(scene).work is not None
+    silent = replace(scene, outputs=frozenset({"velocities"}))
+    assert mjcf.simulate(silent).work is None
+    assert urdf.simulate(silent).work is None
+
+
+@pytest.mark.parametrize("engine", ENGINES, ids=lambda engine: engine.name)
+def test_angles_of_several_turns(engine: type[System]) -> None:
+    """Poses do not tell turns; gears and motions do."""
+    scene = moved(gear_train(), PrescribedMotion("axle", Polynomial((7.0, 1.0))))
+    system = engine(scene)  # type: ignore[call-arg]
+    q, _ = system.coordinates(scene.initial_state)
+    assert np.max(np.abs(system.phi(q))) < 1e-9  # as closed as a state has to be
+    assert np.max(np.abs(q)) == pytest.approx(2.5 * 7.0, abs=1e-9)
+
+
+# What the files hold
+
+
+def test_stock_mujoco_runs_a_written_file() -> None:
+    """Forces, gears and rods are in the file; the reference is good to 1e-9, the springs of rods to 1e-5."""
+    scene = forced(rod_loop())
+    model = mujoco.MjModel.from_xml_string(mjcf.to_xml(scene))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, round(scene.duration / model.opt.timestep))
+    wanted = newton_euler.simulate(scene)
+    for body, position in zip(scene.mechanism.bodies[1:], wanted.position[-1, 1:], strict=True):
+        # softness of 1 ms steps, measured 7e-4
+        assert np.max(np.abs(data.body(body.name).xpos - position)) < 2e-3
+
+
+def test_elements_of_the_mjcf() -> None:
+    root = ET.fromstring(mjcf.to_xml(gear_train()))
+    found = {e.get("name"): (e.get("joint1"), e.get("joint2"), e.get("polycoef")) for e in root.iter("joint")}
+    assert found["gear mesh"] == ("shaft", "axle", "0 -2.5 0 0 0")
+    root = ET.fromstring(mjcf.to_xml(forced(rod_loop())))
+    names = [tendon.get("name") for tendon in root.iter("spatial")]
+    assert names == ["spring spring_0", "spring spring_1", "spring spring_2", "rod coupler", "rod stay"]
+    assert [e.get("tendon1") for e in root.iter("tendon") if e.get("tendon1")] == ["rod coupler", "rod stay"]
+
+
+def test_a_motion_is_held_where_it_begins_in_the_file() -> None:
+    scene = moved(pendulum(), PrescribedMotion("pivot", Polynomial((0.3, 2.0))))
+    model = mujoco.MjModel.from_xml_string(mjcf.to_xml(scene))
+    assert model.eq_data[0, 0] == 0.3
+    assert model.key_qpos[0, 0] == pytest.approx(0.3, abs=1e-9)  # as closed as a state has to be
+
+
+def test_callbacks_of_others_are_put_back() -> None:
+    def other(model: object, data: object) -> None: ...
+
+    soft = SoftMuJoCo(moved(pendulum(), PrescribedMotion("pivot", Polynomial((0.0, 2.0)))))
+    mujoco.set_mjcb_control(other)
+    try:
+        with soft.following():
+            assert mujoco.get_mjcb_control() is not other
+        assert mujoco.get_mjcb_control() is other
+    finally:
+        mujoco.set_mjcb_control(None)
+
+
+def test_soft_motions_ask_for_their_acceleration() -> None:
+    """On its motion a row asks for f'' exactly, and softness takes 1e-4 of what it lacks: of 9.81 / 1 m."""
+    scene = moved(pendulum(), PrescribedMotion("pivot", Polynomial((0.0, 2.0, 3.0))))
+    soft = SoftMuJoCo(scene)
+    found = soft.evaluate(*soft.coordinates(scene.initial_state))
+    assert found.angular_acceleration[1, 1] == pytest.approx(6.0, abs=3e-3)
+
+
+def test_the_loop_file_holds_rods_and_couplings() -> None:
+    document = yaml.safe_load(urdf.to_loops(rod_loop()))
+    assert document["type"] == ["rod", "rod"]
+    assert "coupled" not in document
+    assert yaml.safe_load(urdf.to_loops(screw_press()))["coupled"] == [
+        {"spindle_1": 1.0, "spindle_2": -0.1},
+        {"lid_1": 1.0, "lid_2": 0.05},
+    ]
+
+
+@pytest.mark.parametrize(
+    "entry", ["[1]", "[{a: fast}]", "[{a: 1e400}]", "[{a: .nan}]", "[[a, 1.0]]", "{a: 1.0}", "[{a: true}]"]
+)
+def test_couplings_of_a_loop_file_are_checked(entry: str) -> None:
+    text = urdf.to_loops(pendulum()) + f"coupled: {entry}\n"
+    with pytest.raises(LoopFileError, match=r"loops.yaml: coupled: "):
+        parse_loops(text, "loops.yaml")
+
+
+def test_couplings_of_a_loop_file_are_of_joints_of_the_urdf() -> None:
+    from urdf.model import build
+
+    text = urdf.to_loops(pendulum()) + "coupled: [{pivot: 1.0, axle: 2.0}]\n"
+    with pytest.raises(LoopFileError, match="coupled: the URDF has no moving joint 'axle'"):
+        build(urdf.to_urdf(pendulum()), parse_loops(text, "loops.yaml"))
+
+
+# What the tight loops of benchmarks refuse
+
+
+def test_tight_mujoco_refuses_prescribed_motions() -> None:
+    with pytest.raises(
+        MjcfError, match=r"motion of joint 'axle': MuJoCo has no equality that depends on time"
+    ):
+        mjcf_tight.compiled(MOTIONS["motion of gears"])
+
+
+@pytest.mark.parametrize("name", ["rods", "gears", "screw", "control and forces"])
+def test_tight_mujoco_is_the_same_model(name: str) -> None:
+    scene = ELEMENTS[name]
+    tight, soft = mjcf_tight.compiled(scene), SoftMuJoCo(scene)
+    found, wanted = (s.evaluate(*s.coordinates(scene.initial_state)) for s in (tight, soft))
+    # the solver's tolerance, with a warm start or without
+    assert found.linear_acceleration == pytest.approx(wanted.linear_acceleration, rel=1e-9, abs=1e-9)
+
+
+def pushed() -> Scene:
+    push = Wrench("push", "rod", np.zeros(3), force=np.ones(3))
+    return replace(pendulum(), forces=(push,))
+
+
+@pytest.mark.parametrize(
+    ("scene", "element"),
+    [
+        (JOINTS["rods"], "joint 'coupler'"),
+        (JOINTS["screw"], "joint 'spindle'"),
+        (JOINTS["gears"], "gear 'mesh'"),
+        (MOTIONS["motion, cut"], "motion of joint 'at_c'"),
+        (pushed(), "wrench 'push'"),
+        (FORCES["spring without length"], "point spring 'elastic'"),
+    ],
+    ids=["rod", "screw", "gear", "motion", "wrench", "point spring"],
+)
+def test_tight_pinocchio_has_what_its_recursion_has_no_place_for(scene: Scene, element: str) -> None:
+    """1e-12: the same equations in another order; that they are right is asserted of the system above."""
+    equations = urdf_tight.equations_of(scene, 10.0, None)
+    system = equations.system
+    wanted = system.acceleration(*system.coordinates(scene.initial_state))
+    rates = equations.rates(0.0, equations.start)
+    assert system.map.v_from_pinocchio(rates[equations.nq :]) == pytest.approx(wanted, rel=1e-12)
+    assert np.abs(wanted).max() > 1e-3
+    with pytest.raises(UrdfError, match=f"^{element}: Pinocchio's lcaba knows"):
+        urdf_tight.equations_of(scene, 10.0, (1e-6, 10))
+
+
+def test_tight_pinocchio_has_springs_of_joints() -> None:
+    """1e-12: the same equations in other units."""
+    scene = forced(pendulum())
+    springs = replace(scene, forces=scene.forces[:1])
+    equations = urdf_tight.equations_of(springs, 10.0, None)
+    wanted = equations.system.acceleration(*equations.system.coordinates(springs.initial_state))
+    assert equations.acceleration() == pytest.approx(wanted, rel=1e-12)
+    assert np.abs(wanted).max() > 1.0

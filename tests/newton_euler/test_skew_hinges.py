@@ -1,0 +1,188 @@
+"""Hinges of one body whose axes do not meet: both formulations against MuJoCo's own accelerations.
+
+MuJoCo compiles the file by itself here; its mass matrix, bias and Jacobian of equalities are solved with
+rigid constraints. Nothing of the reading or of `mjcf.rigid` is on that side.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+import mjcf
+import urdf
+from crosscheck.against.compare import Model, against
+from crosscheck.model_files.read import read_model
+from crosscheck.scenes.scene_file import read_scene
+from crosscheck.scenes.write_file import write_scene
+from mjcf.read import read
+from newton_euler import simulate
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.relative import Relative
+from newton_euler.errors import MechanismError
+from newton_euler.model.joints import Compound
+from urdf.read import read as read_urdf
+
+PAIR = """
+<joint name="{0}_a" axis="1 0.2 0" pos="0.05 0.1 -0.02" stiffness="3" damping="0.2" armature="0.03"/>
+<joint name="{0}_b" axis="0.1 1 0.3" pos="-0.1 0.02 0.2" stiffness="2" springref="0.3"/>"""
+TRIPLE = PAIR + '<joint name="{0}_c" axis="0 0.3 1" pos="0.1 0.15 0.07" damping="0.1" armature="0.01"/>'
+SLIDES = '<joint name="{0}_s" type="slide" axis="1 0.1 0.4" stiffness="40" damping="1"/>'
+BODY = """<body name="{0}" pos="{1}">{2}
+<inertial pos="{3}" mass="{4}" fullinertia="0.02 0.03 0.025 0.002 -0.001 0.003"/>"""
+
+
+def model(upper: str, lower: str, loop: str = "") -> str:
+    """Two bodies in a row, the outer one also held by an equality; `{key}` is left for a keyframe."""
+    return (
+        '<mujoco><option gravity="1 -2 -9.81"/><worldbody><site name="wall" pos="0.3 0.4 -0.5"/>'
+        + BODY.format("upper", "0 0 0.1", upper.format("u"), "0.1 0.05 -0.2", 1.3)
+        + BODY.format("lower", "0.2 0.1 -0.4", lower.format("l"), "0.05 0.2 -0.1", 0.7)
+        + '<site name="tip" pos="0.1 0.3 -0.2"/></body></body></worldbody>'
+        + loop
+        + "{key}</mujoco>"
+    )
+
+
+CONNECT = '<equality><connect name="loop" site1="wall" site2="tip"/></equality>'
+MODELS = {
+    "a pair in a tree": model(PAIR, '<joint name="elbow" axis="0 1 0"/>'),
+    "pair after triple": model(TRIPLE, PAIR),
+    "slide, then a pair": model(SLIDES + PAIR, TRIPLE),
+    "a pair, then a slide": model(PAIR + SLIDES, TRIPLE),
+    "triples in a loop": model(TRIPLE, TRIPLE, CONNECT),
+    "pair and triple in a loop": model(PAIR, TRIPLE, CONNECT),
+    "slide and pair in a loop": model(SLIDES + PAIR, TRIPLE, CONNECT),
+}
+
+
+def residual_and_jacobian(own: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    mujoco.mj_forward(own, data)
+    dense = np.zeros((data.nefc, own.nv))
+    for k, unit in enumerate(np.eye(own.nv)):
+        column = np.zeros(data.nefc)
+        mujoco.mj_mulJacVec(own, data, column, unit)
+        dense[:, k] = column
+    return data.efc_pos.copy(), dense
+
+
+def placed(text: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """MuJoCo's model at a random closed state with consistent velocities."""
+    own = mujoco.MjModel.from_xml_string(text.format(key=""))
+    data, rng = mujoco.MjData(own), np.random.default_rng(4)
+    data.qpos[:] = 0.3 * rng.standard_normal(own.nq)
+    for _ in range(30):
+        gap, rows = residual_and_jacobian(own, data)
+        data.qpos[:] -= np.linalg.pinv(rows) @ gap
+    data.qvel[:] = rng.standard_normal(own.nv)
+    data.qvel[:] -= np.linalg.pinv(rows) @ (rows @ data.qvel)
+    return own, data
+
+
+def rigid(own: mujoco.MjModel, data: mujoco.MjData) -> dict[str, np.ndarray]:
+    """(6,) accelerations of the bodies' centers of mass, linear and angular, with equalities rigid."""
+    _, rows = residual_and_jacobian(own, data)
+    mass, step = np.zeros((own.nv, own.nv)), 1e-6
+    mujoco.mj_fullM(own, data, mass)
+    force = data.qfrc_passive - data.qfrc_bias
+    # dJ/dt qvel by a central difference along the motion, good to 1e-9
+    moved = []
+    for sign in (1.0, -1.0):
+        there = mujoco.MjData(own)
+        there.qpos[:] = data.qpos
+        mujoco.mj_integratePos(own, there.qpos, data.qvel, sign * step)
+        moved.append(residual_and_jacobian(own, there)[1] @ data.qvel)
+    drift = (moved[0] - moved[1]) / (2.0 * step)
+    k = len(rows)
+    system = np.block([[mass, -rows.T], [rows, np.zeros((k, k))]])
+    data.qacc[:] = np.linalg.solve(system, np.concatenate([force, -drift]))[: own.nv]
+    mujoco.mj_rnePostConstraint(own, data)
+    found = {}
+    for body in range(1, own.nbody):
+        out = np.zeros(6)
+        mujoco.mj_objectAcceleration(own, data, mujoco.mjtObj.mjOBJ_BODY, body, out, 0)
+        found[own.body(body).name] = np.concatenate([out[3:] + own.opt.gravity, out[:3]])
+    return found
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_accelerations_are_those_of_mujoco(name, tmp_path):
+    own, data = placed(MODELS[name])
+    wanted = rigid(own, data)
+    values = {"qpos": data.qpos, "qvel": data.qvel}
+    numbers = " ".join(f'{field}="{" ".join(map(repr, v.tolist()))}"' for field, v in values.items())
+    path = tmp_path / "model.xml"
+    path.write_text(MODELS[name].format(key=f'<keyframe><key name="k" {numbers}/></keyframe>'))
+    scene = read(path).scene
+    assert len(scene.mechanism.bodies) == 3  # no link of its own between the hinges
+    for kind in (Relative, Cartesian):
+        system = kind(scene)
+        found = system.evaluate(*system.coordinates(scene.initial_state))
+        for k, body in enumerate(scene.mechanism.body_names[1:], start=1):
+            here = np.concatenate([found.linear_acceleration[k], found.angular_acceleration[k]])
+            scale = max(10.0, np.max(np.abs(wanted[body])))
+            assert np.max(np.abs(here - wanted[body])) < 2e-9 * scale  # that of the difference
+
+
+def test_runs_agree_in_both_formulations_and_all_engines(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(MODELS["pair and triple in a loop"].format(key=""))
+    scene = read(path, duration=0.2, output_period=0.1).scene
+    own = simulate(scene, rtol=1e-11)
+    assert np.max(np.abs(own.position[-1] - own.position[0])) > 1e-2
+    for other in (simulate(scene, formulation="cartesian", rtol=1e-11), urdf.simulate(scene, rtol=1e-11)):
+        assert np.max(np.abs(other.position - own.position)) < 1e-9  # a hundred tolerances
+    soft = mjcf.simulate(scene, timestep=2e-4)
+    assert np.max(np.abs(soft.position - own.position)) < 1e-5  # of its constraints
+
+
+def test_other_formats_keep_the_offsets(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(MODELS["slide, then a pair"].format(key=""))
+    scene = read(path).scene
+    mjcf.write(scene, tmp_path / "again.xml")
+    urdf.write(scene, tmp_path / "again.urdf")
+    write_scene(scene, tmp_path / "again.yaml")
+    others = [
+        read(tmp_path / "again.xml").scene,
+        read_urdf(tmp_path / "again.urdf").scene,
+        read_scene(tmp_path / "again.yaml"),
+    ]
+    for other in others:
+        assert len(other.mechanism.joints) == 2
+        for one, two in zip(scene.mechanism.joints, other.mechanism.joints, strict=True):
+            assert isinstance(one, Compound)
+            assert isinstance(two, Compound)
+            assert np.allclose(two.offsets, one.offsets, atol=1e-14)  # round-off of frames
+            assert np.linalg.norm(one.offsets) > 0.1
+
+
+def test_offsets_are_checked():
+    ends, hinges = ("j", "a", "b", [0, 0, 0]), [[1, 0, 0], [0, 1, 0]]
+    with pytest.raises(MechanismError, match="has 2 offsets between 2 hinges"):
+        Compound(*ends, hinges=hinges, offsets=[[0, 0, 1], [0, 0, 1]])
+    with pytest.raises(MechanismError, match="offsets is 5"):
+        Compound(*ends, hinges=hinges, offsets=5)
+    joint = Compound(*ends, hinges=hinges, offsets=[[0, 0, 1]])
+    assert joint.reaction_point.tolist() == [0, 0, 1]
+
+
+def test_where_on_their_axes_the_file_puts_the_hinges_makes_no_difference(tmp_path):
+    """Moved along their axes, the anchors of a triple are those of the same joint; moved off, of another."""
+    text = MODELS["pair after triple"].format(key="")
+    moved = {
+        '"0.05 0.1 -0.02"': '"0.25 0.14 -0.02"',
+        '"-0.1 0.02 0.2"': '"-0.08 0.22 0.26"',
+        '"0.1 0.15 0.07"': '"0.1 0.21 0.27"',
+    }
+    other = text.replace('"-0.1 0.02 0.2"', '"-0.1 0.03 0.2"')
+    for old, new in moved.items():
+        assert old in text
+        text = text.replace(old, new)
+    paths = [tmp_path / name for name in ("one.xml", "two.xml", "three.xml")]
+    for path, content in zip(paths, (MODELS["pair after triple"].format(key=""), text, other), strict=True):
+        path.write_text(content)
+    models = [Model(path.stem, str(path), {}, *read_model(str(path), {"duration": 0.1})) for path in paths]
+    assert against(models[0], models[1], lambda _: None).agrees
+    assert not against(models[0], models[2], lambda _: None).agrees

@@ -1,0 +1,292 @@
+"""Small scenes for every joint, coupling, motion and force beyond hinges, slides and balls."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from mechanisms import GRAVITY, REGULAR, bar, planar_four_bar
+
+from newton_euler.model.control import PD
+from newton_euler.model.couplings import Gear
+from newton_euler.model.forces import Force, JointSpring, PointSpring, Wrench
+from newton_euler.model.joints import (
+    Cylindrical,
+    Free,
+    Joint,
+    Planar,
+    PointOnLine,
+    Revolute,
+    Rod,
+    Screw,
+    Spherical,
+    Translational,
+    Universal,
+)
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum
+from newton_euler.model.scene import Scene
+
+
+def _scene(name: str, bodies: list[Body], joints: list[Joint], gears: tuple[Gear, ...] = ()) -> Scene:
+    mechanism = Mechanism([Body.ground(), *bodies], joints, gears)
+    return Scene(name, mechanism, duration=0.2, output_period=0.05, gravity=GRAVITY)
+
+
+def planar_chain(forward: bool = True) -> Scene:
+    """A plate on an inclined plane, and an arm on it; the plate is the joint's second body, or first."""
+    ends = ("ground", "plate") if forward else ("plate", "ground")
+    bodies = [bar("plate", [0.1, 0.0, 0.0], [0.4, 0.2, 0.1]), bar("arm", [0.4, 0.2, 0.1], [0.8, 0.3, 0.5])]
+    joints: list[Joint] = [
+        Planar("table", *ends, [0.1, 0.0, 0.0], axis=[0.2, -0.3, 1.0]),
+        Universal(
+            "elbow", "plate", "arm", [0.4, 0.2, 0.1], axis_on_first=[1, 0, 0], axis_on_second=[0, 1, 0]
+        ),
+    ]
+    return _scene("planar_chain", bodies, joints)
+
+
+def planar_loop() -> Scene:
+    """A loop that is closed by the plane: 2 hinges, a ball and 3 freedoms of the plane, less 6."""
+    a, b, c = [0.0, 0.0, 0.0], [0.1, 0.1, 0.5], [0.9, 0.3, 0.3]
+    bodies = [bar("crank", a, b), bar("coupler", b, c, 2.0)]
+    joints: list[Joint] = [
+        Universal("at_a", "ground", "crank", a, axis_on_first=[0, 1, 0], axis_on_second=[1, 0, 0]),
+        Universal("at_b", "crank", "coupler", b, axis_on_first=[0, 1, 0], axis_on_second=[0.6, 0, 0.8]),
+        Planar("at_c", "ground", "coupler", c, axis=[0.1, 0.2, 1.0]),
+    ]
+    return _scene("planar_loop", bodies, joints)
+
+
+def line_chain(forward: bool = True) -> Scene:
+    """A stick with one point on a line, and another stick on it with one point on a line of the first."""
+    bodies = [bar("stick", [0.0, 0.1, 0.0], [0.5, 0.2, 0.1]), bar("bead", [0.4, 0.1, 0.1], [0.8, 0.3, 0.5])]
+    ends = ("ground", "stick") if forward else ("stick", "ground")
+    joints: list[Joint] = [
+        PointOnLine("wire", *ends, [0.0, 0.1, 0.0], axis=[1.0, 0.3, 0.2]),
+        PointOnLine("string", "bead", "stick", [0.4, 0.1, 0.1], axis=[0.2, 0.3, -1.0]),
+    ]
+    return _scene("line_chain", bodies, joints)
+
+
+def line_loop() -> Scene:
+    """A crank, a rocker whose tip stays on a line of the crank: 1 + 2 + 4 - 6 freedoms."""
+    a, c, d = [0.0, 0.0, 0.0], [0.5, 0.2, 0.4], [1.0, 0.2, 0.1]
+    bodies = [bar("crank", a, [0.4, 0.1, 0.5]), bar("rocker", d, c, 1.5)]
+    joints: list[Joint] = [
+        Revolute("at_a", "ground", "crank", a, axis=[0.2, 1.0, 0.1]),
+        PointOnLine("at_c", "crank", "rocker", c, axis=[0.8, 0.1, 0.6]),
+        Universal("at_d", "ground", "rocker", d, axis_on_first=[0, 1, 0], axis_on_second=[1, 0, 0]),
+    ]
+    return _scene("line_loop", bodies, joints)
+
+
+def screw_press() -> Scene:
+    """A nut on a spindle on a slide, in the tree both ways round."""
+    bodies = [
+        bar("nut", [0.0, 0.0, 0.2], [0.2, 0.1, 0.3]),
+        bar("ram", [0.2, 0.1, 0.3], [0.5, 0.1, 0.4]),
+        bar("cap", [0.3, 0.1, 0.3], [0.5, 0.3, 0.3]),
+    ]
+    joints: list[Joint] = [
+        Screw("spindle", "ground", "nut", [0.0, 0.0, 0.2], axis=[0.1, 0.0, 1.0], pitch=0.1),
+        Revolute("pin", "nut", "ram", [0.2, 0.1, 0.3], axis=[0.0, 1.0, 0.3]),
+        Screw("lid", "cap", "ram", [0.3, 0.1, 0.3], axis=[1.0, 0.2, 0.0], pitch=-0.05),
+    ]
+    return _scene("screw_press", bodies, joints)
+
+
+def screw_loop() -> Scene:
+    """Three joints of two freedoms and a screw, which is where the loop is cut: 6 + 1 - 6 = 1."""
+    points = [[0, 0, 0], [0.1, 0.1, 0.5], [0.9, 0.3, 0.8], [1.0, 0.2, 0.1]]
+    bodies = [
+        bar("crank", points[0], points[1]),
+        bar("coupler", points[1], points[2], 2.0),
+        bar("rocker", points[3], points[2], 1.5),
+    ]
+    across = {"axis_on_first": [0, 1, 0]}
+    joints: list[Joint] = [
+        Cylindrical("at_a", "ground", "crank", points[0], axis=[0.2, 1.0, 0.1]),
+        Universal("at_b", "coupler", "crank", points[1], **across, axis_on_second=[0.6, 0, 0.8]),
+        Screw("at_c", "rocker", "coupler", points[2], axis=[0.3, 0.2, 1.0], pitch=0.2),
+        Universal("at_d", "ground", "rocker", points[3], **across, axis_on_second=[1, 0, 0]),
+    ]
+    return _scene("screw_loop", bodies, joints)
+
+
+def rod_loop() -> Scene:
+    """Crank and rocker that a rod couples, both ways round, and a rod to the ground."""
+    a, b, c, d = [0.0, 0.0, 0.0], [0.1, 0.1, 0.5], [0.9, 0.3, 0.7], [1.0, 0.2, 0.1]
+    bodies = [bar("crank", a, b), bar("rocker", d, c, 1.5), bar("bob", b, [0.3, 0.3, 0.9])]
+    joints: list[Joint] = [
+        Revolute("at_a", "ground", "crank", a, axis=[0.2, 1.0, 0.1]),
+        Universal("at_d", "ground", "rocker", d, axis_on_first=[0, 1, 0], axis_on_second=[1, 0, 0]),
+        Spherical("at_b", "crank", "bob", b),
+        Rod("coupler", "rocker", "crank", c, point_on_second=b),
+        Rod("stay", "bob", "ground", [0.3, 0.3, 0.9], point_on_second=[0.3, 1.0, 1.2]),
+    ]
+    return _scene("rod_loop", bodies, joints)
+
+
+def hanging_plate() -> Scene:
+    """A plate on three rods only: 6 - 3 freedoms."""
+    plate = bar("plate", [0.0, 0.0, 0.0], [0.5, 0.3, 0.1])
+    joints: list[Joint] = [
+        Rod("rod_1", "ground", "plate", [0.0, 0.0, 1.0], point_on_second=[0.0, 0.1, 0.0]),
+        Rod("rod_2", "plate", "ground", [0.5, 0.3, 0.1], point_on_second=[0.6, 0.3, 1.1]),
+        Rod("rod_3", "ground", "plate", [0.0, 0.6, 1.0], point_on_second=[0.1, 0.4, 0.0]),
+    ]
+    return _scene("hanging_plate", [plate], joints)
+
+
+def gear_train() -> Scene:
+    """Three hinges on an arm that turns, and a rack: gears between hinges, and hinge and slide."""
+    bodies = [
+        bar("arm", [0.0, 0.0, 0.0], [0.6, 0.0, 0.2]),
+        bar("wheel", [0.2, 0.0, 0.1], [0.2, 0.2, 0.1]),
+        bar("pinion", [0.5, 0.0, 0.1], [0.5, 0.1, 0.2]),
+        bar("rack", [0.5, 0.1, 0.0], [0.7, 0.1, 0.1]),
+    ]
+    joints: list[Joint] = [
+        Revolute("pivot", "ground", "arm", [0, 0, 0], axis=[0.0, 1.0, 0.2]),
+        Revolute("axle", "arm", "wheel", [0.2, 0, 0.1], axis=[0.0, 1.0, 0.0]),
+        Revolute("shaft", "pinion", "arm", [0.5, 0, 0.1], axis=[0.1, 1.0, 0.0]),
+        Translational("guide", "arm", "rack", [0.5, 0.1, 0.0], axis=[1.0, 0.0, 0.3]),
+    ]
+    gears = (Gear("mesh", "axle", "shaft", -2.5), Gear("teeth", "shaft", "guide", 0.1))
+    return _scene("gear_train", bodies, joints, gears)
+
+
+def geared_loop() -> Scene:
+    """A spatial loop with one freedom too many, taken by a gear from its first hinge to where it is cut."""
+    scene = REGULAR[2]()
+    joints = [replace(joint) for joint in scene.mechanism.joints]
+    joints[0] = Cylindrical("at_a", "ground", "crank", joints[0].point, axis=[0.2, 1.0, 0.1])
+    gear = Gear("chain", "at_a", "at_c", 0.7, driver_coordinate=1, follower_coordinate=1)
+    return _scene("geared_loop", list(scene.mechanism.bodies[1:]), joints, (gear,))
+
+
+def moved(scene: Scene, *motions: PrescribedMotion) -> Scene:
+    """The scene with prescribed motions, from where those begin."""
+    return replace(scene, motions=motions, initial_state=None)
+
+
+def driven_four_bar() -> Scene:
+    """A crank that is turned, in a flat loop of redundant equations."""
+    return moved(planar_four_bar(), PrescribedMotion("at_a", Polynomial((0.0, 1.0, 3.0))))
+
+
+def driven_loop() -> Scene:
+    """A spatial loop of a screw that is turned, where the loop is cut."""
+    motion = PrescribedMotion("at_c", Sum((Sine(0.1, 7.0), Polynomial((0.0, 0.2)))), coordinate=1)
+    return moved(screw_loop(), motion)
+
+
+def driven_tree() -> Scene:
+    """A slide and a hinge of a tree on the move, one of them the other way round."""
+    return moved(
+        REGULAR[5](),
+        PrescribedMotion("rail", Sine(0.2, 5.0, phase=0.3)),
+        PrescribedMotion("sleeve_on_cart", Polynomial((0.1, 2.0)), coordinate=1),
+    )
+
+
+def driven_plate() -> Scene:
+    """Two motions of one joint, whose other coordinate is free."""
+    return moved(
+        planar_chain(),
+        PrescribedMotion("table", Sine(0.1, 4.0)),
+        PrescribedMotion("table", Polynomial((0.1, 1.0)), coordinate=2),
+    )
+
+
+def driven_gears() -> Scene:
+    """A gear train that is turned."""
+    return moved(gear_train(), PrescribedMotion("axle", Polynomial((0.2, 3.0, -1.0))))
+
+
+def forced(scene: Scene) -> Scene:
+    """Springs on all joint coordinates and between all neighbours, wrenches of both kinds on all bodies."""
+    mechanism, rng = scene.mechanism, np.random.default_rng(3)
+    forces: list[Force] = []
+    for joint in mechanism.joints:
+        for k in range(len(joint.coordinate_kinds)):
+            stiffness, damping = rng.uniform(1.0, 10.0), rng.uniform(0.05, 0.1)
+            forces.append(JointSpring(joint.name, stiffness, damping, rest=rng.normal(), coordinate=k))
+    bodies = mechanism.bodies
+    for k, (first, second) in enumerate(pairwise(bodies)):
+        ends = [body.center_of_mass + 0.2 * rng.normal(size=3) for body in (second, first)]
+        spring = PointSpring(
+            f"spring_{k}", second.name, first.name, *ends, stiffness=20.0, rest_length=0.3, damping=2.0
+        )
+        forces.append(spring)
+    for body in bodies[1:]:
+        for frame in ("world", "body"):
+            point, force, torque = rng.normal(size=(3, 3))
+            forces.append(Wrench(f"{frame}_{body.name}", body.name, point, 5.0 * force, torque, frame))
+    return replace(scene, forces=tuple(forces))
+
+
+def zero_length_spring() -> Scene:
+    """A spring of no rest length between points that coincide at first."""
+    body = bar("stone", [0.1, 0.0, 0.0], [0.4, 0.2, 0.1])
+    scene = _scene("elastic", [body], [Free("floats", "ground", "stone", [0.0, 0.0, 0.0])])
+    spring = PointSpring(
+        "elastic", "stone", "ground", [0.1, 0, 0], [0.1, 0, 0], stiffness=9.0, rest_length=0.0
+    )
+    return replace(scene, forces=(spring,))
+
+
+def controlled_press() -> Scene:
+    """Screw, spring, wrench and control law together."""
+    scene = screw_press()
+    joints = [replace(joint, actuated=joint.name == "pin") for joint in scene.mechanism.joints]
+    mechanism = Mechanism(scene.mechanism.bodies, joints)
+    return replace(forced(replace(scene, mechanism=mechanism)), control=(PD("pin", 30.0, 0.5, 0.2),))
+
+
+JOINTS = {
+    "planar": planar_chain(),
+    "planar, reversed": planar_chain(forward=False),
+    "planar, cut": planar_loop(),
+    "point on line": line_chain(),
+    "point on line, reversed": line_chain(forward=False),
+    "point on line, cut": line_loop(),
+    "screw": screw_press(),
+    "screw, cut": screw_loop(),
+    "rods": rod_loop(),
+    "rods only": hanging_plate(),
+    "gears": gear_train(),
+    "gear, cut": geared_loop(),
+}
+"""Joints and couplings."""
+
+MOTIONS = {
+    "motion of a loop, redundant": driven_four_bar(),
+    "motion, cut": driven_loop(),
+    "motions of a tree": driven_tree(),
+    "motions of one joint": driven_plate(),
+    "motion of gears": driven_gears(),
+}
+
+FORCED = (
+    "planar, reversed",
+    "point on line, cut",
+    "screw, cut",
+    "rods",
+    "rods only",
+    "gear, cut",
+    "motion, cut",
+    "motions of a tree",
+)
+
+FORCES = {
+    **{f"forces, {build.__name__}": forced(build()) for build in REGULAR},
+    "spring without length": zero_length_spring(),
+    "control and forces": controlled_press(),
+    **{f"forces, {name}": forced((JOINTS | MOTIONS)[name]) for name in FORCED},
+}
+"""Springs and wrenches, on joints that are cut among others."""
+
+ELEMENTS = JOINTS | MOTIONS | FORCES

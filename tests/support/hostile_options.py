@@ -1,0 +1,114 @@
+"""Command lines that are refused: options that are empty, impossible or too much, or overwrite a source."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from hostile_files import TEXTS
+from hostile_results import Refused, nothing, written
+
+
+def option_cases() -> Iterator[Refused]:
+    """Command lines with options that are empty, impossible or too much."""
+    long = "x" * 5000
+    for arguments, message in (
+        (("run", "scene.json", "--engines", ""), "the argument after '--engines' is empty"),
+        (("run", "scene.json", "--engines="), "--engines is empty"),
+        (("run", "scene.json", "--engines", ","), "no engine named"),
+        (("run", ""), "the argument after 'run' is empty"),
+        (("run", "scene.json", "--output", ""), "the argument after '--output' is empty"),
+        (("run", "scene.json", "--save="), "--save is empty"),
+        (("run", "scene.json", "--against", ""), "the argument after '--against' is empty"),
+        (("stress", "--only", ""), "the argument after '--only' is empty"),
+        (("report", ""), "the argument after 'report' is empty"),
+        (("regress", ""), "the argument after 'regress' is empty"),
+        (("", "scene.json"), "the argument after 'crosscheck' is empty"),
+        (("bench", "--error", "1e-300"), "--error is 1e-300; needed: 1e-13 or more"),
+        (("bench", "--error", "nan"), "--error is nan; needed"),
+        (("run", "scene.json", "--set", "velocities=0"), "velocities is '0'; needed: a positive number"),
+        (("run", "scene.json", "--set", "velocities=-1"), "velocities is '-1'; needed: a positive number"),
+        (("run", "scene.json", "--set", "time=nan"), "time is 'nan'; needed: a positive number"),
+        (("run", "scene.json", "--set", "memory=much"), "memory is 'much'; needed: a positive number"),
+        (("run", "scene.json", "--set", "time=1", "--set", "time=2"), "--set time is given twice"),
+        (
+            ("run", "scene.json", "--set", "velocities=2"),
+            "4 velocities, at most 2; to allow it: --set velocities=4",
+        ),
+        (("run", "tracker", "--set", "closures=1"), "scene 'tracker': 2 closures, at most 1"),
+        (("run", long), "File name too long"),
+        (("run", f"{long}.json"), "File name too long"),
+        (("run", f"{long}.xml"), "File name too long"),
+        (("run", f"{long}.urdf"), "File name too long"),
+        (("run", "scene.json", "--output", long), "File name too long"),
+        (("run", "scene.json", "--save", f"{long}.rrd"), "File name too long"),
+        (("report", long), "File name too long"),
+        (("view", long), "File name too long"),
+        (("convert", "scene.json", f"{long}.yaml"), "File name too long"),
+        (("regress", "pendulum", "--baseline", long), "no baseline"),
+        (("bench", "--batch", "10000000"), "--batch 10000000: poses of two outputs already take more than"),
+        (("bench", "--batch", "1"), "1 is not in the range"),
+        (("bench", "--repeats", "1e9"), "'1e9' is not a valid"),
+        (("bench", "scene.json", "--scaling"), "scene 'scene.json' has no option N; choose from"),
+        (("bench", "--rhs", "--scaling"), "different benchmarks; choose one"),
+        (("run", "four_bar", "--set", "N=1000"), "2002 bodies, at most 2000; to allow it: --set bodies=2002"),
+        (("run", "four_bar", "--set", "N=1e3"), "N of scene 'four_bar' is '1e3'; choose a whole number"),
+        (("run", "chain", "--set", "N=1000"), "1000 velocities, at most 300; to allow it: --set velocities"),
+        (("run", "scene.json", "--output", "/dev/null"), "cannot write /dev/null/newton_euler.npz"),
+        (("run", "scene.json", "--output", "/proc/x"), "cannot write /proc/x/newton_euler.npz"),
+        (("run", "scene.json", "--output", "model.xml/out"), "Not a directory"),
+        (("run", "scene.json", "--connect", "file:///etc/passwd"), "is no address of a viewer"),
+        (("run", "scene.json", "--connect", "rerun+http://127.0.0.1:9/proxy"), "no viewer answers"),
+        (("run", "scene.json", "--serve", "--bind", "999.1.1.1"), "does not appear to be an IPv4 or IPv6"),
+        (("run", "scene.json", "--bind", "127.0.0.1"), "only --serve listens"),
+        (("run", "scene.json", "--stdout", "--save", "x.rrd"), "a recording goes to one place; choose one"),
+        (("run", "scene.json", "--engines", "mujoco,mujoco"), "engine 'mujoco' is named 2 times"),
+        (("run", "scene.json", "--against", "nothing.xml"), "nothing.xml: cannot be read"),
+        (("run", "scene.json", "--against", "scene.yaml", "--engines", "mujoco"), "without --engines"),
+        (("run", "--all", "tracker"), "--all runs all scenes at their defaults"),
+        (("run", "tracker", "pendulum"), "unexpected extra argument (pendulum)"),
+        (("run", "\udcff.xml"), "\\udcff.xml: cannot be read"),
+        (("run", "model.xml", "--set", "exercise=maybe"), "exercise is 'maybe'; needed: on or off"),
+        (("run", "model.xml", "--set", "root=model.xml"), "leads outside of"),
+        (("run", "robot.urdf", "--set", "gravity=down"), "gravity is 'down'; needed: X,Y,Z"),
+        (("run", "robot.urdf", "--set", "gravity=1e300,0,0"), "gravity"),
+        (("run", "robot.urdf", "--set", "base=magic"), "unknown base 'magic'; choose from: fixed, free"),
+        (("convert", "scene.json", "x.stl"), "cannot convert to x.stl; choose a name that ends in"),
+        (("convert", "scene.json", "scene.json"), "would overwrite scene.json, which it reads"),
+        (("faults", "scene.json", "--engine", "x"), "'x' is not one of"),
+        (("faults", "scene.json", "--reading"), "--reading needs an MJCF or a URDF"),
+        (("stress", "--only", "zz"), "z"),
+        (("figures", "--output", "model.xml"), "cannot write model.xml/figure_5.png"),
+        (("view", "/dev/zero"), "/dev/zero is not a file"),
+        (("view", "model.xml"), "model.xml is not a Rerun recording"),
+        (("regress", "pendulum", "pendulum"), "both named 'pendulum'"),
+        (("regress", "scene.json", "--update"), "--update and --reason TEXT go together"),
+        (("regress", "pendulum", "--junit", "a", "--json", "./a"), "name the same file"),
+        (
+            ("regress", "scene.json", "--update", "--reason", "x", "--baseline", "scene.json"),
+            "scene.json: scene: ",
+        ),
+        (("run", "new/summary.json", "--output", "new"), "new/summary.json: cannot be read"),
+    ):
+        name = " ".join(f"{argument[:40]}{argument[40:][-5:]}" for argument in arguments)
+        yield Refused(f"options {name}", arguments, message, nothing)
+    stored = Path(__file__).parents[2] / "crosscheck" / "baselines" / "pendulum.json"
+    for kind in ("--json", "--junit", "--markdown"):
+        yield Refused(
+            f"{kind} over the baseline",
+            ("regress", "pendulum", "--baseline", "base.json", kind, "base.json"),
+            "would overwrite base.json, which it reads",
+            written("base.json", stored.read_text()),
+        )
+    for name, command in {
+        "summary.json": ("run",),
+        "rhs.json": ("bench", "--rhs"),
+        "batch.json": ("bench", "--batch", "2"),
+        "faults.json": ("faults",),
+    }.items():
+        yield Refused(
+            f"results over {name}",
+            (command[0], name, *command[1:], "--output", "."),
+            f"would overwrite {name}, which it reads",
+            written(name, TEXTS["scene.json"]),
+        )

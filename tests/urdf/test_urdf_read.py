@@ -1,0 +1,202 @@
+"""Reading URDF and loop files: against Pinocchio's own model, and there and back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from elements import JOINTS
+from mechanisms import GRAVITY, REGULAR, planar_four_bar
+from urdf_files import CHAIN, LOOPS, TIPS, joint, link, robot
+
+import urdf
+from newton_euler.equations.relative import Relative
+from newton_euler.model.joints import Compound, Fixed, Free, Prismatic, Revolute, Spherical
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import Evaluation, State
+from urdf.errors import LoopFileError, UrdfError
+from urdf.read import Reading, read
+
+
+def reading(folder: Path, text: str, loops: str | None = None) -> Reading:
+    path = folder / "robot.urdf"
+    path.write_text(text)
+    if loops is None:
+        return read(path)
+    (folder / "robot.yaml").write_text(loops)
+    return read(path, folder / "robot.yaml")
+
+
+def at_rest(scene: Scene) -> Evaluation:
+    system = Relative(scene)
+    return system.evaluate(*system.coordinates(State.initial(scene.mechanism)))
+
+
+def test_accelerations_are_those_of_pinocchio(tmp_path: Path) -> None:
+    found = reading(tmp_path, CHAIN)
+    mechanism = found.scene.mechanism
+    assert [type(joint) for joint in mechanism.joints] == [Revolute, Prismatic, Revolute]
+    assert mechanism.body_names == ("ground", "a", "b", "d")
+    model = pin.buildModelFromXML(CHAIN.split("?>")[1])
+    data, q = model.createData(), pin.neutral(model)
+    vdot = pin.aba(model, data, q, np.zeros(model.nv), np.zeros(model.nv))
+    pin.forwardKinematics(model, data, q, np.zeros(model.nv), vdot)
+    evaluation = at_rest(found.scene)
+    for k, body in enumerate(mechanism.bodies[1:], start=1):
+        acceleration = pin.getClassicalAcceleration(model, data, k, pin.LOCAL_WORLD_ALIGNED)
+        arm = data.oMi[k].rotation @ model.inertias[k].lever
+        linear = acceleration.linear + np.cross(acceleration.angular, arm)
+        # 1e-12: numbers of order 1 to 10 through a dozen products
+        assert evaluation.angular_acceleration[k] == pytest.approx(acceleration.angular, abs=1e-12)
+        assert evaluation.linear_acceleration[k] == pytest.approx(linear, abs=1e-12)
+        assert body.mass == model.inertias[k].mass
+    assert found.scene.forces[0].damping == 0.5
+    lines = [str(entry) for entry in found.report.entries]
+    assert "joint 'first': left out: its dry friction 0.1" in lines
+    assert "joint 'second': left out: its limits: limits are no bilateral constraints" in lines
+    assert "link 'c': exactly: part of 'b'" in lines
+
+
+def test_free_and_planar_joints_and_mimics(tmp_path: Path) -> None:
+    text = robot(
+        link("a"), link("b"), link("c"), link("d"),
+        joint("floats", "floating", "base", "a"),
+        joint("slides", "planar", "base", "b"),
+        joint("leads", "revolute", "b", "c"),
+        joint("follows", "prismatic", "c", "d", '<mimic joint="leads" multiplier="0.5" offset="0.1"/>'),
+    )  # fmt: skip
+    found = reading(tmp_path, text)
+    kinds = {joint.name: type(joint) for joint in found.scene.mechanism.joints}
+    assert kinds == {"floats": Free, "slides": Compound, "leads": Revolute, "follows": Prismatic}
+    (gear,) = found.scene.mechanism.couplings
+    assert (gear.driver, gear.follower, gear.ratio) == ("leads", "follows", 0.5)
+    where = "joints start where their mimics' offsets put them with their drivers at 0, m or rad: "
+    assert found.report.start[:2] == [
+        where + "'follows' 0.1",
+        "starts from coordinates 0 and mimics at their offsets: all loops closed, to 0.0e+00",
+    ]
+
+
+@pytest.mark.parametrize("kind", ["revolute", "continuous"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_mimics_start_at_their_offsets_with_their_drivers_at_zero(
+    tmp_path: Path, kind: str, order: int
+) -> None:
+    """Against Pinocchio's forward kinematics, with a follower that another one follows, in either order."""
+    # 4 rad are more than half a turn
+    followers = (
+        joint("second", kind, "a", "b", '<mimic joint="first" multiplier="2" offset="0.4"/>'),
+        joint("third", kind, "b", "c", '<mimic joint="second" multiplier="-0.5" offset="4"/>'),
+    )
+    links = (link("a"), link("b"), link("c"))
+    text = robot(*links, joint("first", "revolute", "base", "a"), *followers[::order])
+    found = reading(tmp_path, text)
+    assert found.report.start[0].endswith(": " + ", ".join(["'second' 0.4", "'third' 3.8"][::order]))
+    model = pin.buildModelFromXML(text.replace("<mimic", "<ignored"))
+    data = model.createData()
+    q = pin.integrate(model, pin.neutral(model), np.array([0.0, 0.4, 4.0 - 0.5 * 0.4]))
+    pin.forwardKinematics(model, data, q)
+    for index, body in enumerate(found.scene.mechanism.bodies[1:], start=1):
+        center = data.oMi[index].act(model.inertias[index].lever)
+        assert body.center_of_mass == pytest.approx(center, abs=1e-14)  # three rotations of order 1
+    gears = [(gear.driver, gear.follower, gear.ratio) for gear in found.scene.mechanism.couplings]
+    assert sorted(gears) == [("first", "second", 2.0), ("second", "third", -0.5)]
+
+
+def test_mimics_that_follow_each_other_are_assembled(tmp_path: Path) -> None:
+    text = robot(
+        link("a"), link("b"), link("c"),
+        joint("free", "revolute", "base", "c"),
+        joint("one", "revolute", "base", "a", '<mimic joint="two" multiplier="0.5" offset="0.3"/>'),
+        joint("two", "revolute", "a", "b", '<mimic joint="one" multiplier="0.5"/>'),
+    )  # fmt: skip
+    found = reading(tmp_path, text)
+    assert found.report.start[0] == "coordinates 0 are open, in m or rad: mimic of one 0.3"
+    # one = 0.5 two + 0.3 and two = 0.5 one have the solution 0.4 and 0.2
+    assert "joint 'one' moved most, by 0.4" in found.report.start[1]
+
+
+def test_massless_links_between_joints_make_one_joint(tmp_path: Path) -> None:
+    text = robot(
+        link("a"),
+        '<link name="cross"/>',
+        joint("hip_1", "revolute", "base", "cross"),
+        joint("hip_2", "revolute", "cross", "a", xyz="0 0 0"),
+    )
+    (found,) = reading(tmp_path, text).scene.mechanism.joints
+    assert isinstance(found, Compound)
+    assert (found.name, len(found.hinges)) == ("hip", 2)
+
+
+def test_a_loop_that_is_open_is_closed_or_refused(tmp_path: Path) -> None:
+    tb = joint("tb", "fixed", "slide", "tip_b", xyz="-0.2 0 0.4")
+    parts = [*TIPS[:-1], link("slide"), joint("s", "floating", "b", "slide"), tb]
+    loops = LOOPS.format(pairs="[[tip_a, tip_b]]", types="[3d]", motors="[ja]")
+    found = reading(tmp_path, robot(*parts), loops)
+    assert found.report.start[0].startswith("coordinates 0 are open, in m or rad: loop of tip_a and tip_b 0.")
+    assert "assembled next to coordinates 0" in found.report.start[1]
+    assert found.report.start[2].startswith("branch: ")
+    (closing,) = [joint for joint in found.scene.mechanism.joints if isinstance(joint, Spherical)]
+    assert closing.point == pytest.approx(closing.reaction_point, abs=1e-12)
+    assert [joint.name for joint in found.scene.mechanism.joints if joint.actuated] == ["ja"]
+    for kind in ("3d", "6d"):
+        loops = LOOPS.format(pairs="[[tip_a, tip_b]]", types=f"[{kind}]", motors="[]")
+        with pytest.raises(UrdfError, match=r"loop of tip_a and tip_b cannot be closed .* open by .* there"):
+            reading(tmp_path, robot(*TIPS), loops)
+
+
+ALL = JOINTS | {build.__name__: build() for build in (*REGULAR, planar_four_bar)}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_there_and_back(name: str, tmp_path: Path) -> None:
+    scene = replace(ALL[name], gravity=GRAVITY, initial_state=None)
+    urdf.write(scene, tmp_path / "robot.urdf")
+    back = read(tmp_path / "robot.urdf", tmp_path / "robot.loops.yaml").scene
+    fixed = {joint.first for joint in scene.mechanism.joints if isinstance(joint, Fixed)}
+    own, found = at_rest(scene), at_rest(back)
+    for k, body in enumerate(scene.mechanism.bodies[1:], start=1):
+        if body.name in fixed:
+            continue  # part of the body that it is fixed to
+        i = back.mechanism.body_index(body.name)
+        for array in ("linear_acceleration", "angular_acceleration"):
+            x, y = getattr(own, array)[k], getattr(found, array)[i]
+            # 1e-12 of the largest: seventeen digits in the file, and condition numbers of 1e3
+            assert np.max(np.abs(x - y)) < 1e-12 * max(1.0, np.max(np.abs(getattr(own, array)))), body.name
+        if not fixed:
+            assert back.mechanism.bodies[i].mass == pytest.approx(body.mass, rel=1e-15)
+            assert back.mechanism.bodies[i].center_of_mass == pytest.approx(body.center_of_mass, abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("loops", "message"),
+    [
+        ("closed_loop: []\n", "type: missing"),
+        (LOOPS.format(pairs="[[tip_a, tip_b]]", types="[5d]", motors="[]"), "type: unknown '5d'"),
+        (
+            LOOPS.format(pairs="[[tip_a, tip_b]]", types="[]", motors="[]"),
+            "type: 0 entries for 1 of closed_loop",
+        ),
+        (LOOPS.format(pairs="[[tip_a, tip_x]]", types="[3d]", motors="[]"), "has no link or joint 'tip_x'"),
+        (LOOPS.format(pairs="[]", types="[]", motors="[jx]"), "no moving joint 'jx'"),
+        ("[" * 5000, "document: not YAML: line 1: nested too deeply"),
+    ],
+)
+def test_loop_files_that_cannot_be(loops: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(LoopFileError) as caught:
+        reading(tmp_path, robot(*TIPS), loops)
+    assert str(caught.value).startswith(str(tmp_path / "robot.yaml"))
+    assert message in str(caught.value)
+
+
+def test_joints_that_move_no_mass_are_held_and_reported(tmp_path: Path) -> None:
+    text = robot(link("a"), '<link name="tip"/>', joint("moves", "revolute", "base", "a"),
+                 joint("idle", "revolute", "a", "tip", '<mimic joint="moves"/>'))  # fmt: skip
+    found = reading(tmp_path, text)
+    assert found.scene.mechanism.joint_names == ("moves",)
+    lines = [str(entry) for entry in found.report.of("left out")]
+    assert "joint 'idle': left out: it moves no mass: held where it is" in lines
+    assert "mimic of joint 'idle': left out: one of its joints moves nothing" in lines

@@ -1,0 +1,205 @@
+"""Runs by Pinocchio against this package's own, and against conservation of energy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from elements import ELEMENTS, MOTIONS
+from mechanisms import all_universal_loop, pendulum, planar_four_bar, spinning_top
+
+import newton_euler
+import urdf
+from crosscheck.scenes import load
+from newton_euler.assemble import random_states
+from newton_euler.equations.system import at_time
+from newton_euler.errors import IntegrationError, NewtonEulerError, OptionError, UnknownNameError
+from newton_euler.model.euler_parameters import angle_between
+from newton_euler.model.forces import JointSpring
+from urdf.dynamics import PinocchioSystem
+from urdf.tight import equations_of, fixed
+
+
+@pytest.fixture(scope="module")
+def run(tracker):
+    """Runs of the tracker, each set of options run once."""
+
+    @lru_cache
+    def simulate(**options):
+        return urdf.simulate(tracker, **options)
+
+    return simulate
+
+
+def test_trajectory_says_what_it_is(tracker, run):
+    trajectory = run()
+    assert trajectory.engine == "pinocchio"
+    assert trajectory.settings["stabilization"] == "projection"
+    assert trajectory.settings["evaluations"] > trajectory.settings["steps"] > 0
+    assert trajectory.wall_time > 0.0
+    assert trajectory.body_names == tracker.mechanism.body_names
+    assert trajectory.position.shape == (len(tracker.times), 7, 3)
+    assert trajectory.reaction_force.shape == (len(tracker.times), 8, 3)
+
+
+@pytest.mark.parametrize("stabilization", ["baumgarte", "projection", "none"])
+def test_tracker_moves_as_in_newton_euler_to_1e_9(tracker_run, run, stabilization):
+    """The project's promise at tight tolerance: 1e-9 m and 1e-9 rad, every body, every output time."""
+    tight = {"rtol": 1e-11, "atol": 1e-13}
+    found = run(stabilization=stabilization, **tight)
+    for formulation in ("relative", "cartesian"):
+        wanted = tracker_run(formulation=formulation, **tight)
+        assert np.max(np.abs(found.position - wanted.position)) < 1e-9
+        assert np.max(angle_between(found.quaternion, wanted.quaternion)) < 1e-9
+
+
+@pytest.mark.parametrize("stabilization", ["baumgarte", "projection", "none"])
+def test_defaults_are_good(tracker_run, run, stabilization):
+    """1e-9 m and 1e-8 of a quaternion: DOP853 at rtol 1e-10 on both sides, and angles of the light
+    links that are ten to a hundred times as sensitive. Reactions (below 10 N): 1e-6 N, as
+    accelerations follow the steps' errors with rates of up to 300 1/s."""
+    wanted, found = tracker_run(), run(stabilization=stabilization)
+    assert np.max(np.abs(found.position - wanted.position)) < 1e-9
+    assert np.max(np.abs(found.quaternion - wanted.quaternion)) < 1e-8
+    assert np.max(np.abs(found.reaction_force - wanted.reaction_force)) < 1e-6
+    assert np.max(np.abs(found.actuator_force - wanted.actuator_force)) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("stabilization", "drift"), [("projection", 1e-14), ("baumgarte", 1e-10), ("none", 1e-9)]
+)
+def test_loops_stay_closed(run, stabilization, drift):
+    """m and rad. Projection: round-off. Without: the steps' error, rtol 1e-10, which adds up only
+    where nothing pulls it back."""
+    assert np.max(run(stabilization=stabilization).constraint_violation) < drift
+
+
+def test_fixed_steps_converge_with_order_four(run):
+    """Runge-Kutta's order 4 within 10 %, between steps that are well inside its stability limit and
+    whose errors of 1e-6 m and less are far above those of the run they are measured against."""
+    exact = run()
+    errors = [
+        np.max(np.abs(run(integrator="RK4", step=step).position - exact.position)) for step in (5e-3, 2.5e-3)
+    ]
+    assert errors[0] < 1e-6
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, rel=0.1)
+
+
+@pytest.mark.parametrize("build", [spinning_top, all_universal_loop, planar_four_bar])
+def test_energy_is_kept(build):
+    """1e-8 of the largest energy: 1 s at rtol 1e-10. A ball in the tree, a loop cut at a universal
+    joint, a redundant one."""
+    trajectory = urdf.simulate(build())
+    total = trajectory.kinetic_energy + trajectory.potential_energy
+    assert np.ptp(trajectory.potential_energy) > 0.1
+    scale = np.max(np.abs(trajectory.potential_energy)) + np.max(trajectory.kinetic_energy)
+    assert np.max(np.abs(total - total[0])) < 1e-8 * scale
+
+
+def test_outputs_that_are_not_asked_for_are_left_out(tracker):
+    scene = replace(tracker, outputs=frozenset({"energy"}), duration=0.05)
+    trajectory = urdf.simulate(scene)
+    assert trajectory.reaction_force is None
+    assert trajectory.linear_velocity is None
+    assert trajectory.kinetic_energy.shape == (6,)
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"stabilization": "prayer"}, UnknownNameError),
+        ({"integrator": "LSODA"}, UnknownNameError),
+        ({"integrator": "RK4"}, OptionError),
+        ({"alpha": -1.0}, OptionError),
+        ({"alpha": float("nan")}, OptionError),
+        ({"rtol": 0.0}, OptionError),
+    ],
+)
+def test_bad_options_are_refused(tracker, options, error):
+    with pytest.raises(error) as caught:
+        urdf.simulate(tracker, **options)
+    assert isinstance(caught.value, NewtonEulerError)
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_drift_of_couplings_is_that_of_newton_euler(name):
+    """Without stabilization coarse steps miss what a motion prescribes, in every engine by as much."""
+    options = {"integrator": "RK4", "step": 0.05, "stabilization": "none"}
+    scene = replace(MOTIONS[name], duration=0.5, output_period=0.1)
+    found, wanted = (engine.simulate(scene, **options) for engine in (urdf, newton_euler))
+    driven = [scene.mechanism.joint_index(motion.joint) for motion in scene.motions]
+    missed, opened = found.constraint_violation[:, driven], wanted.constraint_violation[:, driven]
+    # the same steps; 10 %: where a joint is cut, the coordinates that they are made in are others
+    assert missed == pytest.approx(opened, rel=0.1, abs=1e-12)
+    assert name != "motions of a tree" or missed.max() > 1e-7
+
+
+SPRUNG = replace(pendulum(), forces=(JointSpring("pivot", 10.0, 0.5, 0.2),))
+"""Nothing but a spring drives it."""
+
+
+@pytest.mark.parametrize("scene", [*ELEMENTS.values(), SPRUNG], ids=[*ELEMENTS, "sprung"])
+def test_tight_equations_are_those_of_runs(scene):
+    scene = replace(scene, outputs=frozenset())
+    equations = equations_of(scene, 0.0, None)
+    system = at_time(equations.system, 0.1)
+    for state in (scene.initial_state, *(() if scene.motions else random_states(scene, 2))):
+        q, v = system.coordinates(state)
+        y = np.concatenate([system.map.q_to_pinocchio(q), system.map.v_to_pinocchio(v)])
+        wanted = system.map.v_to_pinocchio(system.acceleration(q, v))
+        found = equations.rates(0.1, y)[equations.nq :]
+        # 1e-8: redundant closures are regularised in other ways
+        assert found == pytest.approx(wanted, abs=1e-8 * max(1.0, np.max(np.abs(wanted))))
+
+
+def test_tight_fixed_steps_follow_prescribed_motions():
+    scene = replace(MOTIONS["motions of a tree"], duration=0.2, output_period=0.1, outputs=frozenset())
+    equations = equations_of(scene, 0.0, None)
+    exact = newton_euler.simulate(scene, rtol=1e-12, atol=1e-13).position
+    errors = []
+    for number in (10, 20):
+        rows, _ = fixed(equations, "RK4", [(2, 0.1)], number)
+        found = [
+            equations.system.state(
+                equations.system.map.q_from_pinocchio(row[: equations.nq]), np.zeros(equations.system.nv)
+            ).position
+            for row in rows
+        ]
+        errors.append(np.max(np.abs(np.array(found) - exact)))
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.2)  # order 4
+
+
+def test_bars_pass_flat_configurations_with_all_digits():
+    """Where the rank of the constraints drops; scipy's own step control leaves 4e-6 there."""
+    scene = replace(load("four_bar", N="1"), duration=3.2)
+    own = newton_euler.simulate(scene, rtol=1e-12, atol=1e-14)
+    run = urdf.simulate(scene, rtol=1e-12, atol=1e-14, most_steps=1000)
+    # two passages; either engine is good to about 1e-11 here
+    assert np.abs(run.position - own.position).max() < 1e-9
+
+
+@pytest.mark.parametrize("windows", [2, 10])
+def test_rows_of_bars_hop_over_flat_configurations(windows):
+    """Steps that stay short after one that was shortened for its place come ever closer and stop."""
+    scene = replace(load("four_bar", N=windows), duration=3.2)
+    # two passages at rtol 1e-10, which magnify errors some hundredfold
+    assert np.abs(urdf.simulate(scene).position - newton_euler.simulate(scene).position).max() < 1e-7
+
+
+def test_a_linkage_that_locks_is_given_up_soon(locking):
+    """Not only when steps are as short as a double can hold, a thousand of them later."""
+    with pytest.raises(IntegrationError, match="steps have become too small; fastest at joint 'motor'"):
+        urdf.simulate(locking, integrator="Radau", rtol=1e-8, atol=1e-10)
+
+
+def test_masses_are_asked_for_once_in_a_run(monkeypatch):
+    """They are constant, and for a hundred bodies Pinocchio takes half a second to tell them."""
+    asked = []
+    masses = PinocchioSystem.mass_properties
+    monkeypatch.setattr(
+        PinocchioSystem, "mass_properties", lambda system: asked.append(system) or masses(system)
+    )
+    urdf.simulate(load("four_bar"))
+    assert len(asked) == 1
