@@ -27,10 +27,14 @@ def fingerprint(*values: object) -> str | None:
     return hashlib.sha256(b"\0".join([SOURCE, *parts])).hexdigest()
 
 
+PACKAGE = Path(__file__).parents[1]
+"""Every module of `newton_euler`: the equations as well as their compiler."""
+
+
 def _source() -> bytes:
-    """The hash of the package's files."""
+    """Hash the package's files."""
     found = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
+    for path in sorted(PACKAGE.rglob("*.py")):
         found.update(path.read_bytes())
     return found.digest()
 

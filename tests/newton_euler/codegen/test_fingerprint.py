@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 import newton_euler
+import newton_euler.equations.relative
 from crosscheck.scenes import SCENES, load
 from newton_euler.codegen.cache import CACHE_VARIABLE
-from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.codegen.fingerprint import PACKAGE, fingerprint
 from newton_euler.compiled import Code
 from newton_euler.model.control import Sampled
 from newton_euler.model.mechanism import Mechanism
@@ -53,6 +54,10 @@ def test_it_is_the_same_in_every_process(tracker):
             check=True,
         )
         assert done.stdout.strip() == expected
+
+
+def test_the_equations_are_part_of_the_source():
+    assert Path(newton_euler.equations.relative.__file__).is_relative_to(PACKAGE)
 
 
 CHANGES = {
