@@ -18,8 +18,8 @@ import numpy as np
 from mjcf.evaluate import constraint_jacobian, evaluation, mass_and_force
 from mjcf.loops import closes, loops
 from mjcf.model import CompiledScene
+from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.redundancy import rows_left_out, without
-from newton_euler.equations.solve import solve_constrained
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array

@@ -14,7 +14,8 @@ import numpy as np
 
 from mjcf.errors import DivergenceError
 from mjcf.write import SOLIMP, TIMESTEP
-from newton_euler.equations.blame import blamed, fastest_joint, strongest_force
+from newton_euler.equations.applied_forces import strongest_force
+from newton_euler.equations.system import blamed, fastest_joint
 from newton_euler.errors import IntegrationError, OptionError, StoppedError, UnknownNameError
 from newton_euler.integrators.sampling import Interval, holding, intervals, sample
 from newton_euler.model.scene import Scene

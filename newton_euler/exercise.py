@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.assemble import assemble
+from newton_euler.equations.dense import orthonormal_null
 from newton_euler.equations.redundancy import constraint_rank
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.solve import orthonormal_null
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring

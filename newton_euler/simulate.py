@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from newton_euler.compiled import FORMULATIONS, Code
-from newton_euler.equations.redundancy import mobility
-from newton_euler.equations.row_choice import other_rows
+from newton_euler.equations.redundancy import mobility, other_rows
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import (
     IntegrationError,

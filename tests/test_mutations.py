@@ -39,7 +39,7 @@ MISTAKES = {
         "newton_euler/model/test_joints.py",
     ),
     "a missing Coriolis term of slides": (
-        "newton_euler/equations/links.py",
+        "newton_euler/equations/kinematics.py",
         "acceleration = acceleration + coriolis",
         "acceleration = acceleration + 0.0 * coriolis",
         "newton_euler/equations/test_formulations.py",

@@ -29,7 +29,7 @@ BREAKS = {
         "free_top",
     ),
     "a centripetal acceleration off by 1e-6": (
-        "newton_euler/equations/links.py",
+        "newton_euler/equations/kinematics.py",
         "cross(alpha, s) + cross(omega, turning)",
         "cross(alpha, s) + (1.0 + 1e-6) * cross(omega, turning)",
         "pendulum",

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.equations.dense import rank
 from newton_euler.equations.redundancy import constraint_rank, loop_rank, mobility, rows_left_out
-from newton_euler.equations.solve import rank
 from newton_euler.equations.tree_couplings import TreeCouplings
 from newton_euler.errors import SingularityError
 from newton_euler.integrators.stabilize import joint_residuals

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from crosscheck.against.align import Aligned
-from newton_euler.equations.force_terms import turned
+from newton_euler.equations.applied_forces import turned
 from newton_euler.model.armature import BallArmature
 from newton_euler.model.forces import BallSpring
 from newton_euler.model.joints import Joint

@@ -13,8 +13,8 @@ from crosscheck.against.worst import worst_row
 from crosscheck.comparison.dynamics import motion_rows
 from crosscheck.comparison.rows import Row, round_off
 from crosscheck.comparison.samples import Samples, Scales
+from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.force_terms import body_wrenches
 from newton_euler.model.armature import Armature
 from newton_euler.model.control import Law
 from newton_euler.model.forces import BallSpring, JointSpring

@@ -11,7 +11,7 @@ import numpy as np
 from crosscheck.comparison.rows import Row, round_off
 from crosscheck.comparison.samples import Samples, Scales
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.sparse import dense
+from newton_euler.equations.sparse import to_array
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array, cross
@@ -57,7 +57,7 @@ def _residual(equations: Cartesian, found: Evaluation) -> Array:
     applied = equations.applied(q, frames)[1].reshape(-1, 6)
     accelerations = np.hstack([found.linear_acceleration, rates])[1:].ravel()
     inertias, _, rows, gammas = equations.rotor_rows(q, frames)
-    for inertia, row, gamma in zip(inertias, dense(rows, accelerations.size), gammas, strict=True):
+    for inertia, row, gamma in zip(inertias, to_array(rows, accelerations.size), gammas, strict=True):
         applied = applied - (inertia * (row @ accelerations - gamma) * row).reshape(-1, 6)
     left = (needed - _reaction_wrenches(equations.mechanism, found))[1:] - applied
     left[:, 3:] /= mechanism.size

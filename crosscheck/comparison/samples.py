@@ -14,9 +14,9 @@ from crosscheck.comparison.joint_geometry import joint_geometry
 from crosscheck.comparison.reactions import undetermined
 from crosscheck.comparison.terms import mass_and_force
 from crosscheck.errors import CrosscheckError
+from newton_euler.equations.dense import numerical_rank, orthonormal_null, orthonormal_range, singular_values
 from newton_euler.equations.redundancy import mobility, rows_left_out, without
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.solve import numerical_rank, orthonormal_null, orthonormal_range, singular_values
 from newton_euler.equations.system import System, dimensionless_jacobian
 from newton_euler.model.joint_geometry import JointGeometry
 from newton_euler.model.scene import Scene

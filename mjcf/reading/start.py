@@ -8,9 +8,8 @@ import mujoco
 import numpy as np
 
 from mjcf.reading.source import SourceError
-from newton_euler.equations.branch import assembled, branch
-from newton_euler.equations.closure import CLOSED, Units, close, reach
-from newton_euler.equations.solve import largest
+from newton_euler.equations.dense import largest
+from newton_euler.equations.loop_closure import CLOSED, Units, assembled, branch, close, reach
 from newton_euler.model.mapping import Mapping
 from newton_euler.model.mechanism import spread
 from newton_euler.scalars import Array

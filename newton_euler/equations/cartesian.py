@@ -18,14 +18,14 @@ from collections.abc import Collection
 
 import numpy as np
 
-from newton_euler.equations.blame import fastest_joint
+from newton_euler.equations.applied_forces import power, rotors_energy, springs_energy
 from newton_euler.equations.cartesian_terms import CartesianTerms
-from newton_euler.equations.force_terms import power, rotors_energy, springs_energy
+from newton_euler.equations.dense import independent_rows, singular_values
 from newton_euler.equations.reactions import at_joint_points, pushes
 from newton_euler.equations.redundancy import rows_left_out, without
-from newton_euler.equations.solve import independent_rows, singular_values
-from newton_euler.equations.sparse import Rows, RowsInUse, Solution, add, dense, factorise, sparse_vector
+from newton_euler.equations.sparse import Rows, RowsInUse, Solution, add, factorise, sparse_vector, to_array
 from newton_euler.equations.sparse import solve_constrained as sparse_solve
+from newton_euler.equations.system import fastest_joint
 from newton_euler.errors import SingularityError
 from newton_euler.model.couplings import turns
 from newton_euler.model.euler_parameters import matrix_g, matrix_l
@@ -48,12 +48,14 @@ class Cartesian(CartesianTerms):
         phi, gamma, rate = self.joint_phi(q), self.joint_gamma(q, frames), self.joint_rate(q, frames)
         n6, n7 = len(mass), self.nv
         for inertia, on_q, on_b, drift in zip(*self.rotor_rows(q, frames), strict=True):
-            push = inertia * dense([on_b], n6)[0]  # -a (Phi_q qddot - gamma) on the coordinate
-            mass = mass + np.outer(push, dense([on_q], n7)[0])
+            push = inertia * to_array([on_b], n6)[0]  # -a (Phi_q qddot - gamma) on the coordinate
+            mass = mass + np.outer(push, to_array([on_q], n7)[0])
             g = g + drift * push
-        phi_q, b = (dense(rows, n) for rows, n in zip(self.joint_jacobian(q, frames), (n7, n6), strict=True))
+        phi_q, b = (
+            to_array(rows, n) for rows, n in zip(self.joint_jacobian(q, frames), (n7, n6), strict=True)
+        )
         norm, p_rows, c = self.norm_terms(q, qdot)
-        p_matrix = dense(p_rows, n7)
+        p_matrix = to_array(p_rows, n7)
         matrix = zeros((n7 + self.rows, n7 + self.rows), q)
         matrix[:n6, :n7], matrix[:n6, n7:] = mass, b.T
         matrix[n6:n7, :n7] = p_matrix
@@ -163,7 +165,7 @@ class Cartesian(CartesianTerms):
     def _weakest_joint(self, q: Array) -> str:
         """Name of the joint that weighs most in the dependent combination of constraint rows."""
         frames = self.frames(q, np.zeros(self.nv))
-        left = singular_values(dense(self.joint_jacobian(q, frames)[1], 6 * len(self.bodies)))[0][:, -1]
+        left = singular_values(to_array(self.joint_jacobian(q, frames)[1], 6 * len(self.bodies)))[0][:, -1]
         weights: dict[str, float] = {}
         for owner, share in zip(self.row_owners, left**2, strict=False):  # the norms are not among them
             weights[owner] = weights.get(owner, 0.0) + share
@@ -205,7 +207,7 @@ class Cartesian(CartesianTerms):
 
     def phi_jacobian(self, q: Array) -> Array:
         """Derivative of `phi` by q."""
-        return dense(self.phi_and_jacobian(q)[1], self.nv)
+        return to_array(self.phi_and_jacobian(q)[1], self.nv)
 
     def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
         """All residuals and the nonzeros of their Jacobian."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.equations import balls
-from newton_euler.equations.force_terms import Surroundings, body_wrenches
+from newton_euler.equations.applied_forces import Surroundings, body_wrenches
 from newton_euler.equations.sparse import Rows, RowsInUse, add
 from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.constraints import Frame, Jacobian

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from newton_euler.equations.force_terms import body_wrenches
+from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.couplings import Coupling
 from newton_euler.model.joints import JointEquations
@@ -25,7 +25,7 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array, Scalar, cross
 
 if TYPE_CHECKING:
-    from newton_euler.equations.links import Link
+    from newton_euler.equations.kinematics import Link
     from newton_euler.equations.relative import Relative
 
 

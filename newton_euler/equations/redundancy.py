@@ -24,6 +24,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from newton_euler.equations.dense import largest, numerical_rank, singular_values
 from newton_euler.equations.independence import (
     NAMED,
     ROUND_OFF,
@@ -34,8 +35,7 @@ from newton_euler.equations.independence import (
     remainder,
 )
 from newton_euler.equations.relative_terms import RelativeTerms
-from newton_euler.equations.solve import largest, singular_values
-from newton_euler.equations.sparse import Rows, RowsInUse, Solution, dense
+from newton_euler.equations.sparse import Rows, RowsInUse, Solution, to_array
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -66,6 +66,18 @@ NEWTON_STEPS = 30
 
 CLOSED = 1e-11
 """Residual, dimensionless, of the independent rows of a configuration that is closed."""
+
+DEGENERATE = 3e-2
+"""Smallest singular value of N[D] in a run, see `other_rows`, below which the selection loses digits."""
+
+BETTER = 3.0
+"""Least ratio of that value with other rows to that with the rows in use."""
+
+SAMPLED = 64
+"""Configurations of a run that `other_rows` examines, evenly spread."""
+
+MOST_ROWS = 1000
+"""Rows beyond which singular values would take longer than a run."""
 
 
 class Equations(Protocol):
@@ -307,7 +319,7 @@ class Spectrum(NamedTuple):
 def _spectrum(system: RelativeTerms, at: Configuration) -> Spectrum:
     rows, chosen, owners = at.rows, at.chosen, system.row_owners
     if len(rows) * system.nv <= DENSE_LIMIT:
-        u, s, _ = singular_values(dense(rows, system.nv))
+        u, s, _ = singular_values(to_array(rows, system.nv))
 
         def largest_share(k: int) -> str:
             weights: dict[str, float] = {}
@@ -391,3 +403,60 @@ def _neighbour(system: RelativeTerms, q: Array, direction: Array) -> Array:
             break
         q = system.retract(q, -unit * least_step(rows, factor, phi, system.nv))
     return q
+
+
+def other_rows(scene: Scene, used: Sequence[int], states: Sequence[State]) -> list[int] | None:
+    """Select rows of the joint-coordinate form that stay independent in a run in which those in use do not.
+
+    Rows that are independent near the start may degenerate later, as in Bricard's mechanism, where all
+    together have one rank everywhere. With an orthonormal basis N (k, d) of the null space of J^T, d rows D
+    of the k may be left out where N[D] is regular: the smallest singular value of the others is at least that
+    of J times that of N[D] (CS decomposition, G. H. Golub, C. F. Van Loan, Matrix Computations, 4th ed.,
+    2013, section 2.5.4).
+
+    Args:
+        scene: with redundant constraints.
+        used: rows in use.
+        states: in the order of the run.
+
+    Returns:
+        Numbers of rows; None if those in use stay independent, if no others do better, and where the rank of
+        all rows changes in the run.
+    """
+    system, decided = RelativeTerms(scene), mobility(scene)
+    alive = sorted({*decided.independent, *decided.redundant})
+    if not decided.redundant or len(alive) > MOST_ROWS or not len(states):
+        return None
+    rank, spaces = len(decided.independent), []
+    for k in np.unique(np.linspace(0, len(states) - 1, SAMPLED).round().astype(int)):
+        q, _ = system.coordinates(states[k])
+        left, values, _ = singular_values(
+            (system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None])[alive], full=True
+        )
+        if numerical_rank(values[:rank]) < rank:
+            return None
+        spaces.append(left[:, rank:])
+    now = _share(spaces, [k for k, row in enumerate(alive) if row not in used])
+    left_out = _pivots(spaces)
+    if now > DEGENERATE or _share(spaces, left_out) < BETTER * now:
+        return None
+    return [row for k, row in enumerate(alive) if k not in left_out]
+
+
+def _share(spaces: Sequence[Array], rows: Sequence[int]) -> float:
+    """Compute the smallest singular value of these rows of all bases."""
+    return min(float(singular_values(space[list(rows)])[1][-1]) for space in spaces)
+
+
+def _pivots(spaces: Sequence[Array]) -> list[int]:
+    """Select as many rows as the bases have columns, by Gram-Schmidt with pivoting in all bases at once."""
+    remaining = [np.array(space) for space in spaces]
+    found: list[int] = []
+    for _ in range(remaining[0].shape[1]):
+        lengths = np.min([np.linalg.norm(space, axis=1) for space in remaining], axis=0)
+        row = int(np.argmax(lengths))
+        found.append(row)
+        for space in remaining:
+            along = space[row] / np.linalg.norm(space[row])
+            space -= np.outer(space @ along, along)
+    return found

@@ -22,14 +22,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from newton_euler.equations.applied_forces import power, rotors_energy, springs_energy
 from newton_euler.equations.balls import ends, spin_rate
-from newton_euler.equations.force_terms import power, rotors_energy, springs_energy
-from newton_euler.equations.links import Link
+from newton_euler.equations.dense import solve_constrained
+from newton_euler.equations.kinematics import Link
 from newton_euler.equations.reactions import tree_reactions
 from newton_euler.equations.redundancy import rows_left_out, without
 from newton_euler.equations.relative_terms import RelativeTerms
-from newton_euler.equations.solve import solve_constrained
-from newton_euler.equations.sparse import RowsInUse, Solution, dense, factorise, sparse_vector
+from newton_euler.equations.sparse import RowsInUse, Solution, factorise, sparse_vector, to_array
 from newton_euler.equations.sparse import solve_constrained as sparse_solve
 from newton_euler.errors import SingularityError
 from newton_euler.model.armature import BallArmature
@@ -71,7 +71,7 @@ class Relative(RelativeTerms):
         mass, force = self.mass_and_force(q, v, links)
         _, rows, gamma = self.loop_terms(q, v, links)
         unused = rows_left_out(self)
-        jacobian, gamma = without(dense(rows, self.nv), unused), without(gamma, unused)
+        jacobian, gamma = without(to_array(rows, self.nv), unused), without(gamma, unused)
         try:
             return solve_constrained(mass, force, jacobian, gamma, self.phi_units, self.velocity_units)
         except np.linalg.LinAlgError as error:

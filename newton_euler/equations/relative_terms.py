@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from newton_euler.equations import balls
-from newton_euler.equations.force_terms import Surroundings, body_wrenches
-from newton_euler.equations.links import Link, tree_links
-from newton_euler.equations.sparse import Rows, RowsInUse, add, dense
+from newton_euler.equations.applied_forces import Surroundings, body_wrenches
+from newton_euler.equations.kinematics import Link, tree_links
+from newton_euler.equations.sparse import Rows, RowsInUse, add, to_array
 from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.couplings import couplings, row_owners, row_units, turns
@@ -342,7 +342,7 @@ class RelativeTerms:
 
     def phi_jacobian(self, q: Array) -> Array:
         """Derivative (k, nv) of `phi` along `retract`, and of `phi`'s rate by v."""
-        return dense(self.phi_and_jacobian(q)[1], self.nv)
+        return to_array(self.phi_and_jacobian(q)[1], self.nv)
 
     def retract(self, q: Array, step: Array) -> Array:
         """q moved by a small step (nv,); quaternions come out with norm 1."""

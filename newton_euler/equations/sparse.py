@@ -29,7 +29,7 @@ Rows = list[dict[int, Any]]
 """A matrix as one dictionary a row: column to scalar."""
 
 
-def dense(rows: Rows, columns: int) -> Array:
+def to_array(rows: Rows, columns: int) -> Array:
     """(rows, columns) array of floats."""
     matrix = np.zeros((len(rows), columns))
     for i, row in enumerate(rows):

@@ -98,3 +98,17 @@ def opening(system: System, q: Array, v: Array) -> Array:
     """dPhi/dt (k,) = Phi_q qdot + Phi_t."""
     rate = system.phi_jacobian(q) @ v
     return np.asarray(rate + system.phi_t() if isinstance(system, Rheonomic) else rate)
+
+
+def blamed(reason: str, joint: str, force: str | None) -> str:
+    """Complete the reason of a failure with the fastest joint and the largest force, if there is one."""
+    reason = f"{reason}; fastest at joint {joint!r}"
+    return reason if force is None else f"{reason}, largest force: {force}"
+
+
+def fastest_joint(mechanism: Mechanism, state: State) -> str:
+    """Find the joint whose bodies have the largest relative velocity, in mechanism sizes and rad per s."""
+    with np.errstate(all="ignore"):
+        motion = np.hstack([state.linear_velocity / mechanism.size, state.angular_velocity])
+        speeds = [np.max(np.abs(motion[e.second] - motion[e.first])) for e in mechanism.equations]
+    return mechanism.joint_names[int(np.argmax(np.nan_to_num(speeds, nan=np.inf)))]

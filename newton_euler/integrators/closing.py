@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.compiled import Code, Formulation
-from newton_euler.equations.solve import largest, singular_values
+from newton_euler.equations.dense import largest, singular_values
 from newton_euler.equations.system import System
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.stabilize import is_closed, worst_joint

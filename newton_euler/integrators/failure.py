@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from newton_euler.compiled import Code
-from newton_euler.equations.blame import blamed, strongest
-from newton_euler.equations.solve import singular_values
-from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.equations.applied_forces import strongest
+from newton_euler.equations.dense import singular_values
+from newton_euler.equations.system import blamed, dimensionless_jacobian
 from newton_euler.errors import IntegrationError, NewtonEulerError
 from newton_euler.integrators import march as m
 from newton_euler.integrators.stabilize import worst_joint

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.equations.blame import blamed, fastest_joint, strongest_force
-from newton_euler.equations.system import System, at_time
+from newton_euler.equations.applied_forces import strongest_force
+from newton_euler.equations.system import System, at_time, blamed, fastest_joint
 from newton_euler.errors import (
     IntegrationError,
     NewtonEulerError,

@@ -3,7 +3,7 @@
 Points are given in the world at the mechanism's initial pose, like those of joints, and move with
 their bodies. What a force is at a state is worked out here over generic scalars (Nikravesh,
 Computer-Aided Analysis of Mechanical Systems, 1988, chapter 9, for the elements between two points);
-for what all of a scene do together see `newton_euler.equations.force_terms`.
+for what all of a scene do together see `newton_euler.equations.applied_forces`.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from newton_euler.equations.solve import least_squares, singular_values
+from newton_euler.equations.dense import least_squares, singular_values
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array

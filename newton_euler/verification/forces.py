@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.equations.balls import SPIN, ends
-from newton_euler.equations.force_terms import body_wrenches
-from newton_euler.equations.solve import least_squares
+from newton_euler.equations.dense import least_squares
 from newton_euler.model.armature import BallArmature
 from newton_euler.model.forces import Wrench
 from newton_euler.model.scene import Scene

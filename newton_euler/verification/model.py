@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from newton_euler.equations.solve import least_squares, singular_values
+from newton_euler.equations.dense import least_squares, singular_values
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.model.couplings import couplings, residuals
 from newton_euler.model.state import MassProperties

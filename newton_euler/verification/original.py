@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from newton_euler.equations.solve import least_squares
+from newton_euler.equations.dense import least_squares
 from newton_euler.model.mapping import Mapping
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import MassProperties

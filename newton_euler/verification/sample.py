@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from newton_euler.equations.solve import singular_values
+from newton_euler.equations.dense import singular_values
 from newton_euler.scalars import Array
 
 if TYPE_CHECKING:

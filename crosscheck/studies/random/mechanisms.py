@@ -26,9 +26,9 @@ from crosscheck.studies.random.scenes import GRAVITY, random_scene
 from crosscheck.studies.stress.topics import PROCESSES, Progress, Row, Verdict
 from newton_euler.compiled import FORMULATIONS, Code
 from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.dense import independent_rows, singular_values
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.solve import independent_rows, singular_values
-from newton_euler.equations.sparse import dense
+from newton_euler.equations.sparse import to_array
 from newton_euler.equations.system import System
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
@@ -122,7 +122,7 @@ def equations_of_motion(scene: Scene) -> tuple[Array, int]:
     size, mass = scene.mechanism.size, sum(body.mass for body in system.bodies)
     n = 6 * len(system.bodies)
     units = np.tile([size] * 3 + [1.0] * 3, len(system.bodies))
-    rows = dense(system.joint_jacobian(q, frames)[1], n)
+    rows = to_array(system.joint_jacobian(q, frames)[1], n)
     independent = independent_rows(rows, system.row_units, units).T @ rows * units
     matrix = np.zeros((n + len(independent),) * 2)
     for k, body in enumerate(system.bodies):

@@ -14,8 +14,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from newton_euler.equations.dense import largest, rank
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.solve import largest, rank
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.stabilize import ROUND_OFF, project_position, project_velocity

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from newton_euler.equations.branch import branch
+from newton_euler.equations.loop_closure import branch
 from newton_euler.scalars import Array
 
 

@@ -26,7 +26,7 @@ import newton_euler
 from newton_euler import PD, Body, JointSpring, Mechanism, PointSpring, Scene, State, Wrench
 from newton_euler.assemble import random_states
 from newton_euler.compiled import FORMULATIONS, Code, formulate
-from newton_euler.equations.force_terms import power
+from newton_euler.equations.applied_forces import power
 from newton_euler.integrators.integrate import Options
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joints import Free, Revolute

@@ -13,7 +13,7 @@ from mechanisms import REGULAR, SLIDER_ACCELERATIONS, spinning_top
 from newton_euler.assemble import random_states
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.sparse import dense
+from newton_euler.equations.sparse import to_array
 from newton_euler.model.euler_parameters import matrix_l, rotation
 from newton_euler.scalars import tilde
 
@@ -83,7 +83,7 @@ def test_blocks_of_equation_21_are_the_papers(tracker, tracker_states):
     frames = system.frames(q, qdot)
     n = len(system.bodies)
     phi_q, b = (
-        dense(rows, columns)
+        to_array(rows, columns)
         for rows, columns in zip(system.joint_jacobian(q, frames), (7 * n, 6 * n), strict=True)
     )
     tangents = np.zeros((system.nq, 6 * len(system.bodies)))
@@ -110,7 +110,7 @@ def test_blocks_of_equation_21_are_the_papers(tracker, tracker_states):
     mass = system.mass_matrix(q)
     assert np.allclose(mass[3:6, 3:7], 2.0 * system.bodies[0].inertia @ matrix_l(q[3:7]))
     norm, p_rows, c = system.norm_terms(q, qdot)
-    p_matrix = dense(p_rows, 7 * n)
+    p_matrix = to_array(p_rows, 7 * n)
     assert np.allclose(p_matrix @ qdot, 0.0, atol=1e-15)
     assert np.allclose(norm, 0.0, atol=1e-15)
     assert c[-1] == pytest.approx(qdot[-4:] @ qdot[-4:])
@@ -121,7 +121,7 @@ def test_multipliers_are_the_papers_reaction_signs(tracker):
     system = Cartesian(tracker)
     q, qdot = system.coordinates(tracker.initial_state)
     qddot, multipliers = system.solve(q, qdot)
-    b = dense(system.joint_jacobian(q, system.frames(q, qdot))[1], 36)
+    b = to_array(system.joint_jacobian(q, system.frames(q, qdot))[1], 36)
     panel = tracker.mechanism.bodies[6]
     force = b[:, 30:33].T @ multipliers
     moment = b[:, 33:36].T @ multipliers
@@ -139,11 +139,11 @@ def test_baumgarte_terms(tracker, tracker_states, alpha):
     q, v = q + 1e-3 * rng.standard_normal(q.size), v + 1e-3 * rng.standard_normal(v.size)
     a = cartesian.acceleration(q, v)
     norm, p_rows, c = cartesian.norm_terms(q, v)
-    p_matrix = dense(p_rows, q.size)
+    p_matrix = to_array(p_rows, q.size)
     second_rate = p_matrix @ a + c
     assert np.allclose(second_rate, -2 * alpha * (p_matrix @ v) - alpha**2 * norm, atol=1e-11)
     phi, gamma = cartesian.joint_phi(q), cartesian.joint_gamma(q, cartesian.frames(q, v))
-    phi_q = dense(cartesian.joint_jacobian(q, cartesian.frames(q, v))[0], q.size)
+    phi_q = to_array(cartesian.joint_jacobian(q, cartesian.frames(q, v))[0], q.size)
     expected = -2 * alpha * (phi_q @ v) - alpha**2 * phi
     # accelerations are of order 1e2 and the matrix has condition 1e4
     assert np.allclose(phi_q @ a - gamma, expected, atol=1e-9)

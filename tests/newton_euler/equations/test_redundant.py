@@ -13,11 +13,10 @@ from crosscheck.scenes import load
 from crosscheck.studies.stress.singular import from_flat
 from newton_euler.assemble import random_states
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.redundancy import NearlyRedundant, mobility, rows_in_use
+from newton_euler.equations.dense import independent_rows, minimum_norm, rank
+from newton_euler.equations.redundancy import NearlyRedundant, mobility, other_rows, rows_in_use
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.row_choice import other_rows
-from newton_euler.equations.solve import independent_rows, minimum_norm, rank
-from newton_euler.equations.sparse import dense
+from newton_euler.equations.sparse import to_array
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.control import PD
@@ -81,7 +80,7 @@ def test_redundant_reactions_are_the_smallest(formulation):
         links = system.links(q, v)
         rows, units = system.loop_terms(q, v, links)[1], system.phi_units
         multipliers = system._solve(q, v, links)[1]
-    left = (dense(rows, system.nv) * system.velocity_units / units[:, None]).T
+    left = (to_array(rows, system.nv) * system.velocity_units / units[:, None]).T
     _, s, vt = np.linalg.svd(left)
     idle = vt[np.sum(s > 1e-9) :]
     assert len(idle) == 3  # a flat loop in space has three equations too many

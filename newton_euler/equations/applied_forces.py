@@ -7,7 +7,6 @@ Once for all formulations, over generic scalars. Forces on joint coordinates act
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,10 +24,9 @@ from newton_euler.model.forces import (
 )
 from newton_euler.model.joints import Pose
 from newton_euler.model.measured import Key
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar, cross, sqrt
-
-if TYPE_CHECKING:
-    from newton_euler.model.scene import Scene
 
 Measurements = Mapping[Key, tuple[Scalar, ...]]
 """Joint coordinates (m or rad), their rates, and what else may follow."""
@@ -158,3 +156,28 @@ def pulls(
             torque = force.torque(*turned(scene, force, poses, frames)[1:])
             found[force.element] = float(np.max(np.abs(torque))) / size
     return found
+
+
+def strongest_force(scene: Scene, state: State, time: float) -> str | None:
+    """Find the largest of a scene's forces at a state and a time in s, by the name that errors use.
+
+    Angles are those within half a revolution. None for a scene without forces.
+    """
+    frames, equations = state.frames(), scene.mechanism.equations
+    measured: dict[tuple[str, int], tuple[float, float]] = {}
+    for law in scene.joint_forces:
+        joint = equations[scene.mechanism.joint_index(law.joint)]
+        first, second = frames[joint.first], frames[joint.second]
+        coordinate = joint.coordinates[law.coordinate]
+        rate = coordinate.jacobian(first, second).rate(first, second)[0]
+        measured[law.joint, law.coordinate] = coordinate.phi(first, second)[0], rate
+    return strongest(scene, ([body.pose for body in scene.mechanism.bodies], frames, measured, time))
+
+
+def strongest(scene: Scene, seen: Surroundings) -> str | None:
+    """Find the largest of a scene's forces in known surroundings; None for a scene without forces."""
+    with np.errstate(all="ignore"):
+        found = pulls(scene, *seen)
+    if not found:
+        return None
+    return max(found, key=lambda element: np.nan_to_num(found[element], nan=np.inf))

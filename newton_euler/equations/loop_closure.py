@@ -1,33 +1,49 @@
-"""Closing the loops of a model file where it starts, as well as its own digits allow.
+"""Assembly of a model file's loops: closed as well as the file's digits allow, and on which branch.
 
-A file rounds its numbers, so that constraints that are redundant by design contradict each other a little.
-The independent ones are closed to round-off; what is left of the others is an offset that the loops keep.
+A file rounds its numbers, so that constraints that are redundant by design contradict each other slightly.
+The independent ones are closed to round-off; the residual of the others is an offset that the loops keep.
 Everything is dimensionless, as where a scene's redundant constraints are decided: velocities in the spread of
-the mechanism and rad, each loop in what one of them moves its bodies by.
+the mechanism and rad, each loop in the motion that one of these velocities gives to its bodies.
+
+The branches of a loop (an elbow bends one way or the other) meet at dead centers, where the derivative of its
+constraints by the coordinates that depend on the others is singular. Its determinant changes sign there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from newton_euler.equations.dense import largest, singular_values
 from newton_euler.equations.independence import independent
 from newton_euler.equations.redundancy import loosely_closed
-from newton_euler.equations.solve import largest, singular_values
 from newton_euler.equations.sparse import sparse_vector
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE
 from newton_euler.scalars import Array
 
 CLOSED = 1e-12
-"""Dimensionless residual of what is closed as it stands: round-off of the file's own numbers."""
+"""Dimensionless residual of loops that are closed as they stand: round-off of the file's own numbers."""
 
 NEWTON_STEPS = 60
 
 LONGEST_STEP = 0.2
 """rad or spreads of the mechanism, of one step of assembly, so that it stays on the branch it starts on."""
+
+NEAR_DEAD_CENTER = 1e-3
+"""Smallest singular value of a determinant's matrix to its largest, below which its sign is not trusted."""
+
+SIDES = {
+    True: "joints {1} bend the same way as in {0}",
+    False: "joints {1} bend the other way than in {0}: a dead centre lies between it and the closed pose",
+    None: "{0} or the closed pose is so near to a dead centre that either way of bending is as near",
+}
+"""What to say of two configurations, with a name of the first and the joints in question."""
+
+MOST_NAMES = 6
 
 
 class Units(NamedTuple):
@@ -123,3 +139,70 @@ def reach(motions: Sequence[Array], levers: Sequence[float], velocities: Array) 
         turns = np.maximum(turns, turning)
         moves = np.maximum(moves, np.linalg.norm(motion[:3], axis=0) * velocities * own + lever * turning)
     return float(np.max(moves, initial=0.0)) or 1.0, float(np.max(turns, initial=0.0)) or 1.0
+
+
+@dataclass(frozen=True)
+class Branch:
+    """How one configuration lies to another.
+
+    Attributes:
+        columns: of the velocities that were taken as those that depend on the others.
+        same: whether both lie on the same side of the dead centres of these; None if one is too near to tell.
+    """
+
+    columns: tuple[int, ...]
+    same: bool | None
+
+
+def assembled(
+    start: str, side: Branch, joints: Sequence[str], closed: Closure, moved: Array, apart: float
+) -> list[str]:
+    """Lines for a report on a start that was open and is closed.
+
+    Args:
+        start: what it is called.
+        side: how it lies to the closed configuration.
+        joints: names of the joints that the velocities belong to, by number.
+        closed: the closed configuration.
+        moved: (nv,) how far coordinates moved, m or rad.
+        apart: m, how far bodies moved at most.
+    """
+    dof = int(np.argmax(np.abs(moved)))
+    bending = ", ".join(dict.fromkeys(repr(joints[k]) for k in side.columns[:MOST_NAMES]))
+    offset = [
+        f"loops keep an offset of {closed.offset:.1e} (m or rad), {closed.noise:.1e} of their reach: "
+        "the digits of the file do not close them better"
+    ]
+    return [
+        f"assembled next to {start}: closed to {closed.offset:.1e}, joint {joints[dof]!r} moved most, "
+        f"by {moved[dof]:.3g}, bodies by up to {apart:.3g} m",
+        f"branch: {SIDES[side.same].format(start, bending)}",
+        *(offset if closed.noise > CLOSURE_TOLERANCE else []),
+    ]
+
+
+def branch(first: Array, second: Array, tolerance: float) -> Branch:
+    """Compare two configurations by the dimensionless derivatives (k, nv) of the same constraints in them.
+
+    The dependent velocities are those that the second one's derivative determines best, or the first one's
+    where the second is near a dead centre; what is redundant in both but for noise of the size of `tolerance`
+    is left out.
+    """
+    from scipy.linalg import qr
+
+    if first.shape != second.shape or not second.size:
+        return Branch((), None)
+    chosen = [(independent([sparse_vector(row) for row in at], tolerance).rows, at) for at in (second, first)]
+    used, reference = max(chosen, key=lambda each: len(each[0]))
+    if not used:
+        return Branch((), None)
+    rows = np.array(used)
+    columns = np.sort(qr(reference[rows], mode="r", pivoting=True)[1][: len(rows)])
+    signs = []
+    for jacobian in (first, second):
+        square = jacobian[np.ix_(rows, columns)]
+        values = np.linalg.svd(square, compute_uv=False)
+        if values[-1] < NEAR_DEAD_CENTER * values[0]:
+            return Branch(tuple(map(int, columns)), None)
+        signs.append(np.linalg.slogdet(square)[0])
+    return Branch(tuple(map(int, columns)), bool(signs[0] == signs[1]))
