@@ -12,9 +12,8 @@ from crosscheck.comparison.rows import Row
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, limited
-from newton_euler.errors import IntegrationError, StoppedError
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory, check_finite
+from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory, check_finite
 
 LEAST_OUTPUTS = 2
 """Of a run that stopped: with its start alone there is nothing to compare."""

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.equations.system import System
-from newton_euler.errors import NewtonEulerError, StoppedError
+from newton_euler.equations.system import Evaluation, System
+from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation
-from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.trajectory import StoppedError, Trajectory
 
 REFINED_RTOL, REFINED_ATOL = 1e-12, 1e-14
 """A hundredth of what runs have by default; DOP853's own limit is near 2e-14."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from newton_euler.errors import NewtonEulerError, StoppedError
+from newton_euler.errors import NewtonEulerError
+from newton_euler.model.trajectory import StoppedError
 
 
 class MjcfError(NewtonEulerError):

@@ -11,8 +11,8 @@ import numpy as np
 from mjcf.loops import loops
 from mjcf.model import CompiledScene
 from mjcf.motion import body_acceleration
+from newton_euler.equations.system import Evaluation
 from newton_euler.model.hinge_angles import dual_axes
-from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array, cross
 
 

@@ -16,9 +16,9 @@ import mujoco
 import numpy as np
 
 from mjcf.accounts import name_of, straighten, switch_off, unaccounted
+from newton_euler.equations.system import MassProperties
 from newton_euler.model.mapping import Mapping, unique_name
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import MassProperties
 from newton_euler.scalars import Array, cross
 from newton_euler.verification.original import Original, approximated, left_out, wholes
 from newton_euler.verification.sample import Constraints, Forces, Kinematics, Sample

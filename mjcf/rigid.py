@@ -20,8 +20,8 @@ from mjcf.loops import closes, loops
 from mjcf.model import CompiledScene
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.redundancy import rows_left_out, without
+from newton_euler.equations.system import Evaluation
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array
 
 

@@ -16,10 +16,10 @@ from mjcf.errors import DivergenceError
 from mjcf.write import SOLIMP, TIMESTEP
 from newton_euler.equations.applied_forces import strongest_force
 from newton_euler.equations.system import blamed, fastest_joint
-from newton_euler.errors import IntegrationError, OptionError, StoppedError, UnknownNameError
+from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.integrators.sampling import Interval, holding, intervals, sample
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory
 from newton_euler.scalars import Array
 from newton_euler.simulate import trajectory_from
 

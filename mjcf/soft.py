@@ -12,9 +12,9 @@ import numpy as np
 from mjcf.evaluate import evaluation
 from mjcf.model import CompiledScene
 from mjcf.write import controls
+from newton_euler.equations.system import Evaluation
 from newton_euler.model.control import PD
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array
 
 

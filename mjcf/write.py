@@ -35,8 +35,7 @@ from newton_euler.equations.tree_couplings import TreeCouplings
 from newton_euler.model.control import Law, Sampled
 from newton_euler.model.couplings import Coupling, couplings
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
-from newton_euler.model.joints import Pose, Rod, Spherical
-from newton_euler.model.measured import Key
+from newton_euler.model.joints import Key, Pose, Rod, Spherical
 from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import Scene
 from newton_euler.model.shapes import Box, Capsule, Shape

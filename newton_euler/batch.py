@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from newton_euler.conversion import check, coordinates
-from newton_euler.errors import IntegrationError, OptionError, UnknownNameError, is_count
+from newton_euler.errors import OptionError, UnknownNameError, is_count
 from newton_euler.integrators.integrate import Options
 from newton_euler.integrators.stabilize import PAPER_ALPHA
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.trajectory import IntegrationError, Trajectory
 from newton_euler.parameters import checked
 from newton_euler.scalars import Array
 from newton_euler.simulate import CompiledScene, native_trajectory

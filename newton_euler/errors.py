@@ -7,13 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from newton_euler.model.trajectory import Trajectory
-
 
 T = TypeVar("T")
 
@@ -116,30 +112,6 @@ class AssemblyError(NewtonEulerError):
 
 class NearlyRedundantWarning(UserWarning):
     """Constraints that noise in the numbers of a mechanism keeps from being redundant."""
-
-
-class StoppedError(NewtonEulerError):
-    """Base of errors of runs, in any engine, that end before their time.
-
-    Attributes:
-        time: s, that the run had reached.
-        reason: why it could not go on, with the joint or the force that it is about.
-        partial: the run at the output times before, a trajectory like any other; None if it did not
-            come that far, or was one of a batch.
-    """
-
-    def __init__(self, time: float, reason: str, message: str) -> None:
-        self.time = time
-        self.reason = reason
-        self.partial: Trajectory | None = None
-        super().__init__(message)
-
-
-class IntegrationError(StoppedError):
-    """A run that an integrator could not carry on."""
-
-    def __init__(self, time: float, reason: str) -> None:
-        super().__init__(time, reason, f"integration stopped at t = {time:.6g} s: {reason}")
 
 
 class SingularityError(NewtonEulerError):

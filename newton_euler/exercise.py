@@ -19,7 +19,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.measured import Key
+from newton_euler.model.joints import Key
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 

@@ -13,23 +13,16 @@ import numpy as np
 
 from newton_euler.compiled import FORMULATIONS, Code
 from newton_euler.equations.redundancy import mobility, other_rows
-from newton_euler.equations.system import System, at_time
-from newton_euler.errors import (
-    IntegrationError,
-    NearlyRedundantWarning,
-    NewtonEulerError,
-    OptionError,
-    StoppedError,
-    check_choice,
-)
+from newton_euler.equations.system import Evaluation, System, at_time
+from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, check_choice
 from newton_euler.integrators.integrate import Options, integrate
 from newton_euler.integrators.sampling import holding, intervals, sample
 from newton_euler.integrators.stabilize import PAPER_ALPHA
 from newton_euler.model.couplings import couplings
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation, State
-from newton_euler.model.trajectory import Trajectory, check_finite
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory, check_finite
 from newton_euler.scalars import Array
 
 ROW_CHOICES = 3

@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from newton_euler.equations.dense import rank
 from newton_euler.equations.redundancy import constraint_rank, loop_rank, mobility, rows_left_out
+from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.equations.tree_couplings import TreeCouplings
 from newton_euler.errors import SingularityError
 from newton_euler.integrators.stabilize import joint_residuals
@@ -24,7 +25,7 @@ from newton_euler.model.euler_parameters import from_rotation
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joints import Rod
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation, MassProperties, State
+from newton_euler.model.state import State
 from newton_euler.model.tree import weld_loops
 from newton_euler.scalars import Array, Scalar
 from urdf.closures import Closures, frame_jacobian

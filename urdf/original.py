@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.equations.system import MassProperties
 from newton_euler.model.mapping import CONTACTS, FRICTION, LIMITS, Mapping, unique_name
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import MassProperties
 from newton_euler.scalars import Array, cross, tilde
 from newton_euler.verification.original import Original, left_out, wholes
 from newton_euler.verification.sample import Constraints, Forces, Kinematics, Sample

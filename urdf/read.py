@@ -26,9 +26,8 @@ from newton_euler.exercise import moving as exercised
 from newton_euler.model.activity import Bounds, Rest, Watch
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.joints import Fixed, Joint, Rod, Spherical
+from newton_euler.model.joints import Fixed, Joint, Key, Rod, Spherical
 from newton_euler.model.mapping import CONTACTS, FRICTION, LIMITS, RANGE, Mapping, Part, unique_name, value
-from newton_euler.model.measured import Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
 from newton_euler.model.tree import unweld_loops

@@ -11,7 +11,7 @@ from crosscheck.against.pairs import Other, pair_bodies, pair_coordinates, pair_
 from crosscheck.against.placing import Placed, carried, features, place
 from crosscheck.against.rigid import forces_with_bodies, rigid, turned, with_bodies
 from newton_euler.model.euler_parameters import from_rotation, rotation
-from newton_euler.model.measured import Key
+from newton_euler.model.joints import Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

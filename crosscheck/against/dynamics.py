@@ -18,7 +18,7 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.model.armature import Armature
 from newton_euler.model.control import Law
 from newton_euler.model.forces import BallSpring, JointSpring
-from newton_euler.model.measured import Key
+from newton_euler.model.joints import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array

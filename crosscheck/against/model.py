@@ -13,7 +13,7 @@ from crosscheck.against.worst import worst_row
 from crosscheck.comparison.rows import ROUND_OFF, START, Row, reach, round_off
 from newton_euler.model.couplings import Coupling, couplings
 from newton_euler.model.euler_parameters import angle_between, rotation
-from newton_euler.model.measured import Key
+from newton_euler.model.joints import Key
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 

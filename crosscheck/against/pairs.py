@@ -8,8 +8,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from newton_euler.model.joints import Joint
-from newton_euler.model.measured import Key
+from newton_euler.model.joints import Joint, Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array
 

@@ -8,11 +8,12 @@ from typing import TypeVar
 
 import numpy as np
 
+from newton_euler.equations.system import MassProperties
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joints import Fixed, Joint
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import OUTPUTS, Scene
-from newton_euler.model.state import MassProperties, State
+from newton_euler.model.state import State
 from newton_euler.scalars import Array, cross
 
 Named = TypeVar("Named", Joint, PointSpring)

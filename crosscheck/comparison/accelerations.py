@@ -15,7 +15,7 @@ from crosscheck.comparison.blame import SHARE, dynamic_cause
 from crosscheck.comparison.reactions import determined
 from crosscheck.comparison.rows import EPSILON, Row, round_off
 from crosscheck.comparison.samples import Samples, Scales
-from newton_euler.model.state import Evaluation
+from newton_euler.equations.system import Evaluation
 from newton_euler.scalars import Array
 
 LEVEL = "accelerations and reactions"

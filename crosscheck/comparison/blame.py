@@ -20,13 +20,14 @@ from crosscheck.comparison.momentum import momentum_residuals
 from crosscheck.comparison.samples import Samples
 from newton_euler.equations.balls import SPIN, ends
 from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.system import Evaluation
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.stabilize import project_position
 from newton_euler.model.control import Law
 from newton_euler.model.forces import BallSpring, JointSpring
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation, State
+from newton_euler.model.state import State
 from newton_euler.model.tree import SpanningTree
 from newton_euler.scalars import Array
 

@@ -28,16 +28,10 @@ from crosscheck.comparison.runs import orientations_apart, positions_apart
 from crosscheck.engines import NATIVE_STEPS, adaptive
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time
-from newton_euler.errors import (
-    AssemblyError,
-    NearlyRedundantWarning,
-    NewtonEulerError,
-    SingularityError,
-    StoppedError,
-)
+from newton_euler.errors import AssemblyError, NearlyRedundantWarning, NewtonEulerError, SingularityError
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.trajectory import StoppedError, Trajectory
 from newton_euler.scalars import Array
 from newton_euler.simulate import CompiledScene, simulate
 

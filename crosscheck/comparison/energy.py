@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from newton_euler.equations.applied_forces import energies
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import State, energies
+from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 

@@ -12,8 +12,8 @@ from crosscheck.comparison.rows import Row, round_off
 from crosscheck.comparison.samples import Samples, Scales
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.sparse import to_array
+from newton_euler.equations.system import Evaluation
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array, cross
 
 

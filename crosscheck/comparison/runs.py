@@ -16,10 +16,10 @@ from crosscheck.comparison.rows import NOISE, OWN_ERROR, POSES, ROUND_OFF, UNRES
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
 from newton_euler.equations.redundancy import mobility
-from newton_euler.errors import NewtonEulerError, StoppedError
+from newton_euler.errors import NewtonEulerError
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.trajectory import StoppedError, Trajectory
 from newton_euler.scalars import Array
 
 Gap = Callable[[Trajectory, Trajectory], Array]

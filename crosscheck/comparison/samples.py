@@ -17,10 +17,10 @@ from crosscheck.errors import CrosscheckError
 from newton_euler.equations.dense import numerical_rank, orthonormal_null, orthonormal_range, singular_values
 from newton_euler.equations.redundancy import mobility, rows_left_out, without
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import System, dimensionless_jacobian
+from newton_euler.equations.system import Evaluation, MassProperties, System, dimensionless_jacobian
 from newton_euler.model.joint_geometry import JointGeometry
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation, MassProperties, State
+from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crosscheck.comparison.energy import energy_balance
+from newton_euler.equations.system import Evaluation
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 

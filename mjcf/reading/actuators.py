@@ -32,8 +32,8 @@ from mjcf.reading.ties import Ties
 from newton_euler.model.activity import Bounds
 from newton_euler.model.control import PD
 from newton_euler.model.forces import Wrench
+from newton_euler.model.joints import Key
 from newton_euler.model.mapping import CONTROL, FORCE, ROTOR, Mapping
-from newton_euler.model.measured import Key
 from newton_euler.model.motions import Sine
 from newton_euler.scalars import Array
 

@@ -15,8 +15,8 @@ from mjcf.reading.loops import fixed, straight
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
+from newton_euler.model.joints import Key
 from newton_euler.model.mapping import FORCE, ROTOR, Mapping, Part, unique_name
-from newton_euler.model.measured import Key
 from newton_euler.scalars import Array
 
 NOT_LINEAR = "the part of its stiffness or damping that is not linear"

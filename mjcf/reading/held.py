@@ -11,8 +11,8 @@ import numpy as np
 from mjcf.reading.bodies import Bodies, site_point
 from mjcf.reading.joints import Joints
 from mjcf.reading.start import Start
+from newton_euler.model.joints import Key
 from newton_euler.model.mapping import FRICTION, RANGE, Part, Value, value
-from newton_euler.model.measured import Key
 from newton_euler.scalars import Array
 
 GEOM, WRAP, EQUALITY = mujoco.mjtGeom, mujoco.mjtWrap, mujoco.mjtEq

@@ -8,10 +8,9 @@ import mujoco
 
 from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.start import Start
-from newton_euler.model.joints import Free, Joint
+from newton_euler.model.joints import Free, Joint, Key
 from newton_euler.model.joints.combine import Part, combined, common_name
 from newton_euler.model.mapping import Mapping, unique_name
-from newton_euler.model.measured import Key
 
 BALL, FREE = mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_FREE
 

@@ -22,8 +22,7 @@ from newton_euler.model.forces import (
     pull_along,
     wrench_at,
 )
-from newton_euler.model.joints import Pose
-from newton_euler.model.measured import Key
+from newton_euler.model.joints import Key, Pose
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar, cross, sqrt
@@ -66,6 +65,22 @@ def body_wrenches(scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame]) 
             couple = np.concatenate([np.zeros(3), force.torque(theta, omega)])
             total[i], total[j] = total[i] - couple, total[j] + couple
     return total
+
+
+def energies(scene: Scene, frames: list[Frame], inertias: list[Array]) -> tuple[Scalar, Scalar]:
+    """Kinetic energy and the potential energy of gravity (zero at the world origin), J.
+
+    `inertias` are in the bodies' frames that `frames` give the rotations of.
+    """
+    kinetic: Scalar = 0.0
+    potential: Scalar = 0.0
+    for body, frame, inertia in zip(scene.mechanism.bodies[1:], frames[1:], inertias[1:], strict=True):
+        spin = frame.rotation.T @ frame.angular_velocity
+        kinetic = (
+            kinetic + 0.5 * body.mass * (frame.velocity @ frame.velocity) + 0.5 * (spin @ inertia @ spin)
+        )
+        potential = potential - body.mass * (scene.gravity @ frame.position)
+    return kinetic, potential
 
 
 def springs_energy(

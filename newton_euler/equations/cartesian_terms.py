@@ -13,7 +13,8 @@ from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.couplings import couplings, row_owners, row_units
 from newton_euler.model.euler_parameters import matrix_g, matrix_l, rotation
-from newton_euler.model.measured import Key, Measured, coordinates, wanted
+from newton_euler.model.joints import Key
+from newton_euler.model.measured import Measured, coordinates, wanted
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, Scalar, zeros
 

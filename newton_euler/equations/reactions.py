@@ -19,8 +19,8 @@ import numpy as np
 from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.couplings import Coupling
-from newton_euler.model.joints import JointEquations
-from newton_euler.model.measured import Coordinate, Key
+from newton_euler.model.joints import JointEquations, Key
+from newton_euler.model.measured import Coordinate
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array, Scalar, cross
 

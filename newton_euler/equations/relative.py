@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from newton_euler.equations.applied_forces import power, rotors_energy, springs_energy
+from newton_euler.equations.applied_forces import energies, power, rotors_energy, springs_energy
 from newton_euler.equations.balls import ends, spin_rate
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.kinematics import Link
@@ -31,10 +31,10 @@ from newton_euler.equations.redundancy import rows_left_out, without
 from newton_euler.equations.relative_terms import RelativeTerms
 from newton_euler.equations.sparse import RowsInUse, Solution, factorise, sparse_vector, to_array
 from newton_euler.equations.sparse import solve_constrained as sparse_solve
+from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.errors import SingularityError
 from newton_euler.model.armature import BallArmature
 from newton_euler.model.measured import carried_rates
-from newton_euler.model.state import Evaluation, MassProperties, energies
 from newton_euler.scalars import Array, Scalar
 
 

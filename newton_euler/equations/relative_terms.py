@@ -15,7 +15,8 @@ from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.couplings import couplings, row_owners, row_units, turns
 from newton_euler.model.euler_parameters import product
-from newton_euler.model.measured import Key, carried_angles, carried_rates, coordinates, wanted
+from newton_euler.model.joints import Key
+from newton_euler.model.measured import carried_angles, carried_rates, coordinates, wanted
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.tree import SpanningTree

@@ -7,14 +7,67 @@ asked for accelerations under rigid constraints.
 from __future__ import annotations
 
 import copy
+from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
+from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation, MassProperties, State
+from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What the equations of motion say at one state; world frame, SI; b bodies, j joints.
+
+    Attributes:
+        state: poses and velocities as this engine's own kinematics give them.
+        linear_acceleration, angular_acceleration: (b, 3) of the bodies.
+        reaction_force, reaction_torque: (j, 3) on the second body, at its joint point. Not unique where
+            constraints are redundant, see `newton_euler.equations.reactions`.
+        actuator_force: (a,) N or N m along the actuated coordinates.
+        kinetic_energy, potential_energy: J; potential energy is that of gravity, zero at the origin, and
+            of springs, zero at rest.
+        work: J, done since the start by what is not in the potential energy; None if it is not tracked.
+    """
+
+    state: State
+    linear_acceleration: Array
+    angular_acceleration: Array
+    reaction_force: Array
+    reaction_torque: Array
+    actuator_force: Array
+    kinetic_energy: float
+    potential_energy: float
+    work: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class MassProperties:
+    """Mass properties of all b bodies, world frame at the initial pose, SI.
+
+    Attributes:
+        mass: (b,) kg.
+        center_of_mass: (b, 3) m.
+        inertia: (b, 3, 3) about the centre of mass, kg m^2.
+    """
+
+    mass: Array
+    center_of_mass: Array
+    inertia: Array
+
+    @classmethod
+    def of(cls, mechanism: Mechanism) -> MassProperties:
+        """Those that the mechanism states."""
+        turns = [rotation(body.quaternion) for body in mechanism.bodies]
+        return cls(
+            np.array([body.mass for body in mechanism.bodies]),
+            np.array([body.center_of_mass for body in mechanism.bodies]),
+            np.array([a @ b.inertia @ a.T for a, b in zip(turns, mechanism.bodies, strict=True)]),
+        )
 
 
 class System(Protocol):

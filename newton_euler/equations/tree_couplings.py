@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from newton_euler.model.couplings import couplings, turns
-from newton_euler.model.measured import Key
+from newton_euler.model.joints import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.tree import SpanningTree
 from newton_euler.scalars import Array

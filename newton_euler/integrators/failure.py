@@ -8,9 +8,10 @@ from newton_euler.compiled import Code
 from newton_euler.equations.applied_forces import strongest
 from newton_euler.equations.dense import singular_values
 from newton_euler.equations.system import blamed, dimensionless_jacobian
-from newton_euler.errors import IntegrationError, NewtonEulerError
+from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators import march as m
 from newton_euler.integrators.stabilize import worst_joint
+from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
 

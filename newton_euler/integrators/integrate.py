@@ -11,15 +11,9 @@ import numpy as np
 
 from newton_euler.equations.applied_forces import strongest_force
 from newton_euler.equations.system import System, at_time, blamed, fastest_joint
-from newton_euler.errors import (
-    IntegrationError,
-    NewtonEulerError,
-    OptionError,
-    check_choice,
-    is_count,
-    is_finite_number,
-)
+from newton_euler.errors import NewtonEulerError, OptionError, check_choice, is_count, is_finite_number
 from newton_euler.integrators.stabilize import project_position, project_velocity
+from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
 ADAPTIVE = ("DOP853", "Radau")

@@ -11,10 +11,10 @@ from newton_euler.codegen.compile import NativeFunction
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.compiled import Code
 from newton_euler.equations.system import at_time
-from newton_euler.errors import IntegrationError, NewtonEulerError
+from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators import march as m
 from newton_euler.integrators.stabilize import check_still_closed
-from newton_euler.model.trajectory import check_finite
+from newton_euler.model.trajectory import IntegrationError, check_finite
 from newton_euler.scalars import Array
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.integrate import DOP853
 
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
-from newton_euler.equations.system import System, at_time, dimensionless_jacobian, opening
-from newton_euler.errors import IntegrationError, NewtonEulerError
+from newton_euler.equations.system import MassProperties, System, at_time, dimensionless_jacobian, opening
+from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.adaptive import (
     EXPONENT,
     HOPS,
@@ -29,7 +29,7 @@ from newton_euler.integrators.closing import Surface, close_by
 from newton_euler.integrators.dop853 import STAGES, Dop853
 from newton_euler.integrators.march import HOP, NEAR, UNSAFE
 from newton_euler.model.euler_parameters import rotations
-from newton_euler.model.state import MassProperties
+from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
 FAR = 100.0 * NEAR

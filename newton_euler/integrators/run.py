@@ -14,7 +14,7 @@ import numpy as np
 from newton_euler.codegen.native import Record
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.compiled import Code, Formulation
-from newton_euler.errors import IntegrationError, OptionError
+from newton_euler.errors import OptionError
 from newton_euler.integrators import march as m
 from newton_euler.integrators.adaptive import march_dop853
 from newton_euler.integrators.closing import close
@@ -26,6 +26,7 @@ from newton_euler.integrators.integrate import Options
 from newton_euler.integrators.outputs import Outputs, loops
 from newton_euler.integrators.radau import march_radau
 from newton_euler.integrators.stabilize import ROUND_OFF
+from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
 MOST_STEPS = 1_000_000

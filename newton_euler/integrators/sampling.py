@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from newton_euler.errors import IntegrationError, is_finite_number
+from newton_euler.errors import is_finite_number
 from newton_euler.integrators.integrate import Options
 from newton_euler.model.control import Sampled
 from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import IntegrationError
 from newton_euler.parameters import place_of, with_values
 from newton_euler.scalars import Array
 

@@ -11,14 +11,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number
 from newton_euler.model.forces import check_ball, check_coordinate, check_known
+from newton_euler.model.joints import Key
 from newton_euler.model.mechanism import Mechanism
-
-if TYPE_CHECKING:
-    from newton_euler.model.measured import Key
 
 
 @dataclass(frozen=True)

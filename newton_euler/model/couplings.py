@@ -20,8 +20,7 @@ import numpy as np
 
 from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number
 from newton_euler.model.constraints import Frame
-from newton_euler.model.joints import Joint, JointEquations, Screw
-from newton_euler.model.measured import Key
+from newton_euler.model.joints import Joint, JointEquations, Key, Screw
 from newton_euler.model.motions import PrescribedMotion, TimeFunction
 from newton_euler.scalars import Array, Scalar
 

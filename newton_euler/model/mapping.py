@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from newton_euler.model.activity import Course, Watch, judged
-from newton_euler.model.measured import Key
+from newton_euler.model.joints import Key
 
 if TYPE_CHECKING:
     from newton_euler.model.scene import Scene

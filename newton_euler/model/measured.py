@@ -14,15 +14,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from newton_euler.model.constraints import Constraint, Frame, Jacobian
-from newton_euler.model.joints import JointEquations
+from newton_euler.model.joints import JointEquations, Key
 from newton_euler.scalars import Array, Scalar, arctan2, cos, sin
 
 if TYPE_CHECKING:
     from newton_euler.model.couplings import Coupling
     from newton_euler.model.scene import Scene
-
-Key = tuple[str, int]
-"""Name of a joint, and which of its coordinates."""
 
 
 def wanted(scene: Scene, couplings: Iterable[Coupling]) -> list[Key]:

@@ -1,4 +1,4 @@
-"""Trajectory: what every engine returns."""
+"""Trajectory: what every engine returns, or, of a run that ends before its time, raises with the error."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from newton_euler.errors import IntegrationError
+from newton_euler.errors import NewtonEulerError
 from newton_euler.limits import MB, exceeded
 from newton_euler.model.source_file import SourceError, read_content
 from newton_euler.scalars import Array
@@ -107,6 +107,30 @@ class Trajectory:
         np.savez_compressed(content, **arrays)
         with atomic_file(path) as temporary:
             temporary.write_bytes(content.getbuffer())
+
+
+class StoppedError(NewtonEulerError):
+    """Base of errors of runs, in any engine, that end before their time.
+
+    Attributes:
+        time: s, that the run had reached.
+        reason: why it could not go on, with the joint or the force that it is about.
+        partial: the run at the output times before, a trajectory like any other; None if it did not
+            come that far, or was one of a batch.
+    """
+
+    def __init__(self, time: float, reason: str, message: str) -> None:
+        self.time = time
+        self.reason = reason
+        self.partial: Trajectory | None = None
+        super().__init__(message)
+
+
+class IntegrationError(StoppedError):
+    """A run that an integrator could not carry on."""
+
+    def __init__(self, time: float, reason: str) -> None:
+        super().__init__(time, reason, f"integration stopped at t = {time:.6g} s: {reason}")
 
 
 def check_finite(times: Array, arrays: Mapping[str, Array]) -> None:

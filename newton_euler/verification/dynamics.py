@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from newton_euler.equations.dense import least_squares, singular_values
+from newton_euler.equations.system import Evaluation
 from newton_euler.model.euler_parameters import angle_between
-from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array
 from newton_euler.verification.figure import Figure, figure, worst
 from newton_euler.verification.forces import largest, row_figure

@@ -14,9 +14,9 @@ from functools import cached_property
 import numpy as np
 
 from newton_euler.equations.dense import least_squares
+from newton_euler.equations.system import MassProperties
 from newton_euler.model.mapping import Mapping
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import MassProperties
 from newton_euler.scalars import Array
 from newton_euler.verification.sample import (
     DOUBT,

@@ -27,9 +27,9 @@ from crosscheck.scenes import load
 from crosscheck.scenes.write_file import write_scene
 from mjcf.read import read as read_mjcf
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import Evaluation
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation
 
 FOUR_BAR = FOUR_BARS["cut at C by a connect"]
 

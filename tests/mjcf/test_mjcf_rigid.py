@@ -19,11 +19,11 @@ from mjcf.soft import SoftMuJoCo
 from newton_euler.assemble import random_states
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import System
+from newton_euler.equations.system import Evaluation, System
 from newton_euler.model.joints import Fixed, Free, Joint, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation, State
+from newton_euler.model.state import State
 
 KINEMATICS = 1e-12
 """A few dozen products of order 1, each good to 1e-16, and velocities that meet constraints."""

@@ -23,13 +23,14 @@ from mjcf.model import CompiledScene
 from mjcf.read import read as read_mjcf
 from newton_euler.assemble import random_states
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import angle_between, rotation
 from newton_euler.model.joints import Free, Revolute, Spherical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation, MassProperties, State
+from newton_euler.model.state import State
 from newton_euler.model.tree import unweld_loops, weld_loops
 from urdf.read import read as read_urdf
 from urdf.write import loops_path

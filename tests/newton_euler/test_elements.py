@@ -23,12 +23,12 @@ from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
 from newton_euler.assemble import random_states
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import System, at_time, opening
+from newton_euler.equations.system import Evaluation, System, at_time, opening
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import Wrench
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation, State
+from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from urdf import tight as urdf_tight
 from urdf.dynamics import PinocchioSystem

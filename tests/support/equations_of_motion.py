@@ -11,8 +11,8 @@ from newton_euler.assemble import random_states
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.redundancy import rows_in_use
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import Evaluation
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation
 from urdf.dynamics import PinocchioSystem
 
 ACCELERATIONS = ("linear_acceleration", "angular_acceleration")

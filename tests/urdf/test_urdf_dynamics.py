@@ -25,6 +25,7 @@ from mechanisms import (
 
 from newton_euler.assemble import random_states
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import MassProperties
 from newton_euler.errors import SingularityError
 from newton_euler.integrators.stabilize import project_position, project_velocity
 from newton_euler.model.control import PD
@@ -33,7 +34,7 @@ from newton_euler.model.joints import Cylindrical, Fixed, Joint, Revolute, Spher
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import MassProperties, State
+from newton_euler.model.state import State
 from newton_euler.model.tree import SpanningTree, weld_loops
 from urdf.dynamics import PinocchioSystem
 

@@ -14,9 +14,10 @@ from urdf_files import CHAIN, LOOPS, TIPS, joint, link, robot
 
 import urdf
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import Evaluation
 from newton_euler.model.joints import Compound, Fixed, Free, Prismatic, Revolute, Spherical
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation, State
+from newton_euler.model.state import State
 from urdf.errors import LoopFileError, UrdfError
 from urdf.read import Reading, read
 

@@ -15,9 +15,10 @@ import urdf
 from crosscheck.scenes import load
 from newton_euler.assemble import random_states
 from newton_euler.equations.system import at_time
-from newton_euler.errors import IntegrationError, NewtonEulerError, OptionError, UnknownNameError
+from newton_euler.errors import NewtonEulerError, OptionError, UnknownNameError
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import JointSpring
+from newton_euler.model.trajectory import IntegrationError
 from urdf.dynamics import PinocchioSystem
 from urdf.tight import equations_of, fixed
 

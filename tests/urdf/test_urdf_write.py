@@ -15,11 +15,11 @@ import yaml
 from mechanisms import REGULAR, all_universal_loop, planar_four_bar, seven_hinges, spinning_top
 
 import urdf
+from newton_euler.equations.system import MassProperties
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.joints import Revolute, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import MassProperties
 from newton_euler.model.tree import motion_names, weld_loops
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import LoopFileError, NameClashError, UrdfError

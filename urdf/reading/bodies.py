@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.model.joints import Free, Joint
+from newton_euler.model.joints import Free, Joint, Key
 from newton_euler.model.joints.combine import Part, combined, common_name
 from newton_euler.model.mapping import Mapping, unique_name
-from newton_euler.model.measured import Key
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body
 from newton_euler.scalars import Array
 from urdf.reading.source import SourceError

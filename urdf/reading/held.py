@@ -7,8 +7,8 @@ import xml.etree.ElementTree as ET
 
 import pinocchio as pin
 
+from newton_euler.model.joints import Key
 from newton_euler.model.mapping import FRICTION, RANGE, Part, Value, value
-from newton_euler.model.measured import Key
 from urdf.reading.bodies import GROUND, Tree
 from urdf.reading.start import Start
 from urdf.reading.visuals import origin

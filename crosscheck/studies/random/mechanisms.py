@@ -29,10 +29,9 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import independent_rows, singular_values
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import to_array
-from newton_euler.equations.system import System
+from newton_euler.equations.system import Evaluation, System
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import Evaluation
 from newton_euler.scalars import Array, cross
 
 TOLERANCE = 1e-8

@@ -1,6 +1,6 @@
 """Joints: what they have in common, and one class a kind."""
 
-from newton_euler.model.joints.base import Joint, JointEquations, Motion, Pose, perpendicular_pair
+from newton_euler.model.joints.base import Joint, JointEquations, Key, Motion, Pose, perpendicular_pair
 from newton_euler.model.joints.compound import Compound
 from newton_euler.model.joints.kinds import (
     JOINT_KINDS,
@@ -26,6 +26,7 @@ __all__ = [
     "Free",
     "Joint",
     "JointEquations",
+    "Key",
     "Motion",
     "Planar",
     "PointOnLine",

@@ -28,6 +28,9 @@ from newton_euler.model.constraints import (
 )
 from newton_euler.scalars import Array, cross
 
+Key = tuple[str, int]
+"""A joint coordinate: the name of its joint, and which of the joint's coordinates it is, from 0."""
+
 
 class Motion(NamedTuple):
     """One elementary motion of the second body against the first."""

@@ -25,13 +25,12 @@ from crosscheck.scenes.write_file import write_scene
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
 from newton_euler import Body, Mechanism, Scene
-from newton_euler.errors import IntegrationError
 from newton_euler.model.armature import Armature
 from newton_euler.model.couplings import Coupling, Gear
 from newton_euler.model.forces import PointSpring, Wrench
 from newton_euler.model.joints import Fixed, Revolute, Spherical
 from newton_euler.model.motions import Polynomial
-from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.trajectory import IntegrationError, Trajectory
 
 LINKAGE = Path(__file__).parents[3] / "examples" / "linkage.xml"
 

@@ -18,7 +18,7 @@ from crosscheck.report.html.report import write_report
 from crosscheck.report.output import write
 from crosscheck.report.run import markdown, terminal_tables
 from crosscheck.run import crosscheck as run_crosscheck
-from newton_euler.errors import IntegrationError
+from newton_euler.model.trajectory import IntegrationError
 
 
 def test_refinement_excuses_no_more_than_a_hundredth():

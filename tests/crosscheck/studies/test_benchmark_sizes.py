@@ -22,8 +22,8 @@ from crosscheck.studies.benchmark.rhs import (
     rhs_words,
     time_right_hand_sides,
 )
-from newton_euler.errors import IntegrationError
 from newton_euler.model.euler_parameters import from_rotation_vector
+from newton_euler.model.trajectory import IntegrationError
 
 
 @pytest.fixture(scope="module")

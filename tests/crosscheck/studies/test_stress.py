@@ -42,8 +42,8 @@ from crosscheck.studies.stress.topics import (
     run_cases,
     stress,
 )
-from newton_euler.errors import IntegrationError
 from newton_euler.integrators.stabilize import RK4_LIMIT
+from newton_euler.model.trajectory import IntegrationError
 
 BOUND = Bound(1e-6, 1e-2, "for the sake of the test")
 

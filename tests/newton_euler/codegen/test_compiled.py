@@ -17,12 +17,12 @@ from newton_euler import compile_scene
 from newton_euler.assemble import random_states
 from newton_euler.compiled import FORMULATIONS, Code, formulate
 from newton_euler.equations.relative import Relative
-from newton_euler.errors import IntegrationError
 from newton_euler.integrators.integrate import Options
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joints import Compound, Fixed, Free, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import IntegrationError
 from newton_euler.simulate import run
 
 LIBRARY = {name: lambda name=name: load(name) for name in SCENES}

@@ -18,7 +18,7 @@ from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
 from mjcf.write import to_xml
 from newton_euler.equations.relative import Relative
-from newton_euler.errors import IntegrationError, OptionError
+from newton_euler.errors import OptionError
 from newton_euler.integrators.integrate import Options
 from newton_euler.integrators.sampling import intervals
 from newton_euler.model.control import PD, Sampled
@@ -26,7 +26,7 @@ from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.joints import Revolute, Translational
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.trajectory import IntegrationError, Trajectory
 from newton_euler.simulate import run
 from urdf.dynamics import PinocchioSystem
 

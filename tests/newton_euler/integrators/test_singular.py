@@ -11,13 +11,14 @@ from mechanisms import bar, pendulum
 from scipy.integrate import solve_ivp
 
 import newton_euler
-from newton_euler.errors import IntegrationError
+from newton_euler.equations.system import MassProperties
 from newton_euler.integrators import march
 from newton_euler.integrators.stabilize import check_still_closed
 from newton_euler.model.joints import Free, Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import MassProperties, State
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import IntegrationError
 
 Y = np.array([0.0, 1.0, 0.0])
 MASSES = (1.0, 2.0, 1.5)

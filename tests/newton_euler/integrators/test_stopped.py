@@ -23,12 +23,11 @@ from crosscheck.scenes.write_file import write_scene
 from crosscheck.studies.faults import plant
 from newton_euler import PD, Body, Mechanism, Sampled, Scene
 from newton_euler.equations.relative import Relative
-from newton_euler.errors import IntegrationError, StoppedError
 from newton_euler.integrators.integrate import Options
 from newton_euler.limits import VARIABLE
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joints import Prismatic
-from newton_euler.model.trajectory import Trajectory, load_arrays
+from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory, load_arrays
 from newton_euler.simulate import run
 
 GROWTH = 1000.0

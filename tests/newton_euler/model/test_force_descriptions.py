@@ -11,7 +11,8 @@ from mechanisms import line_spring, mass_on_rail
 import newton_euler
 from newton_euler import PD, JointSpring, PointSpring, Wrench
 from newton_euler.compiled import FORMULATIONS
-from newton_euler.errors import IntegrationError, MechanismError, UnknownNameError
+from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.model.trajectory import IntegrationError
 from newton_euler.simulate import compile_scene
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)
