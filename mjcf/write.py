@@ -31,9 +31,8 @@ from mjcf.forces import (
 )
 from mjcf.layout import Layout, coordinate_name
 from mjcf.text import number, numbers
-from newton_euler.equations.tree_couplings import TreeCouplings
+from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
 from newton_euler.model.control import Law, Sampled
-from newton_euler.model.couplings import Coupling, couplings
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
 from newton_euler.model.joints import Key, Pose, Rod, Spherical
 from newton_euler.model.mechanism import Body

@@ -13,9 +13,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from newton_euler.equations.couplings import couplings
 from newton_euler.errors import MechanismError
 from newton_euler.model.constraints import Frame
-from newton_euler.model.couplings import couplings
 from newton_euler.model.euler_parameters import conjugate, product
 from newton_euler.model.forces import PointSpring
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE

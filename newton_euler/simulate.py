@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from newton_euler.compiled import FORMULATIONS, Code
+from newton_euler.equations.couplings import couplings
 from newton_euler.equations.redundancy import mobility, other_rows
 from newton_euler.equations.system import Evaluation, System, at_time
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, check_choice
 from newton_euler.integrators.integrate import Options, integrate
 from newton_euler.integrators.sampling import holding, intervals, sample
 from newton_euler.integrators.stabilize import PAPER_ALPHA
-from newton_euler.model.couplings import couplings
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

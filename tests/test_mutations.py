@@ -135,10 +135,10 @@ MISTAKES = {
         "newton_euler/equations/test_formulations.py",
     ),
     "a coupling's acceleration with the wrong sign": (
-        "newton_euler/model/couplings.py",
+        "newton_euler/equations/couplings.py",
         "self.function.acceleration(time) if self.function else 0.0",
         "-self.function.acceleration(time) if self.function else 0.0",
-        "newton_euler/model/test_couplings.py",
+        "newton_euler/equations/test_couplings.py",
     ),
     "a point spring that pushes when it is long": (
         "newton_euler/model/forces.py",

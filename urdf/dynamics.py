@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.dense import rank
 from newton_euler.equations.redundancy import constraint_rank, loop_rank, mobility, rows_left_out
 from newton_euler.equations.system import Evaluation, MassProperties
-from newton_euler.equations.tree_couplings import TreeCouplings
 from newton_euler.errors import SingularityError
 from newton_euler.integrators.stabilize import joint_residuals
 from newton_euler.model.euler_parameters import from_rotation

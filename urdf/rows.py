@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.dense import minimum_norm
-from newton_euler.equations.tree_couplings import TreeCouplings
 from newton_euler.scalars import Array
 from urdf.closures import frame_jacobian
 from urdf.model import ClosedLoopModel, CoordinateMap

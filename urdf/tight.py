@@ -16,9 +16,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.lib.stride_tricks import as_strided
 
+from newton_euler.equations.couplings import couplings
 from newton_euler.equations.system import at_time
 from newton_euler.model.control import PD, Sampled
-from newton_euler.model.couplings import couplings
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joints import Rod
 from newton_euler.model.scene import Scene

@@ -22,7 +22,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 import yaml
 
-from newton_euler.model.couplings import couplings
+from newton_euler.equations.couplings import couplings
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joints import Fixed, Joint, Motion, Rod
 from newton_euler.model.mechanism import Body

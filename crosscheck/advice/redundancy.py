@@ -13,8 +13,8 @@ from typing import Any
 from crosscheck.advice.measured import Advice, Found
 from crosscheck.comparison.reactions import undetermined
 from newton_euler.assemble import random_states
+from newton_euler.equations.couplings import couplings
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.couplings import couplings
 from newton_euler.model.joints import Cylindrical, Joint, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene

@@ -11,7 +11,7 @@ from crosscheck.against.align import Aligned
 from crosscheck.against.placing import Held, anyhow_apart, axes_apart, held, inertia_apart, points_apart
 from crosscheck.against.worst import worst_row
 from crosscheck.comparison.rows import ROUND_OFF, START, Row, reach, round_off
-from newton_euler.model.couplings import Coupling, couplings
+from newton_euler.equations.couplings import Coupling, couplings
 from newton_euler.model.euler_parameters import angle_between, rotation
 from newton_euler.model.joints import Key
 from newton_euler.model.scene import Scene

@@ -16,17 +16,11 @@ from typing import Any
 import numpy as np
 
 from newton_euler.assemble import assemble
+from newton_euler.equations.couplings import Coupling, couplings, residuals
 from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.control import Law, Sampled
-from newton_euler.model.couplings import (
-    Coupling,
-    Gear,
-    JointCoupling,
-    LinearCoupling,
-    couplings,
-    residuals,
-)
+from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.forces import BallSpring, Force, JointSpring, Wrench
 from newton_euler.model.joints import Compound, Fixed, Joint, JointEquations, Screw

@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.couplings import couplings
 from newton_euler.equations.dense import RANK_TOLERANCE, orthonormal_null, orthonormal_range
 from newton_euler.equations.redundancy import mobility
 from newton_euler.model.constraints import Jacobian
-from newton_euler.model.couplings import couplings
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array

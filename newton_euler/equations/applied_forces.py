@@ -1,7 +1,7 @@
 """What the forces of a scene do to its bodies all together, their energies and their power.
 
 Once for all formulations, over generic scalars. Forces on joint coordinates act through those, see
-`newton_euler.model.measured`; here are their energies only.
+`newton_euler.equations.joint_coordinates`; here are their energies only.
 """
 
 from __future__ import annotations

@@ -20,16 +20,16 @@ import numpy as np
 
 from newton_euler.equations.applied_forces import energies, power, rotors_energy, springs_energy
 from newton_euler.equations.cartesian_terms import CartesianTerms
+from newton_euler.equations.couplings import turns
 from newton_euler.equations.dense import independent_rows, singular_values
+from newton_euler.equations.joint_coordinates import carried_angles, carried_rates
 from newton_euler.equations.reactions import at_joint_points, pushes
 from newton_euler.equations.redundancy import rows_left_out, without
 from newton_euler.equations.sparse import Rows, RowsInUse, Solution, add, factorise, sparse_vector, to_array
 from newton_euler.equations.sparse import solve_constrained as sparse_solve
 from newton_euler.equations.system import Evaluation, MassProperties, fastest_joint
 from newton_euler.errors import SingularityError
-from newton_euler.model.couplings import turns
 from newton_euler.model.euler_parameters import matrix_g, matrix_l
-from newton_euler.model.measured import carried_angles, carried_rates
 from newton_euler.model.state import State
 from newton_euler.model.tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros

@@ -8,13 +8,13 @@ import numpy as np
 
 from newton_euler.equations import balls
 from newton_euler.equations.applied_forces import Surroundings, body_wrenches
+from newton_euler.equations.couplings import couplings, row_owners, row_units
+from newton_euler.equations.joint_coordinates import Measured, coordinates, wanted
 from newton_euler.equations.sparse import Rows, RowsInUse, add
 from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.constraints import Frame, Jacobian
-from newton_euler.model.couplings import couplings, row_owners, row_units
 from newton_euler.model.euler_parameters import matrix_g, matrix_l, rotation
 from newton_euler.model.joints import Key
-from newton_euler.model.measured import Measured, coordinates, wanted
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, Scalar, zeros
 
@@ -41,7 +41,8 @@ class Rotors(NamedTuple):
 class CartesianTerms:
     """The terms of `Cartesian`. State: q (7 n,), qdot (7 n,) of the n moving bodies.
 
-    After the bodies' own, q holds carried angles (`newton_euler.model.measured`) and the work, if tracked.
+    After the bodies' own, q holds carried angles (`newton_euler.equations.joint_coordinates`) and the work,
+    if it is tracked.
 
     Attributes:
         time: s, at which prescribed motions are looked at.

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from newton_euler.equations.applied_forces import body_wrenches
+from newton_euler.equations.couplings import Coupling
+from newton_euler.equations.joint_coordinates import Coordinate
 from newton_euler.model.constraints import Frame, Jacobian
-from newton_euler.model.couplings import Coupling
 from newton_euler.model.joints import JointEquations, Key
-from newton_euler.model.measured import Coordinate
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array, Scalar, cross
 

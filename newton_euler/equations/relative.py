@@ -25,6 +25,7 @@ import numpy as np
 from newton_euler.equations.applied_forces import energies, power, rotors_energy, springs_energy
 from newton_euler.equations.balls import ends, spin_rate
 from newton_euler.equations.dense import solve_constrained
+from newton_euler.equations.joint_coordinates import carried_rates
 from newton_euler.equations.kinematics import Link
 from newton_euler.equations.reactions import tree_reactions
 from newton_euler.equations.redundancy import rows_left_out, without
@@ -34,7 +35,6 @@ from newton_euler.equations.sparse import solve_constrained as sparse_solve
 from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.errors import SingularityError
 from newton_euler.model.armature import BallArmature
-from newton_euler.model.measured import carried_rates
 from newton_euler.scalars import Array, Scalar
 
 

@@ -9,14 +9,14 @@ import numpy as np
 
 from newton_euler.equations import balls
 from newton_euler.equations.applied_forces import Surroundings, body_wrenches
+from newton_euler.equations.couplings import couplings, row_owners, row_units, turns
+from newton_euler.equations.joint_coordinates import carried_angles, carried_rates, coordinates, wanted
 from newton_euler.equations.kinematics import Link, tree_links
 from newton_euler.equations.sparse import Rows, RowsInUse, add, to_array
 from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.constraints import Frame, Jacobian
-from newton_euler.model.couplings import couplings, row_owners, row_units, turns
 from newton_euler.model.euler_parameters import product
 from newton_euler.model.joints import Key
-from newton_euler.model.measured import carried_angles, carried_rates, coordinates, wanted
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.tree import SpanningTree
@@ -46,7 +46,8 @@ def _drift(jacobian: Jacobian, first: Link, second: Link) -> Array:
 class RelativeTerms:
     """The terms of `Relative`. State: q (nq,), v (nv,) of the spanning tree.
 
-    After the tree's own, q holds carried angles (`newton_euler.model.measured`) and the work, if tracked.
+    After the tree's own, q holds carried angles (`newton_euler.equations.joint_coordinates`) and the work, if
+    it is tracked.
 
     Attributes:
         time: s, at which prescribed motions are looked at.

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from newton_euler.equations.couplings import couplings, residuals, row_owners, row_units
 from newton_euler.equations.dense import largest, minimum_norm
 from newton_euler.equations.redundancy import loosely_closed, rows_left_out, without
 from newton_euler.equations.system import Rheonomic, System, opening
 from newton_euler.errors import AssemblyError, OptionError, check_choice, is_finite_number
-from newton_euler.model.couplings import couplings, residuals, row_owners, row_units
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number
-from newton_euler.model.forces import check_ball, check_coordinate, check_known
+from newton_euler.model.forces import check_ball, check_known
 from newton_euler.model.joints import Key
-from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.mechanism import Mechanism, check_coordinate
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ import numpy as np
 
 from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number
 from newton_euler.model.constraints import Frame
-from newton_euler.model.joints import Joint, Pose
-from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_name
+from newton_euler.model.joints import Pose
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate, check_name
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
 
@@ -244,14 +244,6 @@ def check_known(element: str, problem: str, name: str, known: Sequence[str]) -> 
     """Raise `MechanismError` with a problem, and the name, unless that is among the known ones."""
     if name not in known:
         raise MechanismError(element, f"{problem} {name!r:.100}", f"one of {', '.join(known)}")
-
-
-def check_coordinate(element: str, joint: Joint, coordinate: int) -> None:
-    """Raise `MechanismError` unless the joint has that hinge or slide."""
-    count = len(joint.coordinate_kinds)
-    if not 0 <= coordinate < count:
-        needed = f"an index below {count}" if count else "a joint with a hinge or a slide"
-        raise MechanismError(element, f"coordinate is {coordinate}", needed)
 
 
 def check_ball(element: str, joint: str, mechanism: Mechanism) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from newton_euler.errors import MechanismError, check_choice, elements_of
 from newton_euler.model.constraints import Frame
-from newton_euler.model.couplings import JointCoupling, check_couplings
+from newton_euler.model.couplings import JointCoupling
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.joints import Joint, JointEquations, Pose
 from newton_euler.model.shapes import UNIT_TOLERANCE, Capsule, Mesh, Shape
@@ -43,6 +43,14 @@ def check_name(what: str, name: object) -> None:
         raise MechanismError(
             f"{what} {name!r:.100}", "has an unusable name", "letters, digits, _, . and - only"
         )
+
+
+def check_coordinate(element: str, joint: Joint, coordinate: int) -> None:
+    """Raise `MechanismError` unless the joint has that hinge or slide."""
+    count = len(joint.coordinate_kinds)
+    if not 0 <= coordinate < count:
+        needed = f"an index below {count}" if count else "a joint with a hinge or a slide"
+        raise MechanismError(element, f"coordinate is {coordinate}", needed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +173,7 @@ class Mechanism:
         for body in self.bodies[1:]:
             body.check()
         self._check_joints()
-        check_couplings(self.couplings, self)
+        self._check_couplings()
 
     def __setattr__(self, name: str, value: object) -> None:
         """Once only: what is worked out of a mechanism is kept."""
@@ -189,6 +197,16 @@ class Mechanism:
             for body in self.bodies
         ]
         self.check_closed(frames, "at the initial pose")
+
+    def _check_couplings(self) -> None:
+        names = Counter([*self.joint_names, *(coupling.name for coupling in self.couplings)])
+        for coupling in self.couplings:
+            where = f"{coupling.kind} {coupling.name!r}"
+            if names[coupling.name] > 1:
+                raise MechanismError(where, f"{names[coupling.name]} of that name", "unique names")
+            for joint, coordinate in coupling.factors():
+                on_joint = f"{where} on joint {joint!r}"
+                check_coordinate(on_joint, self.joints[self.joint_index(joint)], coordinate)
 
     def _check_connected(self) -> None:
         reached, ahead = {0}, [0]

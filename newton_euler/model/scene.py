@@ -13,9 +13,8 @@ import numpy as np
 from newton_euler.errors import AssemblyError, MechanismError, check_choice, is_finite_number
 from newton_euler.model.armature import Armature, BallArmature, check_armatures
 from newton_euler.model.control import Law, Sampled
-from newton_euler.model.couplings import check_motions, couplings, residuals
 from newton_euler.model.forces import BallSpring, Force, JointSpring, check_forces
-from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.shapes import UNIT_TOLERANCE
 from newton_euler.model.state import State
@@ -111,7 +110,7 @@ class Scene:
             check_choice("output", output, OUTPUTS)
         object.__setattr__(self, "outputs", frozenset(self.outputs))
         self._check_control()
-        object.__setattr__(self, "motions", check_motions(self.motions, self.mechanism))
+        self._check_motions()
         if self.initial_state is None:
             object.__setattr__(self, "initial_state", self._begin())
         else:
@@ -154,9 +153,22 @@ class Scene:
                 raise MechanismError(where, "the joint is not actuated", "an actuated joint")
             if driven[law.joint, law.coordinate] > 1:
                 raise MechanismError(where, "has several laws for one coordinate", "one law a coordinate")
-            kinds = [m.kind for m in joint.motions if m.kind != "ball"]
-            if not 0 <= law.coordinate < len(kinds):
-                raise MechanismError(where, f"coordinate is {law.coordinate}", f"an index below {len(kinds)}")
+            check_coordinate(where, joint, law.coordinate)
+
+    def _check_motions(self) -> None:
+        given = self.motions
+        if not isinstance(given, Iterable) or not all(isinstance(m, PrescribedMotion) for m in given):
+            needed = "a tuple of prescribed motions"
+            raise MechanismError(f"scene {self.name!r}", f"motions is {given!r:.200}", needed)
+        object.__setattr__(self, "motions", tuple(given))
+        driven = Counter((motion.joint, motion.coordinate) for motion in self.motions)
+        for motion in self.motions:
+            where = f"motion of joint {motion.joint!r}"
+            joint = self.mechanism.joints[self.mechanism.joint_index(motion.joint)]
+            check_coordinate(where, joint, motion.coordinate)
+            if driven[motion.joint, motion.coordinate] > 1:
+                problem = "has several functions for one coordinate"
+                raise MechanismError(where, problem, "one motion a coordinate")
 
     def _check_forces(self) -> None:
         forces = tuple(self.forces) if isinstance(self.forces, Iterable) else (self.forces,)
@@ -286,6 +298,8 @@ class Scene:
 
     def _check_couplings(self, state: State) -> None:
         """Raise `MechanismError` for the first coupling or motion that the state does not follow."""
+        from newton_euler.equations.couplings import couplings, residuals
+
         found = couplings(self)
         phi, rates = residuals(self.mechanism, found, state.frames(), 0.0)
         speed = self._speed(state)

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from newton_euler.equations.couplings import couplings, residuals
 from newton_euler.equations.dense import least_squares, singular_values
 from newton_euler.equations.system import MassProperties, dimensionless_jacobian
-from newton_euler.model.couplings import couplings, residuals
 from newton_euler.scalars import Array
 from newton_euler.verification.figure import SPREAD, Figure, figure, worst
 from newton_euler.verification.placed import Place, Placed, shifted

@@ -10,9 +10,9 @@ import numpy as np
 
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
+from newton_euler.equations.couplings import couplings
 from newton_euler.model.armature import BallArmature
 from newton_euler.model.control import PD
-from newton_euler.model.couplings import couplings
 from newton_euler.model.forces import BallSpring, JointSpring
 from newton_euler.model.joints import Joint
 from newton_euler.model.joints.base import perpendicular_pair

@@ -25,8 +25,9 @@ from crosscheck.scenes.write_file import write_scene
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
 from newton_euler import Body, Mechanism, Scene
+from newton_euler.equations.couplings import Coupling
 from newton_euler.model.armature import Armature
-from newton_euler.model.couplings import Coupling, Gear
+from newton_euler.model.couplings import Gear
 from newton_euler.model.forces import PointSpring, Wrench
 from newton_euler.model.joints import Fixed, Revolute, Spherical
 from newton_euler.model.motions import Polynomial

@@ -9,17 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from newton_euler.equations.couplings import Coupling
 from newton_euler.model.constraints import Constraint, Frame, Jacobian
 from newton_euler.model.joints import JointEquations, Key
+from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, Scalar, arctan2, cos, sin
-
-if TYPE_CHECKING:
-    from newton_euler.model.couplings import Coupling
-    from newton_euler.model.scene import Scene
 
 
 def wanted(scene: Scene, couplings: Iterable[Coupling]) -> list[Key]:

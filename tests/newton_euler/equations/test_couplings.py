@@ -276,7 +276,11 @@ def test_gears_and_motions_name_what_is_wrong():
         (gears("mesh", "shaft_1", "shaft_2", 0.0), MechanismError, "gear 'mesh': ratio is 0"),
         (gears("mesh", "shaft_1", "shaft_1", 1.0), MechanismError, "couples joint 'shaft_1' to itself"),
         (gears("shaft_1", "shaft_1", "shaft_2", 1.0), MechanismError, "gear 'shaft_1': 2 of that name"),
-        (gears("mesh", "shaft_1", "shaft_2", 1.0, 0, 1), MechanismError, "'shaft_2' is 1; .*below 1"),
+        (
+            gears("mesh", "shaft_1", "shaft_2", 1.0, 0, 1),
+            MechanismError,
+            "'shaft_2': coordinate is 1; .*below 1",
+        ),
         (gears("a b", "shaft_1", "shaft_2", 1.0), MechanismError, "gear 'a b': has an unusable name"),
         (lambda: Polynomial([]), MechanismError, "polynomial: coefficients"),
         (lambda: Sine(1.0, float("nan")), MechanismError, "sine: angular_frequency is nan"),
@@ -287,9 +291,9 @@ def test_gears_and_motions_name_what_is_wrong():
             build()
     scene = gear_pair()
     motion = PrescribedMotion("shaft_1", Polynomial([0.0]))
-    with pytest.raises(MechanismError, match=r"'shaft_1' is 1; .*below 1"):
+    with pytest.raises(MechanismError, match=r"'shaft_1': coordinate is 1; .*below 1"):
         replace(scene, motions=(PrescribedMotion("shaft_1", Polynomial([0.0]), 1),))
     with pytest.raises(MechanismError, match="several functions"):
         replace(scene, motions=(motion, motion))
-    with pytest.raises(MechanismError, match="prescribed motions only"):
+    with pytest.raises(MechanismError, match="a tuple of prescribed motions"):
         replace(scene, motions=(1.0,))

@@ -12,8 +12,8 @@ from test_couplings import ORIGIN, X, Y, Z, wheel
 import newton_euler
 from newton_euler import Body, Gear, Mechanism, Polynomial, PrescribedMotion, Scene, State
 from newton_euler.compiled import formulate
+from newton_euler.equations.couplings import Coupling, turns
 from newton_euler.errors import MechanismError
-from newton_euler.model.couplings import Coupling, turns
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joints import Joint, Revolute, Screw, Translational
 

@@ -1,0 +1,274 @@
+"""Joint coordinates that depend on each other or on time: gears, screws and prescribed motions.
+
+All are one thing, a linear combination of joint coordinates that equals a function of time,
+
+    Phi = sum_i c_i x_i - f(t),    Phi_q = sum_i c_i dx_i/dq,    Phi_t = -f'(t)
+    gamma = sum_i c_i gamma_i + f''(t)
+
+with d2x_i/dt2 = dx_i/dq . qddot - gamma_i (Haug, Computer Aided Kinematics and Dynamics of
+Mechanical Systems, 1989, chapters 3 and 9).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from newton_euler.model.constraints import Frame
+from newton_euler.model.joints import JointEquations, Key, Screw
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.motions import TimeFunction
+from newton_euler.model.scene import Scene
+from newton_euler.model.tree import SpanningTree
+from newton_euler.scalars import Array, Scalar
+
+MOST_TURNS = 1000
+"""Of the slowest of angles that are coupled only to each other, where a state begins."""
+
+SAME_POSE = 1e-6
+"""rad, by which angles may miss a pose that they are to agree with: far more than states are off, and so
+little that other numbers of turns hardly ever agree by chance."""
+
+
+class Seen(Protocol):
+    """A joint coordinate at a state, as formulations measure it."""
+
+    @property
+    def x(self) -> Scalar:
+        """m or rad."""
+
+    @property
+    def rate(self) -> Scalar:
+        """m/s or rad/s."""
+
+    @property
+    def gamma(self) -> Scalar:
+        """What d2x/dt2 lacks of its Jacobian times accelerations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """One equation, sum of factor * x = f(t).
+
+    Attributes:
+        what: "motion of joint", "joint", "gear" or "coupling".
+        name: of the joint, gear or coupling that it belongs to.
+        joint: name of the joint that it opens when violated.
+        factors: of the joint coordinates.
+        function: f; None for 0.
+        is_length: True for an equation in metres, False for one in radians.
+    """
+
+    what: str
+    name: str
+    joint: str
+    factors: Mapping[Key, float]
+    function: TimeFunction | None
+    is_length: bool
+
+    def phi(self, seen: Mapping[Key, Seen], time: Scalar) -> Scalar:
+        """The residual, m or rad."""
+        return self.combine({key: seen[key].x for key in self.factors}) - (
+            self.function.value(time) if self.function else 0.0
+        )
+
+    def phi_t(self, time: Scalar) -> Scalar:
+        """Partial derivative of the residual by time, m/s or rad/s."""
+        return -self.function.rate(time) if self.function else 0.0
+
+    def rate(self, seen: Mapping[Key, Seen], time: Scalar) -> Scalar:
+        """How fast it opens, m/s or rad/s."""
+        return self.combine({key: seen[key].rate for key in self.factors}) + self.phi_t(time)
+
+    def gamma(self, seen: Mapping[Key, Seen], time: Scalar) -> Scalar:
+        """The right side of Phi_q qddot = gamma."""
+        return self.combine({key: seen[key].gamma for key in self.factors}) + (
+            self.function.acceleration(time) if self.function else 0.0
+        )
+
+    def combine(self, parts: Mapping[Key, Scalar]) -> Scalar:
+        """The sum of factor * part."""
+        return sum(factor * parts[key] for key, factor in self.factors.items())
+
+
+def couplings(scene: Scene) -> tuple[Coupling, ...]:
+    """All couplings of a scene: motions, screws, gears and other linear ones."""
+    mechanism = scene.mechanism
+    found = []
+    for motion in scene.motions:
+        slides = _kind(mechanism, motion.joint, motion.coordinate) == "slide"
+        factors = {(motion.joint, motion.coordinate): 1.0}
+        what, name = "motion of joint", motion.joint
+        found.append(Coupling(what, name, name, factors, motion.function, slides))
+    for joint in mechanism.joints:
+        if isinstance(joint, Screw):
+            factors = {(joint.name, 0): 1.0, (joint.name, 1): -joint.pitch}
+            found.append(Coupling("joint", joint.name, joint.name, factors, None, True))
+    for coupling in mechanism.couplings:
+        factors = coupling.factors()
+        first = next(iter(factors))
+        slides = _kind(mechanism, *first) == "slide"
+        found.append(Coupling(coupling.kind, coupling.name, first[0], factors, None, slides))
+    return tuple(found)
+
+
+def _kind(mechanism: Mechanism, joint: str, coordinate: int) -> str:
+    return mechanism.joints[mechanism.joint_index(joint)].coordinate_kinds[coordinate]
+
+
+def row_units(equations: Sequence[JointEquations], couplings: Sequence[Coupling], size: float) -> Array:
+    """(k,) what makes rows of joints, then couplings, dimensionless: `size` (m) for lengths, else 1."""
+    coupled = np.array([size if coupling.is_length else 1.0 for coupling in couplings])
+    return np.concatenate([np.zeros(0), *(e.units(size) for e in equations), coupled])
+
+
+def row_owners(equations: Sequence[JointEquations], couplings: Sequence[Coupling]) -> tuple[str, ...]:
+    """Names of the joint or gear that each row of joints, then couplings, belongs to."""
+    joints = [e.joint.name for e in equations for _ in range(e.count)]
+    return (*joints, *(coupling.name for coupling in couplings))
+
+
+def turns(
+    couplings: Sequence[Coupling], x: Mapping[Key, float], angles: Collection[Key], time: float
+) -> dict[Key, float]:
+    """What to add to angles, multiples of 2 pi, so that they are in the turn their couplings ask for.
+
+    Poses tell angles within half a turn only. Motions tell the rest of theirs, slides know what they are,
+    and both tell the angles that they are coupled to. Of angles that are only coupled to each other, the
+    fewest turns are taken that agree with all poses. The order of the couplings does not matter.
+
+    Args:
+        couplings: those of several coordinates without a function of time.
+        x: the coordinates as poses tell them, m or rad.
+        angles: which of them are angles.
+        time: s.
+    """
+    wanted: dict[Key, float] = {}
+    for coupling in couplings:
+        if coupling.function:
+            (key,) = coupling.factors
+            wanted[key] = float(coupling.function.value(time))
+    linked = sorted((c for c in couplings if c.function is None), key=lambda c: (c.what, c.name))
+    _follow(linked, wanted)
+    coupled = {key for coupling in couplings for key in coupling.factors}
+    wanted |= {key: x[key] for key in coupled if key not in angles and key not in wanted}
+    _follow(linked, wanted)
+    while coupled - wanted.keys():
+        ratios = {min(coupled - wanted.keys()): 1.0}
+        _follow(linked, ratios)
+        wanted |= _fewest_turns(ratios, x)
+    return {
+        key: 2.0 * np.pi * float(np.round((wanted[key] - x[key]) / (2.0 * np.pi)))
+        for key in coupled
+        if key in angles
+    }
+
+
+def _follow(couplings: Sequence[Coupling], wanted: dict[Key, float]) -> None:
+    """Add to what coordinates are wanted to be all that follows from it by couplings."""
+    before = -1
+    while before < len(wanted):
+        before = len(wanted)
+        for coupling in couplings:
+            missing = [key for key in coupling.factors if key not in wanted]
+            if len(missing) == 1:
+                known = sum(f * wanted[key] for key, f in coupling.factors.items() if key in wanted)
+                wanted[missing[0]] = -known / coupling.factors[missing[0]]
+
+
+def _fewest_turns(ratios: Mapping[Key, float], x: Mapping[Key, float]) -> dict[Key, float]:
+    """Angles of these ratios that agree with their poses x, the smallest of at most `MOST_TURNS` turns.
+
+    If there are none, those of the slowest one within half a turn.
+    """
+    slowest = min(ratios, key=lambda key: (abs(ratios[key]), key))
+    share = np.array([ratios[key] / ratios[slowest] for key in ratios])
+    count = np.arange(MOST_TURNS + 1)
+    count = np.stack([count, -count], axis=1).ravel()
+    angle = (
+        x[slowest] + 2.0 * np.pi * count[np.argsort(np.abs(x[slowest] + 2.0 * np.pi * count), kind="stable")]
+    )
+    turned = (np.outer(angle, share) - [x[key] for key in ratios]) / (2.0 * np.pi)
+    agree = np.all(np.abs(turned - np.round(turned)) < SAME_POSE / (2.0 * np.pi), axis=1)
+    return dict(zip(ratios, float(angle[np.argmax(agree)]) * share, strict=True))
+
+
+def residuals(
+    mechanism: Mechanism, couplings: Sequence[Coupling], frames: Sequence[Frame], time: float
+) -> tuple[Array, Array]:
+    """Residuals (c,) of couplings where bodies have these frames, and how fast they open.
+
+    The frames are those of the bodies of the mechanism. Angles are in the turn of `turns`.
+    """
+    x, rates = dict[Key, float](), dict[Key, float]()
+    angles = set()
+    for key in {key for coupling in couplings for key in coupling.factors}:
+        equations = mechanism.equations[mechanism.joint_index(key[0])]
+        coordinate = equations.coordinates[key[1]]
+        first, second = frames[equations.first], frames[equations.second]
+        x[key] = float(coordinate.phi(first, second)[0])
+        rates[key] = float(coordinate.jacobian(first, second).rate(first, second)[0])
+        if not coordinate.is_length:
+            angles.add(key)
+    for key, turn in turns(couplings, x, angles, time).items():
+        x[key] += turn
+    phi = [c.combine(x) - (c.function.value(time) if c.function else 0.0) for c in couplings]
+    return np.array(phi), np.array([c.combine(rates) + c.phi_t(time) for c in couplings])
+
+
+class TreeCouplings:
+    """The couplings of a scene, in order: jacobian @ v + phi_t = 0 with a constant Jacobian.
+
+    The coordinates are those of a tree that keeps all the joints they couple, as that of a welded mechanism
+    does: only balls, rods and welds are cut there, which have no coordinates.
+
+    Attributes:
+        couplings: as of `couplings`.
+        jacobian: (c, nv).
+        units: (c,) what makes the equations dimensionless: the mechanism's size (m) for lengths, else 1.
+    """
+
+    def __init__(self, scene: Scene, tree: SpanningTree) -> None:
+        self.couplings = couplings(scene)
+        self._angles: set[Key] = set()
+        self._on_q: dict[Key, int] = {}
+        self.jacobian = np.zeros((len(self.couplings), tree.nv))
+        for row, coupling in zip(self.jacobian, self.couplings, strict=True):
+            for key, factor in coupling.factors.items():
+                place = tree.place(*key)
+                assert place is not None
+                self._on_q[key], on_v = place
+                row[on_v] = factor
+                joint = scene.mechanism.joints[scene.mechanism.joint_index(key[0])]
+                if joint.coordinate_kinds[key[1]] == "hinge":
+                    self._angles.add(key)
+        size = scene.mechanism.size
+        self.units = np.array([size if coupling.is_length else 1.0 for coupling in self.couplings])
+
+    def phi(self, q: Array, time: float) -> Array:
+        """Residuals (c,), m or rad."""
+        x = {key: q[place] for key, place in self._on_q.items()}
+        return np.array([coupling.combine(x) for coupling in self.couplings]) - self.value(time)
+
+    def value(self, time: float) -> Array:
+        """(c,) what the combinations of coordinates are to be, m or rad."""
+        return np.array([c.function.value(time) if c.function else 0.0 for c in self.couplings])
+
+    def rate(self, time: float) -> Array:
+        """(c,) its first derivative."""
+        return np.array([c.function.rate(time) if c.function else 0.0 for c in self.couplings])
+
+    def acceleration(self, time: float) -> Array:
+        """(c,) its second derivative."""
+        return np.array([c.function.acceleration(time) if c.function else 0.0 for c in self.couplings])
+
+    def turned(self, q: Array, time: float) -> Array:
+        """Coordinates that poses gave, with angles in the turn that the couplings ask for."""
+        x = {key: float(q[place]) for key, place in self._on_q.items()}
+        q = q.copy()
+        for key, turn in turns(self.couplings, x, self._angles, time).items():
+            q[self._on_q[key]] += turn
+        return q
