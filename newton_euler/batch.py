@@ -67,7 +67,7 @@ class Batch(Sequence[Trajectory]):
         Raises:
             UnknownNameError: for what the scene does not ask for.
         """
-        places = self._compiled.layouts["output"]
+        places = self._compiled.arrays
         if name not in places:
             raise UnknownNameError("array", name, tuple(places))
         place, shape = places[name]

@@ -6,19 +6,19 @@ call follow the conventions of `newton_euler.integrators.march`.
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from newton_euler.codegen.cache import cache_directory, cache_key, read_cache, write_cache
-from newton_euler.codegen.compile import LARGE, NativeFunction
+from newton_euler.codegen.cache import cache_key, read_cache, write_cache
+from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
-from newton_euler.codegen.stored import program_text, read_program, read_rows, rows_text
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.equations.relative import Relative
@@ -31,14 +31,11 @@ from newton_euler.model.scene import Scene
 from newton_euler.parameters import parameter_values, place_of, with_values
 from newton_euler.scalars import Array, Scalar, minimum
 
-if TYPE_CHECKING:
-    from newton_euler.integrators.integrate import Options
-    from newton_euler.integrators.run import March
-
-T = TypeVar("T")
-
 SIDE_BY_SIDE = (("output",), ("position", "velocity"))
 """Programs that take several states at once, the same number in each group: outputs are many."""
+
+OF_POSITIONS = frozenset({"violation"})
+"""Outputs that depend on q alone, as poses do."""
 
 Formulation = Relative | Cartesian
 
@@ -67,10 +64,7 @@ class Code:
         inputs: length of (q, v, time, parameters).
         programs: what has been traced, by name: derivative, position, velocity, rate, jacobian, output,
             measured, surface.
-        layouts: where a program has its results: the arrays of `output` by name, as (slice, shape); the
-            rows and columns of what `surface` gives of matrices.
         functions: the same in native code.
-        idle: a march that no run is using, by its options.
         trace_time, compile_time: s that it took so far; loading from the cache counts as compiling.
     """
 
@@ -94,15 +88,14 @@ class Code:
         self.size = self.system.nq + self.system.nv
         self.inputs = self.size + 1 + sum(int(np.prod(shape)) for shape in self.parameters.values())
         self.programs: dict[str, Program] = {}
-        self.layouts: dict[str, Any] = {}
         self.functions: dict[str, NativeFunction] = {}
-        self.idle: dict[Options, March] = {}
+        self._layouts: dict[str, Any] = {}
         self.trace_time = self.compile_time = 0.0
 
     @property
     def operations(self) -> dict[str, int]:
-        """Floating-point operations of each program."""
-        return {name: program.operations for name, program in self.programs.items()}
+        """Floating-point operations of each function."""
+        return {name: function.operations for name, function in self.functions.items()}
 
     @property
     def code_size(self) -> int:
@@ -123,9 +116,13 @@ class Code:
     @cached_property
     def kept(self) -> int:
         """Number of elements of a state that outputs need: its first nq, or all."""
-        read = {node.a for node in self.program("output").nodes if node.op == "input"}
-        still = read.isdisjoint(range(self.system.nq, self.size)) and "reactions" not in self.scene.outputs
-        return self.system.nq if still else self.size
+        return self.system.nq if self.scene.outputs <= OF_POSITIONS else self.size
+
+    @cached_property
+    def arrays(self) -> dict[str, tuple[slice, tuple[int, ...]]]:
+        """Place in the results of `output`, and shape, of each array that the scene asks for."""
+        layout = self.function("output").layout
+        return {name: (slice(start, stop), tuple(shape)) for name, (start, stop, shape) in layout.items()}
 
     def marks(self, integrator: str) -> Array:
         """(size,) marks of angles and Euler parameters, see `newton_euler.integrators.march`, else 0.
@@ -149,23 +146,25 @@ class Code:
     def function(self, name: str) -> NativeFunction:
         """One of the functions, traced and compiled if it has not been."""
         if name not in self.functions:
-            program = self.program(name)
-            group = next((group for group in SIDE_BY_SIDE if name in group), ())
-            many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
             identity = self._identity and f"{self._identity} {name}"
-            start = time.perf_counter()
-            self.functions[name] = NativeFunction(program, many, identity)
-            self.compile_time += time.perf_counter() - start
+            start, traced = time.perf_counter(), self.trace_time
+            self.functions[name] = NativeFunction(lambda: self._traced(name), identity)
+            self.compile_time += time.perf_counter() - start - (self.trace_time - traced)
         return self.functions[name]
 
     def program(self, name: str) -> Program:
         """One of the programs, traced if it has not been."""
         if name not in self.programs:
             start = time.perf_counter()
-            made = self._remembered(name, lambda: self._trace(name), lambda x: program_text(*x), read_program)
-            self.programs[name], self.layouts[name] = made
+            self.programs[name] = self._trace(name)
             self.trace_time += time.perf_counter() - start
         return self.programs[name]
+
+    def _traced(self, name: str) -> Traced:
+        """One of the programs with its layout."""
+        group = next((group for group in SIDE_BY_SIDE if name in group), ())
+        many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
+        return Traced(self.program(name), many, self._layouts.get(name))
 
     @cached_property
     def _identity(self) -> str | None:
@@ -175,34 +174,26 @@ class Code:
             chosen.append(tuple(self._independent))
         return fingerprint(self.scene, *chosen)
 
-    def _remembered(
-        self, what: str, make: Callable[[], T], write: Callable[[T], str], read: Callable[[bytes], T]
-    ) -> T:
-        """The work of an earlier process on the same scene, or of now; kept as text, see `stored`."""
-        if self._identity is None or cache_directory() is None:
-            return make()
-        key = cache_key(self._identity, what)
-        kept = read_cache(key)
-        if kept is not None:
-            with suppress(ValueError):
-                return read(kept)
-        made = make()
-        write_cache(key, write(made).encode())
-        return made
-
     @cached_property
     def _decided(self) -> tuple[RowsInUse, bool, tuple[NearlyRedundant, ...]]:
         """Rows in use, whether multipliers are not unique, and what is nearly redundant."""
-
-        def decide() -> tuple[RowsInUse, bool, tuple[NearlyRedundant, ...]]:
-            decided, rows = mobility(self.scene), rows_in_use(self.system, self._independent)
-            unused = len(self.system.phi_units) - len(rows.numbers)
-            if isinstance(self.system, Relative):  # where rows may be zero everywhere
-                unused = len(decided.redundant)
-            return rows, unused > 0, decided.nearly
-
-        with np.errstate(all="ignore"):  # forces that overflow are for the march to report
-            return self._remembered("rows", decide, rows_text, read_rows)
+        key = self._identity and cache_key(self._identity, "rows")
+        stored = read_cache(key) if key else None
+        if stored is not None:
+            with suppress(
+                ValueError, TypeError, RecursionError
+            ):  # of something else than what is written below
+                rows, redundant, nearly = json.loads(stored)
+                return RowsInUse(*rows), bool(redundant), tuple(NearlyRedundant(*weak) for weak in nearly)
+        with np.errstate(all="ignore"):  # forces that overflow are for a run to report
+            found, chosen = mobility(self.scene), rows_in_use(self.system, self._independent)
+        unused = len(self.system.phi_units) - len(chosen.numbers)
+        if isinstance(self.system, Relative):  # where rows may be zero everywhere
+            unused = len(found.redundant)
+        decided = chosen, unused > 0, found.nearly
+        if key:
+            write_cache(key, json.dumps(decided).encode())
+        return decided
 
     @property
     def rows(self) -> RowsInUse:
@@ -269,8 +260,8 @@ class Code:
 
     # Tracing
 
-    def _trace(self, name: str) -> tuple[Program, Any]:
-        """A program and its layout."""
+    def _trace(self, name: str) -> Program:
+        """Trace a program; those whose results have names leave their layout in `_layouts`."""
         graph = Graph()
         x = graph.variables(self.inputs)
         scene = with_values(self.scene, self._values(x))
@@ -279,7 +270,7 @@ class Code:
             system.in_use = self.rows
         q, v = x[: system.nq], x[system.nq : self.size]
         scalars = getattr(self, f"_trace_{name}")(system, q, v)
-        return graph.prune(scalars), self.layouts.get(name)
+        return graph.prune(scalars)
 
     def _trace_derivative(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """(qdot, vdot, health)."""
@@ -336,19 +327,19 @@ class Code:
         return phi, np.array([units[k] * step.get(k, 0.0) for k in range(system.nv)]), minimum(health, 1.0)
 
     def _trace_surface(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """(Phi, dPhi/dt, nonzeros of Phi_q, nonzeros of M); where these are is in `patterns`."""
+        """(Phi, dPhi/dt, nonzeros of Phi_q, nonzeros of M); the layout has their rows and columns."""
         phi, jacobian = system.phi_and_jacobian(q)
         rates = [sum(x * v[k] for k, x in row.items()) for row in jacobian]
         scalars = [*phi, *(np.array(rates) + system.phi_t())]
         places = []
         for rows in (jacobian, system.mass_rows(q)):
-            places.append(np.array([(i, k) for i, row in enumerate(rows) for k in row], int).reshape(-1, 2))
+            places.append([(i, k) for i, row in enumerate(rows) for k in row])
             scalars.extend(x for row in rows for x in row.values())
-        self.layouts["surface"] = places[0], places[1]
+        self._layouts["surface"] = places
         return scalars
 
     def _trace_output(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """The arrays that the scene asks for, one after the other: see `layouts`."""
+        """The arrays that the scene asks for, one after the other; the layout has their places and shapes."""
         e, health = system.sparse_evaluation(q, v, self.rows)
         wanted = self.scene.outputs
         arrays: dict[str, Any] = {"position": e.state.position, "quaternion": e.state.quaternion}
@@ -368,12 +359,12 @@ class Code:
             arrays["phi"] = system.joint_phi(q)
         if "reactions" in wanted:
             arrays["health"] = np.array(minimum(health, 1.0))
-        places: dict[str, tuple[slice, tuple[int, ...]]] = {}
+        places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
         scalars: list[Scalar] = []
         for name, array in arrays.items():
-            places[name] = (slice(len(scalars), len(scalars) + array.size), array.shape)
+            places[name] = len(scalars), len(scalars) + array.size, array.shape
             scalars.extend(array.ravel())
-        self.layouts["output"] = places
+        self._layouts["output"] = places
         return scalars
 
     def _trace_measured(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:

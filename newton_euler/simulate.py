@@ -6,7 +6,7 @@ import copy
 import time
 import warnings
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -18,12 +18,15 @@ from newton_euler.equations.system import Evaluation, System, at_time
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, check_choice
 from newton_euler.integrators.integrate import Options, integrate
 from newton_euler.integrators.sampling import holding, intervals, sample
-from newton_euler.integrators.stabilize import PAPER_ALPHA
+from newton_euler.integrators.stabilize import PAPER_ALPHA, baumgarte_alpha
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory, check_finite
 from newton_euler.scalars import Array
+
+KEPT = 8
+"""Scenes, most recently simulated, whose code stays in memory."""
 
 ROW_CHOICES = 3
 """Times that constraint rows are chosen anew, each time with all that a run has seen until it stopped."""
@@ -57,7 +60,14 @@ def simulate(
     """
     options = Options(integrator, rtol, atol, step, most_steps)
     check_choice("formulation", formulation, FORMULATIONS)
-    return CompiledScene(scene, formulation, stabilization, alpha)._run(options)
+    baumgarte_alpha(stabilization, alpha)
+    return _compiled(scene, formulation, stabilization, float(alpha))._run(options)
+
+
+@lru_cache(maxsize=KEPT)
+def _compiled(scene: Scene, formulation: str, stabilization: str, alpha: float) -> CompiledScene:
+    """Return the code of a scene; scenes cannot change, so that of the same object is the same."""
+    return CompiledScene(scene, formulation, stabilization, alpha)
 
 
 def compile_scene(
@@ -97,7 +107,7 @@ class CompiledScene(Code):
         """The same code for a scene that differs in parameters, controllers and duration alone."""
         _ = self._decided  # once for all
         other = copy.copy(self)
-        other.scene, other.idle = scene, {}
+        other.scene = scene
         q, v = self.system.coordinates(scene.initial_state)
         other.__dict__.update(start=other.packed(q, v), _others={})
         return other

@@ -204,7 +204,7 @@ def operations_by_output(scene: Scene, formulation: str) -> dict[str, int]:
 
     def count(*outputs: str) -> int:
         arrays = [array for output in ("poses", *outputs) for array in ARRAYS[output]]
-        results = [node for array in arrays for node in program.outputs[compiled.layouts["output"][array][0]]]
+        results = [node for array in arrays for node in program.outputs[compiled.arrays[array][0]]]
         return len(_needed(program.nodes, results))
 
     counts = {"nothing": count()} | {output: count(output) for output in OUTPUTS}

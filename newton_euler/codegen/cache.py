@@ -1,4 +1,4 @@
-"""Machine code and traced programs kept on disk, by name.
+"""Machine code and chosen constraint rows kept on disk, by name.
 
 A file holds the SHA-256 of its name and content and then the content, so that one that is damaged, or is
 another's, counts as missing. It is written beside and renamed, so that no reader ever sees half of it,
@@ -14,10 +14,11 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+
+from platformdirs import user_cache_path
 
 CACHE_VARIABLE = "NEWTON_EULER_CACHE"
 """Environment variable that names the cache directory; empty for no cache."""
@@ -54,21 +55,15 @@ def cache_key(*parts: object) -> str:
 
 
 def cache_directory() -> Path | None:
-    """Where machine code is kept; None if the user wants no cache."""
+    """Return the directory of the cache; None if the user wants none or has no home directory."""
     chosen = os.environ.get(CACHE_VARIABLE)
     if chosen is not None:
         return Path(chosen) if chosen else None
     try:
-        home = Path.home()
-    except RuntimeError:  # a user without one
+        directory = user_cache_path("newton_euler", appauthor=False)
+    except RuntimeError:  # a user without a home directory
         return None
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA", home / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = home / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache")
-    return base / "newton_euler"
+    return directory if directory.is_absolute() else None  # platformdirs 4.2 leaves "~" to such a user
 
 
 def read_cache(key: str) -> bytes | None:

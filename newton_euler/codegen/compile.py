@@ -8,11 +8,12 @@ cache directory by a hash of that text, of the versions and of the processor.
 from __future__ import annotations
 
 import ctypes
+import json
 import sys
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,9 @@ LARGE = 10_000
 LEVEL = 1
 """LLVM's level of code generation: 2, its default, makes the same code of programs in a sixth more time; 0 is
 four times as fast, and its code takes twice as long to run."""
+
+DESCRIPTION = "f.description"
+"""Constant beside the function that a program becomes: the attributes of `NativeFunction`, as JSON."""
 
 PROGRAM = Signature({"x": "ptr", "y": "ptr"}, "void")
 """Of the function `f` that a program becomes."""
@@ -95,35 +99,57 @@ class NativeModule:
         self._engine.finalize_object()
         self.addresses = {name: int(self._engine.get_function_address(name)) for name in functions}
 
+    def constant(self, name: str) -> bytes:
+        """Return a constant of the module, text that ends with a zero byte."""
+        return ctypes.string_at(int(self._engine.get_global_value_address(name)))
+
+
+class Traced(NamedTuple):
+    """A program to compile.
+
+    Attributes:
+        program: its operations.
+        many: True for straight-line code that takes several x at once.
+        layout: where the program has its results, for callers: anything that JSON can hold.
+    """
+
+    program: Program
+    many: bool = False
+    layout: Any = None
+
 
 class NativeFunction:
     """`y = f(x)` in native code.
 
     Attributes:
         inputs, outputs: lengths of x and y.
-        lanes: how many x are taken at once, values of all of them side by side, and so many y made.
+        lanes: number of x that are taken at once, values of all of them side by side; as many y are made.
+        operations: floating-point operations of the program.
+        layout: as of `Traced`.
         address: of `void f(double *x, double *y)`, for native callers.
         module: what it was compiled in.
     """
 
-    def __init__(self, program: Program, many: bool = False, identity: str | None = None) -> None:
+    def __init__(self, trace: Callable[[], Traced], identity: str | None = None) -> None:
         """Compile a program: straight-line code, or loops over repeated pieces if it is `LARGE`.
 
         Args:
-            program: what to compile.
-            many: make straight-line code for several x at once.
+            trace: makes the program, unless its code is in the cache.
             identity: all that the program depends on, and this package; its text if None.
         """
-        self.inputs, self.outputs = program.inputs, len(program.outputs)
-        straight = program.operations < LARGE
-        self.lanes = LANES if many and straight else 1
 
         def text() -> str:
-            body = emit_straight(program, "f", self.lanes) if straight else emit_rolled(program, "f")
-            return declarations(self.lanes) + body
+            program, many, layout = trace()
+            straight = program.operations < LARGE
+            lanes = LANES if many and straight else 1
+            body = emit_straight(program, "f", lanes) if straight else emit_rolled(program, "f")
+            description = program.inputs, len(program.outputs), lanes, program.operations, layout
+            return declarations(lanes) + body + _constant(DESCRIPTION, json.dumps(description))
 
-        known = f"{identity}, {self.lanes} lanes, straight: {straight}" if identity else text()
+        known = f"{identity}, rolled from {LARGE}, {LANES} lanes" if identity else text()
         self.module = NativeModule(known, text, {"f": PROGRAM})
+        description = json.loads(self.module.constant(DESCRIPTION))
+        self.inputs, self.outputs, self.lanes, self.operations, self.layout = description
         self.address = self.module.addresses["f"]
         self._call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(self.address)
 
@@ -137,3 +163,9 @@ class NativeFunction:
         y = np.empty((self.outputs, self.lanes))
         self._call(given.ctypes.data, y.ctypes.data)
         return y[:, 0].copy() if x.ndim == 1 else y
+
+
+def _constant(name: str, text: str) -> str:
+    """Give ASCII text as LLVM's text of a constant that ends with a zero byte."""
+    content = "".join(f"\\{byte:02X}" for byte in text.encode() + b"\0")
+    return f'\n@{name} = constant [{len(text) + 1} x i8] c"{content}"\n'

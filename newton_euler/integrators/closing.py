@@ -37,10 +37,11 @@ class Surface(NamedTuple):
 
 def surface(code: Code, x: Array) -> Surface:
     """The surface at x (inputs,), from native code."""
-    values = code.function("surface")(x)
+    function = code.function("surface")
+    values = function(x)
     k, n = len(code.system.phi_units), code.system.nv
     jacobian, mass = np.zeros((k, n)), np.zeros((n, n))
-    on_jacobian, on_mass = code.layouts["surface"]
+    on_jacobian, on_mass = (np.array(places, dtype=int).reshape(-1, 2) for places in function.layout)
     end = 2 * k + len(on_jacobian)
     jacobian[tuple(on_jacobian.T)] = values[2 * k : end]
     mass[tuple(on_mass.T)] = values[end:]

@@ -88,8 +88,7 @@ class Outputs:
 def named(code: Code, results: Array) -> dict[str, Array]:
     """Views of results (n, outputs) by name."""
     return {
-        name: results[:, place].reshape(len(results), *shape)
-        for name, (place, shape) in code.layouts["output"].items()
+        name: results[:, place].reshape(len(results), *shape) for name, (place, shape) in code.arrays.items()
     }
 
 

@@ -25,11 +25,6 @@ SAME = 1e-9
 periods meet only up to round-off."""
 
 
-MOST_IDLE = 100_000
-"""Numbers in the table and a matrix of a march that is kept for the next run. Making one ready takes a tenth
-of a short run; beside a longer one it is nothing."""
-
-
 class Interval(NamedTuple):
     """A part of a run in which forces are held.
 
@@ -136,12 +131,9 @@ def march_sampled(code: Code, x: Array, options: Options) -> Marched:
     from newton_euler.integrators.run import March
 
     if not code.scene.sampled:
-        march = code.idle.pop(options, None) or March(code, code.scene.times, options)
+        march = March(code, code.scene.times, options)
         arrays, stopped = march.attempt(x)
-        counts = march.counted
-        if march.table.size + code.size**2 <= MOST_IDLE:
-            code.idle = {options: march}  # another thread may take it from here on
-        return Marched(arrays, counts, stopped)
+        return Marched(arrays, march.counted, stopped)
     parts: list[dict[str, Array]] = []
     total: Counter[str] = Counter()
     for interval in intervals(code.scene):
