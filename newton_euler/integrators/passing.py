@@ -189,7 +189,8 @@ def mass_matrix(system: System, masses: MassProperties, q: Array) -> Array:
     """(nv, nv) M of the bodies' kinetic energy 1/2 v^T M v, without rotors."""
     motions = system.velocity_transformation(q).reshape(len(masses.mass), 6, system.nv)
     now = rotations(system.state(q, np.zeros(system.nv)).quaternion)
-    turned = now @ rotations(system.scene.initial_state.quaternion).transpose(0, 2, 1)
+    before = rotations(np.array([body.quaternion for body in system.mechanism.bodies]))
+    turned = now @ before.transpose(0, 2, 1)
     inertia = turned @ masses.inertia @ turned.transpose(0, 2, 1)
     slide, turn = motions[:, :3], motions[:, 3:]
     momenta = np.concatenate([masses.mass[:, None, None] * slide, inertia @ turn], axis=1)
