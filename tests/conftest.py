@@ -12,6 +12,7 @@ import one_thread  # noqa: F401  # before NumPy
 import pytest
 from command_line import EXAMPLE, short_example
 from compiler import Compiler
+from hostile_process import Server
 
 import mjcf.reading.source
 import newton_euler
@@ -38,10 +39,8 @@ def compiler() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def server() -> Iterator[Any]:
+def server() -> Iterator[Server]:
     """A process that runs command lines in processes of their own."""
-    from test_hostile import Server
-
     server = Server()
     yield server
     server.close()

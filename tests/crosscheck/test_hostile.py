@@ -6,12 +6,7 @@ is converted. Nothing else is accepted.
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,55 +14,13 @@ import pytest
 import yaml
 from hostile_cases import cases
 from hostile_files import MJCF, TEXTS, Case
+from hostile_process import LONGEST_LINE, MEMORY, PROCESSOR_TIME, Server
 
 from mjcf.silence import heard_warnings
-
-PROCESSOR_TIME = 5.0
-"""s of a command with its imports, on one core; wall time would count what else the machine does."""
-
-MEMORY = 1_000_000_000
-"""Bytes, of the largest process of a command."""
-
-LONGEST_LINE = 2000
-"""Characters: two names of files, a message of at most 1000, and what is escaped in it."""
 
 CASES = {case.name: case for case in cases()}
 
 FAST = [name for name in list(CASES)[::3] if not CASES[name].slow]
-
-
-class Server:
-    """A process of `hostile_server`."""
-
-    def __init__(self) -> None:
-        root = str(Path(__file__).parents[2])
-        self._process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).with_name("hostile_server.py"))],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=os.environ | {"PYTHONPATH": root},
-        )
-        self._imports = self._line()["processor_time"]
-
-    def _line(self) -> dict[str, Any]:
-        assert self._process.stdout
-        return json.loads(self._process.stdout.readline())
-
-    def run(self, folder: Path, arguments: list[str]) -> dict[str, Any]:
-        """Status, memory and processor time of a command line in a folder, the latter with its imports."""
-        assert self._process.stdin
-        print(
-            json.dumps({"folder": str(folder), "arguments": arguments}), file=self._process.stdin, flush=True
-        )
-        outcome = self._line()
-        outcome["processor_time"] += self._imports
-        return outcome
-
-    def close(self) -> None:
-        assert self._process.stdin
-        self._process.stdin.close()
-        self._process.wait(timeout=60)
 
 
 def files(folder: Path) -> set[Path]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from command_line import scene_file, short_example
 from hostile_options import option_cases
+from hostile_process import LONGEST_LINE, MEMORY, PROCESSOR_TIME, Server
 from hostile_results import (
     Refused,
     archive_cases,
@@ -16,7 +17,6 @@ from hostile_results import (
     json_cases,
     size_cases,
 )
-from test_hostile import LONGEST_LINE, MEMORY, PROCESSOR_TIME, Server
 
 ENGINES = "newton_euler,pinocchio"
 

@@ -346,7 +346,7 @@ def test_an_error_keeps_its_values(tmp_path: Path) -> None:
 
 def test_verification_shares_nothing_with_the_readers() -> None:
     for package, module in (("mjcf", "original"), ("mjcf", "accounts"), ("urdf", "original")):
-        path = Path(__file__).parent.parent / package / f"{module}.py"
+        path = Path(__file__).parents[2] / package / f"{module}.py"
         imported = {
             node.module for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)
         }
