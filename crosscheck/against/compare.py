@@ -3,34 +3,40 @@
 from __future__ import annotations
 
 import os
+import re
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscheck.against.accelerations import acceleration_rows, reactions_in_first
 from crosscheck.against.align import Aligned, align
-from crosscheck.against.dynamics import dynamics_rows
-from crosscheck.against.kinematics import kinematics_rows
-from crosscheck.against.model import beside_the_worst, bodies_row, differences, model_rows, start_rows
-from crosscheck.against.uncompared import Uncompared, uncompared
+from crosscheck.against.levels import SharedStates, bodies_row, differences, motions, numbers
 from crosscheck.comparison.diagnosis import Diagnosis
+from crosscheck.comparison.levels import Level, compare_pair
 from crosscheck.comparison.rows import Row, not_judged
 from crosscheck.comparison.runs import compare_runs
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.each_run import as_far_as_it_goes, each_run, finite
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.limit import SHORTER, limited
+from crosscheck.model_files.read import is_model, is_urdf
 from crosscheck.run import Crosscheck, Progress
 from crosscheck.scenes.options import titled
 from newton_euler.assemble import random_states
 from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import Evaluation
+from newton_euler.model.euler_parameters import rotations
+from newton_euler.model.joints import Joint
+from newton_euler.model.mapping import CONTACTS, LIMITS, Mapped
 from newton_euler.model.mapping import Mapping as Report
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.scalars import Array
 
 ENGINE = ENGINES["newton_euler"]
 """Whose equations both models are given."""
@@ -67,18 +73,26 @@ class Model:
         return titled(self.source, self.options)
 
 
+class Unsimulated(NamedTuple):
+    """An element that only one of the files has and that is not simulated as it is."""
+
+    text: str
+    moves: bool
+    """Whether it makes the mechanism itself move otherwise; else it is how a tool runs or shows it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Against(Crosscheck):
     """What a comparison of two models found; runs are by the models' names, in the first's terms.
 
     Attributes:
         models: the two.
-        uncompared: what differs and no figure is about.
+        unsimulated: what only one of the files has and no figure is about.
         notes: also what was taken for what, and all that differs.
     """
 
     models: tuple[Model, Model] = field(kw_only=True)
-    uncompared: tuple[Uncompared, ...] = ()
+    unsimulated: tuple[Unsimulated, ...] = ()
 
     @property
     def title(self) -> str:
@@ -88,7 +102,7 @@ class Against(Crosscheck):
     @property
     def differs(self) -> bool:
         """Whether any figure exceeds its tolerance, or anything else differs that moves the mechanism."""
-        return super().differs or any(other.moves for other in self.uncompared)
+        return super().differs or any(other.moves for other in self.unsimulated)
 
     @cached_property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
@@ -105,10 +119,10 @@ class Against(Crosscheck):
         if not failed:
             agree = f"{names} agree in all {len(judged)} figures{not_judged(self.rows)}"
             agree += "; nothing moves" if self.rests else ""
-            if moving := [other for other in self.uncompared if other.moves]:
+            if moving := [other for other in self.unsimulated if other.moves]:
                 more = f" (and {len(moving) - 1} more)" if len(moving) > 1 else ""
                 return f"DIFFERENT in what is not compared: {moving[0].text}{more}; {agree}{ending}"
-            if others := self.uncompared:
+            if others := self.unsimulated:
                 count = "1 element" if len(others) == 1 else f"{len(others)} elements"
                 agree += f"; not compared and different: {count}, first {others[0].text}"
             if self.unfinished:
@@ -151,15 +165,11 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
     begun = time.perf_counter()
     pair = first.name, second.name
     aligned = align(first.scene, second.scene)
-    scenes = (aligned.first, aligned.second or second.scene)
-    engines = [_engine(name, scene, aligned) for name, scene in zip(pair, scenes, strict=True)]
+    engines = _engines(pair, aligned)
     with limited("comparing equations", SHORTER, progress):
-        rows, notes, energy = _equations_compared(pair, aligned)
-        others = tuple(uncompared(first, second, aligned))
-    # bodies that have no partners cannot be laid over the first's
-    able = engines[:1] if aligned.second is None else engines
-    runs, stops = each_run(aligned.first, able, progress)
-    if energy is not None and len(runs) == len(engines):
+        rows, notes, energy = _equations_compared(pair, engines, aligned)
+    runs, stops = each_run(aligned.first, engines, progress)
+    if energy is not None and len(runs) == len(pair):
         # of both together: what a run is off by itself is no difference between models
         pairs = {
             name: replace(run, constraint_violation=None, potential_energy=None) for name, run in runs.items()
@@ -171,7 +181,8 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
     same_file = os.path.realpath(first.source) == os.path.realpath(second.source)
     if same_file and first.options == second.options:
         notes.insert(0, f"both are {first.title}: one model against itself")
-    notes = [*aligned.notes, *notes, *map(str, others)]
+    others = tuple(unsimulated(first, second, aligned))
+    notes = [*aligned.notes, *notes, *(f"not compared, and {other.text}" for other in others)]
     if stops:
         notes.insert(0, f"{TO_THE_END}: {'; '.join(map(str, stops))}")
     scene = replace(
@@ -190,42 +201,94 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
         mapping=first.mapping,
         unfinished=tuple(stops),
         models=(first, second),
-        uncompared=others,
+        unsimulated=others,
         notes=tuple(notes),
     )
 
 
-def _engine(name: str, scene: Scene, aligned: Aligned) -> Engine:
-    """newton_euler with a model of its own, whatever scene it is asked to run; runs in the first's terms."""
+class _Second(Relative):
+    """Equations of motion of the second model, with reactions in the first's terms."""
 
-    def seen(run: Trajectory) -> Trajectory:
+    def __init__(self, aligned: Aligned) -> None:
+        super().__init__(aligned.both[1])
+        self._aligned = aligned
+
+    def evaluate(self, q: Array, v: Array) -> Evaluation:
+        found = super().evaluate(q, v)
+        state = found.state
+        motion = state.position[None], state.quaternion[None]
+        reactions = found.reaction_force[None], found.reaction_torque[None]
+        (force,), (torque,) = reactions_in_first(self._aligned, *motion, *reactions)
+        return replace(found, reaction_force=force, reaction_torque=torque)
+
+
+def _engines(pair: tuple[str, str], aligned: Aligned) -> list[Engine]:
+    """newton_euler with each model, whatever scene it is asked to run, in the first's terms.
+
+    The first alone if bodies have no partners: then the second cannot be laid over it.
+    """
+
+    def seen(name: str, run: Trajectory) -> Trajectory:
         run = replace(run, engine=name)
-        return run if scene is aligned.first else _in_first(run, aligned)
+        return run if name == pair[0] else _in_first(run, aligned)
 
-    return replace(
-        ENGINE,
-        name=name,
-        simulate=lambda _: seen(ENGINE.simulate(scene)),
-        refined=lru_cache(lambda _: seen(ENGINE.refined(scene))),
-        systems=lambda _: (Relative(scene),),
-    )
+    def engine(name: str, scene: Scene) -> Engine:
+        system = Relative(scene) if name == pair[0] else _Second(aligned)
+        return replace(
+            ENGINE,
+            name=name,
+            simulate=lambda _: seen(name, ENGINE.simulate(scene)),
+            refined=lru_cache(lambda _: seen(name, ENGINE.refined(scene))),
+            systems=lambda _: (system,),
+        )
+
+    first = engine(pair[0], aligned.first)
+    return [first] if aligned.second is None else [first, engine(pair[1], aligned.second)]
+
+
+def reactions_in_first(
+    aligned: Aligned, position: Array, quaternion: Array, force: Array, torque: Array
+) -> tuple[Array, Array]:
+    """Reactions of the second model's joints as the first model has them: on its second body, at its point.
+
+    Args:
+        position, quaternion: (n, b, 3) and (n, b, 4) of the second model's bodies.
+        force, torque: (n, k, 3) of its k joints, N and N m.
+
+    Returns:
+        (n, j, 3) both for the j joints of the first; 0 at those that it has alone.
+    """
+    a, b = (scene.mechanism for scene in aligned.both)
+    forces, torques = np.zeros((2, len(force), len(a.joints), 3))
+
+    def reaction_point(mechanism: Mechanism, joint: Joint) -> Array:
+        k = mechanism.body_index(joint.second)
+        arm = mechanism.bodies[k].pose.point_to_body(joint.reaction_point)
+        return np.asarray(position[:, k] + rotations(quaternion[:, k]) @ arm)
+
+    for name, other in aligned.joints.items():
+        j, k = a.joint_index(name), b.joint_index(other)
+        one, two = aligned.joint_pair(name)
+        sign = 1.0 if one.second == two.second else -1.0
+        forces[:, j] = sign * force[:, k]
+        arm = reaction_point(b, two) - reaction_point(a, one)
+        torques[:, j] = sign * torque[:, k] + np.cross(arm, forces[:, j])
+    return forces, torques
 
 
 def _in_first(run: Trajectory, aligned: Aligned) -> Trajectory:
     """The second model's run with the joints and actuators of the first; 0 at what the first has alone."""
-    assert aligned.second is not None
-    a, b = aligned.first, aligned.second
+    a, b = aligned.both
     assert run.reaction_force is not None
     assert run.reaction_torque is not None
-    force, torque = reactions_in_first(
-        aligned, run.position, run.quaternion, run.reaction_force, run.reaction_torque
-    )
-    violation = actuation = None
-    if run.constraint_violation is not None:
-        violation = np.zeros((len(run.time), len(a.mechanism.joints)))
-        for name, other in aligned.joints.items():
-            k = b.mechanism.joint_index(other)
-            violation[:, a.mechanism.joint_index(name)] = run.constraint_violation[:, k]
+    assert run.constraint_violation is not None
+    reactions = run.reaction_force, run.reaction_torque
+    force, torque = reactions_in_first(aligned, run.position, run.quaternion, *reactions)
+    violation = np.zeros((len(run.time), len(a.mechanism.joints)))
+    for name, other in aligned.joints.items():
+        k = b.mechanism.joint_index(other)
+        violation[:, a.mechanism.joint_index(name)] = run.constraint_violation[:, k]
+    actuation = None
     if run.actuator_force is not None:
         actuation = np.zeros((len(run.time), len(a.control)))
         laws = {(law.joint, law.coordinate): k for k, law in enumerate(b.control)}
@@ -243,40 +306,75 @@ def _in_first(run: Trajectory, aligned: Aligned) -> Trajectory:
     )
 
 
-def _equations_compared(pair: tuple[str, str], aligned: Aligned) -> tuple[list[Row], list[str], float | None]:
-    """The figures of equations up to the first level that disagrees, and what there is to say about them.
+def _equations_compared(
+    pair: tuple[str, str], engines: Sequence[Engine], aligned: Aligned
+) -> tuple[list[Row], list[str], float | None]:
+    """Figures of equations up to the first level that disagrees, and what there is to say about them.
 
     And if all agree the energy that those of runs are relative to at least, J.
     """
     if aligned.second is None:
         return [bodies_row(pair, aligned)], [], None
     scene = aligned.first
-    start = States(scene, (scene.initial_state,))
-    starts = list(start_rows(pair, aligned, Samples(Relative(scene), start).condition))
-    found = tuple(differences(aligned))
-    notes = list(beside_the_worst(found))
-    if apart := [row for row in starts if not row.agrees]:
-        told = "; ".join(f"{row.quantity}: {row.value:.1e} at {row.where}" for row in apart)
-        notes.insert(0, f"starts differ: {told}; the models are compared where their bodies coincide best")
-    rows: list[Row] = []
 
-    def parts(level: Iterable[Row]) -> bool:
-        """Whether the models part at a level; the later ones are not worked out then."""
-        figures = list(finite(level))
-        rows.extend(figures)
-        failed = [row for row in figures if not row.agrees]
-        if len(failed) > 1:
-            also = "; ".join(f"{row.quantity}: {row.value:.1e} at {row.where}" for row in failed[1:])
-            notes.append(f"differs too at level {failed[0].level!r}: {also}")
-        return bool(failed)
+    def compared(levels: Sequence[Level], *more: State) -> Iterator[Row]:
+        states = SharedStates(scene, (scene.initial_state, *more), aligned)
+        one, two = (Samples(engine.systems(scene)[0], states) for engine in engines)
+        return finite(compare_pair(pair, [one], [two], levels))
 
-    if parts(model_rows(pair, aligned, found)) or parts(starts):
-        return rows, notes, None
-    states = States(scene, (scene.initial_state, *random_states(scene, RANDOM_STATES)))
-    first, second = Samples(Relative(scene), states), Samples(Relative(aligned.second), states)
-    parted = (
-        parts(kinematics_rows(pair, aligned, first, second))
-        or parts(dynamics_rows(pair, aligned, first, second))
-        or parts(acceleration_rows(pair, aligned, first, second))
+    own, start = numbers(aligned)
+    notes = [difference.note for difference in differences(aligned) if difference.note]
+    if apart := [row for row in compared([start]) if not row.agrees]:
+        notes.insert(
+            0, f"starts differ: {_listed(apart)}; the models are compared where their bodies coincide best"
+        )
+    rows = list(compared([own, start]))
+    if all(row.agrees for row in rows):
+        random = random_states(scene, RANDOM_STATES)
+        rows += compared(motions(aligned), *random)
+    failed = [row for row in rows if not row.agrees]
+    if len(failed) > 1:
+        notes.append(f"differs too at level {failed[0].level!r}: {_listed(failed[1:])}")
+    energy = None if failed else States(scene, (scene.initial_state, *random)).energy
+    return rows, notes, energy
+
+
+def _listed(rows: Sequence[Row]) -> str:
+    return "; ".join(f"{row.quantity}: {row.value:.1e} at {row.where}" for row in rows)
+
+
+def unsimulated(first: Model, second: Model, aligned: Aligned) -> Iterator[Unsimulated]:
+    """Elements that were not carried over exactly from one file and that the other file does not have.
+
+    Of two formats only what moves the mechanism, of contacts only whether there are any. Limits that only a
+    URDF has are no difference: it demands them of hinges and slides.
+    """
+    kinds = [_format(model) for model in (first, second)]
+    others = {**aligned.names, **aligned.joint_names}
+    here, there = (
+        _unsimulated(model, names, kinds[0] == kinds[1]) for model, names in ((first, {}), (second, others))
     )
-    return rows, notes, None if parted else states.energy
+    for where, mine, theirs, kind in (("here", here, there, kinds[0]), ("there", there, here, kinds[1])):
+        for key, entry in mine.items():
+            demanded = kind == "URDF" and kinds[0] != kinds[1] and entry.topic == LIMITS
+            if key not in theirs and not demanded:
+                yield Unsimulated(f"only {where}: {entry}", not entry.inert)
+
+
+def _format(model: Model) -> str:
+    if not is_model(model.source):
+        return "scene"
+    return "URDF" if is_urdf(model.source) else "MJCF"
+
+
+def _unsimulated(model: Model, names: Mapping[str, str], alike: bool) -> dict[tuple[str, ...], Mapped]:
+    """Entries of a model's report by what they are about, with other `names` of bodies and joints."""
+    found: dict[tuple[str, ...], Mapped] = {}
+    for entry in model.mapping.entries if model.mapping else ():
+        element = re.sub(r"'(.*?)'", lambda name: repr(names.get(name[1], name[1])), entry.element)
+        if not alike and entry.topic == CONTACTS:
+            element = ""
+        if (entry.fate != "exactly" or entry.inert) and (alike or not entry.inert):
+            key = (re.sub(r"^\d+ ", "", element), entry.topic, entry.fate, str(entry.inert))
+            found.setdefault(key, entry)
+    return found

@@ -80,7 +80,7 @@ def regress_command(
         with progress_shown() as progress:
             made = update(guarded, reason, progress)
         for each, found in zip(guarded, made, strict=True):
-            beside = f", {len(found.carried)} parts of the file beside them" if found.carried else ""
+            beside = f", {len(found.unsimulated)} lines on the file beside them" if found.unsimulated else ""
             click.echo(f"wrote {each.path}: {len(found.figures)} figures{beside}")
             for group, why in found.left_out.items():
                 click.echo(f"  {group} left out: {why}")

@@ -92,6 +92,15 @@ class Row:
         return self.informs or bool(self.value <= self.tolerance)
 
 
+def worst_row(
+    level: str, quantity: str, between: tuple[str, ...], gap: Array, tolerance: float, names: Sequence[str]
+) -> Row:
+    """The largest of gaps (n,), or (m, n) at m states, of what goes by n names."""
+    each = gap.max(axis=0) if gap.ndim == 2 else gap
+    where = int(np.argmax(each))
+    return Row(level, quantity, between, float(each[where]), tolerance, names[where])
+
+
 def in_full(parts: Iterable[Iterator[Row]]) -> Iterator[Row]:
     """The rows of all parts, each as far as it goes; then raises the first error that ended one."""
     errors = []

@@ -13,7 +13,8 @@ from collections.abc import Callable
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.regress.baseline import Baseline, Carried, Figure, GroupName, Plan, Record, StoredState
+from crosscheck.regress.baseline import Baseline, Figure, GroupName, Plan, Record, StoredState
+from crosscheck.regress.compare import unsimulated
 from crosscheck.regress.measure import (
     GROUPS,
     MAIN,
@@ -91,7 +92,7 @@ def make(
     return Baseline(
         scene=scene.name,
         options=options,
-        carried=None if mapping is None else Carried.of(mapping),
+        unsimulated=None if mapping is None else unsimulated(mapping),
         history=[*history, Record.now(reason)],
         plan=plan,
         left_out=left_out,

@@ -20,7 +20,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from crosscheck.errors import CrosscheckError
 from crosscheck.results import read_json
 from crosscheck.scenes.file_entries import Number
-from newton_euler.model.mapping import Fate, Mapping
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
@@ -95,47 +94,6 @@ class StoredState(_Strict):
         return State(**{name: np.array(getattr(self, name), dtype=float) for name in type(self).model_fields})
 
 
-class Carried(_Strict):
-    """A part of what a model file holds and its scene does not hold as it is, and that moves something.
-
-    Attributes:
-        element, values: see `newton_euler.model.mapping.Part`; with the joints and bodies that it is about.
-        topic, fate, how: see `newton_euler.model.mapping.Mapped`.
-    """
-
-    element: str
-    topic: str
-    fate: Fate
-    how: str
-    values: dict[str, list[Annotated[float, Field(allow_inf_nan=False)] | str]]
-
-    @classmethod
-    def of(cls, mapping: Mapping) -> list[Carried]:
-        """In the order of a mapping report."""
-        found = []
-        for entry in mapping.entries:
-            for part in entry.parts if not entry.inert else ():
-                values = {key: list(value) for key, value in part.values.items()}
-                values["joints"] = [f"{joint} {coordinate}" for joint, coordinate in part.joints]
-                values["bodies"] = list(part.bodies)
-                found.append(
-                    cls(
-                        element=part.element, topic=entry.topic, fate=entry.fate, how=entry.how, values=values
-                    )
-                )
-        return found
-
-    @property
-    def name(self) -> str:
-        """For people."""
-        return f"{self.element}, {self.topic}" if self.topic else self.element
-
-    @property
-    def place(self) -> tuple[object, ...]:
-        """Joints and bodies that it is on."""
-        return self.values["joints"], self.values["bodies"]
-
-
 class Plan(_Strict):
     """Settings of the measurement of figures; chosen when the baseline is made, the same ever after.
 
@@ -171,7 +129,7 @@ class Baseline(_Strict):
         format: of the file; another number is another meaning of its fields.
         scene: its name.
         options: of the scene, as they were set.
-        carried: what of a model file is in no figure; None for a scene of this package's own.
+        unsimulated: lines on what of a model file is in no figure; None for a scene of this package's own.
         history: every time that the file was made; the last made what is in it.
         left_out: groups that have no figures here, and why.
     """
@@ -179,7 +137,7 @@ class Baseline(_Strict):
     format: Literal[1] = 1
     scene: str
     options: dict[str, str]
-    carried: list[Carried] | None = None
+    unsimulated: list[str] | None = None
     history: Annotated[list[Record], Field(min_length=1)]
     plan: Plan
     left_out: dict[GroupName, str]
@@ -210,7 +168,7 @@ class Baseline(_Strict):
     def text(self) -> str:
         """The content of the file."""
         content = self.model_dump(mode="json")
-        in_lines = ("carried", "figures")
+        in_lines = ("unsimulated", "figures")
         parts = [
             f" {json.dumps(key)}: {_in_lines(value) if key in in_lines and value else _json(value)}"
             for key, value in content.items()

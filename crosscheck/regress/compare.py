@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from crosscheck.against.pairs import pair_parts
-from crosscheck.regress.baseline import Baseline, Carried, Figure, Record, versions
+from crosscheck.regress.baseline import Baseline, Figure, Record, versions
 from crosscheck.regress.measure import MAIN, measure_group, regress_scene
 from crosscheck.regress.values import Value
-from newton_euler.model.mapping import Mapping, differing, room
+from newton_euler.model.mapping import Mapping
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
@@ -145,8 +145,8 @@ def compare(
     """
     start = clock()
     measured = regress_scene(scene)
-    now = [] if mapping is None else Carried.of(mapping)
-    checked = check_carried(baseline.carried or [], now)
+    now = [] if mapping is None else unsimulated(mapping)
+    checked = check_unsimulated(baseline.unsimulated or [], now)
     diverges = None
     for group in baseline.groups:
         progress(f"{scene.name}: {group}")
@@ -158,49 +158,19 @@ def compare(
     return Comparison(scene.name, tuple(checked), baseline.made, versions(), diverges, clock() - start)
 
 
-def check_carried(stored: Sequence[Carried], found: Sequence[Carried]) -> list[Checked]:
-    """What of a model file is in no figure, against what the baseline has of it."""
-    pairs: list[tuple[Carried, Carried]] = []
-    gone, new = list[Carried](), list[Carried]()
-    for topic in dict.fromkeys(each.topic for each in (*stored, *found)):
-        before, now = ([each for each in side if each.topic == topic] for side in (stored, found))
-        pairs += pair_parts(before, now, _same_carried, lambda each: each.element, lambda each: each.place)
-        gone, new = [*gone, *before], [*new, *now]
+def unsimulated(mapping: Mapping) -> list[str]:
+    """What of a model file is in no figure and moves something, a line each, as the report words it."""
+    return [str(entry) for entry in mapping.entries if entry.fate != "exactly" and not entry.inert]
+
+
+def check_unsimulated(stored: Sequence[str], found: Sequence[str]) -> list[Checked]:
+    """Lines on what of a model file is in no figure, against those of the baseline."""
+    gone, new = Counter(stored) - Counter(found), Counter(found) - Counter(stored)
     return [
-        *(_check_carried(one, two) for one, two in pairs),
-        *(_missing_carried(each, f"no longer {each.fate}: {each.how}") for each in gone),
-        *(_missing_carried(each, f"{each.fate} now: {each.how}") for each in new),
+        *(Checked(MODEL_FILE, line, "", "", 0.0, 0.0, 0.0) for line in stored if line not in gone),
+        *(Checked(MODEL_FILE, line, "", "", None, None, 0.0, "no longer so") for line in gone.elements()),
+        *(Checked(MODEL_FILE, line, "", "", None, None, 0.0, "new") for line in new.elements()),
     ]
-
-
-def _same_carried(one: Carried, two: Carried) -> bool:
-    return one.fate == two.fate and not any(differing(_values(one), _values(two)))
-
-
-def _values(carried: Carried) -> dict[str, tuple[float | str, ...]]:
-    return {name: tuple(value) for name, value in carried.values.items()}
-
-
-def _missing_carried(carried: Carried, problem: str) -> Checked:
-    return Checked(MODEL_FILE, carried.name, "", "", None, None, 0.0, problem)
-
-
-def _check_carried(stored: Carried, found: Carried) -> Checked:
-    """The first value that is not the same."""
-    if stored.fate != found.fate:
-        return _missing_carried(stored, f"{found.fate} now: {found.how}; was {stored.fate}: {stored.how}")
-    one, two = _values(stored), _values(found)
-    name = next(differing(one, two), None)
-    if name is None:
-        return Checked(MODEL_FILE, stored.name, "", "", 0.0, 0.0, 0.0)
-    was, now = one.get(name, ()), two.get(name, ())
-    for k, (x, y) in enumerate(zip(was, now, strict=False)):
-        allowed = room(was, now)
-        if isinstance(x, float) and isinstance(y, float) and abs(x - y) > allowed and len(was) == len(now):
-            where = f"{name}, number {k + 1}" if len(was) > 1 else name
-            return Checked(MODEL_FILE, stored.name, "", where, x, y, allowed)
-    told = (" ".join(map(str, value)) or "nothing" for value in (was, now))
-    return _missing_carried(stored, "{}: was {}, is {}".format(name, *told))
 
 
 def check(figures: Iterable[Figure], found: list[Value] | str) -> list[Checked]:

@@ -60,9 +60,9 @@ class Guarded:
         """The stored baseline; raises `CrosscheckError` as `baseline` does, and if it does not hold what of a
         model file is in no figure."""
         found = self.baseline()
-        if self.mapping is not None and found.carried is None:
+        if self.mapping is not None and found.unsimulated is None:
             raise CrosscheckError(
-                f"{self.path}: carried: missing, what of {self.source} is in no figure; make it with: "
+                f"{self.path}: unsimulated: missing, what of {self.source} is in no figure; make it with: "
                 f"{self.command}"
             )
         return found

@@ -14,12 +14,11 @@ from command_line import run
 
 from crosscheck.regress import bands, measure
 from crosscheck.regress import run as regress
-from crosscheck.regress.baseline import Carried, Figure, Record
-from crosscheck.regress.compare import Comparison, check, compare, divergence
+from crosscheck.regress.baseline import Figure, Record
+from crosscheck.regress.compare import MODEL_FILE, Comparison, check, check_unsimulated, compare, divergence
 from crosscheck.regress.report import as_json, junit, markdown
 from crosscheck.regress.values import Value, count
 from crosscheck.scenes import load
-from newton_euler.model.mapping import CLOSE, Mapping, Part
 
 ROOT = Path(__file__).parents[2]
 
@@ -324,80 +323,56 @@ def test_reports_hold_any_names():
 # What a model file holds and no figure is about
 
 
-def left_out(**values):
-    report = Mapping()
-    part = Part("geom 'foot'", {"type": ("box",), "size": (0.1, 0.2)} | values, bodies=("leg",))
-    report.left_out("1 geoms that can touch", "contacts", part, topic="contacts")
-    report.left_out("2 cameras", "they move nothing", inert=True)
-    return report
-
-
 @pytest.mark.parametrize(
-    ("report", "told"),
+    ("found", "moved"),
     [
-        (left_out(), None),
-        (left_out(size=(0.1, 0.2 * (1.0 + 0.9 * CLOSE))), None),
-        (left_out(size=(0.1, 0.3)), ("size, number 2", 0.2, 0.3, "")),
-        (left_out(size=(0.1,)), ("", None, None, "size: was 0.1 0.2, is 0.1")),
-        (left_out(type=("mesh",)), ("", None, None, "type: was box, is mesh")),
-        (left_out(friction=(1.0,)), ("", None, None, "friction: was nothing, is 1.0")),
-        (Mapping(), ("", None, None, "no longer left out: contacts")),
+        (["a", "b"], []),
+        (["b", "a"], []),
+        (["a"], [("b", "no longer so")]),
+        (["a", "b", "b"], [("b", "new")]),
     ],
 )
-def test_what_is_left_out_moves_where_its_values_do(swing, measured, report, told):
-    stored = measured.model_copy(update={"carried": Carried.of(left_out()), "figures": measured.figures[:1]})
-    stored = type(stored).model_validate_json(stored.text())
-    found = compare(swing, stored, lambda _: None, no_clock, report)
-    first = found.checked[0]
-    assert (first.group, first.name) == ("model file", "geom 'foot', contacts")
-    moved = [(each.where, each.was, each.now, each.problem) for each in found.moved]
-    assert moved == ([] if told is None else [told])
-
-
-def test_what_is_left_out_anew_moves(swing, measured):
-    stored = measured.model_copy(update={"carried": [], "figures": measured.figures[:1]})
-    (found,) = compare(swing, stored, lambda _: None, no_clock, left_out()).moved
-    assert (found.name, found.problem) == ("geom 'foot', contacts", "left out now: contacts")
+def test_what_is_in_no_figure_moves_where_its_line_does(found, moved):
+    checked = check_unsimulated(["a", "b"], found)
+    assert {each.group for each in checked} == {MODEL_FILE}
+    assert [(each.name, each.problem) for each in checked if each.moved] == moved
 
 
 def test_a_model_file_is_guarded_with_what_is_in_no_figure(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = """<mujoco><worldbody><geom type="plane" size="1 1 1"/><body name="leg" pos="0 0 1">
-        <joint name="hip" axis="0 1 0"/><geom name="foot" size="0.1" pos="0 0 -0.5"/></body></worldbody>
-        <actuator><general name="m" joint="hip" dyntype="filter" dynprm="0.1"/></actuator>
-        <keyframe><key ctrl="1"/></keyframe></mujoco>"""
+        <joint name="hip" axis="0 1 0" limited="true" range="-60 60"/>
+        <geom name="foot" size="0.1" pos="0 0 -0.5"/></body></worldbody></mujoco>"""
     model, stored = Path("model.xml"), Path("model.baseline.json")
     model.write_text(text)
     assert run(capsys, "regress", model, "--update", "--reason", "first")[0] == 0
     content = json.loads(stored.read_text())
-    names = [(each["element"], each["topic"]) for each in content["carried"]]
-    assert names[0] == ("actuator 'm'", "")
-    assert ("geom 'foot'", "contacts") in names
+    limits = "joint 'hip': left out: its limits -1.047 to 1.047: limits are no bilateral constraints"
+    assert limits in content["unsimulated"]
+    assert any(line.startswith("2 geoms that can touch") for line in content["unsimulated"])
 
-    model.write_text(
-        text.replace('dynprm="0.1"', 'dynprm="0.2"').replace('name="foot"', 'name="foot" friction="2"')
+    model.write_text(text.replace('"-60 60"', '"-60 30"'))
+    status, out, _ = run(
+        capsys, "regress", model, "--junit", "j.xml", "--json", "j.json", "--markdown", "m.md"
     )
-    arguments = ("--junit", "j.xml", "--json", "j.json", "--markdown", "m.md")
-    status, out, _ = run(capsys, "regress", model, *arguments)
     assert status == 1
     assert "MOVED: 1 of 1 scenes: model" in out
     suite = ElementTree.parse("j.xml").getroot().find("testsuite")
     told = [failure.get("message") for failure in suite.findall("testcase/failure")]
-    assert told == [
-        "model file: actuator 'm': dynprm, number 1: was 0.1, is 0.2: +1.00e-01, 4.98e+08 bands",
-        "model file: geom 'foot', contacts: friction, number 1: was 1, is 2: +1.00e+00, 5e+08 bands",
-    ]
+    new = limits.replace("to 1.047", "to 0.5236")
+    assert told == [f"model file: {limits}: no longer so", f"model file: {new}: new"]
     (scene,) = json.loads(Path("j.json").read_text())["scenes"]
-    moved = [(each["name"], each["was"], each["now"]) for each in scene["figures"] if each["moved"]]
-    assert moved == [("actuator 'm'", 0.1, 0.2), ("geom 'foot', contacts", 1.0, 2.0)]
-    assert "geom 'foot', contacts" in Path("m.md").read_text()
-    assert "geom 'foot', contacts" in out
+    assert [each["name"] for each in scene["figures"] if each["moved"]] == [limits, new]
+    assert "its limits -1.047 to 0.5236" in Path("m.md").read_text()
+    assert "model file: joint 'hip'" in out
 
     # a baseline without it is made anew, with its history
-    del content["carried"]
+    del content["unsimulated"]
     stored.write_text(json.dumps(content))
     status, out, err = run(capsys, "regress", model)
     assert (status, out) == (2, "")
-    assert "model.baseline.json: carried: missing, what of model.xml is in no figure; make it with: " in err
+    assert (
+        "model.baseline.json: unsimulated: missing, what of model.xml is in no figure; make it with: " in err
+    )
     assert run(capsys, "regress", model, "--update", "--reason", "again")[0] == 0
     assert [each["reason"] for each in json.loads(stored.read_text())["history"]] == ["first", "again"]

@@ -13,10 +13,8 @@ from command_line import run
 from crosscheck.cli.shared import cli
 from crosscheck.regress import measure
 from crosscheck.regress import run as regress
-from crosscheck.regress.baseline import Baseline, Carried, Figure, Plan, Record, StoredState, read
-from crosscheck.regress.compare import check_carried
+from crosscheck.regress.baseline import Baseline, Figure, Plan, Record, StoredState, read
 from crosscheck.scenes import SCENES
-from newton_euler.model.mapping import Mapping, Part
 from newton_euler.model.state import State
 
 ROOT = Path(__file__).parents[2]
@@ -146,36 +144,3 @@ def test_the_guide_is_a_workflow_of_ten_lines_that_fits_the_action():
                 assert name in cli.commands
                 known = {option for parameter in cli.commands[name].params for option in parameter.opts}
                 assert {word for word in words if word.startswith("--")} <= known
-
-
-# What a model file holds and no figure is about
-
-
-def numbered(*geoms, topic="contacts"):
-    """Geoms of these sizes, without names."""
-    report = Mapping()
-    parts = [Part(f"geom {k}", {"size": (size,)}, bodies=("leg",)) for k, size in enumerate(geoms)]
-    report.left_out(f"{len(parts)} geoms that can touch", "contacts", *parts, topic=topic)
-    return Carried.of(report)
-
-
-@pytest.mark.parametrize(
-    ("now", "told"),
-    [
-        (numbered(0.1, 0.2, 0.3), []),
-        (numbered(0.5, 0.1, 0.2, 0.3), [("geom 0, contacts", "", "left out now: contacts")]),
-        (numbered(0.2, 0.3), [("geom 0, contacts", "", "no longer left out: contacts")]),
-        (numbered(0.3, 0.5, 0.1), [("geom 1, contacts", "size", "")]),
-    ],
-)
-def test_geoms_without_names_are_known_by_their_values(now, told):
-    moved = [each for each in check_carried(numbered(0.1, 0.2, 0.3), now) if each.moved]
-    assert [(each.name, each.where, each.problem) for each in moved] == told
-
-
-def test_what_is_left_out_of_another_topic_is_another_thing():
-    moved = check_carried(numbered(0.1), numbered(0.1, topic="armature"))
-    assert [(each.name, each.problem) for each in moved if each.moved] == [
-        ("geom 0, contacts", "no longer left out: contacts"),
-        ("geom 0, armature", "left out now: contacts"),
-    ]

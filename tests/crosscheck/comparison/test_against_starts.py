@@ -12,7 +12,6 @@ from test_against import FAULT, ROUND_OFF, compared, first_failing
 from test_two_ways import DURATION, PERIOD, states_of, whole
 
 import mjcf.read
-from crosscheck.against.placing import Features, Held, place
 from crosscheck.comparison.rows import START
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
@@ -55,8 +54,6 @@ def elsewhere(index: int) -> Scene:
         (plant.center_of_mass("coupler", np.array([0.0, FAULT, 0.0])), "centre of mass", "coupler"),
         (plant.center_of_mass("crank", np.array([0.0, 0.0, FAULT])), "centre of mass", "crank"),
         (plant.inertia_entry("rocker", 0, 1, FAULT), "inertia", "rocker"),
-        (plant.joint_point("b", np.array([FAULT, 0.0, 0.0])), "joint points", "b"),
-        (plant.change_joint("d", lambda d: replace(d, axis=[FAULT, 1.0, 0.0])), "joint axes", "d"),
     ],
 )
 def test_models_are_compared_whatever_pose_and_frames_they_are_stated_in(
@@ -66,6 +63,22 @@ def test_models_are_compared_whatever_pose_and_frames_they_are_stated_in(
     result = compared(whole()[0], fault(elsewhere(5)))
     assert first_failing(result) == ("model", quantity, where)
     assert result.notes[0].startswith("starts differ: positions, m: 2.")
+
+
+@pytest.mark.parametrize(
+    ("fault", "places"),
+    [
+        (plant.joint_point("b", np.array([FAULT, 0.0, 0.0])), ("b", "crank", "coupler")),
+        (plant.change_joint("d", lambda d: replace(d, axis=[FAULT, 1.0, 0.0])), ("d", "rocker")),
+    ],
+)
+def test_joints_of_other_poses_and_frames_are_found_there_or_at_their_bodies(
+    fault: Plant, places: tuple[str, ...]
+) -> None:
+    """Joint points are what bodies are laid over each other by."""
+    level, _, where = first_failing(compared(whole()[0], fault(elsewhere(5))))
+    assert level == "model"
+    assert where in places
 
 
 def test_one_model_from_another_start_differs_there_only() -> None:
@@ -124,17 +137,3 @@ def test_another_keyframe_of_one_file_is_another_start(tmp_path: Path, kind: str
     assert first_failing(result)[0] == START
     figures = [row for row in result.rows if row.level == "model" and not row.informs]
     assert all(row.value < ROUND_OFF for row in figures)
-
-
-def test_of_equal_ways_the_one_that_keeps_the_inertia_is_taken() -> None:
-    """An axis 0.1 rad off beside an inertia 0.1 * (3 - 1) / 3 off, at starts that tell nothing."""
-    turn = rotation(from_rotation_vector(np.array([0.0, 0.0, 0.1])))
-    other = rotation(from_rotation_vector(np.array([1.0, 2.0, 0.5])))
-    inertia, axis = np.diag([1.0, 3.0, 3.0]), np.array([0.0, 1.0, 0.0])
-
-    def carried(axis, pose, stated) -> Features:
-        joint = Held(np.zeros(3), np.zeros((3, 0)), (("hinge", axis),))
-        return Features(inertia, (joint,), (np.zeros(3), pose), stated)
-
-    way = place(carried(axis, np.eye(3), np.eye(3)), carried(turn @ axis, other, turn.T), 1.0)
-    np.testing.assert_allclose(way.turn, np.eye(3), atol=1e-15)

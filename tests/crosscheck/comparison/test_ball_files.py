@@ -223,8 +223,8 @@ def test_numbers_of_a_spring_vary_in_a_batch() -> None:
         (plant.entry("forces", 0, stiffness=3.001), "spring force"),
         (plant.entry("forces", 0, damping=0.2001), "spring force"),
         (lambda s: replace(s, forces=()), "spring force"),
-        (plant.entry("armatures", 0, inertia=0.3001), "rotor inertia"),
-        (lambda s: replace(s, armatures=()), "rotor inertia"),
+        (plant.entry("armatures", 0, inertia=0.3001), "rotor momentum"),
+        (lambda s: replace(s, armatures=()), "rotor momentum"),
     ],
 )
 def test_two_models_are_told_apart_by_the_joint_of_the_ball(change: Plant, quantity: str) -> None:
