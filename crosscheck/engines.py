@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
+from newton_euler.assemble import initial_state
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
@@ -162,7 +163,7 @@ def _mujoco_soft(scene: Scene) -> Evaluation:
     from mjcf.soft import SoftMuJoCo
 
     soft = SoftMuJoCo(scene)
-    return soft.evaluate(*soft.coordinates(scene.initial_state))
+    return soft.evaluate(*soft.coordinates(initial_state(scene)))
 
 
 def _pinocchio_run(scene: Scene) -> Trajectory:

@@ -14,6 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from newton_euler.assemble import initial_state
 from newton_euler.integrators.march import NEAR
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -70,7 +71,7 @@ def modes(scene: Scene, states: Sequence[tuple[float, State]]) -> Array:
 @lru_cache(maxsize=1)
 def fastest_decay(scene: Scene) -> float:
     """The fastest rate, 1/s, at which motions of a scene die out at its start; 0 where it cannot be told."""
-    return max(0.0, -float(np.min(modes(scene, [(0.0, scene.initial_state)]).real, initial=0.0)))
+    return max(0.0, -float(np.min(modes(scene, [(0.0, initial_state(scene))]).real, initial=0.0)))
 
 
 def explicit_steps(scene: Scene) -> float:
@@ -80,7 +81,7 @@ def explicit_steps(scene: Scene) -> float:
 
 def modes_of_run(scene: Scene, run: Trajectory | None) -> Array:
     """Eigenvalues, 1/s, of the motions at the start and along a run, see `modes`."""
-    states = [(0.0, scene.initial_state)]
+    states = [(0.0, initial_state(scene))]
     if run is not None and run.linear_velocity is not None and run.angular_velocity is not None:
         arrays = run.position, run.quaternion, run.linear_velocity, run.angular_velocity
         rows = np.unique(np.linspace(0, len(run.time) - 1, LOOKS).round().astype(int))

@@ -14,6 +14,7 @@ import numpy as np
 
 from mjcf.errors import DivergenceError
 from mjcf.write import SOLIMP, TIMESTEP
+from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import strongest_force
 from newton_euler.equations.system import blamed, fastest_joint
 from newton_euler.errors import OptionError, UnknownNameError
@@ -208,7 +209,7 @@ def _run(
     from mjcf import work as work_of
 
     model, data, layout = system.model, system.data, system.layout
-    q, v = system.coordinates(system.scene.initial_state)
+    q, v = system.coordinates(initial_state(system.scene))
     system.place(q, v)
     size = plan[0][1][0].size
     work = 0.0 if system.scene.tracks_work else None

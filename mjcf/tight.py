@@ -19,6 +19,7 @@ from mjcf.errors import DivergenceError, MjcfError
 from mjcf.silence import heard_warnings
 from mjcf.soft import SoftMuJoCo
 from mjcf.write import controls
+from newton_euler.assemble import initial_state
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
@@ -64,7 +65,7 @@ def compiled(scene: Scene) -> SoftMuJoCo:
 def forward(scene: Scene) -> Any:
     """A call of no arguments: one right-hand side at the initial state, `mj_forward`."""
     system = compiled(scene)
-    system.place(*system.coordinates(scene.initial_state))
+    system.place(*system.coordinates(initial_state(scene)))
     model, data, call = system.model, system.data, mujoco.mj_forward
     return lambda: call(model, data)
 
@@ -72,7 +73,7 @@ def forward(scene: Scene) -> Any:
 def steps(scene: Scene) -> Any:
     """A call that makes so many steps by `mj_step` with Euler's method from the initial state."""
     system = compiled(scene)
-    system.place(*system.coordinates(scene.initial_state))
+    system.place(*system.coordinates(initial_state(scene)))
     model, data = system.model, system.data
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     qpos, qvel = data.qpos.copy(), data.qvel.copy()
@@ -111,7 +112,7 @@ class Stepper:
         """Put everything back to the start."""
         system = self._system
         mujoco.mj_resetData(system.model, system.data)
-        system.place(*system.coordinates(system.scene.initial_state))
+        system.place(*system.coordinates(initial_state(system.scene)))
         system.model.opt.integrator = self._integrator
 
     def run(self) -> None:

@@ -31,6 +31,7 @@ from mjcf.forces import (
 )
 from mjcf.layout import Layout, coordinate_name
 from mjcf.text import number, numbers
+from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
 from newton_euler.model.control import Law, Sampled
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
@@ -417,7 +418,7 @@ def _control(law: Law, time: float) -> float:
 
 
 def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
-    q, v = welded.tree.coordinates(welded.state(scene.initial_state))
+    q, v = welded.tree.coordinates(welded.state(initial_state(scene)))
     q = TreeCouplings(scene, welded.tree).turned(q, 0.0)
     attributes = {"name": KEY}
     if len(q):

@@ -1,6 +1,6 @@
 """Newton-Euler dynamics of any mechanism with closed loops, written by hand."""
 
-from newton_euler.assemble import assemble
+from newton_euler.assemble import assemble, initial_state
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.armature import Armature, BallArmature
@@ -38,6 +38,7 @@ __all__ = [
     "Wrench",
     "assemble",
     "compile_scene",
+    "initial_state",
     "simulate",
     "simulate_batch",
 ]

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from newton_euler.assemble import initial_state
 from newton_euler.codegen.cache import cache_key, read_cache, write_cache
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate
@@ -256,7 +257,7 @@ class Code:
     @cached_property
     def start(self) -> Array:
         """x (inputs,) at the scene's initial state."""
-        return self.packed(*self.system.coordinates(self.scene.initial_state))
+        return self.packed(*self.system.coordinates(initial_state(self.scene)))
 
     # Tracing
 

@@ -13,13 +13,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from newton_euler.assemble import VELOCITY_TOLERANCE, initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.errors import MechanismError
 from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import conjugate, product
 from newton_euler.model.forces import PointSpring
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
-from newton_euler.model.scene import VELOCITY_TOLERANCE, Scene
+from newton_euler.model.scene import Scene
 from newton_euler.model.shapes import UNIT_TOLERANCE
 from newton_euler.model.state import State
 from newton_euler.model.tree import SpanningTree
@@ -193,7 +194,7 @@ def check(scene: Scene, states: Sequence[State]) -> None:
             if not isinstance(part[k], State):
                 raise MechanismError(f"run {portion.start + k}", f"starts from {part[k]!r:.200}", "a State")
             try:
-                replace(scene, initial_state=part[k])
+                initial_state(replace(scene, initial_state=part[k]))
             except MechanismError as error:
                 element = f"run {portion.start + k}: {error.element}"
                 raise MechanismError(element, error.problem, error.needed) from error
@@ -211,7 +212,7 @@ def _shaped(state: object, bodies: int) -> bool:
 
 
 def _consistent(scene: Scene, states: Sequence[State]) -> Array:
-    """(n,) whether each state surely passes all that `Scene` checks of its initial state.
+    """(n,) whether each state surely passes all that `newton_euler.initial_state` checks.
 
     None does where coordinates are coupled or prescribed: that is left to the scene.
     """

@@ -1,4 +1,4 @@
-"""Exercise: small motions that make a run depend on as much of a scene as it can.
+"""Exercise: states at random, and small motions that make a run depend on as much of a scene as it can.
 
 Models stand still or fall freely as their files have them, and engines that agree on such runs show little.
 Everything here is a function of the scene alone, the same in every process.
@@ -12,15 +12,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.assemble import assemble
+from newton_euler.assemble import assemble, initial_state
+from newton_euler.compiled import Code
 from newton_euler.equations.dense import orthonormal_null
 from newton_euler.equations.redundancy import constraint_rank
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import dimensionless_jacobian
+from newton_euler.errors import AssemblyError
+from newton_euler.integrators.run import Projection
+from newton_euler.integrators.stabilize import worst_joint
 from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joints import Key
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 SPIN, SPEED = 0.5, 0.1
@@ -38,6 +44,14 @@ GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 SEED = 0
 """Of the directions of start velocities."""
 
+RANDOM_AMPLITUDE = 0.2
+"""How far `random_states` moves joints before it closes the loops: radians, and sizes of the mechanism."""
+
+STRAY = 3.0
+"""How many times as far as that a joint may end up from where it started."""
+
+ATTEMPTS = 50
+
 AT_REST = 1e-9
 """rad/s and sizes/s, below which a mechanism that is given velocities cannot move."""
 
@@ -52,8 +66,7 @@ def moving(scene: Scene) -> tuple[Scene, str]:
         AssemblyError: where velocities cannot be made to fit the constraints.
     """
     system = Relative(scene)
-    assert scene.initial_state is not None
-    q, _ = system.coordinates(scene.initial_state)
+    q, _ = system.coordinates(initial_state(scene))
     lengths = _lengths(system)
     limits = np.where(lengths, SPEED * scene.mechanism.size, SPIN)
     rng = np.random.default_rng(SEED)
@@ -108,8 +121,7 @@ def swings(scene: Scene, forces: Sequence[Mapping[Key, float]]) -> Iterator[Swin
         forces: on joint coordinates that have control laws, N or N m, for each unit of what is to swing.
     """
     system = Relative(scene)
-    assert scene.initial_state is not None
-    q, v = system.coordinates(scene.initial_state)
+    q, v = system.coordinates(initial_state(scene))
     links = system.links(q, v)
     measured = system.measured(q, v, links)
     mass, _ = system.mass_and_force(q, v, links)
@@ -147,3 +159,39 @@ def _reach(scene: Scene, key: Key) -> float:
     """How far a joint coordinate is to move, m or rad."""
     joint = scene.mechanism.joints[scene.mechanism.joint_index(key[0])]
     return SHIFT * scene.mechanism.size if joint.coordinate_kinds[key[1]] == "slide" else SWING
+
+
+def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:
+    """Consistent states at random around the initial one, with random velocities; same seed, same states.
+
+    Joint velocities are of the order of 1 rad/s and of one size of the mechanism per second.
+
+    Raises:
+        AssemblyError: if the mechanism hardly ever closes from nearby.
+    """
+    code = Code(scene)
+    assert isinstance(code.system, Relative)
+    system, project = code.system, Projection(code)
+    tree, unit = system.tree, system.velocity_units
+    single = [(on_q.start, on_v.start) for motion, on_q, on_v in tree.motions if motion.kind != "ball"]
+    single_q, single_v = [place[0] for place in single], [place[1] for place in single]
+    start, _ = system.coordinates(initial_state(scene))
+    rng = np.random.default_rng(seed)
+    states: list[State] = []
+    x = code.packed(start, np.zeros(tree.nv))
+    for _ in range(ATTEMPTS * count):
+        if len(states) == count:
+            break
+        step = RANDOM_AMPLITUDE * unit * rng.uniform(-1.0, 1.0, tree.nv)
+        v = unit * rng.standard_normal(tree.nv)
+        x[: code.size] = np.concatenate([system.retract(start, step), v])
+        if not project(x):
+            continue
+        q, v = x[: system.nq], x[system.nq : code.size]
+        if np.abs((q - start)[single_q] / unit[single_v]).max(initial=0.0) > STRAY * RANDOM_AMPLITUDE:
+            continue  # closed on another branch, perhaps folded flat
+        states.append(system.state(q, v))
+    if len(states) < count:
+        joint, gap = worst_joint(system, system.state(x[: system.nq], x[system.nq : code.size]))
+        raise AssemblyError(joint, gap, CLOSURE_TOLERANCE)
+    return states

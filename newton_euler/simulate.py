@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from newton_euler.assemble import initial_state
 from newton_euler.compiled import FORMULATIONS, Code
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.redundancy import mobility, other_rows
@@ -108,7 +109,7 @@ class CompiledScene(Code):
         _ = self._decided  # once for all
         other = copy.copy(self)
         other.scene = scene
-        q, v = self.system.coordinates(scene.initial_state)
+        q, v = self.system.coordinates(initial_state(scene))
         other.__dict__.update(start=other.packed(q, v), _others={})
         return other
 
@@ -212,7 +213,7 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     `settings` describes the system; the integrator's options and counts are added to it.
     """
     scene = system.scene
-    q, v = system.coordinates(scene.initial_state)
+    q, v = system.coordinates(initial_state(scene))
     start = time.perf_counter()
     rows: list[tuple[System, float, Array, Array]] = []
     counts = {"steps": 0, "evaluations": 0}
@@ -312,7 +313,7 @@ def trajectory_from(
 def _trajectory(
     scene: Scene, engine: str, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
 ) -> Trajectory:
-    arrays["quaternion"] = continuous(arrays["quaternion"], scene.initial_state.quaternion)
+    arrays["quaternion"] = continuous(arrays["quaternion"], initial_state(scene).quaternion)
     return Trajectory(
         engine=engine,
         settings=settings,

@@ -17,7 +17,7 @@ from hostile_process import Server
 import mjcf.reading.source
 import newton_euler
 from crosscheck.scenes import load
-from newton_euler.assemble import random_states
+from newton_euler.exercise import random_states
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

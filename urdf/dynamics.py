@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.dense import rank
 from newton_euler.equations.redundancy import constraint_rank, loop_rank, mobility, rows_left_out
@@ -146,7 +147,7 @@ class PinocchioSystem:
 
         Pinocchio returns NaN for redundant closures without regularisation.
         """
-        q, _ = self.coordinates(self.scene.initial_state)
+        q, _ = self.coordinates(initial_state(self.scene))
         self._place(q)
         jacobian = self._dimensionless()
         rods = {joint.name for joint in self.mechanism.joints if isinstance(joint, Rod)}

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.lib.stride_tricks import as_strided
 
+from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.system import at_time
 from newton_euler.model.control import PD, Sampled
@@ -84,7 +85,7 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
     gains, constant = _laws(scene, system)
     tau, rates = np.zeros(nv), np.empty(nq + nv)
     qdot, vdot = rates[:nq], rates[nq:]
-    q, v = system.coordinates(scene.initial_state)
+    q, v = system.coordinates(initial_state(scene))
     start = np.concatenate([system.map.q_to_pinocchio(q), system.map.v_to_pinocchio(v)])
     tau[:] = gains @ start + constant
     if lcaba:
@@ -128,7 +129,7 @@ def _checked_equations(system: PinocchioSystem) -> Equations:
     """Those of `PinocchioSystem` itself, for what is no part of `constraintDynamics`."""
     to, nq = system.map, system.closed.model.nq
     rates = np.empty(nq + system.nv)
-    q, v = system.coordinates(system.scene.initial_state)
+    q, v = system.coordinates(initial_state(system.scene))
 
     def rates_at(t: float, y: Array) -> Array:
         q, v = to.q_from_pinocchio(y[:nq]), to.v_from_pinocchio(y[nq:])
@@ -174,7 +175,7 @@ def _proximal(mu: float, iterations: int) -> Any:
 
 def _chosen(system: PinocchioSystem, accelerate: Callable[[Any], Array]) -> Any:
     """Plain elimination for independent closures, else the cheapest regularisation that is accurate."""
-    q, v = system.coordinates(system.scene.initial_state)
+    q, v = system.coordinates(initial_state(system.scene))
     exact = system.map.v_to_pinocchio(system.acceleration(q, v))
     for mu, iterations in PROXIMAL:  # plain elimination makes NaN of redundant closures
         settings = _proximal(mu, iterations)

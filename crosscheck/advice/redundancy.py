@@ -12,9 +12,10 @@ from typing import Any
 
 from crosscheck.advice.measured import Advice, Found
 from crosscheck.comparison.reactions import undetermined
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.errors import NewtonEulerError
+from newton_euler.exercise import random_states
 from newton_euler.model.joints import Cylindrical, Joint, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -38,7 +39,7 @@ STATES = 1
 def redundancy_advice(found: Found) -> Iterator[Advice]:
     """For mechanisms with rows that say nothing new, found by trying what is without them."""
     scene = found.scene
-    states = [scene.initial_state, *random_states(scene, STATES)]
+    states = [initial_state(scene), *random_states(scene, STATES)]
     redundant = _redundant(scene.mechanism, states)
     if redundant == 0:
         return

@@ -17,6 +17,7 @@ from crosscheck.against.bodies import (
     place,
     with_bodies,
 )
+from newton_euler.assemble import initial_state
 from newton_euler.model.euler_parameters import from_rotation, rotation
 from newton_euler.model.joints import Joint, Key
 from newton_euler.model.mechanism import Mechanism
@@ -214,7 +215,7 @@ def _renamed(scene: Scene, names: Mapping[str, str], like: Scene) -> Scene:
 
     The ground is the other's: it is the world, whatever frame it is given.
     """
-    mechanism, start = scene.mechanism, scene.initial_state
+    mechanism, start = scene.mechanism, initial_state(scene)
     old = {new: name for name, new in names.items()}
     order = [mechanism.body_index(old[name]) for name in like.mechanism.body_names]
     bodies = [replace(mechanism.bodies[k], name=names[mechanism.body_names[k]]) for k in order]
@@ -237,7 +238,7 @@ def _renamed(scene: Scene, names: Mapping[str, str], like: Scene) -> Scene:
 
 def _reframed(scene: Scene, placed: list[Placed]) -> Scene:
     """The scene with other body frames; centers of mass stay where they are."""
-    mechanism, start = scene.mechanism, scene.initial_state
+    mechanism, start = scene.mechanism, initial_state(scene)
     bodies = []
     for body, way in zip(mechanism.bodies, placed, strict=True):
         inertia = way.turn.T @ body.inertia @ way.turn

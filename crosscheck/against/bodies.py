@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from newton_euler.assemble import initial_state
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
@@ -96,7 +97,7 @@ def _merged(mechanism: Mechanism, indices: list[int]) -> Body:
 
 def _state(scene: Scene, bodies: list[Body], indices: list[int]) -> State:
     """The initial state of bodies that have the frames of those of these numbers."""
-    start = scene.initial_state
+    start = initial_state(scene)
     position, velocity = start.position[indices], start.linear_velocity[indices]
     for n, (body, index) in enumerate(zip(bodies, indices, strict=True)):
         before = scene.mechanism.bodies[index].pose
@@ -210,7 +211,7 @@ class Features(NamedTuple):
 
 def features(scene: Scene, number: int, joints: Sequence[str]) -> Features:
     """Features of a body with the joints of these names."""
-    mechanism, start = scene.mechanism, scene.initial_state
+    mechanism, start = scene.mechanism, initial_state(scene)
     body = mechanism.bodies[number]
     found = tuple(carried(body, mechanism.joints[mechanism.joint_index(name)]) for name in joints)
     return Features(body.inertia, found, start.position[number], rotation(start.quaternion[number]))

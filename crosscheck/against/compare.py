@@ -25,9 +25,10 @@ from crosscheck.limit import SHORTER, limited
 from crosscheck.model_files.read import is_model, is_urdf
 from crosscheck.run import Crosscheck, Progress
 from crosscheck.scenes.options import titled
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation
+from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.joints import Joint
 from newton_euler.model.mapping import CONTACTS, LIMITS, Mapped
@@ -318,7 +319,7 @@ def _equations_compared(
     scene = aligned.first
 
     def compared(levels: Sequence[Level], *more: State) -> Iterator[Row]:
-        states = SharedStates(scene, (scene.initial_state, *more), aligned)
+        states = SharedStates(scene, (initial_state(scene), *more), aligned)
         one, two = (Samples(engine.systems(scene)[0], states) for engine in engines)
         return finite(compare_pair(pair, [one], [two], levels))
 
@@ -335,7 +336,7 @@ def _equations_compared(
     failed = [row for row in rows if not row.agrees]
     if len(failed) > 1:
         notes.append(f"differs too at level {failed[0].level!r}: {_listed(failed[1:])}")
-    energy = None if failed else States(scene, (scene.initial_state, *random)).energy
+    energy = None if failed else States(scene, (initial_state(scene), *random)).energy
     return rows, notes, energy
 
 

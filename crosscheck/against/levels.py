@@ -22,6 +22,7 @@ from crosscheck.comparison.levels import Level
 from crosscheck.comparison.reactions import undetermined_in_both
 from crosscheck.comparison.rows import ROUND_OFF, START, Row, reach, round_off, worst_row
 from crosscheck.comparison.samples import Samples, Scales, States
+from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import body_wrenches, turned
 from newton_euler.equations.balls import ends, spin
 from newton_euler.equations.couplings import Coupling, couplings
@@ -115,7 +116,7 @@ def differences(aligned: Aligned) -> Iterator[Difference]:
     first, second = aligned.both
     a, b = first.mechanism, second.mechanism
     bodies, pairs = a.body_names[1:], list(zip(a.bodies[1:], b.bodies[1:], strict=True))
-    length = ROUND_OFF * reach(first, first.initial_state.position)
+    length = ROUND_OFF * reach(first, initial_state(first).position)
     masses = [abs(two.mass - one.mass) / one.mass for one, two in pairs]
     yield Difference("mass, rel", np.array(masses), ROUND_OFF, bodies)
     yield Difference("centre of mass, m", np.linalg.norm(aligned.centers[1:], axis=1), length, bodies)
@@ -192,7 +193,7 @@ def _start(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Ite
     """Where the bodies start and how fast they move then; tolerances are round-off times the condition of
     the constraints, which starts are assembled by."""
     scene, share = aligned.first, round_off(first.condition)
-    here, there = (each.initial_state for each in aligned.both)
+    here, there = (initial_state(each) for each in aligned.both)
     # where the first's center of mass is on the second's body
     turns = [rotation(p) for p in there.quaternion]
     arms = np.array([-turn @ center for turn, center in zip(turns, aligned.centers, strict=True)])

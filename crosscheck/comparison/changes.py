@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.assemble import assemble
+from newton_euler.assemble import assemble, initial_state
 from newton_euler.equations.couplings import Coupling, couplings, residuals
 from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.constraints import Frame, Jacobian
@@ -242,5 +242,5 @@ def _times(function: TimeFunction, factor: float) -> TimeFunction:
 def _begun(scene: Scene, mechanism: Mechanism, motions: tuple[PrescribedMotion, ...] | None = None) -> Scene:
     """A scene of another mechanism or with other motions, begun as near to its start as it can be."""
     own = scene.motions if motions is None else motions
-    other = replace(scene, mechanism=mechanism, motions=own, initial_state=None)  # type: ignore[arg-type]
-    return replace(other, initial_state=assemble(other, scene.initial_state))
+    other = replace(scene, mechanism=mechanism, motions=own, initial_state=None)
+    return replace(other, initial_state=assemble(other, initial_state(scene)))

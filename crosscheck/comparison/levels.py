@@ -25,8 +25,9 @@ from crosscheck.comparison.rows import LEVELS, Row, in_full, not_compared
 from crosscheck.comparison.runs import Runs, compare_runs
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import Engine
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.errors import AssemblyError
+from newton_euler.exercise import random_states
 from newton_euler.model.mapping import Mapping
 from newton_euler.model.scene import Scene
 
@@ -119,7 +120,7 @@ def stages(
         states: number of random consistent states for the levels that need no run.
         report: on the model file that the scene was read from, if it was.
     """
-    start = States(scene, (scene.initial_state,))
+    start = States(scene, (initial_state(scene),))
 
     @cache
     def samples() -> EngineSamples:

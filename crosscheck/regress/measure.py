@@ -26,6 +26,7 @@ from crosscheck.regress.values import (
     poses_over_time,
 )
 from newton_euler import compile_scene
+from newton_euler.assemble import initial_state
 from newton_euler.compiled import FORMULATIONS, formulate
 from newton_euler.equations.system import System, at_time
 from newton_euler.integrators.stabilize import PAPER_ALPHA
@@ -137,20 +138,20 @@ def nudged(state: State, size: float, share: float) -> State:
 
 def _moved(scene: Scene, variant: Variant) -> Scene:
     """The scene from its nudged start."""
-    start = nudged(scene.initial_state, scene.mechanism.size, variant.nudge)
+    start = nudged(initial_state(scene), scene.mechanism.size, variant.nudge)
     return replace(scene, initial_state=start)
 
 
 def _short(scene: Scene, plan: Plan, variant: Variant, steps: int) -> Scene:
     """A few steps from the moving state; from the start where motions are prescribed from there."""
-    start = scene.initial_state if scene.motions else plan.state.state()
+    start = initial_state(scene) if scene.motions else plan.state.state()
     duration = steps * plan.step
     short = replace(scene, duration=duration, output_period=duration, initial_state=start)
     return _moved(short, variant)
 
 
 def _at_both_states(scene: Scene, system: System, plan: Plan, variant: Variant) -> Iterator[Value]:
-    stored = (("start", 0.0, scene.initial_state), ("moving", plan.time, plan.state.state()))
+    stored = (("start", 0.0, initial_state(scene)), ("moving", plan.time, plan.state.state()))
     for label, time, state in stored:
         now = at_time(system, time)
         found = now.evaluate(*now.coordinates(nudged(state, scene.mechanism.size, variant.nudge)))

@@ -19,6 +19,7 @@ from crosscheck.comparison.samples import admissible_basis, body_units
 from crosscheck.model_files.read import report_lines
 from crosscheck.run import Crosscheck
 from crosscheck.stiffness import explicit_steps, fastest_decay
+from newton_euler.assemble import initial_state
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.integrators.stabilize import RK4_LIMIT
@@ -130,7 +131,7 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
         yield from _activity_lines(result.mapping)
     if result.rests:
         yield _rest_line(result)
-    count, joints = undetermined_joints(result.scene, result.scene.initial_state)
+    count, joints = undetermined_joints(result.scene, initial_state(result.scene))
     if count:
         rows = "a redundant row" if count == 1 else f"{count} redundant rows"
         yield f"reactions not unique: {rows} at joints {', '.join(joints)}; each engine has its own"
@@ -186,7 +187,7 @@ def _rest_line(result: Crosscheck) -> str:
     """That nothing moves, why as far as the constraints tell, and what that leaves untested."""
     moved = ", ".join(f"{name} {far:.1e}" for name, far in displacements(result.runs).items())
     system = Relative(result.scene)
-    q, _ = system.coordinates(result.scene.initial_state)
+    q, _ = system.coordinates(initial_state(result.scene))
     basis, _ = admissible_basis(system, q, body_units(result.scene))
     why = "it starts at rest in equilibrium" if basis.shape[1] else "the mechanism has no freedom"
     return (

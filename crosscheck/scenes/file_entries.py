@@ -368,7 +368,7 @@ class SceneEntry(_Strict):
             self.output_period,
             gravity=self.gravity,  # type: ignore[arg-type]
             control=control,
-            initial_state=self._state(mechanism) if self.initial_state else None,  # type: ignore[arg-type]
+            initial_state=self._state(mechanism) if self.initial_state else None,
             outputs=frozenset(self.outputs),
             forces=tuple(force.build() for force in self.forces),
             motions=motions,

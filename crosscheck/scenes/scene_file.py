@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes.file_entries import SceneEntry
+from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import SourceError, read_text, shortened
@@ -28,7 +29,8 @@ def read_scene(path: str) -> Scene:
         CrosscheckError: naming the file and the line or field at fault.
     """
     try:
-        return SceneEntry.model_validate(_parse(path, read_text(path, "scene_size"))).build()
+        scene = SceneEntry.model_validate(_parse(path, read_text(path, "scene_size"))).build()
+        initial_state(scene)  # refused here, with the file's name, if its joints are open
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(str(part) for part in first["loc"]) or "file"
@@ -39,6 +41,7 @@ def read_scene(path: str) -> Scene:
         raise CrosscheckError(str(error)) from error
     except (NewtonEulerError, CrosscheckError) as error:
         raise CrosscheckError(f"{path}: {shortened(str(error))}") from error
+    return scene
 
 
 def _parse(path: str, text: str) -> Any:

@@ -156,8 +156,9 @@ def _function(function: TimeFunction) -> dict[str, Any]:
 def _state(scene: Scene) -> dict[str, dict[str, list[float]]]:
     """What of the initial state is not the initial pose at rest."""
     rest, found = State.initial(scene.mechanism), dict[str, dict[str, list[float]]]()
+    state = rest if scene.initial_state is None else scene.initial_state
     for field in fields(State):
-        given, usual = getattr(scene.initial_state, field.name), getattr(rest, field.name)
+        given, usual = getattr(state, field.name), getattr(rest, field.name)
         for name, value, plain in zip(scene.mechanism.body_names, given, usual, strict=True):
             if not np.array_equal(value, plain):
                 found.setdefault(name, {})[field.name] = value.tolist()

@@ -29,7 +29,7 @@ from crosscheck.model_files.read import is_model
 from crosscheck.scenes import load
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
-from newton_euler.assemble import assemble
+from newton_euler.assemble import assemble, initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
@@ -101,7 +101,7 @@ def _trajectories(scene: Scene, own: Engine, other: Engine, planted: Scene) -> I
 def _shows(scene: Scene, own: Engine, other: Engine, change: Plant) -> bool:
     try:
         planted = change(scene)
-        planted = replace(planted, initial_state=assemble(planted, scene.initial_state))
+        planted = replace(planted, initial_state=assemble(planted, initial_state(scene)))
         return not all(row.agrees for row in _trajectories(scene, own, other, planted))
     except NewtonEulerError:
         return True  # an engine that says it cannot run is no engine that agrees

@@ -12,6 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from newton_euler.assemble import initial_state
 from newton_euler.codegen.expression import Expression, Graph, Node, operands
 from newton_euler.compiled import FORMULATIONS, Code, Formulation
 from newton_euler.equations.relative import Relative
@@ -222,7 +223,7 @@ def native_code(compiled: Code) -> Cells:
 
 def duration(compiled: Code, name: str) -> float:
     """s that one call of a function takes, in the scene's initial state."""
-    x = compiled.packed(*compiled.system.coordinates(compiled.scene.initial_state))
+    x = compiled.packed(*compiled.system.coordinates(initial_state(compiled.scene)))
     function = compiled.function(name)
     count = 1 + BATCH_OPERATIONS // (compiled.program(name).operations + 100)
     return min(time_function(function, x, count) for _ in range(ROUNDS)) / count

@@ -338,8 +338,8 @@ def _identity(force: Force) -> str:
     return f"force {force.name!r}"
 
 
-def check_forces(forces: Sequence[Force], mechanism: Mechanism, frames: Sequence[Frame]) -> None:
-    """Check forces against a mechanism and the state that its bodies start from.
+def check_forces(forces: Sequence[Force], mechanism: Mechanism) -> None:
+    """Check forces against a mechanism.
 
     Raises:
         MechanismError: naming the force at fault.
@@ -350,6 +350,3 @@ def check_forces(forces: Sequence[Force], mechanism: Mechanism, frames: Sequence
         if count > 1:
             needed = "unique names, and one spring a joint coordinate or ball"
             raise MechanismError(element, f"{count} of that name", needed)
-    for force in forces:
-        if isinstance(force, PointSpring):
-            force.check_apart(mechanism, frames)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from newton_euler.errors import AssemblyError, MechanismError, check_choice, is_finite_number
+from newton_euler.errors import MechanismError, check_choice, is_finite_number
 from newton_euler.model.armature import Armature, BallArmature, check_armatures
 from newton_euler.model.control import Law, Sampled
 from newton_euler.model.forces import BallSpring, Force, JointSpring, check_forces
@@ -31,10 +31,6 @@ MAXIMUM_DURATION = 1e7
 REDUNDANCY_TOLERANCE = 1e-4
 """Noise that files have at most: points rounded to 1e-6 m on a mechanism of a centimeter."""
 
-VELOCITY_TOLERANCE = 1e-9
-"""How fast a joint may open in the initial state, as a share of the largest speed: as exact as
-`CLOSURE_TOLERANCE` leaves the positions, in sizes of the mechanism."""
-
 _NAME = re.compile(r"[A-Za-z0-9_.\-]{1,100}")
 
 
@@ -49,9 +45,9 @@ class Scene:
         output_period: s between outputs; the last output is at `duration`.
         gravity: (3,) m/s^2, world frame.
         control: control laws of actuated joints, in the order of `Trajectory.actuator_force`.
-        initial_state: the mechanism's initial pose, at rest, if not given; joints closed in position
-            and velocity, as `newton_euler.assemble` makes them. With `motions` it is assembled from
-            there, if not given, so that joints are where those begin.
+        initial_state: start of runs, joints closed in position and velocity, as `newton_euler.assemble` makes
+            them; None for the mechanism's initial pose, at rest, or what is next to it where joints follow
+            `motions`. `newton_euler.initial_state` gives the one or the other, checked.
         outputs: names out of `OUTPUTS`.
         forces: springs, dampers and wrenches beside gravity and control.
         motions: prescribed motions of joints.
@@ -71,7 +67,7 @@ class Scene:
     output_period: float
     gravity: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     control: tuple[Law, ...] = ()
-    initial_state: State = field(default=None)  # type: ignore[assignment]
+    initial_state: State | None = None
     outputs: frozenset[str] = frozenset(OUTPUTS)
     forces: tuple[Force, ...] = ()
     motions: tuple[PrescribedMotion, ...] = ()
@@ -111,9 +107,7 @@ class Scene:
         object.__setattr__(self, "outputs", frozenset(self.outputs))
         self._check_control()
         self._check_motions()
-        if self.initial_state is None:
-            object.__setattr__(self, "initial_state", self._begin())
-        else:
+        if self.initial_state is not None:
             self._check_state(self.initial_state)
         self._check_forces()
         self._check_armatures()
@@ -177,7 +171,7 @@ class Scene:
                 needed = "JointSpring, BallSpring, PointSpring or Wrench"
                 raise MechanismError(f"scene {self.name!r}", f"forces holds {force!r:.200}", needed)
         object.__setattr__(self, "forces", forces)
-        check_forces(self.forces, self.mechanism, self.initial_state.frames())
+        check_forces(self.forces, self.mechanism)
 
     def _check_armatures(self) -> None:
         given = self.armatures
@@ -228,40 +222,6 @@ class Scene:
                 "a unit quaternion, w-x-y-z",
             )
         self._check_ground(state)
-        try:
-            self.mechanism.check_closed(state.frames(), "in the initial state")
-            self._check_velocities(state)
-        except MechanismError:
-            if not self._is_closed_but_for_noise(state):
-                raise
-        self._check_couplings(state)
-
-    def _is_closed_but_for_noise(self, state: State) -> bool:
-        """Whether a state opens nearly redundant joints alone, and no more than it has to."""
-        from newton_euler.assemble import assemble  # which needs scenes
-        from newton_euler.equations.redundancy import mobility
-
-        if mobility(self).residual == 0.0:
-            return False
-        try:
-            closed = assemble(self, state)
-        except AssemblyError:
-            return False
-        apart = (
-            (closed.position - state.position, 1.0),
-            (closed.quaternion - state.quaternion, 1.0),
-            (closed.linear_velocity - state.linear_velocity, self._speed(state)),
-        )
-        return all(np.max(np.abs(gap)) <= CLOSURE_TOLERANCE * max(1.0, unit) for gap, unit in apart)
-
-    def _begin(self) -> State:
-        """The initial pose at rest, or what is next to it where joints have to move."""
-        start = State.initial(self.mechanism)
-        if not self.motions:
-            return start
-        from newton_euler.assemble import assemble  # which needs scenes
-
-        return assemble(self, start)
 
     def _check_ground(self, state: State) -> None:
         ground = self.mechanism.bodies[0]
@@ -279,50 +239,6 @@ class Scene:
         else:
             return
         raise MechanismError(f"ground {ground.name!r}", problem, "the ground's own pose, at rest")
-
-    def _check_velocities(self, state: State) -> None:
-        """Raise `MechanismError` for the first joint that opens, |Phi_q qdot| > `VELOCITY_TOLERANCE`."""
-        frames, size, speed = state.frames(), self.mechanism.size, self._speed(state)
-        for equations in self.mechanism.equations:
-            first, second = frames[equations.first], frames[equations.second]
-            rates = np.abs(equations.jacobian(first, second).rate(first, second))
-            allowed = VELOCITY_TOLERANCE * speed * np.where(equations.is_length, 1.0, 1.0 / size)
-            if np.any(rates > allowed):
-                worst = int(np.argmax(rates - allowed))
-                unit = "m/s" if equations.is_length[worst] else "rad/s"
-                raise MechanismError(
-                    f"joint {equations.joint.name!r}",
-                    f"opens at {rates[worst]:.3g} {unit} in the initial state",
-                    f"at most {allowed[worst]:.3g} {unit}, as newton_euler.assemble(scene, guess) makes it",
-                )
-
-    def _check_couplings(self, state: State) -> None:
-        """Raise `MechanismError` for the first coupling or motion that the state does not follow."""
-        from newton_euler.equations.couplings import couplings, residuals
-
-        found = couplings(self)
-        phi, rates = residuals(self.mechanism, found, state.frames(), 0.0)
-        speed = self._speed(state)
-        for coupling, gap, opening in zip(found, phi, rates, strict=True):
-            unit = "m" if coupling.is_length else "rad"
-            allowed = VELOCITY_TOLERANCE * speed * (1.0 if coupling.is_length else 1.0 / self.mechanism.size)
-            allowed *= sum(abs(factor) for factor in coupling.factors.values())
-            if abs(gap) > CLOSURE_TOLERANCE:
-                problem, needed = f"is off by {gap:.3g} {unit}", f"at most {CLOSURE_TOLERANCE:g} {unit}"
-            elif abs(opening) > allowed:
-                problem, needed = f"is off by {opening:.3g} {unit}/s", f"at most {allowed:.3g} {unit}/s"
-            else:
-                continue
-            raise MechanismError(
-                f"{coupling.what} {coupling.name!r}",
-                f"{problem} in the initial state",
-                f"{needed}, as newton_euler.assemble(scene, guess) makes it",
-            )
-
-    def _speed(self, state: State) -> float:
-        """The largest speed of a state, m/s."""
-        spin = float(np.max(np.linalg.norm(state.angular_velocity, axis=1)))
-        return float(np.max(np.linalg.norm(state.linear_velocity, axis=1))) + self.mechanism.size * spin
 
     @property
     def sampled(self) -> tuple[Sampled, ...]:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import couplings, residuals
 from newton_euler.equations.dense import least_squares, singular_values
 from newton_euler.equations.system import MassProperties, dimensionless_jacobian
@@ -50,7 +51,7 @@ def start_figures(placed: Placed) -> Iterator[Figure]:
     away = np.abs(original.difference(q, original.start)) / original.units
     limit = sample.tolerance_of_motion + ENOUGH * float(np.max(closing, initial=0.0))
     yield figure("start, sizes or rad", away, limit, original.motions)
-    state, v = placed.scene.initial_state, v / original.units
+    state, v = initial_state(placed.scene), v / original.units
     reached = placed.of_parts(np.hstack([state.linear_velocity, state.angular_velocity]).ravel())
     own = least_squares(place.of_parts / placed.part_units[:, None] * original.units, reached)
     scale = max(1.0, float(np.max(np.abs(v), initial=0.0)))

@@ -26,6 +26,7 @@ from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS, read_model
 from crosscheck.scenes import load
 from crosscheck.scenes.write_file import write_scene
 from mjcf.read import read as read_mjcf
+from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.forces import JointSpring
@@ -70,7 +71,7 @@ def test_a_urdf_is_run_with_its_loops(capsys, tmp_path):
 
 def start_of(scene: Scene) -> Evaluation:
     system = Relative(scene)
-    return system.evaluate(*system.coordinates(scene.initial_state))
+    return system.evaluate(*system.coordinates(initial_state(scene)))
 
 
 def assert_same_scene(one: Scene, two: Scene) -> None:

@@ -16,10 +16,11 @@ from crosscheck.scenes.tracker import tracker as make_tracker
 from mjcf.inspect import move_anchor
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation, System
+from newton_euler.exercise import random_states
 from newton_euler.model.joints import Fixed, Free, Joint, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -100,7 +101,7 @@ def test_tracker_coordinates_are_those_of_the_relative_form(
 
 def test_tracker_starts_as_published(tracker: Scene) -> None:
     rigid = RigidMuJoCo(tracker)
-    start = rigid.evaluate(*rigid.coordinates(tracker.initial_state))
+    start = rigid.evaluate(*rigid.coordinates(initial_state(tracker)))
     # the reference values have six decimals
     assert start.linear_acceleration[1, 2] == pytest.approx(0.277549, abs=1e-6)
     assert start.linear_acceleration[2, 2] == pytest.approx(1.394930, abs=1e-6)
@@ -111,7 +112,7 @@ def test_inertia_that_mujoco_refuses_is_run_as_printed() -> None:
     accelerations = {}
     for name, scene in (("literal", literal), ("realisable", realisable)):
         rigid, relative = RigidMuJoCo(scene), Relative(scene)
-        q, v = relative.coordinates(scene.initial_state)
+        q, v = relative.coordinates(initial_state(scene))
         # the work comes last in q
         found, wanted = rigid.acceleration(q[: rigid.nq], v), relative.acceleration(q, v)
         assert np.max(np.abs(found - wanted)) < ACCELERATIONS * np.max(np.abs(wanted))
@@ -212,7 +213,7 @@ def test_a_loop_between_fixed_bodies_does_nothing() -> None:
         Revolute("hinge", "post", "arm", np.ones(3), axis=y),
     ]
     scene = Scene("post", Mechanism(bodies, joints), 0.1, 0.1, gravity=-9.81 * np.eye(3)[0])
-    ((found, wanted),) = both(scene, [scene.initial_state], Relative(scene))
+    ((found, wanted),) = both(scene, [initial_state(scene)], Relative(scene))
     assert_same_accelerations(found, wanted)
     assert_same_reactions(found, wanted)
     assert np.max(np.abs(found.angular_acceleration)) > 1.0
@@ -223,7 +224,7 @@ def test_constraint_derivatives(name: str) -> None:
     """Also where the loop is open: soft constraints always leave it so."""
     rigid = RigidMuJoCo(CHAINS[name])
     rng = np.random.default_rng(7)
-    q, _ = rigid.coordinates(rigid.scene.initial_state)
+    q, _ = rigid.coordinates(initial_state(rigid.scene))
     q = rigid.retract(q, rng.uniform(-0.3, 0.3, rigid.nv))
     v = rng.normal(size=rigid.nv)
     assert np.max(np.abs(rigid.phi(q))) > 0.01
@@ -238,7 +239,7 @@ def test_constraint_derivatives(name: str) -> None:
 
 def test_soft_constraints_are_a_little_off_at_rest(tracker: Scene) -> None:
     rigid, soft = RigidMuJoCo(tracker), SoftMuJoCo(tracker)
-    q, v = rigid.coordinates(tracker.initial_state)
+    q, v = rigid.coordinates(initial_state(tracker))
     wanted, found = rigid.evaluate(q, v), soft.evaluate(q, v)
     # solimp is capped at 0.9999: a row keeps 1e-4 of its own compliance, several rows add up
     assert 1e-4 < gap(found, wanted, "linear_acceleration") < 1e-2
@@ -270,7 +271,7 @@ def test_an_anchor_is_moved_whatever_its_weld_is_called() -> None:
             for joint, own in zip(system.welded.mechanism.joints, chosen.mechanism.joints, strict=False)
             if {joint.first, joint.second} != {own.first, own.second}
         )
-        q, _ = system.coordinates(chosen.initial_state)
+        q, _ = system.coordinates(initial_state(chosen))
         assert np.max(np.abs(system.phi(q))) < 1e-14
         move_anchor(system, owner, np.array([0.0, 0.0, 1e-3]))
         # the point of the second body has gone up, and residuals are of the first less it

@@ -21,10 +21,10 @@ from crosscheck.scenes.tracker import tracker as make_tracker
 from mjcf.errors import ModelError
 from mjcf.model import CompiledScene
 from mjcf.read import read as read_mjcf
-from newton_euler.assemble import random_states
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.errors import NewtonEulerError
+from newton_euler.exercise import random_states
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import angle_between, rotation
 from newton_euler.model.joints import Free, Revolute, Spherical, Universal

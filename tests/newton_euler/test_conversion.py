@@ -9,14 +9,14 @@ import pytest
 
 from crosscheck.scenes import load
 from newton_euler import Body, Mechanism, PointSpring, Scene, State
-from newton_euler.assemble import random_states
+from newton_euler.assemble import VELOCITY_TOLERANCE, initial_state
 from newton_euler.conversion import PORTION, check, coordinates
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
+from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joints import Free
-from newton_euler.model.scene import VELOCITY_TOLERANCE
 
 COUNT = 30
 
@@ -102,7 +102,7 @@ def test_a_bad_state_is_refused_with_its_number(tracker, tracker_states, name, p
     with pytest.raises(MechanismError, match=f"run 5: .*({message})") as caught:
         check(tracker, states)
     with pytest.raises(MechanismError) as alone:
-        replace(tracker, initial_state=states[5])
+        initial_state(replace(tracker, initial_state=states[5]))
     assert str(caught.value) == f"run 5: {alone.value}"
 
 
@@ -122,7 +122,10 @@ def test_tolerances_are_those_of_the_scene(tracker, tracker_states, share):
     speed += tracker.mechanism.size * np.linalg.norm(state.angular_velocity, axis=1).max()
     state = changed(state, "linear_velocity", (6, 1), share * VELOCITY_TOLERANCE * speed)
     verdicts = []
-    for judge in (lambda: check(tracker, [state]), lambda: replace(tracker, initial_state=state)):
+    for judge in (
+        lambda: check(tracker, [state]),
+        lambda: initial_state(replace(tracker, initial_state=state)),
+    ):
         try:
             judge()
             verdicts.append(True)
@@ -139,7 +142,7 @@ def test_a_spring_needs_a_direction_in_every_state():
     ends = np.zeros(3), np.array([0.0, 0.0, 1.0])
     spring = PointSpring("spring", "ground", "mass", *ends, stiffness=1.0, rest_length=0.5)
     scene = Scene("spring", mechanism, 1.0, 0.1, forces=(spring,))
-    apart = scene.initial_state
+    apart = initial_state(scene)
     together = changed(apart, "position", (1, 2), -1.0)
     check(scene, [apart, apart])
     with pytest.raises(MechanismError, match="run 1: point spring 'spring': its points coincide"):

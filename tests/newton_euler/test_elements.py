@@ -21,9 +21,10 @@ from mjcf import tight as mjcf_tight
 from mjcf.errors import MjcfError
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation, System, at_time, opening
+from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import Wrench
 from newton_euler.model.motions import Polynomial, PrescribedMotion
@@ -110,7 +111,7 @@ def test_constraint_derivatives(name: str, engine: type[System]) -> None:
     """Also where loops are open. Differences are good to 1e-12, third derivatives reach 100 here."""
     system = at_time(engine(ELEMENTS[name]), 0.1)  # type: ignore[call-arg]
     rng = np.random.default_rng(7)
-    q, _ = system.coordinates(ELEMENTS[name].initial_state)
+    q, _ = system.coordinates(initial_state(ELEMENTS[name]))
     q = system.retract(q, rng.uniform(-0.2, 0.2, system.nv))
     assert np.max(np.abs(system.phi(q))) > 0.01
     wanted = jacobian(lambda step: system.phi(system.retract(q, step)), system.nv)
@@ -123,7 +124,7 @@ def test_constraint_derivatives(name: str, engine: type[System]) -> None:
 def test_velocity_products_of_mujoco(name: str) -> None:
     rigid = RigidMuJoCo(JOINTS[name])
     rng = np.random.default_rng(7)
-    q, _ = rigid.coordinates(rigid.scene.initial_state)
+    q, _ = rigid.coordinates(initial_state(rigid.scene))
     q, v = rigid.retract(q, rng.uniform(-0.2, 0.2, rigid.nv)), rng.normal(size=rigid.nv)
     wanted = derivative(lambda t: rigid.phi_jacobian(rigid.retract(q, t * v)) @ v)
     # as above
@@ -187,7 +188,7 @@ def test_angles_of_several_turns(engine: type[System]) -> None:
     """Poses do not tell turns; gears and motions do."""
     scene = moved(gear_train(), PrescribedMotion("axle", Polynomial((7.0, 1.0))))
     system = engine(scene)  # type: ignore[call-arg]
-    q, _ = system.coordinates(scene.initial_state)
+    q, _ = system.coordinates(initial_state(scene))
     assert np.max(np.abs(system.phi(q))) < 1e-9  # as closed as a state has to be
     assert np.max(np.abs(q)) == pytest.approx(2.5 * 7.0, abs=1e-9)
 
@@ -242,7 +243,7 @@ def test_soft_motions_ask_for_their_acceleration() -> None:
     """On its motion a row asks for f'' exactly, and softness takes 1e-4 of what it lacks: of 9.81 / 1 m."""
     scene = moved(pendulum(), PrescribedMotion("pivot", Polynomial((0.0, 2.0, 3.0))))
     soft = SoftMuJoCo(scene)
-    found = soft.evaluate(*soft.coordinates(scene.initial_state))
+    found = soft.evaluate(*soft.coordinates(initial_state(scene)))
     assert found.angular_acceleration[1, 1] == pytest.approx(6.0, abs=3e-3)
 
 
@@ -287,7 +288,7 @@ def test_tight_mujoco_refuses_prescribed_motions() -> None:
 def test_tight_mujoco_is_the_same_model(name: str) -> None:
     scene = ELEMENTS[name]
     tight, soft = mjcf_tight.compiled(scene), SoftMuJoCo(scene)
-    found, wanted = (s.evaluate(*s.coordinates(scene.initial_state)) for s in (tight, soft))
+    found, wanted = (s.evaluate(*s.coordinates(initial_state(scene))) for s in (tight, soft))
     # the solver's tolerance, with a warm start or without
     assert found.linear_acceleration == pytest.approx(wanted.linear_acceleration, rel=1e-9, abs=1e-9)
 
@@ -313,7 +314,7 @@ def test_tight_pinocchio_has_what_its_recursion_has_no_place_for(scene: Scene, e
     """1e-12: the same equations in another order; that they are right is asserted of the system above."""
     equations = urdf_tight.equations_of(scene, 10.0, None)
     system = equations.system
-    wanted = system.acceleration(*system.coordinates(scene.initial_state))
+    wanted = system.acceleration(*system.coordinates(initial_state(scene)))
     rates = equations.rates(0.0, equations.start)
     assert system.map.v_from_pinocchio(rates[equations.nq :]) == pytest.approx(wanted, rel=1e-12)
     assert np.abs(wanted).max() > 1e-3
@@ -326,6 +327,6 @@ def test_tight_pinocchio_has_springs_of_joints() -> None:
     scene = forced(pendulum())
     springs = replace(scene, forces=scene.forces[:1])
     equations = urdf_tight.equations_of(springs, 10.0, None)
-    wanted = equations.system.acceleration(*equations.system.coordinates(springs.initial_state))
+    wanted = equations.system.acceleration(*equations.system.coordinates(initial_state(springs)))
     assert equations.acceleration() == pytest.approx(wanted, rel=1e-12)
     assert np.abs(wanted).max() > 1.0

@@ -6,6 +6,7 @@ import numpy as np
 from finite_difference import derivative, jacobian
 
 from crosscheck.comparison.samples import admissible_basis, body_units
+from newton_euler.assemble import initial_state
 from newton_euler.compiled import Code, Formulation
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
@@ -28,7 +29,7 @@ def moving(system: Formulation, t: float, seed: int = 0) -> tuple[Formulation, A
     """The system at time t, and q and v that meet all constraints, in random motion."""
     rng = np.random.default_rng(seed)
     now = at_time(system, t)
-    q, _ = now.coordinates(now.scene.initial_state)
+    q, _ = now.coordinates(initial_state(now.scene))
     q = project_position(now, now.retract(q, 0.1 * now.velocity_units * rng.uniform(-1, 1, now.nv)))
     return now, q, project_velocity(now, q, now.velocity_units * rng.standard_normal(now.nv))
 

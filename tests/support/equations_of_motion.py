@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mjcf.rigid import RigidMuJoCo
-from newton_euler.assemble import random_states
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.redundancy import rows_in_use
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation
+from newton_euler.exercise import random_states
 from newton_euler.model.scene import Scene
 from urdf.dynamics import PinocchioSystem
 

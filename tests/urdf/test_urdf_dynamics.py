@@ -23,10 +23,11 @@ from mechanisms import (
     spinning_top,
 )
 
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import MassProperties
 from newton_euler.errors import SingularityError
+from newton_euler.exercise import random_states
 from newton_euler.integrators.stabilize import project_position, project_velocity
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear
@@ -87,7 +88,7 @@ def parallel_cranks() -> Scene:
 def near(scene: Scene, count: int) -> list[State]:
     """Consistent states at random within 0.05 rad: cranks far from flat, where a loop may fold."""
     reference = Relative(scene)
-    start, _ = reference.coordinates(scene.initial_state)
+    start, _ = reference.coordinates(initial_state(scene))
     rng = np.random.default_rng(0)
     states = []
     for _ in range(count):
@@ -145,14 +146,14 @@ def assert_same_reactions(found, wanted, size):
 
 def test_slider_accelerations_at_the_start(tracker):
     system = PinocchioSystem(tracker)
-    at_start = system.evaluate(*system.coordinates(tracker.initial_state))
+    at_start = system.evaluate(*system.coordinates(initial_state(tracker)))
     assert at_start.linear_acceleration[1:3, 2] == pytest.approx(SLIDER_ACCELERATIONS, abs=1e-6)
 
 
 def test_agrees_with_newton_euler_on_the_tracker(tracker):
     """200 states, joints up to 0.05 (rad, m) from the start before loops close; reactions one by one."""
     reference, system = Relative(tracker), PinocchioSystem(tracker)
-    start, _ = reference.coordinates(tracker.initial_state)
+    start, _ = reference.coordinates(initial_state(tracker))
     rng = np.random.default_rng(7)
     for _ in range(200):
         q = project_position(reference, reference.retract(start, rng.uniform(-0.05, 0.05, 8)))
@@ -225,7 +226,7 @@ def test_the_mechanisms_above_contain_what_they_are_there_for():
 def test_redundant_loops_have_the_same_accelerations(build):
     scene = build()
     reference, system = Relative(scene), PinocchioSystem(scene)
-    q, _ = system.coordinates(scene.initial_state)
+    q, _ = system.coordinates(initial_state(scene))
     assert np.linalg.matrix_rank(system.phi_jacobian(q), tol=1e-9) < len(system.phi(q))
     for state in near(scene, 5):
         wanted = reference.evaluate(*reference.coordinates(state))
@@ -273,7 +274,7 @@ def test_drift_of_redundant_loops_does_not_spoil_accelerations():
 
 def test_states_without_finite_accelerations_are_refused(tracker):
     system = PinocchioSystem(tracker)
-    q, v = system.coordinates(tracker.initial_state)
+    q, v = system.coordinates(initial_state(tracker))
     v[2] = np.inf
     with pytest.raises(SingularityError, match="ball_67, ball_57"):
         system.acceleration(q, v)
@@ -322,7 +323,7 @@ def test_phi_jacobian_is_the_derivative_of_phi(build):
     """At an open configuration. 1e-10: the helper's 1e-12 times third derivatives of some 10."""
     scene = build()
     system = PinocchioSystem(scene)
-    q, _ = system.coordinates(scene.initial_state)
+    q, _ = system.coordinates(initial_state(scene))
     q = system.retract(q, 0.3 * np.sin(1.0 + np.arange(system.nv)))
     assert np.max(np.abs(system.phi(q))) > 0.01
     wanted = jacobian(lambda step: system.phi(system.retract(q, step)), system.nv)
@@ -353,4 +354,4 @@ def test_motions_and_gears_that_depend_on_each_other():
     )
     motions = tuple(PrescribedMotion(f"j_{name}", Polynomial((0.0,))) for name in "ab")
     system = PinocchioSystem(Scene("driven_twice", mechanism, 1.0, 0.1, motions=motions))
-    assert system.acceleration(*system.coordinates(system.scene.initial_state)) == pytest.approx([0.0, 0.0])
+    assert system.acceleration(*system.coordinates(initial_state(system.scene))) == pytest.approx([0.0, 0.0])

@@ -13,9 +13,10 @@ from mechanisms import all_universal_loop, pendulum, planar_four_bar, spinning_t
 import newton_euler
 import urdf
 from crosscheck.scenes import load
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.equations.system import at_time
 from newton_euler.errors import NewtonEulerError, OptionError, UnknownNameError
+from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.trajectory import IntegrationError
@@ -146,7 +147,7 @@ def test_tight_equations_are_those_of_runs(scene):
     scene = replace(scene, outputs=frozenset())
     equations = equations_of(scene, 0.0, None)
     system = at_time(equations.system, 0.1)
-    for state in (scene.initial_state, *(() if scene.motions else random_states(scene, 2))):
+    for state in (initial_state(scene), *(() if scene.motions else random_states(scene, 2))):
         q, v = system.coordinates(state)
         y = np.concatenate([system.map.q_to_pinocchio(q), system.map.v_to_pinocchio(v)])
         wanted = system.map.v_to_pinocchio(system.acceleration(q, v))

@@ -24,7 +24,7 @@ from crosscheck.scenes import load
 from crosscheck.studies.benchmark.batch_engines import RTOL, Choice, MuJoCo, Own, bare, cheapest, references
 from crosscheck.studies.benchmark.engines import JUDGED, poses_only
 from crosscheck.studies.benchmark.work_precision import Progress, machine, steady
-from newton_euler.assemble import random_states
+from newton_euler.exercise import random_states
 from newton_euler.model.scene import Scene
 
 REPEATS = 5

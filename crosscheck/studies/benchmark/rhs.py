@@ -30,6 +30,7 @@ from rich.table import Table
 from crosscheck.scenes import load
 from crosscheck.studies.benchmark.engines import JUDGED, poses_only
 from crosscheck.studies.benchmark.work_precision import Progress, machine, steady
+from newton_euler.assemble import initial_state
 from newton_euler.codegen.cache import CACHE_VARIABLE
 from newton_euler.model.scene import Scene
 
@@ -102,7 +103,7 @@ def _newton_euler(scene: Scene, formulation: str) -> RightHandSide:
     from newton_euler import compile_scene
 
     compiled = compile_scene(scene, formulation=formulation, stabilization="none")
-    state = compiled.system.coordinates(scene.initial_state)
+    state = compiled.system.coordinates(initial_state(scene))
     return RightHandSide(lambda count: compiled.repeat(count, *state), compiled.operations["derivative"])
 
 

@@ -17,10 +17,11 @@ from crosscheck.engines import ENGINES, Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.studies.faults import PLANTED_IN
 from crosscheck.studies.faults.catalogue import SIZES, Fault, catalogue
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System
 from newton_euler.errors import NewtonEulerError
+from newton_euler.exercise import random_states
 from newton_euler.model.scene import Scene
 
 STATES = 4
@@ -157,7 +158,7 @@ def _observable(found: Sequence[Found]) -> Iterator[Found]:
 
 def samples_of(scene: Scene) -> Samples:
     """newton_euler at the initial state and at random ones."""
-    return Samples(Relative(scene), States(scene, (scene.initial_state, *random_states(scene, STATES))))
+    return Samples(Relative(scene), States(scene, (initial_state(scene), *random_states(scene, STATES))))
 
 
 class Sound:

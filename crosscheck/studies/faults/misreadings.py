@@ -17,6 +17,7 @@ import numpy as np
 
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.catalogue import SKEW, Fault, bodies_at, other_kinds
+from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.armature import BallArmature
 from newton_euler.model.control import PD, Law
@@ -66,7 +67,7 @@ def misreadings(scene: Scene) -> Iterator[Fault]:
     for index, coupling in enumerate(scene.mechanism.couplings):
         for what, changed in _other_couplings(scene, coupling):
             yield _fault("gear", coupling.name, what, plant.coupling(index, changed))
-    if np.any(scene.initial_state.linear_velocity) or np.any(scene.initial_state.angular_velocity):
+    if np.any(initial_state(scene).linear_velocity) or np.any(initial_state(scene).angular_velocity):
         for what, factor in FACTORS.items():
             yield _fault("velocity", EVERYTHING, what, _faster(factor))
     yield from _exchanged(scene)
@@ -75,7 +76,7 @@ def misreadings(scene: Scene) -> Iterator[Fault]:
 
 def _faster(factor: float) -> plant.Plant:
     def planted(scene: Scene) -> Scene:
-        start = scene.initial_state
+        start = initial_state(scene)
         linear, angular = factor * start.linear_velocity, factor * start.angular_velocity
         return replace(scene, initial_state=replace(start, linear_velocity=linear, angular_velocity=angular))
 
@@ -199,7 +200,7 @@ def _bare(scene: Scene, joint: str) -> Scene:
     return replace(
         scene,
         mechanism=type(mechanism)(mechanism.bodies, mechanism.joints, couplings),
-        initial_state=None,  # type: ignore[arg-type]
+        initial_state=None,
         control=kept(scene.control),
         forces=kept(scene.forces),
         motions=kept(scene.motions),

@@ -24,7 +24,7 @@ REMAINS = 1e-6
 def with_mechanism(scene: Scene, bodies: Iterable[Body], joints: Iterable[Joint]) -> Scene:
     """Other bodies and joints; the start, which is for the right ones, is forgotten."""
     mechanism = Mechanism(bodies, joints, scene.mechanism.couplings)
-    return replace(scene, mechanism=mechanism, initial_state=None)  # type: ignore[arg-type]
+    return replace(scene, mechanism=mechanism, initial_state=None)
 
 
 def change_bodies(change: dict[str, Callable[[Body], dict[str, Any]]]) -> Plant:
@@ -193,7 +193,7 @@ def coupling(index: int, other: JointCoupling | None) -> Plant:
         mechanism, found = scene.mechanism, list(scene.mechanism.couplings)
         found[index : index + 1] = [] if other is None else [other]
         changed = Mechanism(mechanism.bodies, mechanism.joints, found)
-        return replace(scene, mechanism=changed, initial_state=None)  # type: ignore[arg-type]
+        return replace(scene, mechanism=changed, initial_state=None)
 
     return plant
 

@@ -24,6 +24,7 @@ import numpy as np
 
 from crosscheck.studies.random.scenes import GRAVITY, random_scene
 from crosscheck.studies.stress.topics import PROCESSES, Progress, Row, Verdict
+from newton_euler.assemble import initial_state
 from newton_euler.compiled import FORMULATIONS, Code
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import independent_rows, singular_values
@@ -116,8 +117,8 @@ def equations_of_motion(scene: Scene) -> tuple[Array, int]:
     rows of B combined into independent ones; lengths in units of the mechanism's size, masses of its mass.
     """
     system = Cartesian(scene)
-    frames = system.frames(*system.coordinates(scene.initial_state))
-    q, _ = system.coordinates(scene.initial_state)
+    frames = system.frames(*system.coordinates(initial_state(scene)))
+    q, _ = system.coordinates(initial_state(scene))
     size, mass = scene.mechanism.size, sum(body.mass for body in system.bodies)
     n = 6 * len(system.bodies)
     units = np.tile([size] * 3 + [1.0] * 3, len(system.bodies))
@@ -134,7 +135,7 @@ def equations_of_motion(scene: Scene) -> tuple[Array, int]:
 
 def joint_wrenches(scene: Scene, evaluation: Evaluation) -> Array:
     """(b, 6) J^T lambda: N and N m about the centre of mass that all joints put on each moving body."""
-    mechanism, frames = scene.mechanism, scene.initial_state.frames()
+    mechanism, frames = scene.mechanism, initial_state(scene).frames()
     total = np.zeros((len(frames), 6))
     for number, joint in enumerate(mechanism.joints):
         first, second = mechanism.body_index(joint.first), mechanism.body_index(joint.second)
@@ -194,7 +195,7 @@ def compare_random(seed: int, number: int, compiled: bool = False) -> Comparison
     for name, build in _systems().items():
         try:
             system = build(scene)
-            evaluations[name] = system.evaluate(*system.coordinates(scene.initial_state))
+            evaluations[name] = system.evaluate(*system.coordinates(initial_state(scene)))
         except (NewtonEulerError, np.linalg.LinAlgError) as error:
             refusals[name], gaps[name, "no answer"] = str(error), np.inf
     wanted = evaluations.pop(Relative.name, None)

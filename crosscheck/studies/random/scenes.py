@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from newton_euler.assemble import initial_state
 from newton_euler.equations.dense import largest, rank
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import dimensionless_jacobian
@@ -276,7 +277,7 @@ def _coordinates(joints: Sequence[Joint]) -> list[tuple[Joint, int]]:
 def _rank(mechanism: Mechanism) -> tuple[int, int]:
     """Degrees of freedom and redundant equations at the initial pose."""
     system = Relative(Scene("draft", mechanism, duration=1.0, output_period=1.0))
-    return _rank_at(system, system.coordinates(system.scene.initial_state)[0])
+    return _rank_at(system, system.coordinates(initial_state(system.scene))[0])
 
 
 def _rank_at(system: Relative, q: Array) -> tuple[int, int]:
@@ -288,7 +289,7 @@ def _rank_at(system: Relative, q: Array) -> tuple[int, int]:
 def _moved(rng: np.random.Generator, mechanism: Mechanism) -> State:
     """A state away from the initial pose, with velocities of 0.3 to 10 rad/s and sizes a second."""
     system = Relative(Scene("draft", mechanism, duration=1.0, output_period=1.0))
-    start, _ = system.coordinates(system.scene.initial_state)
+    start, _ = system.coordinates(initial_state(system.scene))
     wanted = _rank_at(system, start)
     for reach in REACHES:
         step = reach * system.velocity_units * rng.uniform(-1.0, 1.0, system.nv)
@@ -305,7 +306,7 @@ def _moved(rng: np.random.Generator, mechanism: Mechanism) -> State:
 
 def _motion(rng: np.random.Generator, scene: Scene) -> Scene:
     """The scene with one joint coordinate on a prescribed motion, if that leaves a freedom."""
-    keys, state = _coordinates(scene.mechanism.joints), scene.initial_state
+    keys, state = _coordinates(scene.mechanism.joints), initial_state(scene)
     system, frames = Relative(scene), state.frames()
     before = _rank_at(system, system.coordinates(state)[0])
     for k in rng.permutation(len(keys)):

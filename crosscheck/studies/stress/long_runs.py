@@ -20,6 +20,7 @@ from crosscheck.studies.stress.runs import (
     pinocchio,
 )
 from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured
+from newton_euler.assemble import initial_state
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
@@ -128,7 +129,7 @@ def measure_energy(name: str, setting: Setting, duration: float) -> Measured:
 
 def off_in_the_last_digit(scene: Scene) -> Scene:
     """The scene with gravity and its start larger by `LAST_DIGIT`."""
-    more, state = 1.0 + LAST_DIGIT, scene.initial_state
+    more, state = 1.0 + LAST_DIGIT, initial_state(scene)
     state = replace(
         state,
         position=more * state.position,

@@ -93,7 +93,7 @@ def noisy(scene: Scene, noise: float, seed: int = 0) -> Scene:
         axes = {name: getattr(joint, name) + noise * rng.uniform(-1.0, 1.0, 3) for name in joint.axis_names}
         joints.append(replace(joint, point=moved, point_on_second=moved, **axes))
     mechanism = Mechanism(scene.mechanism.bodies, joints, scene.mechanism.couplings)
-    return replace(scene, mechanism=mechanism, initial_state=None)  # type: ignore[arg-type]
+    return replace(scene, mechanism=mechanism, initial_state=None)
 
 
 MECHANISMS: dict[str, Callable[[float], Scene]] = {

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.comparison.energy import energy_balance
+from newton_euler.assemble import initial_state
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
 from newton_euler.model.euler_parameters import product as quaternion_product
 from newton_euler.model.joints import Free
@@ -124,7 +125,7 @@ def parallelogram_angle(scene: Scene) -> Array:
     bars, couplers = bodies[1 : windows + 2], bodies[windows + 2 :]
     inertia = sum(bar.mass for bar in bars) / 3.0 + sum(coupler.mass for coupler in couplers)
     weight = sum(bar.mass for bar in bars) / 2.0 + sum(coupler.mass for coupler in couplers)
-    state = scene.initial_state
+    state = initial_state(scene)
     # a body's own frame is parallel to the world at the initial pose of the mechanism, not of the state
     start = [bar_angles(state.position[None, :2], bodies)[0], -state.angular_velocity[1, 2]]
     solution = solve_ivp(
@@ -169,7 +170,7 @@ def top_error(scene: Scene, run: Trajectory) -> float:
     L and spin w about the axis e (Landau, Lifshitz, Mechanics, section 33).
     """
     axial, transverse = (float(scene.mechanism.bodies[1].inertia[k, k]) for k in (0, 1))
-    spin = scene.initial_state.angular_velocity[1]
+    spin = initial_state(scene).angular_velocity[1]
     nutation = np.array([axial, transverse, transverse]) * spin / transverse
     own = np.array([spin[0] * (1.0 - axial / transverse), 0.0, 0.0])
     turned = [

@@ -15,6 +15,7 @@ import numpy as np
 from crosscheck.scenes import load
 from crosscheck.studies.stress.runs import TIGHT, distance, lasting, mujoco
 from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured, Row
+from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.trajectory import Trajectory
 
@@ -145,7 +146,7 @@ def measure_reactions() -> Measured:
 
     scene = load("tracker")
     soft, rigid = (
-        system.evaluate(*system.coordinates(scene.initial_state))
+        system.evaluate(*system.coordinates(initial_state(scene)))
         for system in (SoftMuJoCo(scene), RigidMuJoCo(scene))
     )
     largest = np.max(np.linalg.norm(rigid.reaction_force, axis=1))

@@ -15,6 +15,7 @@ from newton_euler.model.forces import JointSpring, Wrench
 from newton_euler.model.joints import Prismatic
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 
 X = np.array([1.0, 0.0, 0.0])
 
@@ -79,8 +80,9 @@ def _pushed(force: float, mass: float = 1.0) -> Scene:
 
 def _moving(speed: float) -> Scene:
     scene = block()
-    scene.initial_state.linear_velocity[1] = speed * X
-    return replace(scene, initial_state=scene.initial_state)
+    state = State.initial(scene.mechanism)
+    state.linear_velocity[1] = speed * X
+    return replace(scene, initial_state=state)
 
 
 WITHOUT_ANSWER: dict[str, tuple[Callable[[], Scene], tuple[str, ...]]] = {

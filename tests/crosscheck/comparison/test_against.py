@@ -25,6 +25,7 @@ from crosscheck.scenes.write_file import write_scene
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
 from newton_euler import Body, Mechanism, Scene
+from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling
 from newton_euler.model.armature import Armature
 from newton_euler.model.couplings import Gear
@@ -276,7 +277,7 @@ def test_bodies_fixed_to_each_other_are_one_rigid_body() -> None:
 def test_reactions_that_either_model_leaves_open_are_not_compared() -> None:
     """Of a plane loop of four hinges three rows are redundant; against one with a ball the same three."""
     scene = whole()[0]
-    state = scene.initial_state
+    state = initial_state(scene)
     weaker = plant.joint_kind(scene.mechanism.joints[2], "spherical")(scene)
     joints = {name: name for name in scene.mechanism.joint_names}
     alone = undetermined(scene, state)

@@ -27,9 +27,10 @@ from crosscheck.studies.faults.find import Sound, find
 from crosscheck.studies.faults.plant import Plant
 from mjcf.motion import body_acceleration
 from newton_euler import BallArmature, BallSpring, JointSpring, Mechanism
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.compiled import FORMULATIONS, formulate
 from newton_euler.equations.relative import Relative
+from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError
@@ -113,7 +114,7 @@ def test_soft_joints_in_motion_are_mujocos(formulation: str, tmp_path: Path) -> 
     mujoco.mj_forward(stock, data)
     mujoco.mj_rnePostConstraint(stock, data)
     system = formulate(scene, formulation)
-    wanted = system.evaluate(*system.coordinates(scene.initial_state))
+    wanted = system.evaluate(*system.coordinates(initial_state(scene)))
     for name in ("base", "leg", "foot"):
         k = scene.mechanism.body_index(name)
         linear, angular = body_acceleration(stock, data, stock.body(name).id)
@@ -162,7 +163,7 @@ def test_there_and_back(name: str, tmp_path: Path) -> None:
     mjcf.write(scene, tmp_path / "model.xml")
     for back in (load(str(tmp_path / "scene.yaml")), mjcf.read.read(tmp_path / "model.xml").scene):
         found, wanted = (
-            system.evaluate(*system.coordinates(system.scene.initial_state))
+            system.evaluate(*system.coordinates(initial_state(system.scene)))
             for system in (Relative(back), Relative(scene))
         )
         for k, body in enumerate(scene.mechanism.bodies):
@@ -191,14 +192,14 @@ def test_lcaba_has_no_place_for_springs_of_balls() -> None:
     """1e-12: the same equations in another order."""
     scene = twisted_loop()
     equations = equations_of(scene, 10.0, None)
-    wanted = equations.system.acceleration(*equations.system.coordinates(scene.initial_state))
+    wanted = equations.system.acceleration(*equations.system.coordinates(initial_state(scene)))
     rates = equations.rates(0.0, equations.start)
     assert equations.system.map.v_from_pinocchio(rates[equations.nq :]) == pytest.approx(wanted, rel=1e-12)
     with pytest.raises(UrdfError, match=r"^spring of the ball of joint 'at_c': Pinocchio's lcaba knows"):
         equations_of(scene, 10.0, (1e-6, 10))
     rotor = replace(scene, forces=())
     system = PinocchioSystem(rotor)
-    exact = system.map.v_to_pinocchio(system.acceleration(*system.coordinates(rotor.initial_state)))
+    exact = system.map.v_to_pinocchio(system.acceleration(*system.coordinates(initial_state(rotor))))
     quick = equations_of(rotor, 0.0, (1e-4, 30)).acceleration()
     assert quick == pytest.approx(exact, rel=1e-9, abs=1e-9)  # what the regularisation leaves
 

@@ -22,8 +22,9 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from mjcf import inspect, loops
 from mjcf.rigid import RigidMuJoCo
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
+from newton_euler.exercise import random_states
 from newton_euler.model.couplings import Gear
 from newton_euler.model.joints import Free, Revolute
 from newton_euler.model.mechanism import Body, Mechanism
@@ -215,7 +216,7 @@ def test_an_error_of_a_millionth_in_one_engine_is_found_and_placed(name, mistake
     scene = load(EXAMPLE)
     engines = [replace(engine, soft_start=None) for engine in ALL]
     engines = [mistaken(e, mistake) if e.name == name else e for e in engines]
-    states = States(scene, (scene.initial_state, *random_states(scene, 5)))
+    states = States(scene, (initial_state(scene), *random_states(scene, 5)))
     found = compare_equations(engines, sampled(engines, states))
     rows = [row for row in found if row.between in PAIRS]
     failed = [row for row in rows if not row.agrees]
@@ -233,7 +234,7 @@ def test_an_error_of_a_millionth_in_one_engine_is_found_and_placed(name, mistake
 def test_momentum_tells_of_one_engine_alone(mistake, where):
     """Accelerations and reactions of a wrong body do not satisfy the equations of the right one."""
     scene = load(EXAMPLE)
-    states = States(scene, (scene.initial_state, *random_states(scene, 2)))
+    states = States(scene, (initial_state(scene), *random_states(scene, 2)))
     for engine in ALL:
         (right, *_), (wrong, *_) = (
             sampled([e], states)[engine.name] for e in (engine, mistaken(engine, mistake))
@@ -309,7 +310,7 @@ def test_equations_that_are_not_finite_are_named(broken, figure, words):
     scene = planar_four_bar()
     system = Broken(scene)
     system.broken = broken
-    samples = Samples(system, States(scene, (scene.initial_state,)))
+    samples = Samples(system, States(scene, (initial_state(scene),)))
     with np.errstate(all="ignore"), pytest.raises(CrosscheckError, match=rf"relative: {words} cannot be"):
         getattr(samples, figure)
 
@@ -320,7 +321,7 @@ def test_a_mass_matrix_without_a_condition_is_named(monkeypatch):
 
     monkeypatch.setattr(crosscheck.comparison.samples, "mass_and_force", negative)
     scene = planar_four_bar()
-    states = States(scene, (scene.initial_state,))
+    states = States(scene, (initial_state(scene),))
     with pytest.raises(CrosscheckError, match="relative: the condition of the mass matrix cannot be"):
         _ = states.mass_condition
 

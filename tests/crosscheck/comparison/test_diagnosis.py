@@ -26,10 +26,11 @@ from crosscheck.studies.faults import find as finding
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.catalogue import catalogue
 from crosscheck.studies.faults.misreadings import misreadings
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
+from newton_euler.exercise import random_states
 from newton_euler.model.mapping import Mapping
 
 LINKAGE = EXAMPLE.parent / "linkage.xml"
@@ -182,7 +183,7 @@ def test_figures_that_hold_or_only_inform_blame_nobody():
 def right(scene_name):
     """A scene and the engines' systems at some of its states, as they should be."""
     scene = load(scene_name)
-    states = States(scene, (scene.initial_state, *random_states(scene, finding.STATES)))
+    states = States(scene, (initial_state(scene), *random_states(scene, finding.STATES)))
     return {engine.name: [Samples(s, states) for s in engine.systems(scene)] for engine in RIGID}
 
 

@@ -16,6 +16,7 @@ import urdf.read
 from crosscheck.cli import main
 from crosscheck.comparison.coverage import covered_by
 from mjcf.read import Reading
+from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import opening
 from newton_euler.exercise import SHIFT, SPEED, SPIN, moving, swings
@@ -53,21 +54,21 @@ def test_start_velocities_fit_the_constraints_and_move_all_joints() -> None:
     scene = planar_four_bar()
     moved, words = moving(scene)
     system = Relative(moved)
-    q, v = system.coordinates(moved.initial_state)
+    q, v = system.coordinates(initial_state(moved))
     assert np.abs(opening(system, q, v)).max() < 1e-12 * SPIN
-    omega = moved.initial_state.angular_velocity
+    omega = initial_state(moved).angular_velocity
     turning = [np.linalg.norm(omega[e.second] - omega[e.first]) for e in moved.mechanism.equations]
     assert min(turning) > 0.01 * SPIN
     assert max(turning) == pytest.approx(SPIN)
     assert words == f"start velocities up to {max(turning):.2g} rad/s"
     again, _ = moving(scene)
-    assert np.array_equal(again.initial_state.angular_velocity, omega)
+    assert np.array_equal(initial_state(again).angular_velocity, omega)
 
 
 def test_a_mass_slides_at_most_so_fast_and_a_motor_moves_it_about_so_far() -> None:
     scene = mass_on_rail(duration=1.0, control=(PD("rail", 0.0, 0.0, 0.0),))
     size = scene.mechanism.size
-    speed = np.linalg.norm(moving(scene)[0].initial_state.linear_velocity[1])
+    speed = np.linalg.norm(initial_state(moving(scene)[0]).linear_velocity[1])
     assert speed == pytest.approx(SPEED * size)
     (swing,) = swings(scene, [{("rail", 0): 3.0}])
     push = Sine(3.0 * swing.amplitude, swing.angular_frequency)
@@ -135,7 +136,7 @@ def test_mujoco_moves_alike_with_the_controls_that_swing(tmp_path: Path) -> None
     run = newton_euler.simulate(found.scene)
     own, data = found.start.model, mujoco.MjData(found.start.model)
     body = {name: own.body(name).id for name in ("one", "two")}
-    start = found.scene.initial_state
+    start = initial_state(found.scene)
     system = Relative(found.scene)
     seen = system.measured(*system.coordinates(start), system.links(*system.coordinates(start)))
     data.qvel[:] = [seen[key].rate for key in (("p", 0), ("two_joints", 1), ("two_joints", 0))]
@@ -155,13 +156,13 @@ def test_velocities_of_a_keyframe_are_kept(tmp_path: Path) -> None:
     text = FILE.replace("</mujoco>", '<keyframe><key qvel="1 2 3"/></keyframe></mujoco>')
     as_it_stands, found = (reading(tmp_path, text, exercise=exercise) for exercise in (False, True))
     assert np.array_equal(
-        as_it_stands.scene.initial_state.linear_velocity, found.scene.initial_state.linear_velocity
+        initial_state(as_it_stands.scene).linear_velocity, initial_state(found.scene).linear_velocity
     )
 
 
 def test_a_reading_is_not_exercised_unless_asked_for(tmp_path: Path) -> None:
     found = reading(tmp_path, FILE)
-    assert not np.any(found.scene.initial_state.linear_velocity)
+    assert not np.any(initial_state(found.scene).linear_velocity)
     assert not any(sines(found.scene).values())
     assert not any(line.startswith("exercised") for line in found.report.start)
 
@@ -188,8 +189,8 @@ def test_a_urdf_moves_at_the_start(tmp_path: Path) -> None:
     path = tmp_path / "chain.urdf"
     path.write_text(CHAIN)
     still, moved = (urdf.read.read(path, exercise=exercise) for exercise in (False, True))
-    assert not np.any(still.scene.initial_state.angular_velocity)
-    assert np.all(np.any(moved.scene.initial_state.angular_velocity[1:], axis=1))
+    assert not np.any(initial_state(still.scene).angular_velocity)
+    assert np.all(np.any(initial_state(moved.scene).angular_velocity[1:], axis=1))
     assert any(line.startswith("exercised: start velocities up to ") for line in moved.report.start)
 
 
@@ -225,7 +226,7 @@ def test_bench_exercises_as_run_does(tmp_path: Path, monkeypatch: pytest.MonkeyP
     moves: list[bool] = []
 
     def bench(scene: Scene, *_: object) -> tuple[list[str], list[Path]]:
-        moves.append(bool(np.any(scene.initial_state.linear_velocity)))
+        moves.append(bool(np.any(initial_state(scene).linear_velocity)))
         return [], []
 
     monkeypatch.setattr("crosscheck.studies.benchmark.run.bench", bench)

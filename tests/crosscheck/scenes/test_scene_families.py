@@ -18,9 +18,10 @@ from crosscheck.scenes import FIGURES, load
 from crosscheck.studies.stress.runs import lasting
 from crosscheck.studies.stress.singular import from_flat
 from mjcf.rigid import RigidMuJoCo
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
+from newton_euler.exercise import random_states
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.tree import SpanningTree
 from urdf.dynamics import PinocchioSystem
@@ -94,7 +95,7 @@ SYSTEMS = (Relative, Cartesian, RigidMuJoCo, PinocchioSystem)
 @pytest.mark.parametrize(("name", "size"), [("four_bar", 1), ("four_bar", 2), ("chain", 1), ("chain", 4)])
 def test_engines_agree_on_accelerations(name, size):
     scene = load(name, N=size)
-    for state in [scene.initial_state, *random_states(scene, 3)]:
+    for state in [initial_state(scene), *random_states(scene, 3)]:
         own, *others = (system.evaluate(*system.coordinates(state)) for system in (s(scene) for s in SYSTEMS))
         scale = max(abs(own.linear_acceleration).max(), abs(own.angular_acceleration).max())
         for other in others:

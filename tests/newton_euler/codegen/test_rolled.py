@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import newton_euler.codegen.compile
+from newton_euler.assemble import initial_state
 from newton_euler.codegen.compile import NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, Program, operands
 from newton_euler.codegen.rolled import SHORTEST, cut, roll
@@ -59,7 +60,7 @@ def test_a_large_scene_is_the_same_rolled_or_not(monkeypatch):
     straight = compile_scene(scene)
     monkeypatch.setattr(newton_euler.codegen.compile, "LARGE", 1)
     rolled = compile_scene(scene)
-    x = straight.packed(*straight.system.coordinates(scene.initial_state))
+    x = straight.packed(*straight.system.coordinates(initial_state(scene)))
     for name, function in straight.functions.items():
         expected = function(x) if function.lanes == 1 else function(np.repeat(x[:, None], 4, axis=1))[:, 2]
         assert rolled.functions[name].lanes == 1

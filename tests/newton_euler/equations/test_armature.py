@@ -14,10 +14,11 @@ from mechanisms import MASS, REGULAR, STIFFNESS, mass_on_rail, pendulum, planar_
 
 import newton_euler
 from newton_euler import Armature, JointSpring, Mechanism
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.compiled import FORMULATIONS, formulate
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
+from newton_euler.exercise import random_states
 from newton_euler.model.joints import Compound
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)
@@ -47,7 +48,7 @@ def test_a_rotor_slows_a_pendulum_as_its_inertia_says(formulation: str) -> None:
     scene = pendulum()
     body, rotor = scene.mechanism.bodies[1], 0.7
     system = formulate(replace(scene, armatures=(Armature("pivot", rotor),)), formulation)
-    evaluation = system.evaluate(*system.coordinates(scene.initial_state))
+    evaluation = system.evaluate(*system.coordinates(initial_state(scene)))
     arm = np.linalg.norm(body.center_of_mass)
     axes = body.pose.rotation
     about_pivot = (axes @ body.inertia @ axes.T)[1, 1] + body.mass * arm**2

@@ -21,6 +21,7 @@ from crosscheck.scenes.size import check_functions, check_scene
 from crosscheck.scenes.write_file import write_scene
 from mjcf.rigid import RigidMuJoCo
 from mjcf.tight import Rollout, Stepper, compiled
+from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError
@@ -106,7 +107,7 @@ def test_the_controls_are_those_of_the_time():
     scene = driven()
     for system in (RigidMuJoCo(scene), PinocchioSystem(scene), Relative(scene)):
         now = at_time(system, 0.3)
-        q, v = now.coordinates(scene.initial_state)
+        q, v = now.coordinates(initial_state(scene))
         wanted = (PUSH.value(0.3) + STIFFNESS * TARGET) / MASS
         assert now.acceleration(q, v)[0] == pytest.approx(wanted, rel=1e-14)
 
@@ -121,7 +122,7 @@ def test_mujocos_tight_loops():
     assert gap_of(stepper.poses()[0], scene) == pytest.approx(gap(mjcf.simulate(scene, timestep=0.025)))
     for number in (2, 4):
         rollout = Rollout(compiled(scene), "RK4", number, 1.0, 1)
-        start = rollout.start(*compiled(scene).coordinates(scene.initial_state))
+        start = rollout.start(*compiled(scene).coordinates(initial_state(scene)))
         errors.append(gap_of(rollout.poses(rollout(start[None])[0])[0], scene))
     assert 3.8 < errors[0] / errors[1] < 4.2  # order 2
 

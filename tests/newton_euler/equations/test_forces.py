@@ -24,9 +24,10 @@ from mechanisms import (
 
 import newton_euler
 from newton_euler import PD, Body, JointSpring, Mechanism, PointSpring, Scene, State, Wrench
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.compiled import FORMULATIONS, Code, formulate
 from newton_euler.equations.applied_forces import power
+from newton_euler.exercise import random_states
 from newton_euler.integrators.integrate import Options
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joints import Free, Revolute
@@ -201,10 +202,10 @@ def test_a_force_off_the_centre_of_mass_turns_its_body(formulation):
     force, point = np.array([1.0, -2.0, 0.5]), np.array([0.9, 0.3, -0.2])
     turn = from_rotation_vector(np.array([0.4, -0.7, 1.1]))
     scene = one_body(Wrench("push", "stone", point, force, [0.1, 0.2, 0.3]), quaternion=turn)
-    (frame,) = scene.initial_state.frames()[1:]
+    (frame,) = initial_state(scene).frames()[1:]
     tensor = frame.rotation @ scene.mechanism.bodies[1].inertia @ frame.rotation.T
     system = formulate(scene, formulation)
-    found = system.evaluate(*system.coordinates(scene.initial_state))
+    found = system.evaluate(*system.coordinates(initial_state(scene)))
     assert found.linear_acceleration[1] == pytest.approx(force / 2.0, rel=1e-14)
     torque = np.cross(point - np.array([0.5, 0.0, 0.0]), force) + np.array([0.1, 0.2, 0.3])
     assert found.angular_acceleration[1] == pytest.approx(np.linalg.solve(tensor, torque), rel=1e-13)
@@ -341,7 +342,7 @@ def test_work_is_there_only_if_it_is_asked_for():
 @both
 def test_linearisation_contains_springs_and_no_work(formulation):
     scene = mass_on_rail(JointSpring("rail", STIFFNESS, DAMPING))
-    jacobian = compile_scene(scene, formulation).linearize(scene.initial_state)
+    jacobian = compile_scene(scene, formulation).linearize(initial_state(scene))
     system = formulate(scene, formulation)
     assert len(jacobian) == system.nq - 1 + system.nv
     rates = np.linalg.eigvals(jacobian)

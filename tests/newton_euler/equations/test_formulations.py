@@ -10,10 +10,11 @@ from constrained_motion import admissible_projector
 from finite_difference import derivative, jacobian
 from mechanisms import REGULAR, SLIDER_ACCELERATIONS, spinning_top
 
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import to_array
+from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import matrix_l, rotation
 from newton_euler.scalars import tilde
 
@@ -26,17 +27,17 @@ def worst(a, b):
 @pytest.mark.parametrize("formulation", [Relative, Cartesian])
 def test_slider_accelerations_at_the_start(tracker, formulation):
     system = formulation(tracker)
-    at_start = system.evaluate(*system.coordinates(tracker.initial_state))
+    at_start = system.evaluate(*system.coordinates(initial_state(tracker)))
     assert at_start.linear_acceleration[1:3, 2] == pytest.approx(SLIDER_ACCELERATIONS, abs=1e-6)
 
 
 def test_tracker_counts_as_the_paper_with_a_fixed_ground(tracker):
     system = Cartesian(tracker)
-    matrix, right = system.system(*system.coordinates(tracker.initial_state))
+    matrix, right = system.system(*system.coordinates(initial_state(tracker)))
     assert (system.nv, system.rows, len(system.bodies)) == (42, 34, 6)
     assert matrix.shape == (76, 76)
     assert right.shape == (76,)
-    assert np.linalg.matrix_rank(system.phi_jacobian(system.coordinates(tracker.initial_state)[0])) == 40
+    assert np.linalg.matrix_rank(system.phi_jacobian(system.coordinates(initial_state(tracker))[0])) == 40
 
 
 def test_tree_of_the_tracker_cuts_its_balls(tracker):
@@ -119,7 +120,7 @@ def test_blocks_of_equation_21_are_the_papers(tracker, tracker_states):
 def test_multipliers_are_the_papers_reaction_signs(tracker):
     """Equations (17) and (18): m rddot = f + Phi_r^T lambda, on the panel, which no actuator drives."""
     system = Cartesian(tracker)
-    q, qdot = system.coordinates(tracker.initial_state)
+    q, qdot = system.coordinates(initial_state(tracker))
     qddot, multipliers = system.solve(q, qdot)
     b = to_array(system.joint_jacobian(q, system.frames(q, qdot))[1], 36)
     panel = tracker.mechanism.bodies[6]
@@ -160,7 +161,7 @@ def test_baumgarte_terms(tracker, tracker_states, alpha):
 @pytest.mark.parametrize("formulation", [Relative, Cartesian])
 def test_jacobian_is_the_derivative_of_phi_along_retract(build, formulation):
     system = formulation(build())
-    q, _ = system.coordinates(system.scene.initial_state)
+    q, _ = system.coordinates(initial_state(system.scene))
     if not len(system.phi(q)):
         assert formulation is Relative  # a tree has no loop to close
         return
@@ -199,7 +200,7 @@ def test_top_follows_euler_equations_about_its_fixed_point():
     top = scene.mechanism.bodies[1]
     for formulation in (Relative, Cartesian):
         system = formulation(scene)
-        at = system.evaluate(*system.coordinates(scene.initial_state))
+        at = system.evaluate(*system.coordinates(initial_state(scene)))
         r, omega = at.state.position[1], at.state.angular_velocity[1]
         a = rotation(at.state.quaternion[1])
         about_tip = a @ top.inertia @ a.T + top.mass * (r @ r * np.eye(3) - np.outer(r, r))

@@ -18,7 +18,7 @@ from crosscheck.run import crosscheck
 from crosscheck.studies.stress.noise import MECHANISMS, SENSITIVITY, flat_four_bar
 from mjcf.read import read
 from mjcf.rigid import RigidMuJoCo
-from newton_euler.assemble import assemble, random_states
+from newton_euler.assemble import assemble, initial_state
 from newton_euler.equations import redundancy
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.independence import independent
@@ -26,6 +26,7 @@ from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import sparse_vector
 from newton_euler.errors import NearlyRedundantWarning
+from newton_euler.exercise import random_states
 from newton_euler.model.couplings import Gear
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -149,10 +150,10 @@ def test_larger_tilts_are_taken_literally_unless_told_otherwise():
 def test_a_state_that_noise_leaves_open_may_be_a_start_and_others_not():
     scene = flat_four_bar(1e-6)
     state = random_states(scene, 1)[0]
-    assert replace(scene, initial_state=assemble(scene, state)).initial_state is not None
+    assert initial_state(replace(scene, initial_state=assemble(scene, state))) is not None
     shifted = replace(state, position=state.position + 1e-6 * np.eye(5, 3))
     with pytest.raises(newton_euler.NewtonEulerError, match="in the initial state"):
-        replace(scene, initial_state=shifted)
+        initial_state(replace(scene, initial_state=shifted))
 
 
 def rows_of(matrix):

@@ -11,7 +11,8 @@ from finite_difference import jacobian
 from mechanisms import REGULAR, SLIDER_ACCELERATIONS, bar, slider_tree
 
 from crosscheck.engines import ENGINES
-from newton_euler.assemble import random_states
+from newton_euler.assemble import initial_state
+from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
 from newton_euler.model.joints import Fixed, Free
 from newton_euler.model.mechanism import Body, Mechanism
@@ -25,7 +26,7 @@ def systems(scene):
 
 
 def test_all_four_give_the_published_accelerations(tracker):
-    found = [s.evaluate(*s.coordinates(tracker.initial_state)) for s in systems(tracker)]
+    found = [s.evaluate(*s.coordinates(initial_state(tracker))) for s in systems(tracker)]
     assert len(found) == 4
     for evaluation in found:
         assert evaluation.linear_acceleration[1:3, 2] == pytest.approx(SLIDER_ACCELERATIONS, abs=1e-6)
@@ -64,7 +65,7 @@ def test_admissible_velocities_are_the_same_in_all(build):
 @pytest.mark.parametrize("build", REGULAR, ids=lambda build: build.__name__)
 def test_velocity_transformation_is_the_derivative_of_poses(build):
     for system in systems(build()):
-        q, _ = system.coordinates(system.scene.initial_state)
+        q, _ = system.coordinates(initial_state(system.scene))
         bodies = len(system.mechanism.bodies)
 
         def positions(x, system=system, q=q):
@@ -119,9 +120,9 @@ def test_ground_may_be_turned():
         mechanism=Mechanism([turned, scene.mechanism.bodies[1]], scene.mechanism.joints),
         initial_state=None,
     )
-    wanted = systems(scene)[0].evaluate(*systems(scene)[0].coordinates(scene.initial_state))
+    wanted = systems(scene)[0].evaluate(*systems(scene)[0].coordinates(initial_state(scene)))
     for system in systems(other):
-        found = system.evaluate(*system.coordinates(other.initial_state))
+        found = system.evaluate(*system.coordinates(initial_state(other)))
         assert found.linear_acceleration[1] == pytest.approx(wanted.linear_acceleration[1], rel=1e-12)
 
 
@@ -132,6 +133,6 @@ def test_a_mechanism_that_cannot_move_stays():
     with pytest.raises(UrdfError, match="no joint can move"):
         ENGINES["pinocchio"].systems(scene)
     for system in ENGINES["newton_euler"].systems(scene) + ENGINES["mujoco"].systems(scene):
-        at = system.evaluate(*system.coordinates(scene.initial_state))
+        at = system.evaluate(*system.coordinates(initial_state(scene)))
         assert np.abs(at.linear_acceleration).max() < 1e-12
         assert at.reaction_force[0] == pytest.approx([0.0, 0.0, 9.81 * shelf.mass], abs=1e-12)

@@ -11,7 +11,7 @@ from mechanisms import bar, pendulum, seven_hinges
 from scipy.integrate import solve_ivp
 
 import newton_euler
-from newton_euler.assemble import assemble
+from newton_euler.assemble import assemble, initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import MassProperties
 from newton_euler.integrators import march
@@ -55,7 +55,7 @@ def crank(scene):
     inertia = about_y[1] + about_y[3] + 0.25 * (MASSES[0] + MASSES[2]) + MASSES[1]
     weight = 9.81 * (0.5 * (MASSES[0] + MASSES[2]) + MASSES[1])
     x, _, z = scene.mechanism.bodies[1].center_of_mass
-    start = [np.arctan2(z, x), -scene.initial_state.angular_velocity[1, 1]]
+    start = [np.arctan2(z, x), -initial_state(scene).angular_velocity[1, 1]]
     angle = solve_ivp(
         lambda t, y: [y[1], -weight / inertia * np.cos(y[0])],
         (0.0, scene.duration), start, method="DOP853", rtol=1e-13, atol=1e-14, t_eval=scene.times,
@@ -321,7 +321,7 @@ def test_the_mass_matrix_of_a_start_that_is_turned_from_the_initial_pose():
     """Bodies that start a tenth of a radian from their initial pose are as heavy, to round-off."""
     scene = seven_hinges()
     tree = Relative(scene)
-    q, v = tree.coordinates(scene.initial_state)
+    q, v = tree.coordinates(initial_state(scene))
     state = assemble(scene, tree.state(q + 0.1, v))
     system = Relative(replace(scene, initial_state=state))
     q, v = system.coordinates(state)

@@ -22,6 +22,7 @@ from crosscheck.scenes import load
 from crosscheck.scenes.write_file import write_scene
 from crosscheck.studies.faults import plant
 from newton_euler import PD, Body, Mechanism, Sampled, Scene
+from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.integrators.integrate import Options
 from newton_euler.limits import VARIABLE
@@ -68,7 +69,7 @@ def runaway(outputs=("velocities", "actuation"), duration=1.0) -> Scene:
     mechanism = Mechanism([Body.ground(), cart], [rail])
     control = (PD("rail", -(GROWTH**2), 0.0, 0.0),)
     scene = Scene("runaway", mechanism, duration, 0.01, control=control, outputs=frozenset(outputs))
-    state = replace(scene.initial_state, linear_velocity=np.array([[0.0] * 3, [1.0, 0.0, 0.0]]))
+    state = replace(initial_state(scene), linear_velocity=np.array([[0.0] * 3, [1.0, 0.0, 0.0]]))
     return replace(scene, initial_state=state)
 
 

@@ -10,9 +10,9 @@ from test_couplings import FORMULATIONS, ORIGIN, X, Y, Z, wheel
 
 import newton_euler
 from newton_euler import Body, Gear, Mechanism, PrescribedMotion, Scene, Sine
-from newton_euler.assemble import random_states
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import opening
+from newton_euler.exercise import random_states
 from newton_euler.model.joints import Cylindrical, Joint, Revolute, Screw, Universal
 
 

@@ -10,6 +10,7 @@ from mechanisms import line_spring, mass_on_rail
 
 import newton_euler
 from newton_euler import PD, JointSpring, PointSpring, Wrench
+from newton_euler.assemble import initial_state
 from newton_euler.compiled import FORMULATIONS
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.trajectory import IntegrationError
@@ -134,7 +135,7 @@ STRETCHED = PointSpring("s", *ENDS, stiffness=1.0, rest_length=1.0)
 )
 def test_forces_that_a_scene_refuses(forces, message):
     with pytest.raises(MechanismError) as caught:
-        replace(mass_on_rail(), forces=forces)
+        initial_state(replace(mass_on_rail(), forces=forces))
     assert message in str(caught.value)
 
 
