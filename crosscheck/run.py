@@ -23,10 +23,10 @@ from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, limited
 from crosscheck.scenes.options import titled
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.activity import Course
-from newton_euler.model.mapping import Mapping as Report
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.verification.activity import Course
+from newton_euler.verification.import_report import ImportReport
 
 RANDOM_STATES = 20
 """Random consistent states at which the engines' equations are compared in a run."""
@@ -65,7 +65,7 @@ class Crosscheck:
     rows: tuple[Row, ...]
     measured: tuple[Measured, ...]
     wall_time: float
-    mapping: Report | None = None
+    mapping: ImportReport | None = None
     advice: tuple[Advice, ...] = ()
     unfinished: tuple[Stop, ...] = ()
     coverage: Coverage | None = None
@@ -207,7 +207,7 @@ def crosscheck(
     progress: Progress,
     source: str,
     options: Mapping[str, str],
-    mapping: Report | None = None,
+    mapping: ImportReport | None = None,
 ) -> Crosscheck:
     """Run a scene through the engines and compare them; `progress` is told each stage.
 

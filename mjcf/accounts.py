@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.model.mapping import CONTACTS, FRICTION, LIMITS, Mapping
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import CONTACTS, FRICTION, LIMITS, ImportReport
 
 
 def name_of(model: Any, kind: str, number: int) -> str:
@@ -19,7 +19,7 @@ def name_of(model: Any, kind: str, number: int) -> str:
     return f"{kind} {getattr(model, kind)(number).name or number!r}"
 
 
-def unaccounted(model: Any, roots: Sequence[int], report: Mapping) -> Iterator[str]:
+def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Iterator[str]:
     """Elements that a report says nothing of, or not what is outside of rigid dynamics.
 
     Args:

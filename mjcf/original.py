@@ -17,10 +17,10 @@ import numpy as np
 
 from mjcf.accounts import name_of, straighten, switch_off, unaccounted
 from newton_euler.equations.system import MassProperties
-from newton_euler.model.mapping import Mapping, unique_name
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross
-from newton_euler.verification.original import Original, approximated, left_out, wholes
+from newton_euler.verification.import_report import ImportReport, approximated, left_out, unique_name
+from newton_euler.verification.original import Original, wholes
 from newton_euler.verification.sample import Constraints, Forces, Kinematics, Sample
 
 SEVERAL_HINGES = 1.2
@@ -53,7 +53,7 @@ class MjcfOriginal(Original):
         self,
         model: Any,
         key: str | None,
-        report: Mapping,
+        report: ImportReport,
         scene: Scene,
         controls: tuple[Array, Array] | None = None,
     ) -> None:
@@ -120,7 +120,7 @@ class MjcfOriginal(Original):
             if np.sum(hinges & (model.jnt_bodyid == model.jnt_bodyid[joint])) > 1:
                 self.ranges[dof] = SEVERAL_HINGES
 
-    def _leave_out(self, report: Mapping) -> None:
+    def _leave_out(self, report: ImportReport) -> None:
         """Switch off or replace what a report says is not in the scene as it is, at the start."""
         model, without, near = self._model, left_out(report), approximated(report)
         numbers = {

@@ -42,13 +42,13 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import HIGHEST, LOWEST, moving
 from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.control import PD
-from newton_euler.model.mapping import Mapping, unique_name
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Sine
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
 from newton_euler.model.state import State
 from newton_euler.model.tree import unweld_loops
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import ImportReport, unique_name
 from newton_euler.verification.original import Original
 from newton_euler.verification.verify import check
 
@@ -83,7 +83,7 @@ class Reading:
     """
 
     scene: Scene
-    report: Mapping
+    report: ImportReport
     start: Start
     drives: dict[int, Drive] = field(default_factory=dict)
 
@@ -205,7 +205,7 @@ def _reading(
     tolerance: float,
     swings: Given[int, Sine] = MappingProxyType({}),
 ) -> Reading:
-    report = Mapping()
+    report = ImportReport()
     start = Start(where, model, key, report, tolerance, control)
     try:
         bodies = Bodies(start, report)
@@ -221,7 +221,7 @@ def _scene(
     path: str,
     start: Start,
     bodies: Bodies,
-    report: Mapping,
+    report: ImportReport,
     duration: float,
     output_period: float,
     tolerance: float,
@@ -266,7 +266,7 @@ def model_name(model: Any) -> str:
     return str(bytes(model.names).split(b"\0", 1)[0].decode(errors="replace"))
 
 
-def _moving(scene: Scene, start: Start, bodies: Bodies, report: Mapping) -> Scene:
+def _moving(scene: Scene, start: Start, bodies: Bodies, report: ImportReport) -> Scene:
     """The scene with the start's velocities, made to fit its constraints."""
     if not np.any(start.data.qvel):
         return scene

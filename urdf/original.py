@@ -14,10 +14,17 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.equations.system import MassProperties
-from newton_euler.model.mapping import CONTACTS, FRICTION, LIMITS, Mapping, unique_name
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross, tilde
-from newton_euler.verification.original import Original, left_out, wholes
+from newton_euler.verification.import_report import (
+    CONTACTS,
+    FRICTION,
+    LIMITS,
+    ImportReport,
+    left_out,
+    unique_name,
+)
+from newton_euler.verification.original import Original, wholes
 from newton_euler.verification.sample import Constraints, Forces, Kinematics, Sample
 from urdf.loops import UNIVERSAL, Loops
 
@@ -30,7 +37,7 @@ HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 class UrdfOriginal(Original):
     """A URDF and its loop file."""
 
-    def __init__(self, text: str, loops: Loops, base: str, report: Mapping, scene: Scene) -> None:
+    def __init__(self, text: str, loops: Loops, base: str, report: ImportReport, scene: Scene) -> None:
         """Parse.
 
         Args:
@@ -133,7 +140,7 @@ class UrdfOriginal(Original):
         self._turns = np.where(angles, self._rows[np.arange(len(first)), first], 0.0)
         self._open = np.zeros(len(first))
 
-    def _unaccounted(self, report: Mapping) -> Iterator[str]:
+    def _unaccounted(self, report: ImportReport) -> Iterator[str]:
         """Elements that a report says nothing of, or not what is outside of rigid dynamics."""
         topics = {(entry.element, entry.topic) for entry in report.entries}
         told = {element for element, _ in topics}

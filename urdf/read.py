@@ -23,14 +23,23 @@ import numpy as np
 
 from newton_euler.errors import NewtonEulerError, check_choice
 from newton_euler.exercise import moving as exercised
-from newton_euler.model.activity import Bounds, Rest, Watch
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joints import Fixed, Joint, Key, Rod, Spherical
-from newton_euler.model.mapping import CONTACTS, FRICTION, LIMITS, RANGE, Mapping, Part, unique_name, value
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
 from newton_euler.model.tree import unweld_loops
+from newton_euler.verification.activity import Bounds, Rest, Watch
+from newton_euler.verification.import_report import (
+    CONTACTS,
+    FRICTION,
+    LIMITS,
+    RANGE,
+    ImportReport,
+    Part,
+    unique_name,
+    value,
+)
 from newton_euler.verification.verify import check
 from urdf.errors import UrdfError
 from urdf.loops import Loops
@@ -67,7 +76,7 @@ class Reading:
     """A scene read from a file, and what became of every element."""
 
     scene: Scene
-    report: Mapping
+    report: ImportReport
 
 
 def read(
@@ -98,7 +107,7 @@ def read(
         UnknownNameError: for another base.
     """
     check_choice("base", base, tuple(BASES))
-    where, report = os.fspath(path), Mapping()
+    where, report = os.fspath(path), ImportReport()
     text = read_text(where)
     root = parsed(where, text)
     text = _without_declaration(text)
@@ -143,7 +152,7 @@ def read(
     return Reading(scene, report)
 
 
-def _report_held(loops: Loops, report: Mapping) -> None:
+def _report_held(loops: Loops, report: ImportReport) -> None:
     for name, kind in zip(loops.joint_name, loops.joint_type, strict=True):
         if kind == "FIXED":
             report.exactly(f"joint {name!r}", "held at 0, as the loop file says")
@@ -179,7 +188,7 @@ def _scene(
     start: Start,
     tree: Tree,
     mimics: list[Mimic],
-    report: Mapping,
+    report: ImportReport,
     duration: float,
     output_period: float,
     gravity: Sequence[float],
@@ -201,7 +210,7 @@ def _scene(
     )
 
 
-def _closing(closed: ClosedLoopModel, loops: Loops, tree: Tree, report: Mapping) -> Iterator[Joint]:
+def _closing(closed: ClosedLoopModel, loops: Loops, tree: Tree, report: ImportReport) -> Iterator[Joint]:
     """The joints that the loop file adds."""
     taken = tree.joint_names
     frames, rods = iter(closed.frames), iter(closed.rods)
@@ -226,7 +235,7 @@ def _closure_name(pair: tuple[str, str]) -> str:
 
 
 def _gears(
-    start: Start, loops: Loops, tree: Tree, mimics: list[Mimic], taken: list[str], report: Mapping
+    start: Start, loops: Loops, tree: Tree, mimics: list[Mimic], taken: list[str], report: ImportReport
 ) -> Iterator[JointCoupling]:
     """Gears of mimics, and those and other couplings of coupled joints."""
     pairs: list[tuple[str, Key, Key, float]] = []
@@ -260,7 +269,7 @@ def _gears(
     yield from sums
 
 
-def _springs(root: ET.Element, tree: Tree, held: Held, report: Mapping) -> Iterator[JointSpring]:
+def _springs(root: ET.Element, tree: Tree, held: Held, report: ImportReport) -> Iterator[JointSpring]:
     """The dampers of joints."""
     for joint in root.findall("joint"):
         name, dynamics = str(joint.get("name")), joint.find("dynamics")
@@ -288,7 +297,7 @@ def _limits(joint: ET.Element, part: Part) -> list[Watch]:
     return found
 
 
-def _report_leftovers(root: ET.Element, held: Held, report: Mapping) -> None:
+def _report_leftovers(root: ET.Element, held: Held, report: ImportReport) -> None:
     """Tell of everything that is no rigid body and no bilateral constraint."""
     for joint in root.findall("joint"):
         element, dynamics = f"joint {joint.get('name')!r}", joint.find("dynamics")

@@ -13,9 +13,9 @@ from crosscheck.comparison.levels import Row
 from crosscheck.engines import Engine
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.euler_parameters import angle_between
-from newton_euler.model.mapping import Mapping as Report
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.verification.import_report import ImportReport
 
 WANTED = 1e-6
 """m and rad, the error that advice is for."""
@@ -57,7 +57,7 @@ class Found:
     runs: Mapping[str, Trajectory]
     rows: Sequence[Row]
     options: Mapping[str, str] = field(default_factory=dict)
-    mapping: Report | None = None
+    mapping: ImportReport | None = None
 
     def engine(self, name: str) -> Engine:
         return next(engine for engine in self.engines if engine.name == name)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from crosscheck.advice.measured import WANTED, Advice, Found
 from crosscheck.model_files.read import is_model, is_urdf
-from newton_euler.model.mapping import Mapping
+from newton_euler.verification.import_report import ImportReport
 
 OTHER_ADVICE = (
     "this is about the gap of the file's own loops, advice on mujoco about the error of the motion, so that "
@@ -34,9 +34,8 @@ def own_file_advice(found: Found) -> Iterator[Advice]:
     try:
         with heard_warnings():  # they are in the report of the reading
             model = compiled(found.source, found.options.get("root"))
-            start = Start(
-                found.source, model, found.options.get("key"), Mapping(), found.scene.redundancy_tolerance
-            )
+            key, tolerance = found.options.get("key"), found.scene.redundancy_tolerance
+            start = Start(found.source, model, key, ImportReport(), tolerance)
     except SourceError as error:
         yield Advice("loop", f"none on those of the file, which is no longer what was run: {error}")
         return

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from crosscheck.advice.measured import Advice, Found
-from newton_euler.model.mapping import Mapped
+from newton_euler.verification.import_report import ImportedElement
 
 MOST_NAMED = 4
 """Elements; the report before the tables has all."""
@@ -30,7 +30,7 @@ def scope_advice(found: Found) -> Iterator[Advice]:
         )
 
 
-def _list(entries: Sequence[Mapped]) -> str:
+def _list(entries: Sequence[ImportedElement]) -> str:
     named = [f"{entry.element} ({entry.how})" for entry in entries[:MOST_NAMED]]
     rest = len(entries) - len(named)
     return ", ".join(named) + (f" and {rest} more" if rest else "")

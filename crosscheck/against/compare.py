@@ -31,13 +31,12 @@ from newton_euler.equations.system import Evaluation
 from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.joints import Joint
-from newton_euler.model.mapping import CONTACTS, LIMITS, Mapped
-from newton_euler.model.mapping import Mapping as Report
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import CONTACTS, LIMITS, ImportedElement, ImportReport
 
 ENGINE = ENGINES["newton_euler"]
 """Whose equations both models are given."""
@@ -67,7 +66,7 @@ class Model:
     source: str
     options: Mapping[str, str]
     scene: Scene
-    mapping: Report | None
+    mapping: ImportReport | None
 
     @property
     def title(self) -> str:
@@ -368,9 +367,11 @@ def _format(model: Model) -> str:
     return "URDF" if is_urdf(model.source) else "MJCF"
 
 
-def _unsimulated(model: Model, names: Mapping[str, str], alike: bool) -> dict[tuple[str, ...], Mapped]:
+def _unsimulated(
+    model: Model, names: Mapping[str, str], alike: bool
+) -> dict[tuple[str, ...], ImportedElement]:
     """Entries of a model's report by what they are about, with other `names` of bodies and joints."""
-    found: dict[tuple[str, ...], Mapped] = {}
+    found: dict[tuple[str, ...], ImportedElement] = {}
     for entry in model.mapping.entries if model.mapping else ():
         element = re.sub(r"'(.*?)'", lambda name: repr(names.get(name[1], name[1])), entry.element)
         if not alike and entry.topic == CONTACTS:

@@ -151,7 +151,7 @@ def _own_folder(name: str, sources: Sequence[str]) -> Path:
 def _models(*named: tuple[str, tuple[str, ...], str | None]) -> tuple[Model, Model]:
     """Two models by name or file, settings and loop file, with names of their own."""
     from crosscheck.against.compare import Model
-    from newton_euler.model.mapping import unique_name
+    from newton_euler.verification.import_report import unique_name
 
     paths = [Path(source) for source, *_ in named]
     alike = paths[0].stem == paths[1].stem

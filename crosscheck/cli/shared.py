@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from newton_euler.model.mapping import Mapping
     from newton_euler.model.scene import Scene
+    from newton_euler.verification.import_report import ImportReport
 
 TABLE_WIDTH = 130
 """Columns that the tables of a run need; a narrower terminal wraps them itself."""
@@ -115,7 +115,9 @@ def _by_name(settings: tuple[str, ...], prefix: str) -> dict[str, str]:
     return options
 
 
-def load_scene(scene: str, options: dict[str, str], verified: bool = True) -> tuple[Scene, Mapping | None]:
+def load_scene(
+    scene: str, options: dict[str, str], verified: bool = True
+) -> tuple[Scene, ImportReport | None]:
     """A scene, and what became of the elements of its file if that is a model of another tool.
 
     Unless it is `verified`, what it is verified against comes with it.
@@ -139,7 +141,7 @@ def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
     return loaded
 
 
-def tell(scene: str, mapping: Mapping | None) -> None:
+def tell(scene: str, mapping: ImportReport | None) -> None:
     """Write a line to standard error for each element of a model file that is not in its scene as it was."""
     for entry in mapping.entries if mapping else ():
         if entry.fate != "exactly":

@@ -28,8 +28,8 @@ from crosscheck.engines import Engine
 from newton_euler.assemble import initial_state
 from newton_euler.errors import AssemblyError
 from newton_euler.exercise import random_states
-from newton_euler.model.mapping import Mapping
 from newton_euler.model.scene import Scene
+from newton_euler.verification.import_report import ImportReport
 
 __all__ = ["LEVELS", "Row", "compare", "compare_equations", "in_order", "not_compared", "stages"]
 
@@ -109,7 +109,7 @@ def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) ->
 
 
 def stages(
-    scene: Scene, engines: Sequence[Engine], runs: Runs, states: int, report: Mapping | None = None
+    scene: Scene, engines: Sequence[Engine], runs: Runs, states: int, report: ImportReport | None = None
 ) -> dict[str, Callable[[Sequence[Row]], Iterator[Row]]]:
     """Parts of the comparison by what they do, one after the other; each is given the rows of those before.
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 
 from crosscheck.comparison.rows import FILE, LEVELS, Row
 from crosscheck.engines import Engine
-from newton_euler.model.mapping import Mapping
+from newton_euler.verification.import_report import ImportReport
 from newton_euler.verification.verify import verify
 
 
-def reading_rows(engines: Sequence[Engine], report: Mapping | None) -> Iterator[Row]:
+def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iterator[Row]:
     """Figures of `newton_euler.verification.verify` for each engine; none for a scene that is from no file.
 
     Of the scene as the file says and with controls at random the one that is worst for its tolerance.

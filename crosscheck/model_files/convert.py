@@ -7,8 +7,8 @@ from pathlib import Path
 from crosscheck.errors import CrosscheckError
 from newton_euler.model.control import PD, Sampled
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.mapping import CONTROL, FORCE, ROTOR, Mapping
 from newton_euler.model.scene import Scene
+from newton_euler.verification.import_report import CONTROL, FORCE, ROTOR, ImportReport
 from urdf.write import loops_path
 
 SCENE_FILES = (".yaml", ".yml", ".json")
@@ -30,7 +30,7 @@ def files_of(path: Path) -> list[Path]:
     return [path, loops_path(path)] if path.suffix == ".urdf" else [path]
 
 
-def write_as(scene: Scene, path: Path, report: Mapping) -> list[Path]:
+def write_as(scene: Scene, path: Path, report: ImportReport) -> list[Path]:
     """Write a scene in the format that the name asks for, and add to the report what that cannot hold.
 
     Returns:
@@ -78,7 +78,7 @@ def write_as(scene: Scene, path: Path, report: Mapping) -> list[Path]:
     return files_of(path)
 
 
-def _leave_out(report: Mapping, became: str, why: str, elements: list[str]) -> None:
+def _leave_out(report: ImportReport, became: str, why: str, elements: list[str]) -> None:
     """File as left out what reading has carried over; the scene's own elements where it told of none."""
     again = [entry for entry in report.entries if entry.became == became]
     report.entries = [entry for entry in report.entries if entry not in again]
@@ -88,14 +88,14 @@ def _leave_out(report: Mapping, became: str, why: str, elements: list[str]) -> N
         report.left_out(element, why)
 
 
-def _report_sampled(scene: Scene, instead: str, report: Mapping) -> None:
+def _report_sampled(scene: Scene, instead: str, report: ImportReport) -> None:
     for law in scene.control:
         if isinstance(law, Sampled):
             report.left_out(law.element, f"a controller in Python; {instead} in its place")
 
 
-def scene_report(scene: Scene) -> Mapping:
+def scene_report(scene: Scene) -> ImportReport:
     """The report of a scene of this package's own, which is carried over as it is."""
-    found = Mapping()
+    found = ImportReport()
     found.exactly(f"scene {scene.name!r}", f"{len(scene.mechanism.bodies) - 1} bodies and all between them")
     return found

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.model.mapping import FATES, Mapped
-from newton_euler.model.mapping import Mapping as MappingReport
 from newton_euler.model.scene import Scene
 from newton_euler.model.xml_source import LARGEST
+from newton_euler.verification.import_report import FATES, ImportedElement, ImportReport
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 
@@ -103,7 +102,7 @@ def is_urdf(name: str) -> bool:
 
 def read_model(
     path: str, options: Mapping[str, str | int], verified: bool = True
-) -> tuple[Scene, MappingReport]:
+) -> tuple[Scene, ImportReport]:
     """Read a model file.
 
     Args:
@@ -132,13 +131,13 @@ def read_model(
     return reading.scene, reading.report
 
 
-def report_lines(report: MappingReport) -> Iterator[str]:
-    """A mapping report as text; elements that became the same are one line."""
+def report_lines(report: ImportReport) -> Iterator[str]:
+    """A import report as text; elements that became the same are one line."""
     fates = [fate for fate in FATES if fate != "inactive" or report.of(fate)]
     counts = ", ".join(f"{len(report.of(fate))} {fate}" for fate in fates)
     yield f"carried over: {counts}"
 
-    def how(entry: Mapped) -> tuple[str, str]:
+    def how(entry: ImportedElement) -> tuple[str, str]:
         return entry.element.split(" ")[0], entry.how
 
     for fate in fates:

@@ -29,11 +29,11 @@ from crosscheck.regress.values import Value
 from newton_euler import compile_scene
 from newton_euler.compiled import FORMULATIONS
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.mapping import Mapping
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import ImportReport
 
 FACTOR = 10.0
 """Two siblings show an error's size, not its bound."""
@@ -62,7 +62,7 @@ def make(
     reason: str,
     history: list[Record],
     progress: Progress,
-    mapping: Mapping | None = None,
+    mapping: ImportReport | None = None,
 ) -> Baseline:
     """Measure a scene's figures and their bands.
 

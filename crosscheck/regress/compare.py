@@ -12,9 +12,9 @@ import numpy as np
 from crosscheck.regress.baseline import Baseline, Figure, Record, versions
 from crosscheck.regress.measure import MAIN, measure_group, regress_scene
 from crosscheck.regress.values import Value
-from newton_euler.model.mapping import Mapping
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import ImportReport
 
 MODEL_FILE = "model file"
 """In place of the group of a figure: what a file holds and no scene does."""
@@ -133,7 +133,7 @@ def compare(
     baseline: Baseline,
     progress: Progress,
     clock: Callable[[], float],
-    mapping: Mapping | None = None,
+    mapping: ImportReport | None = None,
 ) -> Comparison:
     """Measure a scene's figures as its baseline says and compare them.
 
@@ -158,7 +158,7 @@ def compare(
     return Comparison(scene.name, tuple(checked), baseline.made, versions(), diverges, clock() - start)
 
 
-def unsimulated(mapping: Mapping) -> list[str]:
+def unsimulated(mapping: ImportReport) -> list[str]:
     """What of a model file is in no figure and moves something, a line each, as the report words it."""
     return [str(entry) for entry in mapping.entries if entry.fate != "exactly" and not entry.inert]
 

@@ -18,9 +18,9 @@ from crosscheck.regress.compare import Comparison, compare
 from crosscheck.regress.report import as_json, junit, markdown
 from crosscheck.report.output import tidied_up
 from crosscheck.scenes import SCENES
-from newton_euler.model.mapping import Mapping
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import atomic_file
+from newton_euler.verification.import_report import ImportReport
 
 STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
 """The variable in which GitHub names the file for a step's summary."""
@@ -44,7 +44,7 @@ class Guarded:
     options: dict[str, str]
     scene: Scene
     path: Path
-    mapping: Mapping | None = None
+    mapping: ImportReport | None = None
 
     @property
     def command(self) -> str:

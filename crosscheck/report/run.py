@@ -23,8 +23,8 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.integrators.stabilize import RK4_LIMIT
-from newton_euler.model.mapping import Mapping
 from newton_euler.model.scene import Scene
+from newton_euler.verification.import_report import ImportReport
 
 MOST_NAMED = 12
 """Elements in one line."""
@@ -157,7 +157,7 @@ def redundancy_lines(scene: Scene) -> Iterator[str]:
         yield "the mechanism has no degree of freedom"
 
 
-def _activity_lines(mapping: Mapping) -> Iterator[str]:
+def _activity_lines(mapping: ImportReport) -> Iterator[str]:
     """Which of the limits, contacts and dry friction that were left out did nothing in the run."""
     watched = {number: mapping.entries[number] for number in mapping.watches}
     inactive = [entry for entry in watched.values() if entry.fate == "inactive"]

@@ -26,8 +26,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.model_files.read import is_urdf
-from newton_euler.model.mapping import FATES, Mapped, Mapping
 from newton_euler.model.trajectory import atomic_file
+from newton_euler.verification.import_report import FATES, ImportedElement, ImportReport
 
 LIMIT = 600.0
 """s of wall time for one model."""
@@ -124,8 +124,8 @@ def run_model(
     if done.returncode in (0, 1, 3) and summary.exists():
         content = json.loads(summary.read_text(encoding="utf-8"))
         verdict = "AGREE" if content["agrees"] else "stopped" if content["unfinished"] else "DISAGREE"
-        report = Mapping()
-        report.entries = [Mapped(**entry) for entry in content["mapping"] or []]
+        report = ImportReport()
+        report.entries = [ImportedElement(**entry) for entry in content["mapping"] or []]
         fates, still = _fates(report), "nothing moves" if "nothing moves" in content["verdict"] else ""
         lacks = "; ".join(filter(None, [still, report.counts()]))
         tested = [covered["tested"] for covered in content["coverage"] or []]
@@ -142,7 +142,7 @@ def run_model(
     return Found(verdict="refused", line=line, fates={}, seconds=seconds)
 
 
-def _fates(report: Mapping) -> dict[str, int]:
+def _fates(report: ImportReport) -> dict[str, int]:
     worst: dict[str, int] = {}
     for entry in report.entries:
         if not (entry.inert and entry.fate == "left out"):

@@ -29,13 +29,13 @@ from mjcf.reading.laws import Acting, Affine, Drive, control_for, swinging
 from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
-from newton_euler.model.activity import Bounds
 from newton_euler.model.control import PD
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joints import Key
-from newton_euler.model.mapping import CONTROL, FORCE, ROTOR, Mapping
 from newton_euler.model.motions import Sine
 from newton_euler.scalars import Array
+from newton_euler.verification.activity import Bounds
+from newton_euler.verification.import_report import CONTROL, FORCE, ROTOR, ImportReport
 
 TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGain, mujoco.mjtBias
 
@@ -78,7 +78,7 @@ class Actuators:
         joints: Joints,
         ties: Ties,
         forces: Forces,
-        report: Mapping,
+        report: ImportReport,
         swings: Given[int, Sine],
     ) -> None:
         """`swings` are what controls of actuators, by number, swing by about those of the start."""

@@ -11,10 +11,10 @@ from mjcf.reading.meshes import meshes, visible_geoms
 from mjcf.reading.source import SourceError
 from mjcf.reading.start import Start
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.mapping import Mapping, unique_name
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body
 from newton_euler.model.shapes import Box, Capsule, Shape
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import ImportReport, unique_name
 
 GROUND = "ground"
 
@@ -28,7 +28,7 @@ class Bodies:
         names: for each of MuJoCo's bodies the name of the one that it is a part of.
     """
 
-    def __init__(self, start: Start, report: Mapping) -> None:
+    def __init__(self, start: Start, report: ImportReport) -> None:
         model = start.model
         self._model, self._data = model, start.data
         # MuJoCo's body_weldid lets mocap bodies be their own
@@ -46,7 +46,7 @@ class Bodies:
         for k in range(1, model.nbody):
             self._report(k, report)
 
-    def _report(self, k: int, report: Mapping) -> None:
+    def _report(self, k: int, report: ImportReport) -> None:
         name = self._model.body(k).name
         element = f"body {name or k!r}"
         if k != self._root[k]:

@@ -16,8 +16,8 @@ from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joints import Key
-from newton_euler.model.mapping import FORCE, ROTOR, Mapping, Part, unique_name
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import FORCE, ROTOR, ImportReport, Part, unique_name
 
 NOT_LINEAR = "the part of its stiffness or damping that is not linear"
 
@@ -30,7 +30,7 @@ class Forces:
     """
 
     def __init__(
-        self, start: Start, bodies: Bodies, joints: Joints, ties: Ties, gravity: Array, report: Mapping
+        self, start: Start, bodies: Bodies, joints: Joints, ties: Ties, gravity: Array, report: ImportReport
     ) -> None:
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._ties, self._report = bodies, joints, ties, report
@@ -203,7 +203,7 @@ class Forces:
 
 
 def armatures(
-    start: Start, bodies: Bodies, joints: Joints, ties: Ties, report: Mapping
+    start: Start, bodies: Bodies, joints: Joints, ties: Ties, report: ImportReport
 ) -> tuple[dict[Key, float], dict[str, float]]:
     """Rotor inertias (kg m^2 or kg) by joint and coordinate, and those of balls by joint."""
     model: Any = start.model

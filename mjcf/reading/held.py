@@ -12,8 +12,8 @@ from mjcf.reading.bodies import Bodies, site_point
 from mjcf.reading.joints import Joints
 from mjcf.reading.start import Start
 from newton_euler.model.joints import Key
-from newton_euler.model.mapping import FRICTION, RANGE, Part, Value, value
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import FRICTION, RANGE, Part, Value, value
 
 GEOM, WRAP, EQUALITY = mujoco.mjtGeom, mujoco.mjtWrap, mujoco.mjtEq
 
@@ -33,7 +33,7 @@ SPRING = "stiffness stiffnesspoly damping dampingpoly lengthspring springyield"
 
 
 class Held:
-    """Parts of mapping reports, by the numbers of MuJoCo's elements; fields are of its arrays of them."""
+    """Parts of import reports, by the numbers of MuJoCo's elements; fields are of its arrays of them."""
 
     def __init__(self, start: Start, bodies: Bodies, joints: Joints) -> None:
         self._start, self._model, self._data = start, start.model, start.data

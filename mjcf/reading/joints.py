@@ -10,7 +10,7 @@ from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.start import Start
 from newton_euler.model.joints import Free, Joint, Key
 from newton_euler.model.joints.combine import Part, combined, common_name
-from newton_euler.model.mapping import Mapping, unique_name
+from newton_euler.verification.import_report import ImportReport, unique_name
 
 BALL, FREE = mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_FREE
 
@@ -30,7 +30,7 @@ class Joints:
         of: name of the joint that each of MuJoCo's joints is a part of.
     """
 
-    def __init__(self, start: Start, bodies: Bodies, driven: set[int], report: Mapping) -> None:
+    def __init__(self, start: Start, bodies: Bodies, driven: set[int], report: ImportReport) -> None:
         """`driven` are the numbers of MuJoCo's joints that actuators drive."""
         self._start, self._model, self._data = start, start.model, start.data
         self.joints: list[Joint] = []

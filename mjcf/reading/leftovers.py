@@ -11,8 +11,8 @@ from mjcf.reading.joints import Joints
 from mjcf.reading.loops import fixed
 from mjcf.reading.poses import Poses, Stretched, Touching
 from mjcf.reading.start import Start
-from newton_euler.model.activity import Bounds, Rest, Watch
-from newton_euler.model.mapping import CONTACTS, FRICTION, LIMITS, Mapping, Part, value
+from newton_euler.verification.activity import Bounds, Rest, Watch
+from newton_euler.verification.import_report import CONTACTS, FRICTION, LIMITS, ImportReport, Part, value
 
 UNSEEN = {
     "sensor": "sensors",
@@ -35,7 +35,7 @@ FLEX = (
 """Arrays of flexes, all of them together."""
 
 
-def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Mapping) -> None:
+def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
     """Tell of everything else in the model."""
     model, held = start.model, Held(start, bodies, joints)
     poses = Poses(start, bodies)
@@ -101,7 +101,7 @@ def _of_tendon(start: Start, joints: Joints, poses: Poses, tendon: int) -> Watch
     return Bounds(terms, low + margin, high - margin, "m or rad", length)
 
 
-def _report_contacts(start: Start, held: Held, poses: Poses, report: Mapping) -> None:
+def _report_contacts(start: Start, held: Held, poses: Poses, report: ImportReport) -> None:
     model, off = start.model, start.disabled("CONTACT")
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     options = Part("option", {"cone": value(model.opt.cone), "impratio": value(model.opt.impratio)})
@@ -122,7 +122,7 @@ def _report_contacts(start: Start, held: Held, poses: Poses, report: Mapping) ->
         report.left_out(element, NO_CONTACTS, options, *parts, topic=CONTACTS, inert=off, watches=watches)
 
 
-def _report_joint(start: Start, joints: Joints, held: Held, number: int, report: Mapping) -> None:
+def _report_joint(start: Start, joints: Joints, held: Held, number: int, report: ImportReport) -> None:
     model, element = start.model, joints.element(number)
     if model.jnt_limited[number]:
         low, high = model.jnt_range[number]

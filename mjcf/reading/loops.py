@@ -11,9 +11,9 @@ from mjcf.reading.joints import Joints
 from mjcf.reading.start import TORQUE_SCALE, Start
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.model.joints import Fixed, Joint, Key, Rod, Spherical
-from newton_euler.model.mapping import Mapping, unique_name
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import ImportReport, unique_name
 
 RIGID = "held rigidly, where MuJoCo's solref and solimp let it give way"
 
@@ -27,7 +27,7 @@ class Loops:
         held: motions of joints that an equality holds.
     """
 
-    def __init__(self, start: Start, bodies: Bodies, joints: Joints, report: Mapping) -> None:
+    def __init__(self, start: Start, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._report = bodies, joints, report
         self._held = Held(start, bodies, joints)

@@ -11,9 +11,9 @@ import numpy as np
 
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.start import Start
-from newton_euler.model.activity import Course, Judged
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.scalars import Array
+from newton_euler.verification.activity import Course, Judged
 
 CARRIED = (("geom_xpos", "geom_xmat"), ("site_xpos", "site_xmat"), ("xipos", "ximat"), ("xpos", "xmat"))
 """Arrays of MuJoCo's data that bodies carry along: points and rotation matrices."""

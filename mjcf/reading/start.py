@@ -10,9 +10,9 @@ import numpy as np
 from mjcf.reading.source import SourceError
 from newton_euler.equations.dense import largest
 from newton_euler.equations.loop_closure import CLOSED, Units, assembled, branch, close, reach
-from newton_euler.model.mapping import Mapping
 from newton_euler.model.mechanism import spread
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import ImportReport
 
 TORQUE_SCALE = 10
 """Where `eq_data` of a weld has the factor on its last three residuals, the vector part of a quaternion."""
@@ -39,7 +39,7 @@ class Start:
         path: str,
         model: Any,
         key: str | None,
-        report: Mapping,
+        report: ImportReport,
         tolerance: float,
         control: Array | None = None,
     ) -> None:
@@ -171,7 +171,7 @@ class Start:
                 rows[own[:3]], rows[own[3:]] = reach(motions, levers, velocities)
         return Units(velocities, np.where(rows > 0.0, rows, 1.0))
 
-    def _close(self, report: Mapping, tolerance: float) -> None:
+    def _close(self, report: ImportReport, tolerance: float) -> None:
         model, data = self.model, self.data
         first = data.qpos.copy()
         before = self.gaps()

@@ -15,7 +15,6 @@ import numpy as np
 
 from newton_euler.equations.dense import least_squares
 from newton_euler.equations.system import MassProperties
-from newton_euler.model.mapping import Mapping
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 from newton_euler.verification.sample import (
@@ -228,17 +227,3 @@ def wholes(names: Sequence[str], bodies: Sequence[str]) -> tuple[str, ...]:
         places = [k for k in range(len(name)) if name.startswith("_at_", k) and name[:k] in known]
         found.append(name[: places[-1]] if places and name not in known else name)
     return tuple(found)
-
-
-def left_out(report: Mapping) -> dict[str, set[str]]:
-    """Topics of what is not in the scene of each element; what moves nothing as the file has it stays on."""
-    found: dict[str, set[str]] = {}
-    for entry in report.entries:
-        if entry.fate not in ("exactly", "approximated") and not entry.inert:
-            found.setdefault(entry.element, set()).add(entry.topic)
-    return found
-
-
-def approximated(report: Mapping) -> set[str]:
-    """Elements that a report says were approximated."""
-    return {entry.element for entry in report.of("approximated")}

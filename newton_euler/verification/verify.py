@@ -25,10 +25,10 @@ import numpy as np
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System
 from newton_euler.errors import NewtonEulerError, VerificationError
-from newton_euler.model.mapping import Mapping
 from newton_euler.verification.dynamics import system_figures
 from newton_euler.verification.figure import Figure, worst
 from newton_euler.verification.forces import force_figures
+from newton_euler.verification.import_report import ImportReport
 from newton_euler.verification.model import PLACES, body_figures, joint_figures, start_figures
 from newton_euler.verification.original import Original
 from newton_euler.verification.placed import Placed
@@ -70,7 +70,7 @@ def verify(original: Original, system: System) -> Iterator[Figure]:
         raise NewtonEulerError(f"the scene cannot be compared with what the file says: {error}") from error
 
 
-def check(report: Mapping) -> str:
+def check(report: ImportReport) -> str:
     """Verify what was read from a file, by the joint-coordinate form of its equations.
 
     Returns:

@@ -9,9 +9,9 @@ import pinocchio as pin
 
 from newton_euler.model.joints import Free, Joint, Key
 from newton_euler.model.joints.combine import Part, combined, common_name
-from newton_euler.model.mapping import Mapping, unique_name
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import ImportReport, unique_name
 from urdf.reading.source import SourceError
 from urdf.reading.start import Start
 
@@ -28,7 +28,7 @@ class Tree:
         keys: where each of Pinocchio's hinges and slides is, by name; coordinates are zero at the start.
     """
 
-    def __init__(self, path: str, start: Start, motors: set[str], report: Mapping) -> None:
+    def __init__(self, path: str, start: Start, motors: set[str], report: ImportReport) -> None:
         """`motors` are names of joints that have one."""
         self._path, self._model, self._start = path, start.model, start
         self._scratch: Any = start.model.createData()
@@ -57,7 +57,7 @@ class Tree:
         links = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
         return str(next(links, model.frames[0]).name)
 
-    def _add(self, chain: list[int], motors: set[str], report: Mapping) -> None:
+    def _add(self, chain: list[int], motors: set[str], report: ImportReport) -> None:
         model, data = self._model, self._start.data
         last = chain[-1]
         own = [body.name for body in self.bodies]
@@ -116,7 +116,7 @@ class Tree:
             parts.append(Part(part, "slide" if slides else "hinge", axis, pose.translation))
         return parts
 
-    def _report_links(self, report: Mapping) -> None:
+    def _report_links(self, report: ImportReport) -> None:
         for frame in self._model.frames:
             if frame.type == pin.FrameType.BODY:
                 body = self.names[frame.parentJoint]

@@ -8,14 +8,14 @@ import xml.etree.ElementTree as ET
 import pinocchio as pin
 
 from newton_euler.model.joints import Key
-from newton_euler.model.mapping import FRICTION, RANGE, Part, Value, value
+from newton_euler.verification.import_report import FRICTION, RANGE, Part, Value, value
 from urdf.reading.bodies import GROUND, Tree
 from urdf.reading.start import Start
 from urdf.reading.visuals import origin
 
 
 class Held:
-    """Parts of mapping reports."""
+    """Parts of import reports."""
 
     def __init__(self, start: Start, tree: Tree) -> None:
         self._start, self._tree = start, tree

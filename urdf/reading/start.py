@@ -10,9 +10,9 @@ import pinocchio as pin
 
 from newton_euler.equations.dense import largest
 from newton_euler.equations.loop_closure import CLOSED, Units, assembled, branch, close, reach
-from newton_euler.model.mapping import Mapping
 from newton_euler.model.mechanism import spread
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import ImportReport
 from urdf.closures import Closures
 from urdf.loops import Loops
 from urdf.model import ClosedLoopModel
@@ -50,7 +50,7 @@ class Start:
         closed: ClosedLoopModel,
         loops: Loops,
         mimics: list[Mimic],
-        report: Mapping,
+        report: ImportReport,
         tolerance: float,
     ) -> None:
         """Raises `SourceError` for loops that do not close; rows are redundant by the scene's `tolerance`."""
@@ -142,7 +142,7 @@ class Start:
         coupled = np.linalg.norm(self._linear * velocities, axis=1)
         return Units(velocities, np.array([*rows, *np.where(coupled > 0.0, coupled, 1.0)]))
 
-    def _close(self, path: str, report: Mapping, tolerance: float) -> None:
+    def _close(self, path: str, report: ImportReport, tolerance: float) -> None:
         before, jacobian = self._residual(self.q)
         units = self._units()
         if largest(before / units.rows) <= CLOSED:

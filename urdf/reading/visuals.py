@@ -16,10 +16,10 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.mapping import Mapping
 from newton_euler.model.mechanism import Body
 from newton_euler.model.shapes import Box, Capsule, Mesh, Shape
 from newton_euler.scalars import Array
+from newton_euler.verification.import_report import ImportReport
 from urdf.reading.bodies import Tree
 from urdf.reading.start import Start
 
@@ -47,7 +47,7 @@ class _Unusable(Exception):
     """Why a visual element cannot be drawn."""
 
 
-def dressed(path: str, root: ET.Element, start: Start, tree: Tree, report: Mapping) -> list[Body]:
+def dressed(path: str, root: ET.Element, start: Start, tree: Tree, report: ImportReport) -> list[Body]:
     """The bodies of a tree with the shapes and meshes of their links; each mesh missing is reported.
 
     Mesh files have to be in the URDF's folder or the one around it, or in the package that they name, a

@@ -18,7 +18,7 @@ from crosscheck.studies.faults.find import MOTION, samples_of
 from crosscheck.studies.faults.misreadings import EVERYTHING, misreadings
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.mapping import Mapping
+from newton_euler.verification.import_report import ImportReport
 from newton_euler.verification.verify import verify
 
 
@@ -47,7 +47,7 @@ class Outcome:
 
 
 def find_in_reading(
-    report: Mapping, progress: Callable[[str], None], faults: Sequence[Fault] | None = None
+    report: ImportReport, progress: Callable[[str], None], faults: Sequence[Fault] | None = None
 ) -> list[Outcome]:
     """Plant faults, all that there are if None are given, one at a time, and verify the scene with each."""
     original, scene = report.originals[-1]
@@ -74,7 +74,7 @@ def find_in_reading(
     return outcomes
 
 
-def _is_named(element: str, where: str, report: Mapping) -> bool:
+def _is_named(element: str, where: str, report: ImportReport) -> bool:
     """True if the blamed element is this one, or one of the file's that became it."""
     if element in (where, EVERYTHING) or repr(element) in where:
         return True

@@ -34,10 +34,10 @@ from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.stabilize import RK4_LIMIT
 from newton_euler.model.joints import Cylindrical, Fixed, Spherical
-from newton_euler.model.mapping import Mapping
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.verification.import_report import ImportReport
 
 AGREED = Row("model", "mass, rel", ("newton_euler", "mujoco"), 0.0, 1e-12, "bar")
 MODEL_APART = replace(AGREED, value=1.0)
@@ -222,7 +222,7 @@ def test_a_redundant_closure_is_left_out_and_a_driven_joint_slides(tmp_path: Pat
 
 
 def test_advice_is_for_what_was_read(loop: Scene, runs: dict[str, Trajectory]) -> None:
-    report = Mapping()
+    report = ImportReport()
     report.exactly("joint 'a'", "revolute joint 'a'")
     report.left_out("options of solver and integrator", "every engine has its own", inert=True)
     report.left_out("3 cameras", "they move nothing", inert=True)

@@ -31,7 +31,7 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
-from newton_euler.model.mapping import Mapping
+from newton_euler.verification.import_report import ImportReport
 
 LINKAGE = EXAMPLE.parent / "linkage.xml"
 
@@ -223,7 +223,7 @@ def test_a_planted_fault_is_blamed_on_its_engine(name):
 
 def misread(fault, found):
     """A whole crosscheck of what was read with a fault, which all engines share, against the file."""
-    report = Mapping()
+    report = ImportReport()
     report.entries, report.start = found.report.entries, found.report.start
     report.originals = [(original, fault.plant(scene)) for original, scene in found.report.originals]
     return crosscheck(fault.plant(found.scene), list(ENGINES.values()), lambda _: None, "x", {}, report)

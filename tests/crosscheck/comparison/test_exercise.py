@@ -20,10 +20,10 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import opening
 from newton_euler.exercise import SHIFT, SPEED, SPIN, moving, swings
-from newton_euler.model.activity import Bounds, Course
 from newton_euler.model.control import PD
 from newton_euler.model.motions import Sine, Sum
 from newton_euler.model.scene import Scene
+from newton_euler.verification.activity import Bounds, Course
 
 ACTUATORS = (
     '<motor name="free" joint="p"/>'

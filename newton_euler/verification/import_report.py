@@ -1,4 +1,4 @@
-"""What became of the elements of a model file on their way into a scene."""
+"""Import report: what became of the elements of a model file on their way into a scene."""
 
 from __future__ import annotations
 
@@ -6,16 +6,14 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from newton_euler.model.activity import Course, Watch, judged
 from newton_euler.model.joints import Key
-
-if TYPE_CHECKING:
-    from newton_euler.model.scene import Scene
-    from newton_euler.verification.original import Original
+from newton_euler.model.scene import Scene
+from newton_euler.verification.activity import Course, Watch, judged
+from newton_euler.verification.original import Original
 
 Fate = Literal["exactly", "approximated", "inactive", "left out"]
 
@@ -65,7 +63,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Mapped:
+class ImportedElement:
     """One element of a model file.
 
     Attributes:
@@ -91,8 +89,8 @@ class Mapped:
         return f"{self.element}: {self.fate}: {self.how}"
 
 
-class Mapping:
-    """A mapping report, filled while a file is read.
+class ImportReport:
+    """What became of every element, filled while a file is read.
 
     Attributes:
         entries: in the order in which they were added.
@@ -103,18 +101,18 @@ class Mapping:
     """
 
     def __init__(self) -> None:
-        self.entries: list[Mapped] = []
+        self.entries: list[ImportedElement] = []
         self.start: list[str] = []
         self.originals: list[tuple[Original, Scene]] = []
         self.watches: dict[int, Sequence[Watch]] = {}
 
     def exactly(self, element: str, how: str, became: str = "", unseen: Part | None = None) -> None:
         """`unseen` is what the file says that moves nothing as it is, such as the gear of an idle motor."""
-        parts = () if unseen is None else (unseen,)
-        self.entries.append(Mapped(element, "exactly", how, became, inert=unseen is not None, parts=parts))
+        parts, inert = () if unseen is None else (unseen,), unseen is not None
+        self.entries.append(ImportedElement(element, "exactly", how, became, inert=inert, parts=parts))
 
     def approximated(self, element: str, how: str, *parts: Part, became: str = "", topic: str = "") -> None:
-        self.entries.append(Mapped(element, "approximated", how, became, topic, parts=parts))
+        self.entries.append(ImportedElement(element, "approximated", how, became, topic, parts=parts))
 
     def left_out(
         self,
@@ -128,11 +126,11 @@ class Mapping:
         """`watches` tell of a limit and the like whether it is active; all of it has to be watched."""
         if watches and not inert:
             self.watches[len(self.entries)] = watches
-        self.entries.append(Mapped(element, "left out", why, "", topic, inert, parts))
+        self.entries.append(ImportedElement(element, "left out", why, "", topic, inert, parts))
 
-    def after(self, course: Course) -> Mapping:
+    def after(self, course: Course) -> ImportReport:
         """The report with what a run shows of what was left out."""
-        found = Mapping()
+        found = ImportReport()
         found.start, found.entries, found.watches = self.start, list(self.entries), self.watches
         found.originals = self.originals
         for number, watches in self.watches.items():
@@ -141,7 +139,7 @@ class Mapping:
             found.entries[number] = replace(entry, fate=fate, how=f"{entry.how}; {seen.words}")
         return found
 
-    def of(self, fate: Fate) -> list[Mapped]:
+    def of(self, fate: Fate) -> list[ImportedElement]:
         """The entries of one fate."""
         return [entry for entry in self.entries if entry.fate == fate]
 
@@ -162,6 +160,20 @@ class Mapping:
         acting = Counter(element.split()[0] for element in whole)
         named = [f"{acting[one]} {one if acting[one] == 1 else many}" for one, many in ACTING if acting[one]]
         return ", ".join(found) + (f" ({', '.join(named)})" if named else "")
+
+
+def left_out(report: ImportReport) -> dict[str, set[str]]:
+    """Topics of what is not in the scene of each element; what moves nothing as the file has it stays on."""
+    found: dict[str, set[str]] = {}
+    for entry in report.entries:
+        if entry.fate not in ("exactly", "approximated") and not entry.inert:
+            found.setdefault(entry.element, set()).add(entry.topic)
+    return found
+
+
+def approximated(report: ImportReport) -> set[str]:
+    """Elements that a report says were approximated."""
+    return {entry.element for entry in report.of("approximated")}
 
 
 def differing(one: dict[str, Value], two: dict[str, Value], close: float = CLOSE) -> Iterator[str]:

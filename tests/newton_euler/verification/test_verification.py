@@ -25,8 +25,8 @@ from mjcf.reading.start import Start
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import VerificationError
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.mapping import Mapping
 from newton_euler.model.mechanism import Body
+from newton_euler.verification.import_report import ImportReport
 from newton_euler.verification.verify import check, verify
 from urdf.errors import UrdfError
 from urdf.read import read as read_urdf
@@ -297,7 +297,7 @@ def test_every_element_has_to_be_accounted_for(tmp_path: Path) -> None:
     report = reading(tmp_path, text).report
     original, _ = report.originals[0]
     assert original.unaccounted == ()
-    kept = Mapping()
+    kept = ImportReport()
     kept.entries = [
         entry for entry in report.entries if "'r'" not in entry.element and "'c'" not in entry.element
     ]
@@ -336,7 +336,7 @@ def test_a_urdf_that_is_not_read_right_is_refused(tmp_path: Path, monkeypatch: p
 def test_an_error_keeps_its_values(tmp_path: Path) -> None:
     report = reading(tmp_path, ZOO).report
     original, scene = report.originals[0]
-    other = Mapping()
+    other = ImportReport()
     other.originals = [(original, replace(scene, gravity=np.array([0.0, 0.0, -9.8])))]
     with pytest.raises(VerificationError) as caught:
         check(other)
@@ -346,7 +346,7 @@ def test_an_error_keeps_its_values(tmp_path: Path) -> None:
 
 def test_verification_shares_nothing_with_the_readers() -> None:
     for package, module in (("mjcf", "original"), ("mjcf", "accounts"), ("urdf", "original")):
-        path = Path(__file__).parents[2] / package / f"{module}.py"
+        path = Path(__file__).parents[3] / package / f"{module}.py"
         imported = {
             node.module for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)
         }

@@ -8,8 +8,8 @@ import pytest
 
 from mjcf.read import read
 from newton_euler import simulate
-from newton_euler.model.activity import Course
-from newton_euler.model.mapping import Mapping
+from newton_euler.verification.activity import Course
+from newton_euler.verification.import_report import ImportReport
 from urdf.read import read as read_urdf
 
 FALL = """<mujoco><option gravity="0 0 -10"/><worldbody>
@@ -23,12 +23,12 @@ SWING = """<mujoco><option gravity="0 0 {gravity}"/><worldbody><site name="wall"
 """A bar, level at the start."""
 
 
-def after(path: Path, duration: float) -> Mapping:
+def after(path: Path, duration: float) -> ImportReport:
     found = (read_urdf if path.suffix == ".urdf" else read)(path, duration=duration, output_period=0.01)
     return found.report.after(Course(found.scene, simulate(found.scene)))
 
 
-def told(report: Mapping, start: str) -> tuple[str, str]:
+def told(report: ImportReport, start: str) -> tuple[str, str]:
     (entry,) = (e for e in report.entries if f"{e.element}: {e.how}".startswith(start))
     return entry.fate, entry.how
 

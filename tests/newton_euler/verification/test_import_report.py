@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from command_line import run
 
-from newton_euler.model.mapping import CLOSE, TINY, Mapping, differing, value
+from newton_euler.verification.import_report import CLOSE, TINY, ImportReport, differing, value
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_values_are_what_json_can_hold() -> None:
 
 
 def test_elements_that_move_something_are_counted_once() -> None:
-    report = Mapping()
+    report = ImportReport()
     report.exactly("body 'a'", "a body")
     report.left_out("2 cameras", "they move nothing", inert=True)
     assert report.counts() == ""
@@ -53,7 +53,7 @@ def test_elements_that_move_something_are_counted_once() -> None:
 
 
 def test_what_acts_wherever_a_model_is_is_named_where_it_is_left_out() -> None:
-    report = Mapping()
+    report = ImportReport()
     report.left_out("actuator 'a'", "its limit of the force", topic="limit of the force")
     assert report.counts() == "1 element is left out"
     for element in ("actuator 'b'", "actuator 'c'", "equality 'd'"):
