@@ -6,7 +6,6 @@ coordinates and Euler parameters under Baumgarte's stabilisation with alpha = 10
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,27 +13,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crosscheck.engines import ENGINES
-from crosscheck.errors import CrosscheckError
-from crosscheck.files import check_writable
+from crosscheck.files import check_writable, write_files
+from crosscheck.report.plots import curve, png
 from crosscheck.scenes import load
 from crosscheck.scenes.tracker import TARGET_HEIGHT
 from newton_euler import simulate
 from newton_euler.integrators.stabilize import STABILIZATIONS
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory, atomic_file
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-STYLES = {
-    "newton_euler": ("#0072b2", "-", 2.6),
-    "mujoco": ("#d55e00", "--", 1.6),
-    "pinocchio": ("#009e73", ":", 1.8),
-}
-"""Colour, dash and width of each engine's curves; thick under thin, so that equal curves all show."""
 
 
 def draw(folder: Path, progress: Callable[[str], None]) -> list[Path]:
@@ -54,14 +46,7 @@ def draw(folder: Path, progress: Callable[[str], None]) -> list[Path]:
             if name == "newton_euler"
             else engine.simulate(scene)
         )
-    for number, path in paths.items():
-        picture = io.BytesIO()
-        FIGURES[number](scene, runs).savefig(picture, dpi=120)
-        try:
-            with atomic_file(path) as temporary:
-                temporary.write_bytes(picture.getbuffer())
-        except OSError as error:
-            raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
+    write_files({path: png(FIGURES[number](scene, runs), dpi=120) for number, path in paths.items()})
     return list(paths.values())
 
 
@@ -81,9 +66,8 @@ def _axes(title: str, rows: int, labels: Sequence[str]) -> tuple[Figure, list[Ax
 def _plot(axes: list[Axes], runs: dict[str, Trajectory], columns: Callable[[Trajectory], Array]) -> None:
     """One column a panel, one curve an engine."""
     for name, run in runs.items():
-        color, dash, width = STYLES[name]
         for ax, values in zip(axes, columns(run).T, strict=True):
-            ax.plot(run.time, values, color=color, linestyle=dash, linewidth=width, label=name)
+            curve(ax, name, run.time, values)
     axes[0].legend(loc="best", fontsize="small")
 
 

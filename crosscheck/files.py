@@ -1,4 +1,4 @@
-"""Files that are to be written after something long."""
+"""Files that are written after long work: checked before it, whole or not at all after it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import os
 import re
 import tempfile
 import time
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack, suppress
 from itertools import product
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.workers import tidied_up
+from newton_euler.model.trajectory import atomic_file
 
 ABANDONED = 60.0
 """s after which an unfinished file is that of a process that was killed: files are made in memory first,
@@ -33,6 +35,29 @@ def check_writable(*paths: Path) -> None:
         except OSError as error:
             raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
         _remove_abandoned(path)
+
+
+def write_files(files: Mapping[Path, bytes], stale: Iterable[Path] = ()) -> None:
+    """Write files, all of them or none; the first is in its place last.
+
+    Nothing is removed before everything is written beside its place.
+
+    Args:
+        files: contents.
+        stale: files of earlier results that are removed.
+
+    Raises:
+        CrosscheckError: naming the path that cannot be written.
+    """
+    path = Path()
+    try:
+        with tidied_up(), ExitStack() as stack:  # which is left from its top
+            for path, content in files.items():
+                stack.enter_context(atomic_file(path)).write_bytes(content)
+            for path in stale:
+                path.unlink(missing_ok=True)
+    except OSError as error:
+        raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
 
 
 def check_no_source(targets: Iterable[Path], sources: Iterable[str | Path]) -> None:

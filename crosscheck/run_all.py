@@ -11,19 +11,16 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
-
 from crosscheck.comparison.levels import Row
 from crosscheck.engines import choose
 from crosscheck.errors import reason_of
 from crosscheck.files import check_writable
-from crosscheck.report.output import tidied_up, write
-from crosscheck.report.run import judged, markdown
+from crosscheck.report.output import write
+from crosscheck.report.run import report
+from crosscheck.report.table import Cell, Column, Table, figures, judged, texts
 from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
-from crosscheck.workers import end_with_parent
+from crosscheck.workers import end_with_parent, tidied_up
 
 
 @dataclass(frozen=True)
@@ -103,7 +100,7 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # results are checked where they are used
             result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
-            write(result, folder, folder / f"{name}.rrd", markdown(result))
+            write(result, report(result), folder, folder / f"{name}.rrd")
     except Exception as error:  # what goes wrong with one scene is a line, like the others' results
         return Outcome(name, time.perf_counter() - start, False, f"{name} did not run: {reason_of(error)}")
     return _outcome(name, result, time.perf_counter() - start)
@@ -133,26 +130,26 @@ def _worst(found: Iterable[Worst]) -> Worst | None:
 
 
 def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
-    """One line a scene; a figure beside what it may be is the worst of its kind."""
-    table = Table(title=Text("library of scenes", style="bold"), title_justify="left", box=SIMPLE_HEAD)
-    table.add_column("scene", no_wrap=True)
-    table.add_column("engines", no_wrap=True)
-    for name in ("between engines", "against reference", "drift, m or rad", "energy, rel", "time, s"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("verdict", no_wrap=True)
-    for found in outcomes:
-        table.add_row(
-            found.scene,
-            ", ".join(found.engines) if found.left_out else "all" if found.engines else "",
-            *(_cell(worst) for worst in (found.between, found.known, found.drift, found.energy)),
-            f"{found.wall_time:.1f}",
-            Text("AGREE", style="green") if found.agrees else Text("FAILS", style="bold red"),
-        )
-    return table
+    """A row per scene; a figure beside what it may be is the worst of its kind."""
+    heads = figures("between engines", "against reference", "drift, m or rad", "energy, rel", "time, s")
+    return Table(
+        "library of scenes",
+        [*texts("scene", "engines"), *heads, Column("verdict")],
+        [
+            [
+                found.scene,
+                ", ".join(found.engines) if found.left_out else "all" if found.engines else "",
+                *(_cell(worst) for worst in (found.between, found.known, found.drift, found.energy)),
+                f"{found.wall_time:.1f}",
+                Cell("AGREE", "holds") if found.agrees else Cell("FAILS", "fails"),
+            ]
+            for found in outcomes
+        ],
+    )
 
 
-def _cell(worst: Worst | None) -> Text:
-    return Text("") if worst is None else judged(worst.value, worst.allowed, worst.value <= worst.allowed)
+def _cell(worst: Worst | None) -> str | Cell:
+    return "" if worst is None else judged(worst.value, worst.allowed, worst.value <= worst.allowed)
 
 
 def outcome_lines(outcomes: Sequence[Outcome]) -> Iterator[str]:

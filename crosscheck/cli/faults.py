@@ -13,7 +13,6 @@ from crosscheck.cli.shared import (
     load_and_tell,
     load_scene,
     progress_shown,
-    rendered,
     scene_options,
     setting_options,
     without_exercise,
@@ -51,9 +50,10 @@ def faults_command(
         return _in_reading(scene, without_exercise(options, "what is read is verified as the file stands"))
     import time
 
-    from crosscheck.files import check_no_source, check_writable
+    from crosscheck.files import check_no_source, check_writable, write_files
+    from crosscheck.report.render import as_json, terminal
     from crosscheck.studies.faults.find import find_faults
-    from crosscheck.studies.faults.report import as_json, holds, lines, tables, verdict, write
+    from crosscheck.studies.faults.report import data, holds, report
 
     options = scene_options(scene, settings, loops)
     loaded = load_and_tell(scene, options)
@@ -64,17 +64,13 @@ def faults_command(
     with progress_shown() as progress:
         search = find_faults(loaded, progress, names=tuple(dict.fromkeys(names)))
     wall_time = time.perf_counter() - start
-    write(path, as_json(loaded, options, search, wall_time))
-    faults = search.found
-    click.echo(rendered(tables(loaded, faults)), nl=False)
-    for engine, why in search.left_out.items():
-        click.echo(f"no fault planted in {engine}, which cannot express the scene: {why}")
-    for line in lines(loaded, faults):
-        click.echo(line)
+    found = report(loaded, options, search, wall_time)
+    write_files({path: as_json(data(loaded, options, search), found)})
+    click.echo(terminal(found.parts), nl=False)
     planted = " and ".join(search.engines)
-    click.echo(f"wrote {path}; {len(faults)} faults in {planted} in {wall_time:.0f} s")
-    click.echo(click.style(verdict(loaded, faults), bold=True))
-    return AGREE if holds(faults) else DISAGREE
+    click.echo(f"wrote {path}; {len(search.found)} faults in {planted} in {wall_time:.0f} s")
+    click.echo(click.style(found.verdict, bold=True))
+    return AGREE if holds(search.found) else DISAGREE
 
 
 def _in_reading(path: str, options: dict[str, str]) -> int:

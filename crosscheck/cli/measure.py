@@ -12,7 +12,6 @@ from crosscheck.cli.shared import (
     exercised,
     load_and_tell,
     progress_shown,
-    rendered,
     scene_options,
     setting_options,
 )
@@ -24,12 +23,13 @@ from crosscheck.errors import CrosscheckError
 @setting_options
 def explain_command(scene: str, settings: tuple[str, ...], loops: str | None) -> int:
     """Say what the compiler keeps of SCENE, what it leaves out, and what each feature costs."""
+    from crosscheck.report.render import terminal
     from crosscheck.studies.explain import explain
 
     loaded = load_and_tell(scene, scene_options(scene, settings, loops))
     with progress_shown() as progress:
         parts = list(explain(loaded, progress))
-    click.echo(rendered(parts), nl=False)
+    click.echo(terminal(parts), nl=False)
     return AGREE
 
 
@@ -76,6 +76,7 @@ def bench_command(
     output: Path | None,
 ) -> int:
     """Measure run time against error on SCENE, for every engine and setting."""
+    from crosscheck.report.render import terminal
     from crosscheck.studies.benchmark import run
 
     options = exercised(scene, scene_options(scene, settings, loops))
@@ -84,15 +85,14 @@ def bench_command(
     loaded = load_and_tell(scene, options)
     with progress_shown() as progress:
         if rhs:
-            lines, written = run.bench_rhs(loaded, scene, options, output, progress)
+            found, written = run.bench_rhs(loaded, scene, options, output, progress)
         elif scaling:
-            lines, written = run.bench_scaling(loaded, scene, options, output, progress)
+            found, written = run.bench_scaling(loaded, scene, options, output, progress)
         elif batch is not None:
-            lines, written = run.bench_batch(loaded, scene, options, batch, error, output, progress)
+            found, written = run.bench_batch(loaded, scene, options, batch, error, output, progress)
         else:
-            lines, written = run.bench(loaded, scene, options, error, repeats, output, progress)
-    for line in lines:
-        click.echo(line)
+            found, written = run.bench(loaded, scene, options, error, repeats, output, progress)
+    click.echo(terminal(found.parts), nl=False)
     click.echo("wrote " + ", ".join(str(path) for path in written))
     return AGREE
 
@@ -113,7 +113,8 @@ def stress_command(full: bool, output: Path, letters: str) -> int:
     """Push every engine until something breaks, and report where."""
     import time
 
-    from crosscheck.studies.stress.report import check_folder, tables, write
+    from crosscheck.report.render import terminal
+    from crosscheck.studies.stress.report import check_folder, report, write
     from crosscheck.studies.stress.topics import stress
 
     check_folder(output)
@@ -122,8 +123,9 @@ def stress_command(full: bool, output: Path, letters: str) -> int:
         rows = stress(letters, full, progress)
         wall_time = time.perf_counter() - start
         progress("writing")
-        written = write(rows, full, wall_time, output)
-    click.echo(rendered(tables(rows)), nl=False)
+        found = report(rows, full, wall_time)
+        written = write(rows, found, full, output)
+    click.echo(terminal(found.parts), nl=False)
     click.echo("wrote " + ", ".join(str(path) for path in written))
-    click.echo(f"{sum(row.passes for row in rows)} of {len(rows)} cases pass, in {wall_time:.0f} s")
+    click.echo(f"{found.verdict}, in {wall_time:.0f} s")
     return AGREE

@@ -14,7 +14,6 @@ from crosscheck.cli.shared import (
     exercised,
     load_scene,
     progress_shown,
-    rendered,
     scene_options,
     setting_options,
     tell,
@@ -62,6 +61,7 @@ def regress_command(
     """
     from crosscheck.regress.report import tables, verdict
     from crosscheck.regress.run import check, update, write_reports
+    from crosscheck.report.render import terminal
 
     if len(sources) != 1 and (settings or loops or baseline):
         raise CrosscheckError("--set, --loops and --baseline are of one SCENE; name it")
@@ -88,7 +88,7 @@ def regress_command(
     with progress_shown() as progress:
         compared, recordings = check(guarded, output, reports, progress)
         written = write_reports(compared, recordings, junit, json_path, markdown)
-    click.echo(rendered(tables(compared)), nl=False)
+    click.echo(terminal(tables(compared)), nl=False)
     for comparison in compared:
         click.echo(comparison.verdict)
         if comparison.scene in recordings:

@@ -17,7 +17,7 @@ def report_command(folder: Path) -> int:
     DIR is the folder of run, run --all, regress, faults, stress or bench, with whatever options, or one
     that holds such folders, as output does.
     """
-    from crosscheck.report.html.report import write_report
+    from crosscheck.report.page import write_report
 
     with progress_shown() as progress:
         path = write_report(folder, progress)

@@ -19,7 +19,6 @@ from crosscheck.cli.shared import (
     load_scene,
     progress_shown,
     recording_options,
-    rendered,
     scene_options,
     setting_options,
     without_exercise,
@@ -96,6 +95,7 @@ def run_command(
 
 def _run_all(engines: list[str], output: Path | None) -> int:
     from crosscheck.report.output import check_own
+    from crosscheck.report.render import terminal
     from crosscheck.run_all import outcome_lines, outcomes_table, run_all
     from crosscheck.scenes import SCENES
 
@@ -104,7 +104,7 @@ def _run_all(engines: list[str], output: Path | None) -> int:
         check_own(folder / name, [name])
     with progress_shown() as progress:
         outcomes = run_all(engines, folder, progress)
-    click.echo(rendered([outcomes_table(outcomes)]), nl=False)
+    click.echo(terminal([outcomes_table(outcomes)]), nl=False)
     for line in outcome_lines(outcomes):
         click.echo(line)
     return AGREE if all(outcome.agrees for outcome in outcomes) else DISAGREE
@@ -196,7 +196,8 @@ def _carry_out(
     from crosscheck.against.compare import Against
     from crosscheck.files import check_writable
     from crosscheck.report.output import write
-    from crosscheck.report.run import markdown, settings_lines, terminal_tables
+    from crosscheck.report.render import terminal
+    from crosscheck.report.run import report
 
     recording = (destination.save or folder / f"{name}.rrd") if destination.to_file else None
     arrays = [folder / f"{run}.npz" for run in runs]
@@ -204,17 +205,15 @@ def _carry_out(
     with progress_shown() as progress:
         result = work(progress)
         progress("writing")
-        verdict = "\n- ".join([markdown(result), *result.notes])
-        written = write(result, folder, recording, verdict)
-    click.echo(rendered(terminal_tables(result)), nl=False)
-    for line in (*result.notes, *settings_lines(result)):
-        click.echo(line)
+        found = report(result)
+        written = write(result, found, folder, recording)
+    click.echo(terminal(found.parts), nl=False)
     click.echo("wrote " + ", ".join(str(path) for path in written))
     if result.unfinished and not (isinstance(result, Against) and result.differs):
         status = UNFINISHED  # whatever was found until then; models that differ do so anyway
     else:
         status = AGREE if result.agrees else DISAGREE
-    with destination.sent(result, verdict) as sent:
+    with destination.sent(result, found) as sent:
         for line in sent.lines:
             click.echo(line)
         click.echo(click.style(result.verdict, bold=True))

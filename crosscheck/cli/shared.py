@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,14 +13,8 @@ import click
 from crosscheck.errors import CrosscheckError
 
 if TYPE_CHECKING:
-    from rich.table import Table
-    from rich.text import Text
-
     from newton_euler.model.scene import Scene
     from newton_euler.verification.import_report import ImportReport
-
-TABLE_WIDTH = 130
-"""Columns that the tables of a run need; a narrower terminal wraps them itself."""
 
 AGREE, DISAGREE, BAD_INPUT, UNFINISHED = 0, 1, 2, 3
 
@@ -159,13 +153,3 @@ def progress_shown() -> Iterator[Callable[[str], None]]:
 
     with Console(stderr=True).status("") as status:
         yield lambda message: status.update(Text(message))
-
-
-def rendered(parts: Iterable[Table | Text]) -> str:
-    from rich.console import Console
-
-    console = Console(width=max(TABLE_WIDTH, Console().width))
-    with console.capture() as capture:
-        for part in parts:
-            console.print(part)
-    return capture.get()

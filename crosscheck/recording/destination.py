@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from crosscheck.errors import CrosscheckError
 
 if TYPE_CHECKING:
+    from crosscheck.report.table import Report
     from crosscheck.run import Crosscheck
 
 
@@ -74,7 +75,7 @@ class Destination:
             server.check_address(self.bind)
 
     @contextmanager
-    def sent(self, result: Crosscheck, verdict: str) -> Iterator[Sent]:
+    def sent(self, result: Crosscheck, report: Report) -> Iterator[Sent]:
         """Send the recording where it goes, if that is no file.
 
         Raises:
@@ -85,8 +86,10 @@ class Destination:
             return
         from crosscheck.recording import server
         from crosscheck.recording.log import log_run, new_recording, recorded
-        from crosscheck.report.output import tidied_up
+        from crosscheck.report.render import markdown
+        from crosscheck.workers import tidied_up
 
+        verdict = markdown(report, folded=True)
         if self.stdout:
             content = recorded(result.scene, result.runs, verdict, result.title)
             stream = sys.__stdout__

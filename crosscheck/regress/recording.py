@@ -9,7 +9,7 @@ import numpy as np
 from crosscheck.errors import CrosscheckError
 from crosscheck.regress.baseline import Baseline
 from crosscheck.regress.measure import MAIN, main_run, regress_scene
-from crosscheck.report.output import tidied_up
+from crosscheck.workers import tidied_up
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory

@@ -1,56 +1,47 @@
-"""What moved: as a table for the terminal, markdown, JSON and JUnit XML."""
+"""The report of scenes against their baselines."""
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from xml.etree import ElementTree
-
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
 
 from crosscheck.regress.compare import Checked, Comparison
+from crosscheck.report import render
+from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, figures, texts
+from crosscheck.results import digest
 
 MOST_LINES = 15
-"""Of a scene in tables; what moved first is what to look at, and JSON and JUnit have the rest."""
+"""Figures of a scene in tables of what moved; the table of all figures has the rest."""
 
-HEADS = ("figure", "where", "was", "now", "moved by", "bands")
+COLUMNS = [*texts("figure", "where"), *figures("was", "now", "moved by", "bands")]
 
 
 def tables(found: Sequence[Comparison]) -> Iterator[Table]:
-    """A table for each scene that moved."""
+    """A table per scene that moved: its first figures, and how many more moved."""
     for comparison in found:
-        if comparison.moved:
-            yield _table(comparison)
+        moved = comparison.moved
+        if moved:
+            rest = [f"and {len(moved) - MOST_LINES} more"] if len(moved) > MOST_LINES else []
+            rows = [_row(figure, f"{figure.group}: ") for figure in moved[:MOST_LINES]]
+            yield Table(f"{comparison.scene}: what moved", COLUMNS, [*rows, *rest])
 
 
-def _table(comparison: Comparison) -> Table:
-    title = Text(f"{comparison.scene}: what moved", style="bold")
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    for head in HEADS[:2]:
-        table.add_column(head)
-    for head in HEADS[2:]:
-        table.add_column(head, justify="right", no_wrap=True)
-    for figure in comparison.moved[:MOST_LINES]:
-        table.add_row(*(Text(cell) for cell in _cells(figure)))
-    rest = len(comparison.moved) - MOST_LINES
-    if rest > 0:
-        table.add_row(f"and {rest} more")
-    return table
-
-
-def _cells(figure: Checked) -> tuple[str, ...]:
-    """As `HEADS` says."""
+def _row(figure: Checked, group: str = "") -> list[str | Cell]:
+    """Cells of `COLUMNS`."""
     unit = f", {figure.unit}" if figure.unit else ""
-    name = f"{figure.group}: {figure.name}{unit}"
+    name = f"{group}{figure.name}{unit}"
     if figure.was is None or figure.now is None:
-        return name, figure.problem, "", "", "", ""
-    bands = f"{figure.bands:.3g}"
-    was, now = f"{figure.was:.9g}", f"{figure.now:.9g}"
-    return name, figure.where, was, now, f"{figure.now - figure.was:+.2e}", bands
+        return [name, Cell(figure.problem, "fails"), "", "", "", ""]
+    bands = Cell(f"{figure.bands:.3g}", "fails" if figure.moved else "holds")
+    change = f"{figure.now - figure.was:+.2e}"
+    return [name, figure.where, f"{figure.was:.9g}", f"{figure.now:.9g}", change, bands]
+
+
+def _all_figures(comparison: Comparison) -> Table:
+    rows: Rows = []
+    for group in dict.fromkeys(figure.group for figure in comparison.checked):
+        rows += [group, *(_row(figure) for figure in comparison.checked if figure.group == group)]
+    return Table(comparison.scene, COLUMNS, rows, folded=True)
 
 
 def verdict(found: Sequence[Comparison]) -> str:
@@ -63,30 +54,41 @@ def verdict(found: Sequence[Comparison]) -> str:
     return f"QUIET: all {figures} figures of {scenes}"
 
 
+def report(found: Sequence[Comparison], recordings: dict[str, Path]) -> Report:
+    """Verdicts, the figures that moved, all figures, and what the baselines were made with."""
+    lines = []
+    for comparison in found:
+        lines.append(comparison.verdict)
+        if comparison.scene in recordings:
+            lines.append(f"recording: {recordings[comparison.scene]}")
+    versions = Table(
+        "versions",
+        texts("scene", "baseline", "its versions", "versions now"),
+        [
+            [
+                each.scene,
+                f"{each.made.date} ({each.made.reason})",
+                _named(each.made.versions),
+                _named(each.now),
+            ]
+            for each in found
+        ],
+        folded=True,
+    )
+    parts: list[Part] = [Lines("", lines), *tables(found), *map(_all_figures, found), versions]
+    moved = any(comparison.moved for comparison in found)
+    word = Cell("MOVED", "fails") if moved else Cell("QUIET", "holds")
+    wall_time = sum(comparison.wall_time for comparison in found)
+    return Report("crosscheck regress", verdict(found), word, parts, wall_time)
+
+
+def _named(versions: dict[str, str]) -> str:
+    return ", ".join(f"{name} {version}" for name, version in versions.items())
+
+
 def markdown(found: Sequence[Comparison], recordings: dict[str, Path]) -> str:
     """The verdicts, and the figures that moved, for example for a summary on GitHub."""
-    lines = [f"## crosscheck regress: {_escaped(verdict(found))}", ""]
-    for comparison in found:
-        lines.append(f"- {_escaped(comparison.verdict)}")
-        if comparison.scene in recordings:
-            lines.append(f"  - recording: `{recordings[comparison.scene]}`")
-    for comparison in found:
-        if comparison.moved:
-            lines += ["", f"### {_escaped(comparison.scene)}", "", "| " + " | ".join(HEADS) + " |"]
-            lines.append("|---|---|---:|---:|---:|---:|")
-            for figure in comparison.moved[:MOST_LINES]:
-                lines.append("| " + " | ".join(_escaped(cell) for cell in _cells(figure)) + " |")
-            rest = len(comparison.moved) - MOST_LINES
-            if rest > 0:
-                lines += ["", f"and {rest} more"]
-    return "\n".join(lines) + "\n"
-
-
-def _escaped(text: str) -> str:
-    """Text that markdown shows as it is."""
-    for character in "\\`*_[]<>|":
-        text = text.replace(character, f"\\{character}")
-    return text.replace("\n", " ")
+    return render.markdown(report(found, recordings))
 
 
 def as_json(found: Sequence[Comparison], recordings: dict[str, Path]) -> str:
@@ -98,39 +100,12 @@ def as_json(found: Sequence[Comparison], recordings: dict[str, Path]) -> str:
     ]
     quiet = not any(comparison.moved for comparison in found)
     content = {"quiet": quiet, "verdict": verdict(found), "scenes": scenes}
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+    files = {path.name: digest(path) for path in recordings.values()}
+    return render.as_json(content, report(found, recordings), files).decode()
 
 
 def junit(found: Sequence[Comparison]) -> str:
-    """JUnit XML: a suite for each scene, a case for each figure."""
-    root = ElementTree.Element("testsuites", name="crosscheck regress")
-    for comparison in found:
-        suite = ElementTree.SubElement(
-            root,
-            "testsuite",
-            name=_legal(comparison.scene),
-            tests=str(len(comparison.checked)),
-            failures=str(len(comparison.moved)),
-            errors="0",
-            time=f"{comparison.wall_time:.3f}",
-        )
-        for figure in comparison.checked:
-            case = ElementTree.SubElement(
-                suite,
-                "testcase",
-                classname=_legal(f"{comparison.scene}.{figure.group}"),
-                name=_legal(figure.name),
-                time="0",
-            )
-            if figure.moved:
-                name, where, was, now, moved, bands = _cells(figure)
-                said = f"{where}: was {was}, is {now}: {moved}, {bands} bands" if was else where
-                failure = ElementTree.SubElement(case, "failure", message=_legal(f"{name}: {said}"))
-                failure.text = _legal(comparison.verdict)
-    ElementTree.indent(root, " ")
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
-def _legal(text: str) -> str:
-    """Text without the characters that XML cannot hold in any form."""
-    return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text)
+    """JUnit XML: a suite per scene, a case per figure."""
+    complete = report(found, {})
+    every = [part for part in complete.parts if part.folded]
+    return render.junit(Report(complete.title, complete.verdict, complete.judged, every, complete.wall_time))

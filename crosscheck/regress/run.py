@@ -16,8 +16,8 @@ from crosscheck.regress import bands, recording
 from crosscheck.regress.baseline import Baseline, read
 from crosscheck.regress.compare import Comparison, compare
 from crosscheck.regress.report import as_json, junit, markdown
-from crosscheck.report.output import tidied_up
 from crosscheck.scenes import SCENES
+from crosscheck.workers import tidied_up
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import atomic_file
 from newton_euler.verification.import_report import ImportReport

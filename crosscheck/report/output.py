@@ -1,23 +1,21 @@
-"""What a crosscheck leaves in its folder: the runs, a summary and a recording, all of them or none."""
+"""The folder of a crosscheck: the runs, a summary and a recording, all of them or none."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import os
-import signal
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 from pydantic import BaseModel
 
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
-from crosscheck.results import digest, read_json
+from crosscheck.files import write_files
+from crosscheck.report.render import as_json, markdown
+from crosscheck.report.table import Report
+from crosscheck.results import read_json
 from crosscheck.run import Crosscheck
-from newton_euler.model.trajectory import atomic_file
 
 TOLD = {
     "crosscheck": ("summary.json",),
@@ -26,77 +24,34 @@ TOLD = {
 """Files that tell whose results a folder has."""
 
 
-@contextmanager
-def tidied_up() -> Iterator[None]:
-    """A block that a request to end interrupts as Ctrl-C does, so that it tidies up behind itself.
-
-    Elsewhere there is nothing to tidy up, and Python would hear of the request only after what runs in
-    native code.
-    """
-    if threading.current_thread() is not threading.main_thread():  # the only one that hears of signals
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def write(result: Crosscheck, folder: Path, recording: Path | None, verdict: str) -> list[Path]:
+def write(result: Crosscheck, report: Report, folder: Path, recording: Path | None) -> list[Path]:
     """Write the runs, the summary and the Rerun recording, all of them or none.
 
     The summary is removed first and comes back last, so that a folder that has one is complete wherever
-    a process that wrote to it was killed. Nothing is removed before all that comes in its place is written
-    beside it; then what an earlier crosscheck left in the folder of other engines is, or a recording if this
-    one goes elsewhere.
+    a process that wrote to it was killed. What an earlier crosscheck left in the folder of other engines is
+    removed, and a recording if this one goes elsewhere.
 
     Args:
+        report: on the result.
         recording: file that the recording goes to; no file if None.
-        verdict: Markdown.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.
     """
+    made = {folder / f"{name}.npz": run.archive() for name, run in result.runs.items()}
+    if recording is not None:
+        from crosscheck.recording.log import recorded
+
+        text = markdown(report, folded=True)
+        made[recording] = recorded(result.scene, result.runs, text, result.title)
+    digests = {path.name: hashlib.sha256(content).hexdigest() for path, content in made.items()}
     summary = folder / "summary.json"
-    usual = recording_path(result, folder)
-    path = folder
-    try:
-        content = b""
-        if recording is not None:
-            from crosscheck.recording.log import recorded
-
-            content = recorded(result.scene, result.runs, verdict, result.title)
-        with tidied_up(), ExitStack() as stack:
-
-            def temporary(target: Path) -> Path:
-                nonlocal path
-                path = target
-                return stack.enter_context(atomic_file(target))
-
-            # the stack is left from its top: what is entered first is in its place last
-            last = temporary(summary)
-            runs = [folder / f"{name}.npz" for name in result.runs]
-            made: dict[str, str] = {}
-            for target, run in zip(runs, result.runs.values(), strict=True):
-                written = temporary(target)
-                run.save(written)
-                made[target.name] = digest(written)
-            if recording is not None:
-                temporary(recording).write_bytes(content)
-                made[recording.name] = hashlib.sha256(content).hexdigest()
-            path = summary
-            text = json.dumps(result.summary() | {"files": made}, indent=1, allow_nan=False)
-            last.write_text(text + "\n", encoding="utf-8")
-            summary.unlink(missing_ok=True)
-            for name in {*ENGINES, *(engine.name for engine in result.engines)} - result.runs.keys():
-                path = folder / f"{name}.npz"
-                path.unlink(missing_ok=True)
-            if recording != usual:
-                path = usual
-                usual.unlink(missing_ok=True)
-    except OSError as error:
-        raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
+    others = {*ENGINES, *(engine.name for engine in result.engines)} - result.runs.keys()
+    stale = [summary, *(folder / f"{name}.npz" for name in others)]
+    if recording != (usual := folder / f"{result.scene.name}.rrd"):
+        stale.append(usual)
+    write_files({summary: as_json(result.summary(), report, digests), **made}, stale)
+    runs = [path for path in made if path != recording]
     return [*runs, summary, *([] if recording is None else [recording])]
 
 
@@ -138,8 +93,3 @@ def _sources(path: Path) -> list[str]:
     except CrosscheckError:
         return []
     return [model.source for model in found.models or [found]]
-
-
-def recording_path(result: Crosscheck, folder: Path) -> Path:
-    """Where a crosscheck's recording is if it was not sent anywhere else."""
-    return folder / f"{result.scene.name}.rrd"

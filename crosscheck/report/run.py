@@ -1,15 +1,13 @@
-"""The figures of a crosscheck as tables for the terminal and as markdown."""
+"""The report of a crosscheck: figures, settings, advice."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
 
 from crosscheck.advice.measured import distance
+from crosscheck.against.compare import Against, Model
 from crosscheck.comparison.known_figures import Measured
 from crosscheck.comparison.levels import Row, not_compared
 from crosscheck.comparison.reactions import undetermined_joints
@@ -17,6 +15,19 @@ from crosscheck.comparison.rows import FILE, NOT_NEARER
 from crosscheck.comparison.runs import displacements
 from crosscheck.comparison.samples import admissible_basis, body_units
 from crosscheck.model_files.read import report_lines
+from crosscheck.report.table import (
+    Cell,
+    Column,
+    Lines,
+    Part,
+    Report,
+    Rows,
+    Table,
+    entries,
+    figures,
+    judged,
+    texts,
+)
 from crosscheck.run import Crosscheck
 from crosscheck.stiffness import explicit_steps, fastest_decay
 from newton_euler.assemble import initial_state
@@ -33,7 +44,26 @@ IMPLICIT = ("Radau", "implicitfast")
 """Integrators that engines take for stiff scenes by themselves."""
 
 
-def terminal_tables(result: Crosscheck) -> Iterator[Table]:
+def report(result: Crosscheck) -> Report:
+    """All that a crosscheck found."""
+    parts: list[Part] = list(tables(result))
+    parts.append(Lines("", [*result.notes, *settings_lines(result)]))
+    models = result.models if isinstance(result, Against) else [result]
+    for model in models:
+        if model.mapping:
+            title = "carried over from the file"
+            title += f" of {model.name}" if isinstance(model, Model) else ""
+            parts.append(Lines(title, list(report_lines(model.mapping)), folded=True))
+    summary = result.summary()
+    named = ("scene", "source", "options", "models", "left_out", "versions")
+    parts.append(
+        entries("scene and versions", {name: summary[name] for name in named if name in summary}, folded=True)
+    )
+    word = Cell("AGREE", "holds") if result.agrees else Cell("FAILS", "fails")
+    return Report(result.title, result.verdict, word, parts, result.wall_time)
+
+
+def tables(result: Crosscheck) -> Iterator[Table]:
     """Figures of engines against a model file, of pairs of engines, of each by itself, and of its systems."""
     titles = {
         "file": f"each engine against {result.title} as its file's own reader has it",
@@ -48,28 +78,13 @@ def terminal_tables(result: Crosscheck) -> Iterator[Table]:
             yield _table(title, rows)
     if result.measured:
         yield _measured_table(result.measured)
-
-
-def _measured_table(measured: Sequence[Measured]) -> Table:
-    """A line for each known figure: the value of the first engine, the reference, a cell for each engine."""
-    columns = list(dict.fromkeys(found.engine for found in measured))
-    title = Text("figures against the reference", style="bold")
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("")
-    table.add_column("time, s", justify="right")
-    for name in (f"value, {columns[0]}", "reference", *columns):
-        table.add_column(name, justify="right", no_wrap=True)
-    for known in dict.fromkeys(id(found.known) for found in measured):
-        cells = {found.engine: found for found in measured if id(found.known) == known}
-        first = cells[columns[0]]
-        table.add_row(
-            f"{first.known.quantity}, {first.known.unit}",
-            f"{first.known.time:g}",
-            f"{first.value:.12g}",
-            f"{first.known.value:.12g}",
-            *(judged(cells[name].difference, cells[name].allowed, cells[name].agrees) for name in columns),
+    failed = [row for row in result.rows if not row.agrees]
+    if len(failed) > 1:
+        yield Table(
+            "where they part",
+            texts("level", "quantity", "between", "worst at"),
+            [[row.level, row.quantity, ", ".join(row.between), row.where] for row in failed],
         )
-    return table
 
 
 def _part(row: Row, engines: set[str]) -> str:
@@ -81,33 +96,50 @@ def _part(row: Row, engines: set[str]) -> str:
 
 
 def _table(title: str, rows: list[Row]) -> Table:
-    """A line for each quantity, a column for each pair or engine, a section for each level."""
+    """A row per quantity, a column per pair or engine, a section per level."""
     columns = list(dict.fromkeys(row.between for row in rows))
-    heading = Text(title, style="bold")
-    table = Table(title=heading, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("")
-    for between in columns:
-        table.add_column("\n".join(between), justify="right", no_wrap=True)
+    lines: Rows = []
     for level in dict.fromkeys(row.level for row in rows):
-        table.add_section()
-        table.add_row(Text(level, style="bold"))
+        lines.append(level)
         at_level = [row for row in rows if row.level == level]
         for quantity in dict.fromkeys(row.quantity for row in at_level):
             cells = {row.between: _cell(row) for row in at_level if row.quantity == quantity}
-            table.add_row(f"  {quantity}", *(cells.get(between, "") for between in columns))
-    return table
+            lines.append([quantity, *(cells.get(between, "") for between in columns)])
+    heads = [Column("\n".join(between), numeric=True) for between in columns]
+    return Table(title, [Column(""), *heads], lines)
 
 
-def _cell(row: Row) -> Text:
+def _cell(row: Row) -> Cell:
+    about = f"worst at {row.where}"
+    if row.unsettled:
+        return Cell(f"{row.value:.1e} not judged", "", f"{row.unsettled} is {NOT_NEARER}; {about}")
     if row.informs:
-        return Text(f"{row.value:.1e}{' not judged' if row.unsettled else ''}")
-    return judged(row.value, row.tolerance, row.agrees)
+        return Cell(f"{row.value:.1e}", "", about)
+    return judged(row.value, row.tolerance, row.agrees, about)
 
 
-def judged(value: float, allowed: float, agrees: bool) -> Text:
-    """A figure beside what it may be at most."""
-    text = f"{value:.1e} {'<' if value <= allowed else '>'} {allowed:.0e}"
-    return Text(text, style="green" if agrees else "bold red")
+def _measured_table(measured: Sequence[Measured]) -> Table:
+    """A row per known figure: the value of the first engine, the reference, a cell per engine."""
+    columns = list(dict.fromkeys(found.engine for found in measured))
+    rows: Rows = []
+    for known in dict.fromkeys(id(found.known) for found in measured):
+        cells = {found.engine: found for found in measured if id(found.known) == known}
+        first = cells[columns[0]]
+        rows.append(
+            [
+                f"{first.known.quantity}, {first.known.unit}",
+                f"{first.known.time:g}",
+                f"{first.value:.12g}",
+                f"{first.known.value:.12g}",
+                *(
+                    judged(cells[name].difference, cells[name].allowed, cells[name].agrees)
+                    for name in columns
+                ),
+            ]
+        )
+    heads = [Column("time", "s", True), Column(f"value, {columns[0]}", numeric=True), *figures("reference")]
+    heads += [Column(name, numeric=True) for name in columns]
+    return Table("figures against the reference", [Column(""), *heads], rows)
 
 
 def settings_lines(result: Crosscheck) -> Iterator[str]:
@@ -199,50 +231,3 @@ def _rest_line(result: Crosscheck) -> str:
 def _short(value: object) -> object:
     """A setting with as many digits as people read."""
     return f"{value:.3g}" if isinstance(value, float) else value
-
-
-def markdown(result: Crosscheck) -> str:
-    """The verdict, the settings of the engines and all figures, a line each."""
-    lines = [f"# {result.title}", "", f"**{result.verdict}**", ""]
-    lines += [f"- {line}" for line in settings_lines(result)]
-    if result.mapping:
-        lines += [
-            "",
-            "## carried over from the file",
-            "",
-            *(f"- {line}" for line in report_lines(result.mapping)),
-        ]
-    level = ""
-    for row in result.rows:
-        if row.level != level:
-            level = row.level
-            lines += [
-                "",
-                f"## {level}",
-                "",
-                "| figure | between | value | at most | verdict | worst at |",
-                "|---|---|---|---|---|---|",
-            ]
-        verdict = "for information" if row.informs else "holds" if row.agrees else "**FAILS**"
-        if row.unsettled:
-            verdict = f"not judged: {row.unsettled} is {NOT_NEARER}"
-        lines.append(
-            f"| {row.quantity} | {', '.join(row.between)} | {row.value:.1e} | {row.tolerance:.0e} "
-            f"| {verdict} | {row.where} |"
-        )
-    if result.measured:
-        lines += [
-            "",
-            "## against the reference",
-            "",
-            "| figure | time, s | engine | value | reference | difference | allowed | verdict |",
-            "|---|---|---|---|---|---|---|---|",
-        ]
-    for found in result.measured:
-        known = found.known
-        lines.append(
-            f"| {known.quantity}, {known.unit} | {known.time:g} | {found.engine} | {found.value:.15g} "
-            f"| {known.value:.15g} | {found.difference:.1e} | {found.allowed:.1e} "
-            f"| {'holds' if found.agrees else '**FAILS**'} |"
-        )
-    return "\n".join(lines) + "\n"

@@ -8,10 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
 
+from crosscheck.report.table import Column, Lines, Part, Table
 from newton_euler.assemble import initial_state
 from newton_euler.codegen.expression import Expression, Graph, Node, operands
 from newton_euler.compiled import FORMULATIONS, Code, Formulation
@@ -47,41 +45,32 @@ Cells = dict[str, str]
 """One column of a table: its lines by name."""
 
 
-def explain(scene: Scene, progress: Progress) -> Iterator[Table | Text]:
-    """All that there is to say of a scene, headings and tables; `progress` is told each stage."""
+def explain(scene: Scene, progress: Progress) -> Iterator[Part]:
+    """All that there is to say of a scene, table by table; `progress` is told each stage."""
     compiled = {}
     for name in FORMULATIONS:
         progress(f"compiling {name}")
         compiled[name] = Code(scene, name)
         load(compiled[name], "DOP853")
-    yield _heading(f"{scene.name}: {scene.description}")
-    yield _table({name: structure(c) for name, c in compiled.items()})
-    yield _heading("operations of a right-hand side, by term")
-    yield _table({name: _counts(operations_by_term(c)) for name, c in compiled.items()})
-    yield _heading("operations of an output, by what is asked for beside poses")
-    yield _table({name: _counts(operations_by_output(scene, name)) for name in FORMULATIONS})
-    yield _heading("native code")
-    yield _table({name: native_code(c) for name, c in compiled.items()})
-    yield _heading("left out, at no cost")
-    yield Text("".join(f"  {line}\n" for line in left_out(compiled["relative"])))
+    title = f"{scene.name}: {scene.description}"
+    yield _table(title, {name: structure(c) for name, c in compiled.items()})
+    terms = {name: _counts(operations_by_term(c)) for name, c in compiled.items()}
+    yield _table("operations of a right-hand side, by term", terms)
+    outputs = {name: _counts(operations_by_output(scene, name)) for name in FORMULATIONS}
+    yield _table("operations of an output, by what is asked for beside poses", outputs)
+    yield _table("native code", {name: native_code(c) for name, c in compiled.items()})
+    yield Lines("left out, at no cost", [f"  {line}" for line in left_out(compiled["relative"])])
     progress("compiling one feature at a time")
-    yield _heading("joint coordinates, one feature at a time")
-    yield _table(_transposed(features(scene)))
+    yield _table("joint coordinates, one feature at a time", _transposed(features(scene)))
 
 
-def _heading(text: str) -> Text:
-    return Text(text, style="bold")
-
-
-def _table(columns: Mapping[str, Cells]) -> Table:
+def _table(title: str, columns: Mapping[str, Cells]) -> Table:
     """A line for each name in any column."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("", no_wrap=True)
-    for name in columns:
-        table.add_column(name, justify="right")
-    for line in dict.fromkeys(line for cells in columns.values() for line in cells):
-        table.add_row(Text(f"  {line}"), *(cells.get(line, "") for cells in columns.values()))
-    return table
+    names = dict.fromkeys(line for cells in columns.values() for line in cells)
+    heads = [Column(""), *(Column(name, numeric=True) for name in columns)]
+    return Table(
+        title, heads, [[line, *(cells.get(line, "") for cells in columns.values())] for line in names]
+    )
 
 
 def _transposed(lines: Mapping[str, Cells]) -> dict[str, Cells]:

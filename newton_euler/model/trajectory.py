@@ -102,11 +102,16 @@ class Trajectory:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the arrays to an .npz; the file appears whole or not at all."""
-        content = io.BytesIO()  # a zip file on a full disk would fail once more on its way out
+        content = self.archive()  # a zip file on a full disk would fail once more on its way out
+        with atomic_file(path) as temporary:
+            temporary.write_bytes(content)
+
+    def archive(self) -> bytes:
+        """The content of an .npz of the arrays."""
+        content = io.BytesIO()
         arrays: dict[str, Any] = dict(self.arrays())
         np.savez_compressed(content, **arrays)
-        with atomic_file(path) as temporary:
-            temporary.write_bytes(content.getbuffer())
+        return content.getvalue()
 
 
 class StoppedError(NewtonEulerError):

@@ -201,12 +201,12 @@ def test_a_full_disk_and_a_benchmark(tmp_path, good):
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_a_full_disk_and_figures_of_a_benchmark(tmp_path):
-    """What `bench` writes, without measuring anything."""
+def test_a_full_disk_leaves_nothing(tmp_path):
+    """Of files that are written together."""
     code = (
-        "from pathlib import Path; from crosscheck.studies.benchmark.run import _write\n"
+        "from pathlib import Path; from crosscheck.files import write_files\n"
         "from crosscheck.errors import CrosscheckError\n"
-        "try: _write(Path('out/scaling.png'), bytes(10_000))\n"
+        "try: write_files({Path('out/a'): b'', Path('out/scaling.png'): bytes(10_000)})\n"
         "except CrosscheckError as error: print(error)"
     )
     done = subprocess.run(

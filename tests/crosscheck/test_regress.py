@@ -276,9 +276,9 @@ def test_a_user_guards_a_model(capsys, guarded, monkeypatch):
     assert int(suite.get("failures")) == len(suite.findall("testcase/failure")) == moved > 10
     assert int(suite.get("tests")) == len(suite.findall("testcase")) == len(scene["figures"])
     steps = summary.read_text()
-    assert steps.startswith("before\n## crosscheck regress: QUIET")
+    assert steps.startswith("before\n# crosscheck regress\n\n**QUIET: all ")
     assert steps.endswith(Path("m.md").read_text())
-    assert Path("m.md").read_text().startswith("## crosscheck regress: MOVED: 1 of 1 scenes: mine")
+    assert Path("m.md").read_text().startswith("# crosscheck regress\n\n**MOVED: 1 of 1 scenes: mine**")
 
 
 def test_a_recording_opens_where_poses_part(tmp_path, swing, measured, monkeypatch):
@@ -361,7 +361,7 @@ def test_a_model_file_is_guarded_with_what_is_in_no_figure(capsys, tmp_path, mon
     suite = ElementTree.parse("j.xml").getroot().find("testsuite")
     told = [failure.get("message") for failure in suite.findall("testcase/failure")]
     new = limits.replace("to 1.047", "to 0.5236")
-    assert told == [f"model file: {limits}: no longer so", f"model file: {new}: new"]
+    assert told == [f"model file: {limits}: where no longer so", f"model file: {new}: where new"]
     (scene,) = json.loads(Path("j.json").read_text())["scenes"]
     assert [each["name"] for each in scene["figures"] if each["moved"]] == [limits, new]
     assert "its limits -1.047 to 0.5236" in Path("m.md").read_text()

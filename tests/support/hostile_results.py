@@ -18,6 +18,7 @@ import numpy as np
 from command_line import short_example
 from hostile_files import MJCF, SEED, TEXTS, URDF, sparse
 
+from crosscheck.report.page import RESULTS
 from crosscheck.results import digest
 from newton_euler.model.trajectory import NEEDED, SHAPES, load_arrays
 
@@ -50,22 +51,9 @@ class Refused:
         return [*self.arguments]
 
 
-MEASURED: dict[str, Any] = {"source": "tracker", "options": {}, "machine": {}, "words": []}
-
-VERSIONS: dict[str, Any] = {"wall_time": 1.0, "versions": {}}
-
-CONTENTS: dict[str, dict[str, Any]] = {
-    "rhs.json": MEASURED | {"right_hand_sides": []},
-    "scaling.json": MEASURED | {"sizes": {}},
-    "batch.json": MEASURED | {"sides": [], "duration": 1.0, "outputs": 2, "error": 1e-6},
-    "bench.json": MEASURED
-    | {"scene": "tracker", "duration": 1.0, "outputs": 2, "reference": {}, "answer": ""}
-    | {"table": [], "loadings": [], "settings": []},
-    "stress.json": VERSIONS | {"form": "ci", "passed": {}, "rows": []},
-    "faults.json": VERSIONS
-    | {"scene": "tracker", "options": {}, "engines": [], "left_out": {}, "verdict": "", "holds": True}
-    | {"tables": [], "words": [], "faults": []},
-    "regress.json": {"quiet": True, "verdict": "", "scenes": []},
+CONTENT: dict[str, Any] = {
+    "report": {"title": "", "verdict": "", "judged": {"text": ""}, "parts": []},
+    "files": {},
 }
 """Results with nothing wrong."""
 
@@ -104,8 +92,8 @@ def only(file: str, content: bytes) -> Prepare:
 def json_cases() -> Iterator[Refused]:
     """Every kind of results, damaged in every way."""
     dice = random.Random(SEED)
-    for file, content in CONTENTS.items():
-        for name, text in damaged(json.dumps(content), dice):
+    for file in RESULTS:
+        for name, text in damaged(json.dumps(CONTENT), dice):
             yield Refused(f"{file} {name}", ("report", "results"), f"{file}: ", only(file, text))
         for name, make in PLACES.items():
             prepare = only(file, b"")

@@ -9,17 +9,15 @@ engine's own, before.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.report.table import Cell, Lines, Report, Rows, Table, figures, texts
 from crosscheck.scenes import load
 from crosscheck.studies.benchmark.batch_engines import RTOL, Choice, MuJoCo, Own, bare, cheapest, references
 from crosscheck.studies.benchmark.engines import JUDGED, poses_only
@@ -204,33 +202,31 @@ def _throughputs(times: Times, name: str, runs: int) -> tuple[Throughput, ...]:
 # Report
 
 
-def batch_table(result: BatchBenchmark) -> Table:
-    """A line for each engine and number of threads; ratios are newton_euler's rate over the other's."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("engine")
-    table.add_column("setting", overflow="fold")
-    heads = ("error", "threads", "runs", "runs per s", "spread", "scaling", "ratio", "setup, s")
-    for head in heads:
-        table.add_column(head, justify="right")
+def batch_report(result: BatchBenchmark) -> Report:
+    """Rates by engine and number of threads; ratios are newton_euler's rate over the other's."""
     own = {t.threads: t.rate for side in result.sides if side.engine == JUDGED for t in side.throughputs}
-    for side in result.sides:
-        for t in side.throughputs:
-            table.add_row(
-                side.engine,
-                side.setting,
-                f"{side.error:.1e}",
-                str(t.threads),
-                str(t.runs),
-                f"{t.rate:.4g}",
-                f"{t.spread:.0%}",
-                f"{t.rate / side.throughputs[0].rate:.2f}",
-                "-" if side.engine == JUDGED else f"{own[t.threads] / t.rate:.3g}",
-                f"{side.setup:.2f}",
-            )
-    return table
+    rows: Rows = [
+        [
+            side.engine,
+            side.setting,
+            f"{side.error:.1e}",
+            str(t.threads),
+            str(t.runs),
+            f"{t.rate:.4g}",
+            f"{t.spread:.0%}",
+            f"{t.rate / side.throughputs[0].rate:.2f}",
+            "-" if side.engine == JUDGED else f"{own[t.threads] / t.rate:.3g}",
+            f"{side.setup:.2f}",
+        ]
+        for side in result.sides
+        for t in side.throughputs
+    ]
+    names = ("error", "threads", "runs", "runs per s", "spread", "scaling", "ratio", "setup, s")
+    table = Table("", [*texts("engine", "setting"), *figures(*names)], rows)
+    return Report("many runs", "", Cell(""), [table, Lines("", _words(result))])
 
 
-def batch_words(result: BatchBenchmark) -> list[str]:
+def _words(result: BatchBenchmark) -> list[str]:
     """What was run, and what each engine delivers."""
     where = result.machine
     period = result.duration / (result.outputs - 1)
@@ -254,10 +250,10 @@ def batch_words(result: BatchBenchmark) -> list[str]:
     return lines
 
 
-def batch_json(result: BatchBenchmark) -> str:
-    """Everything measured, as JSON text."""
-    content = asdict(result) | {"words": batch_words(result)}
+def batch_data(result: BatchBenchmark) -> dict[str, Any]:
+    """Everything measured, for JSON."""
+    content = asdict(result)
     for side, found in zip(content["sides"], result.sides, strict=True):
         for entry, throughput in zip(side["throughputs"], found.throughputs, strict=True):
             entry["rate"] = throughput.rate
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+    return content

@@ -1,20 +1,25 @@
-"""What a benchmark found, as tables, in words and as JSON."""
+"""The report of a benchmark: the cheapest settings for an error."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from typing import Any, NamedTuple
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
+import numpy as np
 
+from crosscheck.report.plots import STYLES
+from crosscheck.report.table import Cell, Column, Lines, Report, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.engines import ENGINES, JUDGED, Benchmark
 from crosscheck.studies.benchmark.work_precision import Measurement
+from crosscheck.studies.diagram import Diagram, Line
+from newton_euler.scalars import Array
 
 DECADES = tuple(10.0**-power for power in range(3, 12))
 """Errors, m and rad, that the table has a row for."""
+
+SMALLEST = 1e-16
+"""Errors are drawn no smaller than this, m or rad: zero has no logarithm."""
 
 OTHERS = tuple(engine for engine in ENGINES if engine != JUDGED)
 
@@ -118,19 +123,30 @@ def _time(seconds: float) -> str:
     return f"{seconds / 1e-9:.3g} ns"
 
 
-def tables(result: Benchmark) -> Iterator[tuple[str, list[str], list[list[str]]]]:
-    """Title, headings and cells of each table."""
-    heads = ["error"]
+def report(result: Benchmark, error: float) -> Report:
+    """Settings by error and engine, the machine, and what each engine needs for an error."""
+    said = Lines("", preamble(result))
+    answered = Lines("", answer(result, error).splitlines())
+    return Report(f"bench {result.title}", "", Cell(""), [said, *tables(result), answered])
+
+
+def tables(result: Benchmark) -> Iterator[Table]:
+    """The cheapest settings for each error, the best settings of each engine, loading, and failures."""
+    heads = figures("error")
     for engine in ENGINES:
-        heads += [engine, "ms"] + (["ratio"] if engine != JUDGED else [])
-    yield (
+        heads += [Column(engine), *figures("ms"), *(figures("ratio") if engine != JUDGED else [])]
+    yield Table(
         "cheapest setting for each error, m and rad",
-        [*heads, "remarks"],
+        [*heads, Column("remarks")],
         [_cells(found) for found in rows(result)],
     )
     uncertainty = result.reference.uncertainty
+    heads = [
+        *texts("setting"),
+        *figures("m", "rad", "ms", "quartiles, ms", "repeats", "first, ms", "evaluations"),
+    ]
     for engine in ENGINES:
-        cells = [
+        cells: Rows = [
             [
                 m.name,
                 _error(m.error_position, uncertainty),
@@ -143,26 +159,27 @@ def tables(result: Benchmark) -> Iterator[tuple[str, list[str], list[list[str]]]
             ]
             for m in frontier(result.measured.measurements, engine)
         ]
-        heads = ["setting", "m", "rad", "ms", "quartiles, ms", "repeats", "first, ms", "evaluations"]
-        yield f"{engine}: settings that none of its others beats", heads, cells
-    loadings = [
-        [load.engine, load.model, f"{load.seconds:.3g}", load.remark] for load in result.measured.loadings
-    ]
-    yield "loading, not counted above", ["engine", "model", "s", "of which"], loadings
-    failures = [
-        [failure.engine, failure.method, failure.setting, failure.reason]
-        for failure in result.measured.failures
-    ]
+        yield Table(f"{engine}: settings that none of its others beats", heads, cells)
+    yield Table(
+        "loading, not counted above",
+        [*texts("engine", "model"), *figures("s"), *texts("of which")],
+        [[load.engine, load.model, f"{load.seconds:.3g}", load.remark] for load in result.measured.loadings],
+    )
+    failures = result.measured.failures
     if failures:
-        yield "what cannot run the scene", ["engine", "method", "setting", "reason"], failures
+        yield Table(
+            "what cannot run the scene",
+            texts("engine", "method", "setting", "reason"),
+            [[failure.engine, failure.method, failure.setting, failure.reason] for failure in failures],
+        )
 
 
 def _error(value: float, uncertainty: float) -> str:
     return f"{value:.1e}" if value > uncertainty else f"<= {uncertainty:.1e}"
 
 
-def _cells(found: Row) -> list[str]:
-    cells = [f"{found.error:.0e}"]
+def _cells(found: Row) -> list[str | Cell]:
+    cells: list[str | Cell] = [f"{found.error:.0e}"]
     for engine, m in found.cheapest.items():
         cells += ["-", "-"] if m is None else [m.name, f"{m.median * 1e3:.3g}"]
         if engine != JUDGED:
@@ -196,33 +213,10 @@ def preamble(result: Benchmark) -> list[str]:
     return lines
 
 
-def terminal_tables(result: Benchmark) -> Iterator[Table]:
-    """The tables for a terminal."""
-    for title, heads, cells in tables(result):
-        table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
-        for head in heads:
-            numeric = head in ("ms", "ratio", "m", "rad", "s", "repeats", "evaluations")
-            table.add_column(head, justify="right" if numeric else "left", overflow="fold")
-        for line in cells:
-            table.add_row(*line)
-        yield table
-
-
-def markdown(result: Benchmark, error: float) -> str:
-    """Everything that the terminal shows."""
-    lines = [f"# bench {result.title}", ""]
-    lines += ["```", answer(result, error), "```", ""]
-    lines += ["```", *preamble(result), "```"]
-    for title, heads, cells in tables(result):
-        lines += ["", f"## {title}", "", f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
-        lines += [f"| {' | '.join(line)} |" for line in cells]
-    return "\n".join(lines) + "\n"
-
-
-def as_json(result: Benchmark, error: float) -> str:
-    """Every setting that ran, every one that did not, and the table, as JSON text."""
+def data(result: Benchmark, error: float) -> dict[str, Any]:
+    """Every setting that ran, every one that did not, and the table, for JSON."""
     reference, measured = result.reference, result.measured
-    content: dict[str, Any] = {
+    return {
         "scene": result.scene.name,
         "source": result.source,
         "options": dict(result.options),
@@ -255,13 +249,26 @@ def as_json(result: Benchmark, error: float) -> str:
         "failures": [asdict(failure) for failure in measured.failures],
         "ladders_end_at": dict(measured.ended),
     }
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
-def measurements_from(content: dict[str, Any]) -> list[Measurement]:
-    """The settings of a benchmark read back from its JSON."""
-    names = Measurement.__dataclass_fields__
-    return [
-        Measurement(**{name: entry[name] for name in names} | {"times": tuple(entry["times"])})
-        for entry in content["settings"]
-    ]
+def diagram(result: Benchmark) -> Diagram:
+    """Run time (s) over error (m and rad): all settings, and a line through those that none beats."""
+    lines = []
+    for engine in ENGINES:
+        points = [m for m in result.measured.measurements if m.engine == engine]
+        if points:
+            notes = tuple(f"{engine}: {m.name}, {m.error:.1e} in {m.median * 1e3:.3g} ms" for m in points)
+            best = _points(frontier(points, engine))
+            lines.append(Line(engine, best, STYLES[engine][0], beside=_points(points), notes=notes))
+    return Diagram(
+        f"{result.title}: {result.scene.duration:g} s, {len(result.scene.times)} outputs",
+        "largest error of all bodies and output times, m and rad",
+        "run time, s",
+        tuple(lines),
+        falling=True,
+        mark=(result.reference.uncertainty, "uncertainty of the reference"),
+    )
+
+
+def _points(measurements: Sequence[Measurement]) -> Array:
+    return np.array([(max(m.error, SMALLEST), m.median) for m in measurements])

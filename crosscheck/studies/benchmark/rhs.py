@@ -24,9 +24,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
+from crosscheck.report.table import Cell, Lines, Report, Rows, Table, figures, texts
 from crosscheck.scenes import load
 from crosscheck.studies.benchmark.engines import JUDGED, poses_only
 from crosscheck.studies.benchmark.work_precision import Progress, machine, steady
@@ -266,42 +265,34 @@ def fastest_other(timings: Iterable[Timing]) -> Timing | None:
     return min(others, key=lambda t: t.median, default=None)
 
 
-def rhs_table(timings: Sequence[Timing]) -> Table:
-    """A line for each way to call an engine."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("engine")
-    table.add_column("right-hand side")
-    for head in (
-        "operations",
-        "time, us",
-        "quartiles, us",
-        "ratio",
-        "load, s",
-        "peak, MB",
-        "of which its own",
-    ):
-        table.add_column(head, justify="right")
+def rhs_report(timings: Sequence[Timing]) -> Report:
+    """Times, operations, memory and loading of each way to call an engine, and the ratios in words."""
     best = fastest_other(timings)
+    rows: Rows = []
     for t in timings:
         if t.reason:
-            table.add_row(t.engine, t.way, *["-"] * 7)
+            rows.append([t.engine, t.way, *["-"] * 7])
             continue
         low, high = np.quantile(t.times, [0.25, 0.75]) * 1e6
-        table.add_row(
-            t.engine,
-            t.way,
-            "-" if t.operations is None else str(t.operations),
-            f"{t.median * 1e6:.4g}",
-            f"{low:.4g} to {high:.4g}",
-            "-" if best is None else f"{t.ratio(best):.3g}",
-            f"{t.load:.2f}",
-            f"{t.memory / 1e6:.0f}",
-            f"{t.own_memory / 1e6:.0f}",
+        rows.append(
+            [
+                t.engine,
+                t.way,
+                "-" if t.operations is None else str(t.operations),
+                f"{t.median * 1e6:.4g}",
+                f"{low:.4g} to {high:.4g}",
+                "-" if best is None else f"{t.ratio(best):.3g}",
+                f"{t.load:.2f}",
+                f"{t.memory / 1e6:.0f}",
+                f"{t.own_memory / 1e6:.0f}",
+            ]
         )
-    return table
+    names = ("operations", "time, us", "quartiles, us", "ratio", "load, s", "peak, MB", "of which its own")
+    table = Table("", [*texts("engine", "right-hand side"), *figures(*names)], rows)
+    return Report("one right-hand side", "", Cell(""), [table, Lines("", _words(timings))])
 
 
-def rhs_words(timings: Sequence[Timing]) -> list[str]:
+def _words(timings: Sequence[Timing]) -> list[str]:
     """The ratios in words, and what cannot run the scene."""
     best = fastest_other(timings)
     lines = []
@@ -315,16 +306,14 @@ def rhs_words(timings: Sequence[Timing]) -> list[str]:
     return lines
 
 
-def rhs_json(source: str, options: Mapping[str, str], timings: Sequence[Timing]) -> str:
-    """Everything measured, as JSON text."""
-    content = {
+def rhs_data(source: str, options: Mapping[str, str], timings: Sequence[Timing]) -> dict[str, Any]:
+    """Everything measured, for JSON."""
+    return {
         "source": source,
         "options": dict(options),
         "machine": machine(),
         "right_hand_sides": [asdict(t) for t in timings],
-        "words": rhs_words(timings),
     }
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def main() -> None:

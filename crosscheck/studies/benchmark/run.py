@@ -1,26 +1,24 @@
-"""`crosscheck bench`: measure, write the files, and say what was found."""
+"""`crosscheck bench`: measure, write the files, and report."""
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
 from crosscheck.errors import CrosscheckError
-from crosscheck.files import check_no_source, check_writable
+from crosscheck.files import check_no_source, check_writable, write_files
+from crosscheck.report.render import as_json, markdown
+from crosscheck.report.table import Report
 from crosscheck.studies.benchmark.work_precision import Progress
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import atomic_file
-
-WIDTH = 200
-"""Columns that the tables need."""
-
 
 SMALLEST_ERROR = 1e-13
 """m and rad, that settings are looked for to reach."""
+
+Written = tuple[Report, list[Path]]
+"""The report of a benchmark and the files that hold it."""
 
 
 def bench(
@@ -31,37 +29,36 @@ def bench(
     repeats: int,
     output: Path | None,
     progress: Progress,
-) -> tuple[list[str], list[Path]]:
-    """Lines for the terminal and files of a benchmark of whole runs of a scene, as loaded from its source.
+) -> Written:
+    """Benchmark whole runs of a scene, as loaded from its source.
 
     Raises:
         CrosscheckError: for an impossible error, a scene that cannot be run and files that cannot be
             written.
     """
     from crosscheck.studies.benchmark.engines import benchmark
-    from crosscheck.studies.benchmark.plot import FILES, write
-    from crosscheck.studies.benchmark.report import answer, preamble, terminal_tables
+    from crosscheck.studies.benchmark.report import data, diagram, report
+    from crosscheck.studies.diagram import picture, recording
 
     _check_error(error)
-    folder = _folder(scene, source, output)
-    _check_targets([folder / name for name in FILES], source)
+    paths = _paths(scene, source, output, "bench.json", "work_precision.png", "bench.rrd")
     result = benchmark(scene, source, options, repeats, progress)
     progress("writing")
-    written = write(result, folder, error)
-    return [*preamble(result), "", *_lines(terminal_tables(result)), answer(result, error)], written
+    found, drawn = report(result, error), diagram(result)
+    png = picture(drawn)
+    rrd = recording(f"bench {result.title}", [drawn], markdown(found))
+    return _write(paths, data(result, error), found, png, rrd)
 
 
 def bench_rhs(
     scene: Scene, source: str, options: Mapping[str, str], output: Path | None, progress: Progress
-) -> tuple[list[str], list[Path]]:
-    """Lines for the terminal and the file of a benchmark of right-hand sides; errors as of `bench`."""
-    from crosscheck.studies.benchmark.rhs import rhs_json, rhs_table, rhs_words, time_right_hand_sides
+) -> Written:
+    """Benchmark right-hand sides; errors as of `bench`."""
+    from crosscheck.studies.benchmark.rhs import rhs_data, rhs_report, time_right_hand_sides
 
-    path = _folder(scene, source, output) / "rhs.json"
-    _check_targets([path], source)
+    paths = _paths(scene, source, output, "rhs.json")
     timings = time_right_hand_sides(source, options, progress)
-    _write(path, rhs_json(source, options, timings).encode())
-    return [*_lines([rhs_table(timings)]), *rhs_words(timings)], [path]
+    return _write(paths, rhs_data(source, options, timings), rhs_report(timings))
 
 
 def bench_batch(
@@ -72,39 +69,32 @@ def bench_batch(
     error: float,
     output: Path | None,
     progress: Progress,
-) -> tuple[list[str], list[Path]]:
-    """Lines for the terminal and the file of a benchmark of many runs; errors as of `bench`."""
-    from crosscheck.studies.benchmark.batch import batch_json, batch_table, batch_words, benchmark_batch
+) -> Written:
+    """Benchmark many runs; errors as of `bench`."""
+    from crosscheck.studies.benchmark.batch import batch_data, batch_report, benchmark_batch
 
     _check_error(error)
-    path = _folder(scene, source, output) / "batch.json"
-    _check_targets([path], source)
+    paths = _paths(scene, source, output, "batch.json")
     result = benchmark_batch(source, options, runs, error, progress)
-    _write(path, batch_json(result).encode())
-    return [*_lines([batch_table(result)]), *batch_words(result)], [path]
+    return _write(paths, batch_data(result), batch_report(result))
 
 
 def bench_scaling(
     scene: Scene, source: str, options: Mapping[str, str], output: Path | None, progress: Progress
-) -> tuple[list[str], list[Path]]:
-    """Lines for the terminal and the files of right-hand sides over size; errors as of `bench`."""
+) -> Written:
+    """Benchmark right-hand sides over size; errors as of `bench`."""
     from crosscheck.studies.benchmark.scaling import (
         check_sizable,
         measure_sizes,
-        scaling_json,
+        scaling_data,
         scaling_picture,
-        scaling_table,
-        scaling_words,
+        scaling_report,
     )
 
     check_sizable(source, options)
-    folder = _folder(scene, source, output)
-    files = {"scaling.json": scaling_json, "scaling.png": scaling_picture}
-    _check_targets([folder / name for name in files], source)
+    paths = _paths(scene, source, output, "scaling.json", "scaling.png")
     result = measure_sizes(source, options, progress)
-    for name, content in files.items():
-        _write(folder / name, content(result))
-    return [*_lines([scaling_table(result)]), *scaling_words(result)], [folder / name for name in files]
+    return _write(paths, scaling_data(result), scaling_report(result), scaling_picture(result))
 
 
 def _check_error(error: float) -> None:
@@ -113,34 +103,31 @@ def _check_error(error: float) -> None:
         raise CrosscheckError(f"--error is {error:g}; needed: {needed}")
 
 
-def _folder(scene: Scene, source: str, output: Path | None) -> Path:
-    """Where files go; raises `CrosscheckError` if another model's are there, unless it was asked for."""
-    if output is not None:
-        return output
-    from crosscheck.report.output import check_own
+def _paths(scene: Scene, source: str, output: Path | None, *names: str) -> list[Path]:
+    """Files to be written.
 
-    folder = Path("output") / "bench" / scene.name
-    check_own(folder, [source], "benchmark")
-    return folder
+    Raises:
+        CrosscheckError: for those that cannot be written, are the source, or are another model's, unless the
+            folder was asked for.
+    """
+    folder = output or Path("output") / "bench" / scene.name
+    if output is None:
+        from crosscheck.report.output import check_own
 
-
-def _check_targets(paths: list[Path], source: str) -> None:
-    """Raise `CrosscheckError` for files that cannot be written or are the source."""
+        check_own(folder, [source], "benchmark")
+    paths = [folder / name for name in names]
     check_no_source(paths, [source])
     check_writable(*paths)
+    return paths
 
 
-def _write(path: Path, content: bytes) -> None:
-    try:
-        with atomic_file(path) as temporary:
-            temporary.write_bytes(content)
-    except OSError as failed:
-        raise CrosscheckError(f"cannot write {path}: {failed.strerror}") from failed
-
-
-def _lines(tables: Iterable[Table]) -> list[str]:
-    console = Console(width=max(WIDTH, Console().width))
-    with console.capture() as capture:
-        for table in tables:
-            console.print(table)
-    return [line.rstrip() for line in capture.get().splitlines()]
+def _write(paths: list[Path], data: Mapping[str, object], found: Report, *others: bytes) -> Written:
+    """Write data and report as JSON to the first path, other contents to the others."""
+    beside = dict(zip(paths[1:], others, strict=True))
+    digests = {
+        path.name: hashlib.sha256(content).hexdigest()
+        for path, content in beside.items()
+        if path.suffix == ".png"
+    }
+    write_files({paths[0]: as_json(data, found, digests), **beside})
+    return found, paths

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import io
-import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
+import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.figures import STYLES
+from crosscheck.report.plots import STYLES
+from crosscheck.report.table import Cell, Column, Lines, Report, Rows, Table, texts
 from crosscheck.scenes import SCENES
 from crosscheck.scenes.options import options_of
 from crosscheck.studies.benchmark.engines import JUDGED
 from crosscheck.studies.benchmark.rhs import WAYS, Timing, Way, fastest_other, time_right_hand_sides
 from crosscheck.studies.benchmark.work_precision import Progress, machine
+from crosscheck.studies.diagram import DASHES, Diagram, Line, picture
 
 SIZES = (1, 10, 100, 1000)
 """What the scene's option `OPTION` is set to in turn."""
@@ -88,30 +87,24 @@ def measure_sizes(source: str, options: Mapping[str, str], progress: Progress) -
 # Report
 
 
-def scaling_table(result: Scaling) -> Table:
-    """A line for each way to call an engine: time, peak memory and growth by size."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("engine")
-    table.add_column("right-hand side")
-    for size in result.timings:
-        table.add_column(f"us, {OPTION} = {size}", justify="right")
-    table.add_column("growth", justify="right")
-    for size in result.timings:
-        table.add_column(f"MB, {OPTION} = {size}", justify="right")
+def scaling_report(result: Scaling) -> Report:
+    """Time, growth and peak memory by size, for each way to call an engine."""
+    rows: Rows = []
     for way in WAYS:
         ran = result.of(way)
-        if not ran:
-            continue
-        table.add_row(
-            *way,
-            *(f"{ran[size].median * 1e6:.4g}" if size in ran else "-" for size in result.timings),
-            ", ".join(f"{power:.2f}" for _, _, power in result.growth(way)),
-            *(f"{ran[size].memory / 1e6:.0f}" if size in ran else "-" for size in result.timings),
-        )
-    return table
+        if ran:
+            times = (f"{ran[size].median * 1e6:.4g}" if size in ran else "-" for size in result.timings)
+            memory = (f"{ran[size].memory / 1e6:.0f}" if size in ran else "-" for size in result.timings)
+            growth = ", ".join(f"{power:.2f}" for _, _, power in result.growth(way))
+            rows.append([*way, *times, growth, *memory])
+    heads = [Column(f"us, {OPTION} = {size}", numeric=True) for size in result.timings]
+    heads += [Column("growth", numeric=True)]
+    heads += [Column(f"MB, {OPTION} = {size}", numeric=True) for size in result.timings]
+    table = Table("", [*texts("engine", "right-hand side"), *heads], rows)
+    return Report("right-hand sides over size", "", Cell(""), [table, Lines("", _words(result))])
 
 
-def scaling_words(result: Scaling) -> list[str]:
+def _words(result: Scaling) -> list[str]:
     """How newton_euler's time grows, what it is in units of the fastest other's, and what could not run."""
     where = result.machine
     lines = [
@@ -136,38 +129,30 @@ def scaling_words(result: Scaling) -> list[str]:
     return lines
 
 
-def scaling_json(result: Scaling) -> bytes:
-    """Everything measured, as JSON text."""
-    content = {
+def scaling_data(result: Scaling) -> dict[str, Any]:
+    """Everything measured, for JSON."""
+    return {
         "source": result.source,
         "options": dict(result.options),
         "machine": result.machine,
         "sizes": {size: [asdict(t) for t in timings] for size, timings in result.timings.items()},
         "growth": {", ".join(way): list(result.growth(way)) for way in WAYS},
-        "words": scaling_words(result),
     }
-    return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
 
 
 def scaling_picture(result: Scaling) -> bytes:
-    """Time (s) and peak memory (MB) over size, all logarithmic, as a PNG."""
-    from matplotlib.figure import Figure
-
-    drawn = Figure(figsize=(10.0, 4.5), layout="constrained")
-    times, memory = drawn.subplots(1, 2)
-    dashes = {way: ("-", "--")[k % 2] for k, way in enumerate(WAYS)}  # each engine has two ways
-    for way in WAYS:
+    """Time (s) and peak memory (MB) over size, as a PNG."""
+    across = f"{OPTION} of {result.source}"
+    times, memory = [], []
+    for k, way in enumerate(WAYS):
         ran = result.of(way)
-        style = {"color": STYLES[way[0]][0], "linestyle": dashes[way], "marker": "."}
-        times.plot(list(ran), [t.median for t in ran.values()], label=" ".join(way), **style)
-        memory.plot(list(ran), [t.memory / 1e6 for t in ran.values()], **style)
-    for ax, label in ((times, "one right-hand side, s"), (memory, "peak memory, MB")):
-        ax.set_xscale("log")
-        ax.set_yscale("log")
-        ax.set_xlabel(f"{OPTION} of {result.source}")
-        ax.set_ylabel(label)
-        ax.grid(which="major", alpha=0.3)
-    times.legend(fontsize="small")
-    picture = io.BytesIO()
-    drawn.savefig(picture, dpi=130, format="png")
-    return picture.getvalue()
+        if ran:
+            style = STYLES[way[0]][0], DASHES[k % 2]  # each engine has two ways
+            seconds = np.array([(size, t.median) for size, t in ran.items()])
+            megabytes = np.array([(size, t.memory / 1e6) for size, t in ran.items()])
+            times.append(Line(" ".join(way), seconds, *style))
+            memory.append(Line(" ".join(way), megabytes, *style))
+    return picture(
+        Diagram("one right-hand side", across, "s", tuple(times)),
+        Diagram("peak memory", across, "MB", tuple(memory)),
+    )

@@ -1,23 +1,15 @@
-"""The report of planted faults: tables of shares, what was missed and why, JSON."""
+"""The report of planted faults: shares, the faults that were missed and why."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
-
-from crosscheck.errors import CrosscheckError
-from crosscheck.report.output import tidied_up
+from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, entries, texts
 from crosscheck.studies.faults.find import REFUSED, STATES, Found, Search, Sighting
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import atomic_file
 
 SMALLEST = 1e-4
 """Relative size down to which all faults have to be found."""
@@ -70,39 +62,64 @@ TABLES: Mapping[str, Callable[[Iterable[Found]], Count]] = {
 }
 
 
-class Counts(NamedTuple):
-    """A table of texts: a line for each kind of fault and one for all, a column for each size."""
-
-    title: str
-    head: list[str]
-    rows: list[list[str]]
-
-
-def counts(scene: Scene, faults: Sequence[Found]) -> Iterator[Counts]:
-    """Count faults found and blamed right, by all levels and by motion alone."""
+def tables(scene: Scene, faults: Sequence[Found]) -> Iterator[Table]:
+    """Faults found and blamed right, by all levels and by motion alone: a row per kind, a column per size."""
     sizes = list(dict.fromkeys(found.fault.size for found in faults))
-    head = ["", *("no size" if size is None else f"{size:g}" for size in sizes)]
+    heads = [Column("no size" if size is None else f"{size:g}", numeric=True) for size in sizes]
     for title, count in TABLES.items():
-        rows = []
+        rows: Rows = []
         for kind in dict.fromkeys(found.fault.kind for found in faults):
             of_kind = [found for found in faults if found.fault.kind == kind]
             rows.append([kind, *(str(count(_of_size(of_kind, size))) for size in sizes)])
         rows.append(["all", *(count(_of_size(faults, size)).shares for size in sizes)])
-        yield Counts(f"{scene.name}: {title}", head, rows)
+        yield Table(f"{scene.name}: {title}", [Column(""), *heads], rows)
 
 
-def tables(scene: Scene, faults: Sequence[Found]) -> Iterator[Table]:
-    """`counts` for the terminal."""
-    for title, head, rows in counts(scene, faults):
-        heading = Text(title, style="bold")
-        table = Table(title=heading, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-        for column, name in enumerate(head):
-            table.add_column(name, justify="right" if column else "left", no_wrap=True)
-        for row in rows[:-1]:
-            table.add_row(*row)
-        table.add_section()
-        table.add_row(*rows[-1])
-        yield table
+def report(scene: Scene, options: Mapping[str, str], search: Search, wall_time: float) -> Report:
+    """Shares, the faults that were missed and why, settings, and all faults."""
+    settings = {
+        "scene": scene.name,
+        "options": dict(options),
+        "planted in": search.engines,
+        "engines left out": search.left_out,
+        "versions": {name: version(name) for name in PACKAGES},
+    }
+    every = Table(
+        f"all {len(search.found)} faults",
+        texts("fault", "engine", "observable", "found", "by motion alone"),
+        [
+            [
+                found.fault.name,
+                found.engine,
+                "yes" if found.observable else "no",
+                _judged(found.seen, found.blamed),
+                _judged(found.moves, found.blamed_by_motion),
+            ]
+            for found in search.found
+        ],
+        folded=True,
+    )
+    told = [
+        f"no fault planted in {engine}, which cannot express the scene: {why}"
+        for engine, why in search.left_out.items()
+    ]
+    said = Lines("", [*told, *lines(scene, search.found)])
+    parts: list[Part] = [
+        *tables(scene, search.found),
+        said,
+        entries("settings", settings, folded=True),
+        every,
+    ]
+    word = Cell("FOUND", "holds") if holds(search.found) else Cell("MISSED", "fails")
+    return Report("planted faults", verdict(scene, search.found), word, parts, wall_time)
+
+
+def _judged(sighting: Sighting | None, right: bool) -> str | Cell:
+    """The sighting of a fault; one that is blamed wrongly fails."""
+    if sighting is None:
+        return ""
+    text = f"level {sighting.level!r}, {sighting.quantity}, at {sighting.where}"
+    return Cell(text, "holds" if right else "doubtful")
 
 
 def _of_size(faults: Iterable[Found], size: float | None) -> list[Found]:
@@ -181,40 +198,33 @@ def _grouped(faults: Iterable[Found]) -> Iterator[str]:
 
 def holds(faults: Sequence[Found]) -> bool:
     """True if all faults down to `SMALLEST` are found, and `BLAMED` of them blamed right."""
-    count = in_all(_judged(faults))
+    count = in_all(_large(faults))
     return count.found == count.of and count.blamed >= BLAMED * count.of
 
 
-def _judged(faults: Sequence[Found]) -> list[Found]:
+def _large(faults: Sequence[Found]) -> list[Found]:
     return [found for found in faults if found.fault.size is None or found.fault.size >= SMALLEST]
 
 
 def verdict(scene: Scene, faults: Sequence[Found]) -> str:
     """One line."""
-    count, motion = in_all(_judged(faults)), by_motion(_judged(faults))
+    count, motion = in_all(_large(faults)), by_motion(_large(faults))
     return (
         f"{scene.name}: faults down to {SMALLEST:g}: found, blamed right: {count} ({count.shares}); "
         f"by motion alone: {motion} ({motion.shares})"
     )
 
 
-def as_json(scene: Scene, options: Mapping[str, str], search: Search, wall_time: float) -> str:
-    """The content of the terminal, and all faults with their outcomes."""
-    faults = search.found
-    content = {
+def data(scene: Scene, options: Mapping[str, str], search: Search) -> dict[str, Any]:
+    """All faults with their outcomes, for JSON."""
+    return {
         "scene": scene.name,
         "options": dict(options),
         "engines": search.engines,
         "left_out": search.left_out,
-        "verdict": verdict(scene, faults),
-        "holds": holds(faults),
-        "wall_time": wall_time,
-        "versions": {name: version(name) for name in PACKAGES},
-        "tables": [table._asdict() for table in counts(scene, faults)],
-        "words": list(lines(scene, faults)),
-        "faults": [_entry(found) for found in faults],
+        "holds": holds(search.found),
+        "faults": [_entry(found) for found in search.found],
     }
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
 
 
 def _entry(found: Found) -> dict[str, Any]:
@@ -246,16 +256,3 @@ def _sighting(sighting: Sighting | None) -> dict[str, Any] | None:
         "where": sighting.where,
         "odd": sighting.odd,
     }
-
-
-def write(path: Path, text: str) -> None:
-    """Write the JSON, all of it or nothing.
-
-    Raises:
-        CrosscheckError: naming the path if it cannot be written.
-    """
-    try:
-        with tidied_up(), atomic_file(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error

@@ -1,25 +1,42 @@
-"""The report of a stress run: tables for the terminal and the docs, JSON, and what is written."""
+"""The report of a stress run: cases, how many each engine passes, diagrams."""
 
 from __future__ import annotations
 
-import json
+import hashlib
 import platform
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
-from rich.text import Text
+import numpy as np
 
-from crosscheck.errors import CrosscheckError
-from crosscheck.files import check_writable
-from crosscheck.studies.stress.plot import plots, png, recording
+from crosscheck.files import check_writable, write_files
+from crosscheck.report import render
+from crosscheck.report.table import (
+    Cell,
+    Column,
+    Lines,
+    Part,
+    Report,
+    Rows,
+    Table,
+    Verdict,
+    entries,
+    figures,
+    texts,
+)
+from crosscheck.studies.diagram import COLORS, DASHES, Diagram, Line, picture, recording
+from crosscheck.studies.stress.soft import recommendation
 from crosscheck.studies.stress.topics import PROCESSES, TOPICS, Row
-from newton_euler.model.trajectory import atomic_file
 
-STYLES = {"survives": "green", "degrades": "yellow", "fails": "bold red", "refuses": "magenta"}
+JUDGED: dict[str, Verdict] = {
+    "survives": "holds",
+    "degrades": "doubtful",
+    "fails": "fails",
+    "refuses": "fails",
+}
+"""Of a case whose verdict is not what one would want."""
 
 OWN, ALL = "newton_euler", "all"
 """The first column, and the last: what all engines share."""
@@ -27,32 +44,56 @@ OWN, ALL = "newton_euler", "all"
 PACKAGES = ("numpy", "scipy", "mujoco", "pin")
 
 
-def tables(rows: Sequence[Row]) -> Iterator[Table]:
-    """A table for each topic, then how many cases each engine passes; reasons are cut to one line."""
+def report(rows: Sequence[Row], full: bool, wall_time: float) -> Report:
+    """Cases that each engine passes, and all cases by topic."""
+    form = "full" if full else "CI"
+    versions = {name: version(name) for name in PACKAGES}
+    named = ", ".join(f"{name} {number}" for name, number in versions.items())
+    preface = (
+        f"Made by `crosscheck stress --{'full' if full else 'ci'}` in {wall_time / 60.0:.1f} minutes on "
+        f"{PROCESSES} processes ({platform.machine()}; {named}). The {form} form has {len(rows)} cases. "
+        "Each case measures one figure of one engine at one setting: within its bound the engine survives, "
+        "up to a second and laxer one it degrades, beyond that it fails. It refuses when it stops with "
+        "a stated reason, which is right where there is no answer and a shortcoming where there is one. "
+        "What fails is listed like what passes."
+    )
+    parts: list[Part] = [_summary(rows), Lines("about", [preface], folded=True)]
     for letter, topic in TOPICS.items():
-        found = [row for row in rows if row.topic == letter]
-        if not found:
-            continue
-        table = Table(title=Text(f"({letter}) {topic}", style="bold"), title_justify="left", box=SIMPLE_HEAD)
-        table.add_column("case: measured", width=36)
-        table.add_column("engine: setting", width=30)
-        for name in ("figure", "bound"):
-            table.add_column(name, justify="right", width=8)
-        table.add_column("verdict", width=8)
-        table.add_column("", no_wrap=True, overflow="ellipsis", width=24)
-        last = ""
-        for row in found:
-            case = f"{row.name}: {_measured(row)}"
-            cells = (case if case != last else "", f"{row.engine}: {row.setting}", _figure(row), row.bound)
-            verdict = Text(row.verdict, style="green" if row.passes else STYLES[row.verdict])
-            table.add_row(*map(Text, cells), verdict, Text(row.reason))
-            last = case
-        yield table
-    yield _summary(rows)
+        of_topic = [row for row in rows if row.topic == letter]
+        if of_topic:
+            advice = recommendation(rows).splitlines() if letter == "d" else []
+            told = [line.removeprefix("- ") for line in advice if line] + list(_bounds(of_topic))
+            parts.append(Lines(f"bounds of ({letter})", told, folded=True))
+            parts.append(_cases(f"({letter}) {topic}", of_topic))
+    parts.append(entries("versions", versions, folded=True))
+    passes = sum(row.passes for row in rows)
+    return Report("Stress", f"{passes} of {len(rows)} cases pass", Cell(""), parts, wall_time)
 
 
-def _measured(row: Row) -> str:
-    return f"{row.quantity}, {row.unit}" if row.unit else row.quantity
+def _cases(title: str, rows: Sequence[Row]) -> Table:
+    """A row per case."""
+    heads = [
+        *texts("case", "engine", "setting", "measured"),
+        *figures("figure", "bound"),
+        *texts("verdict", ""),
+    ]
+    return Table(
+        title,
+        heads,
+        [
+            [
+                row.name,
+                row.engine,
+                row.setting,
+                f"{row.quantity}, {row.unit}" if row.unit else row.quantity,
+                _figure(row),
+                row.bound,
+                Cell(row.verdict, "holds" if row.passes else JUDGED[row.verdict]),
+                row.reason,
+            ]
+            for row in rows
+        ],
+    )
 
 
 def _figure(row: Row) -> str:
@@ -74,46 +115,10 @@ def counts(rows: Sequence[Row]) -> dict[str, dict[str, str]]:
 
 
 def _summary(rows: Sequence[Row]) -> Table:
-    table = Table(title=Text("cases passed", style="bold"), title_justify="left", box=SIMPLE_HEAD)
     found = counts(rows)
-    table.add_column("")
-    for engine in next(iter(found.values()), {}):
-        table.add_column(engine, justify="right")
-    for topic, cells in found.items():
-        table.add_row(Text(topic), *cells.values())
-    return table
-
-
-def markdown(rows: Sequence[Row], full: bool, wall_time: float, pictures: Sequence[str] = ()) -> str:
-    """The whole report; the pictures are files beside it."""
-    form = "full" if full else "CI"
-    found = counts(rows)
-    engines = list(next(iter(found.values()), {}))
-    versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
-    lines = [
-        "# Stress",
-        "",
-        f"Made by `crosscheck stress --{'full' if full else 'ci'}` in {wall_time / 60.0:.1f} minutes on "
-        f"{PROCESSES} processes ({platform.machine()}; {versions}). The {form} form has {len(rows)} cases. "
-        "Each case measures one figure of one engine at one setting: within its bound the engine *survives*, "
-        "up to a second and laxer one it *degrades*, beyond that it *fails*. It *refuses* when it stops with "
-        "a stated reason, which is right where there is no answer and a shortcoming where there is one. "
-        "What fails is listed like what passes.",
-        "",
-        "Cases that survive, and refusals where they are right:",
-        "",
-        "| | " + " | ".join(engines) + " |",
-        "|---" * (len(engines) + 1) + "|",
-        *("| " + " | ".join([topic, *cells.values()]) + " |" for topic, cells in found.items()),
-    ]
-    for letter, topic in TOPICS.items():
-        of_topic = [row for row in rows if row.topic == letter]
-        if of_topic:
-            lines += ["", f"## ({letter}) {topic}", "", *advice(letter, rows), *_bounds(of_topic), ""]
-            lines += _markdown_table(of_topic)
-    if pictures:
-        lines += ["", "## Plots", "", *(f"![{Path(name).stem}]({name})\n" for name in pictures)]
-    return "\n".join(lines).rstrip() + "\n"
+    engines = [Column(engine, numeric=True) for engine in next(iter(found.values()), {})]
+    lines: Rows = [[topic, *cells.values()] for topic, cells in found.items()]
+    return Table("cases that survive, and refusals where they are right", [Column(""), *engines], lines)
 
 
 def _bounds(rows: Sequence[Row]) -> Iterator[str]:
@@ -121,58 +126,36 @@ def _bounds(rows: Sequence[Row]) -> Iterator[str]:
     reasons = dict.fromkeys((row.quantity, row.bound, row.bound_reason) for row in rows)
     for quantity, bound, reason in reasons:
         what = "cases without an answer" if bound == "refusal" else f"{quantity} {bound}"
-        yield f"- {what}: {reason}"
+        yield f"{what}: {reason}"
 
 
-def _markdown_table(rows: Sequence[Row]) -> Iterator[str]:
-    yield "| case | engine | setting | measured | figure | bound | verdict | |"
-    yield "|---|---|---|---|---:|---:|---|---|"
+def diagrams(rows: Sequence[Row]) -> list[Diagram]:
+    """All diagrams that rows have curves for; curves of one label are one line."""
+    points: dict[tuple[str, str, str], dict[str, list[tuple[float, float]]]] = {}
     for row in rows:
-        mark = row.verdict if row.passes else f"**{row.verdict}**"
-        cells = (
-            row.name, row.engine, row.setting, _measured(row), _figure(row), row.bound, mark, row.reason
-        )  # fmt: skip
-        yield "| " + " | ".join(_plain(cell) for cell in cells) + " |"
-
-
-def _plain(text: str) -> str:
-    """Text without what markdown would take for its own."""
-    for mark in ("|", "<", "_"):
-        text = text.replace(mark, "\\" + mark)
-    return text
-
-
-def advice(letter: str, rows: Sequence[Row]) -> list[str]:
-    """What to recommend from the figures of a topic; only MuJoCo's softness has a choice to make."""
-    if letter != "d":
-        return []
-    from crosscheck.studies.stress.soft import recommendation
-
-    found = recommendation(rows)
-    return [found, ""] if found else []
-
-
-def as_json(rows: Sequence[Row], full: bool, wall_time: float) -> str:
-    """All rows with their curves."""
-    content = {
-        "form": "full" if full else "ci",
-        "wall_time": wall_time,
-        "versions": {name: version(name) for name in PACKAGES},
-        "passed": counts(rows),
-        "rows": [asdict(row) for row in rows],
-    }
-    return json.dumps(_without_nan(content), indent=1, allow_nan=False) + "\n"
-
-
-def _without_nan(value: object) -> object:
-    """JSON has no numbers that are not finite; such a figure is its text."""
-    if isinstance(value, float):
-        return value if abs(value) < float("inf") else repr(value)
-    if isinstance(value, dict):
-        return {name: _without_nan(entry) for name, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(entry) for entry in value]
-    return value
+        for curve in row.curves:
+            lines = points.setdefault((curve.plot, curve.x_label, curve.y_label), {})
+            pairs = zip(curve.x, curve.y, strict=True)
+            # what diverged is in the tables; a logarithmic axis that reaches 1e300 shows nothing else
+            lines.setdefault(curve.label, []).extend(
+                (x, min(y, 1e3)) for x, y in pairs if 0.0 < y < float("inf")
+            )
+    return [
+        Diagram(
+            *names,
+            tuple(
+                Line(
+                    label,
+                    np.array(sorted(pairs)),
+                    COLORS[k % len(COLORS)],
+                    DASHES[k // len(COLORS) % len(DASHES)],
+                )
+                for k, (label, pairs) in enumerate(lines.items())
+                if pairs
+            ),
+        )
+        for names, lines in points.items()
+    ]
 
 
 def check_folder(folder: Path) -> None:
@@ -180,26 +163,27 @@ def check_folder(folder: Path) -> None:
     check_writable(folder / "stress.json", folder / "stress.md", folder / "stress.rrd")
 
 
-def write(rows: Sequence[Row], full: bool, wall_time: float, folder: Path) -> list[Path]:
+def write(rows: Sequence[Row], found: Report, full: bool, folder: Path) -> list[Path]:
     """Write stress.json, stress.md, stress.rrd and a picture of each plot into a folder.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.
     """
-    drawn = plots(rows)
-    pictures = {f"stress_{plot.slug}.png": plot for plot in drawn}
-    text = markdown(rows, full, wall_time, tuple(pictures))
-    files: dict[str, Callable[[], bytes]] = {
-        "stress.json": lambda: as_json(rows, full, wall_time).encode(),
-        "stress.md": text.encode,
-        "stress.rrd": lambda: recording(drawn, text),
-        **{name: (lambda plot=plot: png(plot)) for name, plot in pictures.items()},  # type: ignore[misc]
+    drawn = diagrams(rows)
+    pictures = {f"stress_{diagram.slug}.png": picture(diagram) for diagram in drawn}
+    shown = "".join(f"\n![{Path(name).stem}]({name})\n" for name in pictures)
+    text = render.markdown(found, folded=True) + ("\n## Plots\n" + shown if pictures else "")
+    results = {
+        "form": "full" if full else "ci",
+        "passed": counts(rows),
+        "rows": [asdict(row) for row in rows],
     }
-    for name, content in files.items():
-        made = content()
-        try:
-            with atomic_file(folder / name) as temporary:
-                temporary.write_bytes(made)
-        except OSError as error:
-            raise CrosscheckError(f"cannot write {folder / name}: {error.strerror}") from error
+    digests = {name: hashlib.sha256(content).hexdigest() for name, content in pictures.items()}
+    files = {
+        "stress.json": render.as_json(results, found, digests),
+        "stress.md": text.encode(),
+        "stress.rrd": recording("stress", drawn, text),
+        **pictures,
+    }
+    write_files({folder / name: made for name, made in files.items()})
     return [folder / name for name in files]

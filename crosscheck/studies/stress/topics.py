@@ -17,8 +17,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Literal
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.report.output import tidied_up
-from crosscheck.workers import end_with_parent
+from crosscheck.workers import end_with_parent, tidied_up
 from newton_euler.errors import NewtonEulerError
 
 TOPICS = {

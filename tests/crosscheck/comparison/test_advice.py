@@ -27,6 +27,8 @@ from crosscheck.comparison.levels import Row
 from crosscheck.comparison.reactions import undetermined_joints
 from crosscheck.comparison.runs import rests
 from crosscheck.engines import ENGINES, choose
+from crosscheck.report.render import terminal
+from crosscheck.report.table import Lines
 from crosscheck.run import crosscheck
 from mjcf.write import SOLIMP
 from newton_euler.assemble import initial_state
@@ -308,7 +310,7 @@ def test_the_cheapest_run_that_reaches_the_error(loop: Scene, runs: dict[str, Tr
 
 
 def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None:
-    from crosscheck.report.run import markdown, settings_lines
+    from crosscheck.report.run import report, settings_lines
 
     engines = choose(["newton_euler", "mujoco"])
     loop = replace(planar_four_bar(), duration=0.1, output_period=0.05)
@@ -321,7 +323,7 @@ def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None
     (line,) = (line for line in settings_lines(result) if line.startswith("nothing moves"))
     assert "it starts at rest in equilibrium" in line
     assert "trajectories and energies test nothing" in line
-    assert line in markdown(result)
+    assert line in terminal(report(result).parts)
 
     # one engine that stands still where another moves has not said that nothing does
     falling = newton_euler.simulate(replace(loop, gravity=GRAVITY))
@@ -373,11 +375,12 @@ def test_an_engine_that_others_deserted_agrees_with_nobody() -> None:
 
 
 def test_advice_is_in_reports(loop: Scene) -> None:
-    from crosscheck.report.run import markdown, settings_lines
+    from crosscheck.report.run import report, settings_lines
 
     result = crosscheck(loop, choose(["newton_euler", "mujoco"]), lambda _: None, "a_scene", {})
     topics = [advice.topic for advice in result.advice]
     assert topics == ["mujoco", "redundancy", "baumgarte", "cost"]
     assert [entry["topic"] for entry in result.summary()["advice"]] == topics
-    for text in ("\n".join(settings_lines(result)), markdown(result)):
-        assert all(str(advice) in text for advice in result.advice)
+    lines = list(settings_lines(result))
+    assert all(f"advice, {advice}" in lines for advice in result.advice)
+    assert any(lines == part.lines for part in report(result).parts if isinstance(part, Lines))

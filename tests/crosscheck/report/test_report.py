@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import shutil
+from dataclasses import asdict
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -14,8 +15,9 @@ from command_line import run, scene_file, short_example
 
 from crosscheck.cli import main
 from crosscheck.errors import CrosscheckError
-from crosscheck.report.html import drawing, page
-from crosscheck.report.html.report import MOST_IN_FULL, PAGE, write_report
+from crosscheck.report import drawing
+from crosscheck.report.page import MOST_IN_FULL, PAGE, write_report
+from crosscheck.report.table import Column, Table, judged
 from crosscheck.results import digest
 from crosscheck.scenes import SCENES
 from newton_euler.model.trajectory import load_arrays
@@ -23,7 +25,6 @@ from newton_euler.model.trajectory import load_arrays
 ENGINES = ["newton_euler", "pinocchio"]
 VOID = {"meta", "br", "img"}
 PNG = b"\x89PNG\r\n\x1a\n"
-MEASURED = {"source": "tracker", "options": {}, "machine": {}}
 EVIL = "</table><script>alert('1')</script>\"&"
 
 
@@ -115,6 +116,13 @@ def vouch(folder: Path, name: str) -> None:
     change(folder, files=files | {name: digest(folder / name)})
 
 
+def write(path: Path, **changes: object) -> None:
+    """Write a file of results whose report has these entries."""
+    whole = {"title": "a study", "verdict": "", "judged": {"text": ""}, "parts": []} | changes
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({"report": whole, "files": {}}))
+
+
 def report(folder: Path) -> Page:
     return Page(write_report(folder, lambda _: None))
 
@@ -133,7 +141,7 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
         assert version in found.words
     assert "DOP853" in found.words
     assert list(found.images) == [
-        "The mechanism at 0, 0.025, 0.05 s, by newton_euler",
+        "four_bar: The mechanism at 0, 0.025, 0.05 s, by newton_euler",
         "Difference from newton_euler, largest over the bodies",
         "Drift: how far joints are open",
         "Energy",
@@ -159,47 +167,33 @@ def test_pictures_by_the_viewer_where_it_runs(folder, monkeypatch):
     assert [caption for _, caption in pictures] == [f"The recording at {t} s" for t in ("0", "0.025", "0.05")]
 
 
-def test_texts_are_texts(bare):
-    figures = json.loads((bare / "summary.json").read_text())["figures"]
-    texts = {"verdict": EVIL, "source": EVIL, "options": {EVIL: EVIL}, "left_out": {EVIL: EVIL}}
-    texts |= {"mapping": [{"element": EVIL, "fate": EVIL, "how": EVIL}], "start": [EVIL], "scene": EVIL}
-    texts |= {"advice": [{"topic": EVIL, "text": EVIL}], "versions": {EVIL: EVIL}}
-    wrong = dict.fromkeys(("level", "quantity", "where"), EVIL)
-    wrong |= {"between": [EVIL], "value": 1.0, "tolerance": 0.5, "informs": False, "agrees": False}
-    engines = {EVIL: {"settings": {EVIL: EVIL}, "wall_time": 1.0}}
-    change(bare, figures=[*figures, wrong], engines=engines, **texts)
-    found = report(bare)
+def test_texts_are_texts(tmp_path):
+    column = {"name": EVIL, "unit": EVIL, "numeric": True}
+    rows = [EVIL, [EVIL, {"text": EVIL, "verdict": "fails", "about": EVIL}]]
+    table = {"title": EVIL, "columns": [column, column], "rows": rows}
+    parts = [table, table | {"folded": True}, {"title": EVIL, "lines": [EVIL]}]
+    write(tmp_path / "summary.json", title=EVIL, verdict=EVIL, judged={"text": EVIL}, parts=parts)
+    found = report(tmp_path)
     assert "script" not in found.seen
-    assert found.words.count(EVIL) >= 18
+    assert found.words.count(EVIL) == 20
 
 
-def test_a_disagreement_is_found_at_a_glance(bare):
-    summary = json.loads((bare / "summary.json").read_text())
-    summary["figures"][0] |= {"value": 0.125, "agrees": False, "where": "the crank"}
-    change(bare, figures=summary["figures"], agrees=False, verdict="DISAGREE: somewhere")
-    text = (bare / PAGE).read_text() if report(bare) else ""
-    assert '<p class="verdict fails">DISAGREE: somewhere (' in text
-    assert "Where they part" in text
+@pytest.mark.parametrize("verdict", ['holds" onload="alert(1)', "other", 1])
+def test_a_cell_is_judged_in_one_of_four_ways(tmp_path, verdict):
+    write(tmp_path / "summary.json", judged={"text": "", "verdict": verdict})
+    with pytest.raises(CrosscheckError, match=r"summary.json: report.judged.verdict: Input should be ''"):
+        report(tmp_path)
+
+
+def test_a_disagreement_is_found_at_a_glance(tmp_path):
+    failing = judged(0.125, 1e-12, False, "worst at the crank")
+    table = Table("", [Column("engine"), Column("mass", "kg", True)], [["mujoco", failing]])
+    word = {"text": "FAILS", "verdict": "fails"}
+    write(tmp_path / "summary.json", verdict="DISAGREE: somewhere", judged=word, parts=[asdict(table)])
+    text = (tmp_path / PAGE).read_text() if report(tmp_path) else ""
+    assert '<p class="verdict fails">DISAGREE: somewhere</p>' in text
+    assert "<th>mass, kg</th>" in text
     assert '<td class="figure fails" title="worst at the crank">1.2e-01 &gt; 1e-12</td>' in text
-
-
-def test_reference_mapping_and_advice(bare):
-    known = {"engine": "pinocchio", "quantity": "height", "unit": "m", "time": 1.0, "value": 0.25}
-    known |= {"reference": 0.5, "difference": 0.25, "allowed": 0.1, "agrees": False}
-    mapping = [{"element": "geom 'g'", "fate": "left out", "how": "no contacts"}]
-    advice = [{"topic": "solref", "text": "a time constant of 2 ms"}]
-    change(bare, known_figures=[known], mapping=mapping, start=["starts from home"], advice=advice)
-    words = report(bare).words
-    for text in (
-        "height, m",
-        "2.5e-01 > 1e-01",
-        "geom 'g'",
-        "no contacts",
-        "left out: 1",
-        "starts from home",
-    ):
-        assert text in words
-    assert "a time constant of 2 ms" in words
 
 
 def test_without_runs(bare):
@@ -213,7 +207,7 @@ def test_a_recording_that_is_none(folder):
     vouch(folder, "four_bar.rrd")
     (folder / "pinocchio.npz").unlink()
     found = report(folder)
-    assert "No picture of the mechanism: " in found.words
+    assert "No picture of four_bar: " in found.words
     assert "Drift: how far joints are open" in found.images
     assert "Difference from newton_euler, largest over the bodies" not in found.images
 
@@ -222,7 +216,8 @@ def test_the_library_on_one_page(bare, tmp_path):
     library = tmp_path / "library"
     for name in ("one", "two"):
         shutil.copytree(bare, library / name)
-    change(library / "two", agrees=False, verdict="DISAGREE: as it were")
+    word = {"text": "FAILS", "verdict": "fails"}
+    write(library / "two" / "summary.json", verdict="DISAGREE: as it were", judged=word)
     (library / "notes").mkdir()
     found = report(library)
     assert found.links == {"folder-one", "folder-two"} <= found.anchors
@@ -236,10 +231,7 @@ def test_all_below_the_usual_folder_on_one_page(bare, tmp_path):
     output = tmp_path / "output"
     shutil.copytree(bare, output / "four_bar")
     for name in ("bench/one", "bench/two"):
-        (output / name).mkdir(parents=True)
-        (output / name / "rhs.json").write_text(
-            json.dumps(MEASURED | {"right_hand_sides": [], "words": [f"{name} is quick"]})
-        )
+        write(output / name / "rhs.json", parts=[{"title": "", "lines": [f"{name} is quick"]}])
     found = report(output)
     assert found.links == {"folder-four_bar", "folder-bench/one", "folder-bench/two"} <= found.anchors
     assert "bench/two is quick" in found.words
@@ -250,7 +242,7 @@ def test_of_many_folders_an_index(bare, tmp_path, capsys):
     output = tmp_path / "many runs"
     for number in range(MOST_IN_FULL + 1):
         shutil.copytree(bare, output / f"run_{number}")
-    change(output / "run_3", agrees=False, verdict="DISAGREE: as it were")
+    write(output / "run_3" / "summary.json", verdict="DISAGREE: as it were")
     found = report(output)
     assert found.links == set()
     assert found.words.count("DISAGREE: as it were") == 1
@@ -269,74 +261,10 @@ def test_progress_counts_the_folders(folder, tmp_path):
     said: list[str] = []
     write_report(tmp_path / "library", said.append)
     assert said == [
-        f"{number} of 2 folders, four_bar: {what}"
+        f"{number} of 2 folders, {what}"
         for number in (1, 2)
-        for what in ("pictures of the recording", "plots")
+        for what in ("four_bar: pictures of the recording", "plots")
     ]
-
-
-def two_models() -> list[dict]:
-    """As `run --against` writes them."""
-    mapping = [{"element": "geom 'shell'", "fate": "left out", "how": "no contacts"}]
-    plain = {"name": "plain", "source": "tracker", "options": {}, "mapping": None, "start": None}
-    file = {"name": "file", "source": "tracker.xml", "options": {"key": "go"}, "mapping": mapping}
-    return [file | {"start": ["starts from go"]}, plain]
-
-
-def test_two_models_and_the_notes_about_them(bare):
-    models = two_models()
-    first = {name: models[0][name] for name in ("mapping", "start")}
-    change(bare, models=models, notes=["joint a is translational here"], **first)
-    found = report(bare)
-    for text in ("Model plain", "Model file", "tracker.xml", "key=go", "geom 'shell'", "starts from go"):
-        assert text in found.words
-    assert "joint a is translational here" in found.words
-    assert "What became of the model file" not in found.words
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"models": two_models(), "notes": 3}, "notes: Input should be a valid array"),
-        ({"models": two_models()[:1], "notes": []}, "models: List should have at least 2 items"),
-        ({"models": [*two_models(), two_models()[0]], "notes": []}, "models: List should have at most 2"),
-        ({"models": [{"name": "a"}, {}], "notes": []}, "models.0.source: Field required"),
-    ],
-)
-def test_a_comparison_that_is_not_whole_is_one_line(bare, capsys, changes, message):
-    change(bare, **changes)
-    status, out, err = run(capsys, "report", bare)
-    assert (status, out) == (2, "")
-    assert len(err.splitlines()) == 1
-    assert f"{bare / 'summary.json'}: " in err
-    assert message in err
-    assert not (bare / PAGE).exists()
-
-
-def moved_scene() -> dict:
-    """A scene as `crosscheck regress` writes it, whose recording is in a folder of another machine."""
-    figure = {"group": "relative", "name": EVIL, "unit": "m", "where": "crank, x", "was": 1.0, "now": 1.5}
-    figure |= {"band": 0.1, "bands": 5.0, "moved": True, "problem": ""}
-    gone = figure | {"name": "gone", "was": None, "now": None, "bands": None, "problem": "not measured"}
-    baseline = {"date": "2026-01-01", "reason": "as delivered", "versions": {"numpy": "2.0"}}
-    scene = {"scene": "four_bar", "quiet": False, "verdict": "four_bar: MOVED: 1", "baseline": baseline}
-    scene |= {"versions": {"numpy": "3.0"}, "diverges": 0.1, "wall_time": 2.0, "figures": [figure, gone]}
-    return scene | {"recording": str(Path("/elsewhere") / "four_bar.rrd")}
-
-
-def test_scenes_against_their_baselines(folder):
-    content = {"quiet": False, "verdict": "MOVED: 1 of 2 scenes", "scenes": [moved_scene()]}
-    quiet = {"quiet": True, "verdict": "quiet as ever", "figures": [], "recording": None}
-    content["scenes"].append(moved_scene() | quiet | {"scene": "still"})
-    (folder / "summary.json").unlink()
-    (folder / "regress.json").write_text(json.dumps(content))
-    found = report(folder)
-    for text in ("MOVED: 1 of 2 scenes (4 s)", "quiet as ever", "crank, x", "not measured", "as delivered"):
-        assert text in found.words
-    assert {"1", "1.5", "5", "2.0", "3.0"} <= set(found.text)
-    assert list(found.images) == [f"four_bar: The mechanism at 0, 0.025, 0.05 s, by {ENGINES[0]}"]
-    (folder / "four_bar.rrd").unlink()
-    assert "No picture of four_bar: " in report(folder).words
 
 
 @pytest.mark.parametrize(
@@ -345,12 +273,12 @@ def test_scenes_against_their_baselines(folder):
         ("summary.json", b"{", "file: Invalid JSON: "),
         ("summary.json", b"\xff", "file: Invalid JSON: "),
         ("summary.json", b"[" * 100_000, "file: Invalid JSON: "),
-        ("summary.json", b"{}", "summary.json: scene: Field required"),
+        ("summary.json", b"{}", "summary.json: report: Field required"),
         ("summary.json", b"[]", "summary.json: file: "),
         ("bench.json", b"3", "bench.json: file: "),
-        ("faults.json", b"{}", "faults.json: scene: Field required"),
-        ("regress.json", b'{"quiet": true, "verdict": "", "scenes": [1]}', "regress.json: scenes.0: "),
-        ("stress.json", b'{"form": "ci"}', "stress.json: wall_time: Field required"),
+        ("faults.json", b"{}", "faults.json: report: Field required"),
+        ("regress.json", b'{"report": 1, "files": {}}', "regress.json: report: Input should be"),
+        ("stress.json", b'{"report": {"title": "x"}}', "stress.json: report.verdict: Field required"),
         ("pinocchio.npz", b"PK", "pinocchio.npz: is not the file that summary.json beside it was written"),
     ],
 )
@@ -396,12 +324,3 @@ def test_a_drawing_holds_all_bodies(folder):
     assert set(shapes) >= set(poses)
     with pytest.raises(CrosscheckError, match="no bodies of bullet"):
         list(drawing.views(folder / "four_bar.rrd", "bullet", [0.0]))
-
-
-def test_values_of_any_shape():
-    assert page.values({"a": [1, 2.5, None, "<"]}) == (
-        "<table><tr><th></th><th></th></tr><tr><td>a</td><td>1, 2.5, , &lt;</td></tr></table>"
-    )
-    assert page.values([{"a": 1}, {"b": {"c": True}}]).count("<table>") == 2
-    assert page.values([[1, 2], {"a": 1}]).startswith("1, 2<table>")
-    assert page.values({}) == ""

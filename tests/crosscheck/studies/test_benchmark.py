@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import signal
 import time
 from functools import partial
@@ -16,21 +15,19 @@ from mechanisms import slider_tree, spinning_top
 import newton_euler
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import time_limit
+from crosscheck.report.page import write_report
 from crosscheck.studies.benchmark import pinocchio as benchmark_pinocchio
 from crosscheck.studies.benchmark import reference as benchmark_reference
 from crosscheck.studies.benchmark import work_precision
 from crosscheck.studies.benchmark.engines import ENGINES, Benchmark, poses_only
-from crosscheck.studies.benchmark.plot import write
 from crosscheck.studies.benchmark.reference import Difference, Reference, reference
 from crosscheck.studies.benchmark.report import (
     answer,
-    as_json,
     cheapest,
+    data,
     frontier,
-    markdown,
-    measurements_from,
     row,
-    terminal_tables,
+    tables,
 )
 from crosscheck.studies.benchmark.work_precision import (
     Ladder,
@@ -273,27 +270,32 @@ def test_the_answer_in_words(tracker):
 
 def test_tables_show_errors_below_the_uncertainty_as_such(tracker):
     found = result(tracker, uncertainty=2e-10)
-    tables = {table.title: table for table in terminal_tables(found)}
-    cells = list(tables["pinocchio: settings that none of its others beats"].columns[1].cells)
-    assert cells == ["1.0e-03", "<= 2.0e-10"]
-    assert len(tables["cheapest setting for each error, m and rad"].rows) == 9
-    assert "| <= 2.0e-10 |" in markdown(found, 1e-6)
+    told = {table.title: table for table in tables(found)}
+    rows = told["pinocchio: settings that none of its others beats"].rows
+    assert [row[1] for row in rows] == ["1.0e-03", "<= 2.0e-10"]
+    assert len(told["cheapest setting for each error, m and rad"].rows) == 9
 
 
-def test_json_reads_back_as_what_was_measured(tracker):
-    content = json.loads(as_json(result(tracker), 1e-5))
-    assert tuple(measurements_from(content)) == MADE_UP
+def test_json_holds_what_was_measured(tracker):
+    content = data(result(tracker), 1e-5)
+    assert [entry["error_position"] for entry in content["settings"]] == [m.error for m in MADE_UP]
+    assert [entry["setting"] for entry in content["settings"]] == [m.setting for m in MADE_UP]
     assert content["reference"]["uncertainty"] == 1e-12
     assert content["reference"]["missing"] == {"third": "no reason"}
     assert content["table"][0]["ratio"] == {"mujoco": pytest.approx(50.0), "pinocchio": pytest.approx(0.5)}
     assert content["table"][-1]["cheapest"]["mujoco"] is None
 
 
-def test_a_benchmark_is_written_as_json_picture_and_recording(tracker, tmp_path):
-    files = write(result(tracker), tmp_path / "new", 1e-5)
-    starts = {path.name: path.read_bytes()[:4] for path in files}
+def test_a_benchmark_is_written_as_json_picture_and_recording(tracker, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("crosscheck.studies.benchmark.engines.benchmark", lambda *_: result(tracker))
+    status, out, _ = run(capsys, "bench", "tracker", "--error", "1e-5", "--output", tmp_path / "new")
+    assert status == 0
+    assert answer(result(tracker), 1e-5) in out
+    starts = {path.name: path.read_bytes()[:4] for path in (tmp_path / "new").iterdir()}
     assert starts == {"bench.json": b'{\n "', "work_precision.png": b"\x89PNG", "bench.rrd": b"RRF2"}
-    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == sorted(starts)
+    page = write_report(tmp_path / "new", lambda _: None).read_text()
+    assert "mujoco takes 5 ms with method, coarse" in page
+    assert 'alt="work precision"' in page
 
 
 # Engines

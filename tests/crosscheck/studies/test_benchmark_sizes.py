@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -17,9 +16,8 @@ from crosscheck.studies.benchmark.engines import poses_only
 from crosscheck.studies.benchmark.rhs import (
     Timing,
     fastest_other,
-    rhs_json,
-    rhs_table,
-    rhs_words,
+    rhs_data,
+    rhs_report,
     time_right_hand_sides,
 )
 from newton_euler.model.euler_parameters import from_rotation_vector
@@ -43,16 +41,16 @@ TIMINGS = (
 
 def test_right_hand_sides_are_compared_with_the_fastest_of_the_others():
     assert fastest_other(TIMINGS).way == "constraintDynamics"
-    assert rhs_words(TIMINGS) == [
+    table, lines = rhs_report(TIMINGS).parts
+    assert lines.lines == [
         "newton_euler (relative) takes 0.06 times as long as pinocchio (constraintDynamics)",
         "newton_euler (cartesian) cannot run the scene: too large",
     ]
-    table = rhs_table(TIMINGS)
-    assert [next(iter(column.cells)) for column in table.columns] == [
+    assert table.rows[0] == [
         *("newton_euler", "relative", "1800", "0.3", "0.3 to 0.3", "0.06", "0.40", "120", "80")
     ]
-    assert {list(column.cells)[1] for column in table.columns[2:]} == {"-"}
-    assert json.loads(rhs_json("tracker", {}, TIMINGS))["right_hand_sides"][0]["memory"] == 120_000_000
+    assert set(table.rows[1][2:]) == {"-"}
+    assert rhs_data("tracker", {}, TIMINGS)["right_hand_sides"][0]["memory"] == 120_000_000
 
 
 def test_right_hand_sides_are_timed_here_and_weighed_in_processes_of_their_own(monkeypatch):
@@ -101,14 +99,14 @@ def test_growth_is_the_exponent_between_sizes():
 
 
 def test_sizes_as_table_words_json_and_picture():
-    cells = [list(column.cells) for column in scaling.scaling_table(SIZES).columns]
-    assert [column[0] for column in cells[2:6]] == ["1", "10", "1000", "1.00, 2.00"]
-    assert [column[1] for column in cells[2:6]] == ["4", "400", "-", "2.00"]
-    words = scaling.scaling_words(SIZES)
+    table, lines = scaling.scaling_report(SIZES).parts
+    assert table.rows[0][2:6] == ["1", "10", "1000", "1.00, 2.00"]
+    assert table.rows[1][2:6] == ["4", "400", "-", "2.00"]
+    words = lines.lines
     assert "newton_euler (relative) grows with exponents 1.00 from 1 to 10, 2.00 from 10 to 100" in words
     assert "N = 10: newton_euler (relative) takes 0.025 times as long as mujoco (mj_forward)" in words
     assert "N = 100: mujoco (mj_forward) cannot run: too large" in words
-    assert json.loads(scaling.scaling_json(SIZES))["sizes"]["100"][1]["reason"] == "too large"
+    assert scaling.scaling_data(SIZES)["sizes"][100][1]["reason"] == "too large"
     assert scaling.scaling_picture(SIZES).startswith(b"\x89PNG")
 
 
@@ -236,9 +234,9 @@ def test_a_batch_is_measured_for_both_engines(monkeypatch):
     assert own.error < 1e-6
     assert own.error < other.error < 1e-5
     assert result.uncertainty < 1e-9
-    rows = list(batch.batch_table(result).columns[0].cells)
-    assert len(rows) == 2 * len(batch.thread_counts())
-    content = json.loads(batch.batch_json(result))
+    table = batch.batch_report(result).parts[0]
+    assert len(table.rows) == 2 * len(batch.thread_counts())
+    content = batch.batch_data(result)
     for side in content["sides"]:
         for found in side["throughputs"]:
             assert len(found["times"]) == 2

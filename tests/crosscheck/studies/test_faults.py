@@ -241,7 +241,7 @@ def test_the_command(capsys, tmp_path, monkeypatch):
     assert written["holds"]
     assert [entry["kind"] for entry in written["faults"]] == [fault.kind for fault in few]
     assert written["faults"][0]["seen"]["where"] == "crank"
-    assert written["verdict"] in out
+    assert written["report"]["verdict"] in out
     assert "by motion alone" in out
     assert {entry["engine"] for entry in written["faults"]} == set(written["engines"]) == set(PLANTED_IN)
     arguments = ("faults", EXAMPLE, "--engine", "pinocchio", "--output", tmp_path)

@@ -8,13 +8,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from crosscheck.figures import STYLES
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+STYLES = {
+    "newton_euler": ("#0072b2", "-", 2.6),
+    "mujoco": ("#d55e00", "--", 1.6),
+    "pinocchio": ("#009e73", ":", 1.8),
+}
+"""Color, dash and width of each engine's curves; thick under thin, so that equal curves all show."""
 
 SMALLEST = 1e-18
 """Where logarithms are cut off, so that zero can be drawn."""
@@ -41,9 +47,10 @@ def pictures(runs: Runs) -> Iterator[tuple[bytes, str]]:
         yield from draw(runs)
 
 
-def png(figure: Figure) -> bytes:
+def png(figure: Figure, dpi: int = 100) -> bytes:
+    """A figure as a PNG."""
     content = io.BytesIO()
-    figure.savefig(content, dpi=100, format="png")
+    figure.savefig(content, dpi=dpi, format="png")
     return content.getvalue()
 
 
@@ -60,7 +67,8 @@ def _axes(labels: list[str]) -> tuple[Figure, list[Axes]]:
     return figure, axes
 
 
-def _plot(ax: Axes, engine: str, time: Array, values: Array) -> None:
+def curve(ax: Axes, engine: str, time: Array, values: Array) -> None:
+    """Draw a quantity over time in the engine's style."""
     color, dash, width = STYLES.get(engine, OTHER_STYLE)
     ax.plot(time, values, color=color, linestyle=dash, linewidth=width, label=engine)
 
@@ -79,7 +87,7 @@ def _drawn(lines: list[Line], caption: str, logarithmic: bool = False) -> Iterat
         return
     figure, axes = _axes(labels)
     for label, engine, time, values in lines:
-        _plot(axes[labels.index(label)], engine, time, values)
+        curve(axes[labels.index(label)], engine, time, values)
     for ax in axes:
         if logarithmic:
             ax.set_yscale("log")

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.figures import STYLES
-from crosscheck.report.html.plots import OTHER_STYLE, png
+from crosscheck.report.plots import OTHER_STYLE, STYLES, png
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.scalars import Array
 

@@ -1,1 +1,0 @@
-"""Results as a page that a browser shows without anything else."""

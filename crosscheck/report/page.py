@@ -1,0 +1,194 @@
+"""Result folders as one self-contained HTML page; jinja2 escapes all text."""
+
+from __future__ import annotations
+
+import base64
+import shlex
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from pydantic import BaseModel
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.files import check_writable, write_files
+from crosscheck.report import drawing, plots
+from crosscheck.report.table import Report
+from crosscheck.results import digest, read_json
+from newton_euler.model.source_file import SourceError, read_content
+from newton_euler.model.trajectory import load_arrays
+from newton_euler.scalars import Array
+
+PAGE = "report.html"
+
+RESULTS = (
+    "summary.json",
+    "regress.json",
+    "faults.json",
+    "stress.json",
+    "bench.json",
+    "rhs.json",
+    "batch.json",
+    "scaling.json",
+)
+"""Files of results, each with a report."""
+
+ALONE, AMONG_OTHERS = (0.0, 0.5, 1.0), (0.5,)
+"""Shares of the duration at which a recording is shown."""
+
+BELOW = ("*", "*/*")
+"""Where results are looked for below a folder without any: the folders of `crosscheck run --all`, those of
+all scenes that were benchmarked, and the usual folder for output."""
+
+MOST_IN_FULL = 15
+"""Folders on one page, a few seconds each; of more there is an index alone. All scenes of the library fit."""
+
+Progress = Callable[[str], None]
+
+
+class Results(BaseModel):
+    """The parts of a file of results that a page shows.
+
+    Attributes:
+        report: tables and sentences.
+        files: SHA-256 by name of the runs (.npz), recordings (.rrd) and pictures (.png) beside it.
+    """
+
+    report: Report
+    files: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG."""
+
+    content: bytes
+    caption: str
+
+    @property
+    def base64(self) -> str:
+        return base64.b64encode(self.content).decode()
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One file of results as the template shows it."""
+
+    report: Report
+    anchor: str = ""
+    pictures: list[Picture] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    @property
+    def took(self) -> str:
+        return "" if self.report.wall_time is None else f" ({self.report.wall_time:.3g} s)"
+
+
+def write_report(folder: Path, progress: Progress) -> Path:
+    """Write `PAGE` into a folder that a command wrote results to, or one that holds such folders.
+
+    The page is one file, without anything to fetch; it appears whole or not at all. Of more than
+    `MOST_IN_FULL` folders it holds the verdicts and names the commands for the pages of each.
+
+    Raises:
+        CrosscheckError: for a folder without results, a result that cannot be read, and a page that
+            cannot be written.
+        newton_euler.NewtonEulerError: for a run that cannot be read.
+    """
+    if not folder.is_dir():
+        raise CrosscheckError(f"{folder} is no folder; needed: one that a command of crosscheck wrote")
+    path = folder / PAGE
+    try:
+        own = _results_in(folder)
+        below = [] if own else sorted(file for p in BELOW for f in folder.glob(p) for file in _results_in(f))
+    except OSError as error:
+        raise CrosscheckError(f"cannot read {folder}: {error.strerror}") from error
+    if not (own or below):
+        raise CrosscheckError(
+            f"nothing of crosscheck's in {folder}; needed, there or at most two folders below: "
+            f"{', '.join(RESULTS)}, as run, regress, faults, stress and bench write them"
+        )
+    check_writable(path)
+    found = {file: read_json(file, Results) for file in own or below}
+    parents = list(dict.fromkeys(file.parent for file in found))
+    index = [_index_line(folder, file, results.report) for file, results in found.items()] if below else []
+    entries = []
+    for file, results in found.items() if len(parents) <= MOST_IN_FULL else ():
+        number = parents.index(file.parent) + 1
+        counted = _counted(progress, f"{number} of {len(parents)} folders") if below else progress
+        first = below and file == next(other for other in found if other.parent == file.parent)
+        anchor = file.parent.relative_to(folder).as_posix() if first else ""
+        entries.append(_entry(file, results, anchor, AMONG_OTHERS if below else ALONE, counted))
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        keep_trailing_newline=True,
+    )
+    title = f"crosscheck: {folder.resolve().name}"
+    text = environment.get_template("page.html").render(
+        title=title, index=index, entries=entries, most=MOST_IN_FULL
+    )
+    write_files({path: text.encode()})
+    return path
+
+
+def _results_in(folder: Path) -> list[Path]:
+    return [folder / name for name in RESULTS if (folder / name).is_file()]
+
+
+def _counted(progress: Progress, count: str) -> Progress:
+    return lambda text: progress(f"{count}, {text}")
+
+
+def _index_line(folder: Path, file: Path, report: Report) -> dict[str, object]:
+    return {
+        "name": file.parent.relative_to(folder).as_posix(),
+        "judged": report.judged,
+        "time": "" if report.wall_time is None else f"{report.wall_time:.1f}",
+        "verdict": report.verdict or report.title,
+        "command": f"crosscheck report {shlex.quote(str(file.parent))}",
+    }
+
+
+def _entry(file: Path, results: Results, anchor: str, shares: Sequence[float], progress: Progress) -> Entry:
+    """The report of a file with pictures of the runs, recordings and pictures that lie beside it."""
+    entry = Entry(results.report, anchor)
+    listed = [file.parent / name for name in results.files if name == Path(name).name]
+    beside = [path for path in listed if path.is_file()]
+    for path in beside:
+        if results.files[path.name] != digest(path):
+            raise CrosscheckError(f"{path}: is not the file that {file.name} beside it was written with")
+    runs = _runs(path for path in beside if path.suffix == ".npz")
+    if not runs and any(path.suffix == ".npz" for path in listed):
+        entry.remarks.append("The runs are not in the folder, so there is nothing to draw.")
+    for path in (path for path in listed if path.suffix == ".rrd"):
+        progress(f"{path.stem}: pictures of the recording")
+        try:
+            views = drawing.views(path, next(iter(runs), "newton_euler"), shares)
+            entry.pictures.extend(Picture(content, f"{path.stem}: {caption}") for content, caption in views)
+        except CrosscheckError as error:
+            entry.remarks.append(f"No picture of {path.stem}: {error}")
+    if runs:
+        progress("plots")
+        entry.pictures.extend(Picture(*drawn) for drawn in plots.pictures(runs))
+    for path in (path for path in beside if path.suffix == ".png"):
+        try:
+            content = read_content(path, "result_size")
+        except SourceError as error:
+            raise CrosscheckError(str(error)) from error
+        entry.pictures.append(Picture(content, path.stem.replace("_", " ")))
+    return entry
+
+
+def _runs(paths: Iterator[Path]) -> dict[str, dict[str, Array]]:
+    """The arrays of runs by engine."""
+    found: dict[str, dict[str, Array]] = {}
+    for path in paths:
+        arrays = load_arrays(path)
+        for other in found.values():
+            if len(other["body_names"]) != len(arrays["body_names"]):
+                raise CrosscheckError(f"{path}: body_names are not as many as those of other runs")
+        found[path.stem] = arrays
+    return found

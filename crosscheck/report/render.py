@@ -1,0 +1,171 @@
+"""Reports as text for the terminal, Markdown, JSON and JUnit XML."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+from xml.etree import ElementTree
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from crosscheck.report.table import Cell, Lines, Part, Report, Table
+
+WIDTH = 130
+"""Columns that tables are laid out for; a narrower terminal wraps them itself."""
+
+STYLES = {"": "", "holds": "green", "doubtful": "yellow", "fails": "bold red"}
+"""Of verdicts, in a terminal."""
+
+MARKED = re.compile(r"[\\`*_\[\]<>|]")
+"""Characters that Markdown would take for its own."""
+
+ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Characters that XML cannot hold in any form."""
+
+
+def terminal(parts: Iterable[Part]) -> str:
+    """Parts that are not folded, in color where standard output has it."""
+    console = Console(width=max(WIDTH, Console().width))
+    with console.capture() as capture:
+        for part in parts:
+            if part.folded:
+                continue
+            if part.title:
+                console.print(Text(part.title, style="bold"), soft_wrap=True)
+            if isinstance(part, Table):
+                console.print(_rich_table(part))
+            else:
+                for line in part.lines:
+                    console.print(Text(line), soft_wrap=True)
+    return "".join(f"{line.rstrip()}\n" for line in capture.get().splitlines())
+
+
+def _rich_table(table: Table) -> RichTable:
+    drawn = RichTable(box=SIMPLE_HEAD, pad_edge=False)
+    for column in table.columns:
+        drawn.add_column(
+            Text(column.heading),
+            justify="right" if column.numeric else "left",
+            no_wrap=column.numeric,
+            overflow="fold",
+        )
+    indent = "  " if any(isinstance(row, str) for row in table.rows) else ""
+    for row in table.rows:
+        if isinstance(row, str):
+            drawn.add_section()
+            drawn.add_row(Text(row, style="bold"))
+        else:
+            cells = [cell if isinstance(cell, Cell) else Cell(cell) for cell in row]
+            shown = [Text(cell.text, style=STYLES[cell.verdict]) for cell in cells]
+            drawn.add_row(*(Text(indent) + text if k == 0 else text for k, text in enumerate(shown)))
+    return drawn
+
+
+def markdown(report: Report, folded: bool = False) -> str:
+    """A document; its folded parts only if they are asked for."""
+    lines = [f"# {_escaped(report.title)}", ""]
+    if report.verdict:
+        lines += [f"**{_escaped(report.verdict)}**", ""]
+    for part in report.parts:
+        if folded or not part.folded:
+            lines += [*_markdown(part), ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _markdown(part: Part) -> Iterator[str]:
+    if part.title:
+        yield from (f"## {_escaped(part.title)}", "")
+    if isinstance(part, Lines):
+        yield from (f"- {_escaped(line.strip())}" for line in part.lines)
+    else:
+        yield from markdown_table(part)
+
+
+def markdown_table(table: Table) -> Iterator[str]:
+    """The lines of a table alone; what fails is bold."""
+    yield _markdown_row(column.heading for column in table.columns)
+    yield "|" + "".join("---:|" if column.numeric else "---|" for column in table.columns)
+    for row in table.rows:
+        if isinstance(row, str):
+            yield f"| **{_escaped(row)}** |" + " |" * (len(table.columns) - 1)
+        else:
+            yield _markdown_row(row)
+
+
+def _markdown_row(cells: Iterable[str | Cell]) -> str:
+    texts = []
+    for cell in cells:
+        fails = isinstance(cell, Cell) and cell.verdict in ("fails", "doubtful")
+        text = _escaped(cell.text if isinstance(cell, Cell) else cell)
+        texts.append(f"**{text}**" if fails else text)
+    return f"| {' | '.join(texts)} |"
+
+
+def _escaped(text: str) -> str:
+    """Text that Markdown shows as it is."""
+    return MARKED.sub(r"\\\g<0>", text).replace("\n", ", ")
+
+
+def as_json(content: Mapping[str, Any], report: Report, files: Mapping[str, str] | None = None) -> bytes:
+    """Results as JSON: their data, the report on them, and SHA-256 of files beside them that pages show."""
+    whole = {**content, "report": asdict(report), "files": dict(files or {})}
+    return (json.dumps(_finite(whole), indent=1, allow_nan=False) + "\n").encode()
+
+
+def _finite(value: object) -> object:
+    """JSON has no numbers that are not finite; such a figure is its text."""
+    if isinstance(value, float):
+        return value if abs(value) < float("inf") else repr(value)
+    if isinstance(value, Mapping):
+        return {name: _finite(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return value
+
+
+def junit(report: Report) -> str:
+    """JUnit XML: a suite per table with judged cells, a case per row."""
+    root = ElementTree.Element("testsuites", name=_legal(report.title), time=f"{report.wall_time or 0.0:.3f}")
+    for part in report.parts:
+        if isinstance(part, Lines):
+            continue
+        rows = [(head, row) for head, row in part.sections() if any(cell.verdict for cell in row)]
+        failed = sum(any(cell.verdict == "fails" for cell in row) for _, row in rows)
+        if not rows:
+            continue
+        suite = ElementTree.SubElement(
+            root,
+            "testsuite",
+            name=_legal(part.title),
+            tests=str(len(rows)),
+            failures=str(failed),
+            errors="0",
+            time="0",
+        )
+        for heading, row in rows:
+            owner = f"{part.title}.{heading}" if heading else part.title
+            case = ElementTree.SubElement(
+                suite, "testcase", classname=_legal(owner), name=_legal(row[0].text), time="0"
+            )
+            if any(cell.verdict == "fails" for cell in row):
+                message = _legal(f"{heading}: {row[0].text}: {_told(part, row)}".removeprefix(": "))
+                failure = ElementTree.SubElement(case, "failure", message=message)
+                failure.text = _legal(report.verdict)
+    ElementTree.indent(root, " ")
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _told(table: Table, row: Sequence[Cell]) -> str:
+    """The cells of a row but the first, each with its heading."""
+    named = zip(table.columns[1:], row[1:], strict=False)
+    return ", ".join(f"{column.heading} {cell.text}".strip() for column, cell in named if cell.text)
+
+
+def _legal(text: str) -> str:
+    return ILLEGAL.sub("?", text)

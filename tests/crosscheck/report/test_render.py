@@ -1,0 +1,111 @@
+"""One report in every format."""
+
+from __future__ import annotations
+
+import json
+from xml.etree import ElementTree
+
+import pytest
+
+from crosscheck.report.render import as_json, junit, markdown, terminal
+from crosscheck.report.table import Cell, Column, Lines, Report, Table, entries, figures, judged, texts
+
+ODD = "a|b <c> & \x00 `d`_"
+
+TABLE = Table(
+    "figures",
+    [Column("quantity"), Column("difference", "m", True)],
+    ["model", ["mass", judged(1e-3, 1e-6, False, "crank")], ["points", judged(1e-9, 1e-6, True)], "energy"],
+)
+
+REPORT = Report(
+    "run four_bar",
+    "DISAGREE: somewhere",
+    Cell("FAILS", "fails"),
+    [TABLE, Lines("notes", ["first", "second"]), Lines("versions", ["numpy 2"], folded=True)],
+    1.5,
+)
+
+
+def test_terminal():
+    assert [line.rstrip() for line in terminal(REPORT.parts).splitlines()] == [
+        "figures",
+        "",
+        " quantity     difference, m",
+        " ──────────────────────────",
+        " model",
+        "   mass     1.0e-03 > 1e-06",
+        "   points   1.0e-09 < 1e-06",
+        "",
+        " energy",
+        "",
+        "notes",
+        "first",
+        "second",
+    ]
+
+
+def test_markdown():
+    assert markdown(REPORT).splitlines() == [
+        "# run four\\_bar",
+        "",
+        "**DISAGREE: somewhere**",
+        "",
+        "## figures",
+        "",
+        "| quantity | difference, m |",
+        "|---|---:|",
+        "| **model** | |",
+        "| mass | **1.0e-03 \\> 1e-06** |",
+        "| points | 1.0e-09 \\< 1e-06 |",
+        "| **energy** | |",
+        "",
+        "## notes",
+        "",
+        "- first",
+        "- second",
+    ]
+    assert markdown(REPORT, folded=True).endswith("## versions\n\n- numpy 2\n")
+
+
+def test_json_holds_data_report_and_files():
+    content = json.loads(
+        as_json({"worst": float("nan")}, REPORT, {"a.npz": "00"}), parse_constant=pytest.fail
+    )
+    assert (content["worst"], content["files"]) == ("nan", {"a.npz": "00"})
+    cell = {"text": "1.0e-03 > 1e-06", "verdict": "fails", "about": "crank"}
+    assert content["report"]["parts"][0]["rows"][:2] == ["model", ["mass", cell]]
+
+
+def test_junit_has_a_case_per_judged_row():
+    root = ElementTree.fromstring(junit(REPORT))
+    (suite,) = root
+    assert (suite.get("name"), suite.get("tests"), suite.get("failures")) == ("figures", "2", "1")
+    failed, passed = suite
+    assert (failed.get("classname"), failed.get("name")) == ("figures.model", "mass")
+    (failure,) = failed
+    assert failure.get("message") == "model: mass: difference, m 1.0e-03 > 1e-06"
+    assert failure.text == REPORT.verdict
+    assert list(passed) == []
+
+
+def test_any_text_is_shown_as_it_is():
+    odd = Report(ODD, ODD, Cell(ODD), [Table(ODD, texts(ODD, ODD), [ODD, [ODD, Cell(ODD, "fails")]])])
+    root = ElementTree.fromstring(junit(odd))
+    assert root[0][0].get("name") == ODD.replace("\x00", "?")
+    (line,) = [line for line in markdown(odd).splitlines() if line.startswith("| a") and "**" in line]
+    assert line.replace("\\|", "").count("|") == 3
+    assert ODD.replace("\x00", "") in terminal(odd.parts).replace("\x00", "")
+
+
+def test_units_follow_the_last_comma():
+    assert [column.heading for column in figures("load, s", "ms")] == ["load, s", "ms"]
+    assert [(column.name, column.unit) for column in figures("of mass, kg", "ms")] == [
+        ("of mass", "kg"),
+        ("ms", ""),
+    ]
+
+
+def test_entries_of_any_value():
+    table = entries("settings", {"a": [1, 2.5, None, "<"], "b": {"c": True, "d": 1.23456789}})
+    assert table.rows == [["a", "1, 2.5, , <"], ["b", "c: True\nd: 1.23457"]]
