@@ -16,12 +16,19 @@ import numpy as np
 
 from mjcf.layout import Layout, ball_name, coordinate_name
 from mjcf.text import number, numbers
-from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.euler_parameters import from_rotation_vector
-from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
+from newton_euler.model.forces import (
+    Armature,
+    BallArmature,
+    BallSpring,
+    Force,
+    JointSpring,
+    PointSpring,
+    Wrench,
+)
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.tree import SpanningTree
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
 
 WORLD_SITE = "world frame"

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from newton_euler.model.joints import Joint
-from newton_euler.model.tree import SpanningTree, TreeJoint, motion_names
+from newton_euler.model.joint import Joint
+from newton_euler.model.spanning_tree import SpanningTree, TreeJoint, motion_names
 
 
 def coordinate_name(joint: Joint, coordinate: int) -> str:

@@ -16,8 +16,8 @@ from newton_euler.equations.system import MassProperties
 from newton_euler.integrators.stabilize import joint_residuals
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import weld_loops
 from newton_euler.model.state import State
-from newton_euler.model.tree import weld_loops
 from newton_euler.scalars import Array, Scalar
 
 

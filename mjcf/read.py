@@ -40,13 +40,13 @@ from mjcf.silence import heard_warnings
 from newton_euler.assemble import assemble
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import HIGHEST, LOWEST, moving
-from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.control import PD
+from newton_euler.model.forces import Armature, BallArmature
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Sine
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
+from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.model.state import State
-from newton_euler.model.tree import unweld_loops
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport, unique_name
 from newton_euler.verification.original import Original

@@ -35,12 +35,13 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
 from newton_euler.model.control import Law, Sampled
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
-from newton_euler.model.joints import Key, Pose, Rod, Spherical
+from newton_euler.model.geometry import Box, Capsule, Shape
+from newton_euler.model.joint import Key, Pose
+from newton_euler.model.joint_kinds import Rod, Spherical
 from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import Scene
-from newton_euler.model.shapes import Box, Capsule, Shape
+from newton_euler.model.spanning_tree import TreeJoint, WeldedMechanism, motion_names, weld_loops
 from newton_euler.model.trajectory import atomic_file
-from newton_euler.model.tree import TreeJoint, WeldedMechanism, motion_names, weld_loops
 from newton_euler.scalars import Array
 
 TIMESTEP = 0.001

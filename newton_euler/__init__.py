@@ -3,10 +3,9 @@
 from newton_euler.assemble import assemble, initial_state
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
-from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.control import PD, Sampled
 from newton_euler.model.couplings import Gear, LinearCoupling
-from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum
 from newton_euler.model.scene import Scene

@@ -19,11 +19,11 @@ from newton_euler.errors import MechanismError
 from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import conjugate, product
 from newton_euler.model.forces import PointSpring
+from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import Scene
-from newton_euler.model.shapes import UNIT_TOLERANCE
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
-from newton_euler.model.tree import SpanningTree
 from newton_euler.scalars import Array, objects
 
 PORTION = 1000

@@ -23,7 +23,7 @@ from newton_euler.integrators.run import Projection
 from newton_euler.integrators.stabilize import worst_joint
 from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.joints import Key
+from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

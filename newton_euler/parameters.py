@@ -31,9 +31,16 @@ import numpy as np
 
 from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.control import Law
-from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
+from newton_euler.model.forces import (
+    Armature,
+    BallArmature,
+    BallSpring,
+    Force,
+    JointSpring,
+    PointSpring,
+    Wrench,
+)
 from newton_euler.model.mechanism import Body
 from newton_euler.model.motions import Polynomial, Sine, Sum, TimeFunction
 from newton_euler.model.scene import Scene

@@ -15,13 +15,13 @@ PACKAGES = ("newton_euler", "mjcf", "urdf", "crosscheck")
 
 MISTAKES = {
     "swapped axes of a universal joint": (
-        "newton_euler/model/joints/kinds.py",
+        "newton_euler/model/joint_kinds.py",
         "first.vector_to_body(self.axis_on_first), second.vector_to_body(self.axis_on_second)",
         "first.vector_to_body(self.axis_on_second), second.vector_to_body(self.axis_on_first)",
         "newton_euler/equations/test_formulations.py",
     ),
     "swapped hinges of a universal joint in the tree": (
-        "newton_euler/model/joints/kinds.py",
+        "newton_euler/model/joint_kinds.py",
         'Motion("hinge", self.axis_on_first), Motion("hinge", self.axis_on_second)',
         'Motion("hinge", self.axis_on_second), Motion("hinge", self.axis_on_first)',
         "newton_euler/equations/test_formulations.py",

@@ -24,10 +24,10 @@ from newton_euler.errors import SingularityError
 from newton_euler.integrators.stabilize import joint_residuals
 from newton_euler.model.euler_parameters import from_rotation
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.joints import Rod
+from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import weld_loops
 from newton_euler.model.state import State
-from newton_euler.model.tree import weld_loops
 from newton_euler.scalars import Array, Scalar
 from urdf.closures import Closures, frame_jacobian
 from urdf.errors import UrdfError
@@ -52,8 +52,8 @@ class PinocchioSystem:
     """A scene in Pinocchio: a `newton_euler.equations.system.System`.
 
     q (nq,) and v (nv,) are coordinates of the spanning tree of the welded mechanism, as in
-    `newton_euler.model.tree`: zero at the initial pose, quaternions w-x-y-z. The work, if the scene tracks
-    it, comes last in q. What Pinocchio's closures leave out, see `urdf.rows`.
+    `newton_euler.model.spanning_tree`: zero at the initial pose, quaternions w-x-y-z. The work, if the scene
+    tracks it, comes last in q. What Pinocchio's closures leave out, see `urdf.rows`.
 
     Accelerations are worked out in units of the mechanism's size and mass, so that rows in metres and
     rows in radians weigh alike in the regularisation of redundant closures.

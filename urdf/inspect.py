@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.model.joint_geometry import NOWHERE, JointGeometry, closing, in_tree
-from newton_euler.model.tree import weld_loops
+from newton_euler.model.spanning_tree import weld_loops
 from newton_euler.scalars import Array
 from urdf.dynamics import PinocchioSystem
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.model.tree import WeldedMechanism, motion_names
+from newton_euler.model.spanning_tree import WeldedMechanism, motion_names
 from newton_euler.scalars import Array
 from urdf.errors import LoopFileError, UrdfError
 from urdf.loops import UNIVERSAL, Loops

@@ -15,8 +15,8 @@ from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.hinge_angles import dual_axes
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import SpanningTree, WeldedMechanism, motion_names
 from newton_euler.model.state import State
-from newton_euler.model.tree import SpanningTree, WeldedMechanism, motion_names
 from newton_euler.scalars import Array
 
 

@@ -25,10 +25,11 @@ from newton_euler.errors import NewtonEulerError, check_choice
 from newton_euler.exercise import moving as exercised
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.joints import Fixed, Joint, Key, Rod, Spherical
+from newton_euler.model.joint import Joint, Key
+from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
-from newton_euler.model.tree import unweld_loops
+from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.verification.activity import Bounds, Rest, Watch
 from newton_euler.verification.import_report import (
     CONTACTS,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from newton_euler.equations.balls import ends, spin_rate
-from newton_euler.model.armature import BallArmature
 from newton_euler.model.constraints import Frame
+from newton_euler.model.forces import BallArmature
 from newton_euler.model.scene import Scene
-from newton_euler.model.tree import SpanningTree
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
 from urdf.reactions import Actuator, actuator
 

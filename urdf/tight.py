@@ -21,10 +21,10 @@ from newton_euler.equations.couplings import couplings
 from newton_euler.equations.system import at_time
 from newton_euler.model.control import PD, Sampled
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.joints import Rod
+from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import weld_loops
 from newton_euler.model.trajectory import IntegrationError
-from newton_euler.model.tree import weld_loops
 from newton_euler.scalars import Array
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.shapes import Box, Shape
+from newton_euler.model.geometry import Box, Shape
 from newton_euler.scalars import Array
 
 COLORS = {

@@ -24,11 +24,12 @@ import yaml
 
 from newton_euler.equations.couplings import couplings
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.joints import Fixed, Joint, Motion, Rod
+from newton_euler.model.joint import Joint, Motion
+from newton_euler.model.joint_kinds import Fixed, Rod
 from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import TreeJoint, WeldedMechanism, motion_names, weld_loops
 from newton_euler.model.trajectory import atomic_file
-from newton_euler.model.tree import TreeJoint, WeldedMechanism, motion_names, weld_loops
 from newton_euler.scalars import Array
 from urdf.errors import NameClashError, UrdfError
 from urdf.visual import add_materials, add_visual, color, numbers
@@ -47,7 +48,7 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
     of a joint with several motions, from its first body to its second). Ball joints are placeholders,
     revolute, for the loop file to replace. Of forces there is the damping of joints' springs, which
     Pinocchio keeps and does not use. Gravity, control, other forces, prescribed motions and the initial
-    state are the scene's and not in the text. `keep_bodies` is as of `newton_euler.model.tree.weld_loops`.
+    state are the scene's and not in the text. `keep_bodies` is as of `weld_loops`.
 
     Raises:
         NameClashError: if the parts of a joint are named as another joint or body is.

@@ -15,8 +15,8 @@ import numpy as np
 from crosscheck.advice.measured import Advice, Found, distance
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.stabilize import RK4_LIMIT
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.model.tree import SpanningTree
 
 SHARES = (0.1, 0.03, 0.01)
 """Of 1 / step, the gains that are tried."""

@@ -16,7 +16,8 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
-from newton_euler.model.joints import Cylindrical, Joint, Spherical
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Cylindrical, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

@@ -11,7 +11,7 @@ from crosscheck.stiffness import is_stable_in_rk4, modes_of_run
 from newton_euler.equations.couplings import couplings
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
-from newton_euler.model.tree import SpanningTree
+from newton_euler.model.spanning_tree import SpanningTree
 
 NAME = "mujoco"
 

@@ -19,7 +19,7 @@ from crosscheck.against.bodies import (
 )
 from newton_euler.assemble import initial_state
 from newton_euler.model.euler_parameters import from_rotation, rotation
-from newton_euler.model.joints import Joint, Key
+from newton_euler.model.joint import Joint, Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

@@ -14,10 +14,11 @@ import numpy as np
 
 from newton_euler.assemble import initial_state
 from newton_euler.equations.system import MassProperties
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
-from newton_euler.model.joints import Compound, Fixed, Joint
-from newton_euler.model.joints.base import Motion
+from newton_euler.model.joint import Joint, Motion
+from newton_euler.model.joint_kinds import Fixed
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.state import State

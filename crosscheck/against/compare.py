@@ -30,7 +30,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation
 from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import rotations
-from newton_euler.model.joints import Joint
+from newton_euler.model.joint import Joint
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

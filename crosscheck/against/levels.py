@@ -26,12 +26,11 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import body_wrenches, turned
 from newton_euler.equations.balls import ends, spin
 from newton_euler.equations.couplings import Coupling, couplings
-from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.constraints import Frame
 from newton_euler.model.control import Law
 from newton_euler.model.euler_parameters import angle_between, rotation
-from newton_euler.model.forces import BallSpring, JointSpring
-from newton_euler.model.joints import Key
+from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring
+from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array

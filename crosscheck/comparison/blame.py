@@ -27,8 +27,8 @@ from newton_euler.model.control import Law
 from newton_euler.model.forces import BallSpring, JointSpring
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
-from newton_euler.model.tree import SpanningTree
 from newton_euler.scalars import Array
 
 OPEN = 1e-11

@@ -17,17 +17,18 @@ import numpy as np
 
 from newton_euler.assemble import assemble, initial_state
 from newton_euler.equations.couplings import Coupling, couplings, residuals
-from newton_euler.model.armature import Armature, BallArmature
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.control import Law, Sampled
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
-from newton_euler.model.forces import BallSpring, Force, JointSpring, Wrench
-from newton_euler.model.joints import Compound, Fixed, Joint, JointEquations, Screw
+from newton_euler.model.forces import Armature, BallArmature, BallSpring, Force, JointSpring, Wrench
+from newton_euler.model.joint import Joint, JointEquations
+from newton_euler.model.joint_kinds import Fixed, Screw
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
 from newton_euler.model.scene import Scene
-from newton_euler.model.tree import SpanningTree
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.parameters import numbered, parameter_values, with_values
 from newton_euler.scalars import Array
 

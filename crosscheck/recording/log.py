@@ -31,9 +31,9 @@ import rerun as rr
 from crosscheck.recording.blueprint import blueprint
 from crosscheck.recording.plots import Plot, panel, plots, rotated
 from crosscheck.recording.shapes import Style, log_shapes, xyzw
+from newton_euler.model.geometry import Box
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.shapes import Box
 from newton_euler.model.trajectory import Trajectory, atomic_file
 from newton_euler.scalars import Array
 

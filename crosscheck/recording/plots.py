@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from newton_euler.model.euler_parameters import angle_between, conjugate, product
-from newton_euler.model.joints import Joint, Motion
+from newton_euler.model.geometry import Box
+from newton_euler.model.joint import Joint, Motion
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.shapes import Box
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 

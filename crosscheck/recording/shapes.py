@@ -8,10 +8,9 @@ import numpy as np
 import rerun as rr
 
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product
-from newton_euler.model.joints import perpendicular_pair
-from newton_euler.model.joints.base import Pose
+from newton_euler.model.geometry import Box, Capsule, Mesh
+from newton_euler.model.joint import Pose, perpendicular_pair
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.shapes import Box, Capsule, Mesh
 from newton_euler.scalars import Array
 
 HULL_OPACITY = 70

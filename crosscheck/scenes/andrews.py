@@ -12,7 +12,8 @@ import numpy as np
 
 from crosscheck.scenes.measure import Figure, angle, angular_velocity, components, position
 from newton_euler.model.forces import PointSpring, Wrench
-from newton_euler.model.joints import Joint, Revolute, Spherical
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from crosscheck.scenes.measure import Figure, angle, angular_velocity, components, position, velocity
-from newton_euler.model.joints import Revolute
+from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from crosscheck.scenes.options import Range
 from crosscheck.scenes.rod import LENGTH, rod
-from newton_euler.model.joints import Revolute
+from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 

@@ -13,15 +13,16 @@ from pydantic_core import PydanticCustomError
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes.size import check_counts, check_functions, check_mechanism
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.armature import Armature, BallArmature
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear, LinearCoupling
-from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
-from newton_euler.model.joints import JOINT_KINDS, Compound, Joint, Screw
+from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.geometry import Box, Capsule
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import JOINT_KINDS, Screw
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
 from newton_euler.model.scene import OUTPUTS, REDUNDANCY_TOLERANCE, Scene
-from newton_euler.model.shapes import Box, Capsule
 from newton_euler.model.state import State
 
 LARGEST = 1e100

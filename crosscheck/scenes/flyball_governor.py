@@ -14,7 +14,7 @@ import numpy as np
 from crosscheck.scenes.measure import Figure, angle, angular_velocity, position, velocity
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.forces import PointSpring
-from newton_euler.model.joints import Prismatic, Revolute
+from newton_euler.model.joint_kinds import Prismatic, Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

@@ -9,7 +9,8 @@ import numpy as np
 from crosscheck.scenes.measure import Figure, angular_velocity, components, position, velocity
 from crosscheck.scenes.options import Range
 from crosscheck.scenes.rod import LENGTH, rod
-from newton_euler.model.joints import Joint, Revolute, Spherical
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from crosscheck.scenes.measure import Figure, components, quaternion, spin
-from newton_euler.model.joints import Free
+from newton_euler.model.joint_kinds import Free
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

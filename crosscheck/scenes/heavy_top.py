@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from crosscheck.scenes.measure import Figure, components, position, quaternion, spin
-from newton_euler.model.joints import Spherical
+from newton_euler.model.joint_kinds import Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

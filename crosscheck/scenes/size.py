@@ -14,7 +14,7 @@ from newton_euler.model.control import PD, Law
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, TimeFunction
 from newton_euler.model.scene import Scene
-from newton_euler.model.tree import SpanningTree
+from newton_euler.model.spanning_tree import SpanningTree
 
 
 def check_scene(scene: Scene) -> None:

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from crosscheck.scenes.measure import Figure, angle, angular_velocity, position, velocity
-from newton_euler.model.joints import Prismatic, Revolute, Spherical, Universal
+from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

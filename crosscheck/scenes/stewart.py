@@ -12,7 +12,8 @@ import numpy as np
 
 from crosscheck.scenes.measure import Figure, angular_velocity, components, position, quaternion, velocity
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.joints import Cylindrical, Joint, Universal
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Cylindrical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory

@@ -11,10 +11,11 @@ import numpy as np
 from crosscheck.scenes.tracker_tables import BODY_NAMES, Tables, corrected_tables
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.joints import JOINT_KINDS, Joint
+from newton_euler.model.geometry import Box, Capsule, Shape
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.shapes import Box, Capsule, Shape
 from newton_euler.scalars import Array
 
 TARGET_HEIGHT = 0.046

@@ -12,14 +12,15 @@ import numpy as np
 import yaml
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.model.armature import BallArmature
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear
-from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
-from newton_euler.model.joints import Compound, Joint, Screw
+from newton_euler.model.forces import BallArmature, BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.geometry import Box, Shape
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Screw
 from newton_euler.model.motions import Polynomial, Sine, TimeFunction
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
-from newton_euler.model.shapes import Box, Shape
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import atomic_file
 

@@ -31,13 +31,14 @@ from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
 from newton_euler.assemble import assemble, initial_state
 from newton_euler.errors import NewtonEulerError
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.model.forces import JointSpring, PointSpring, Wrench
-from newton_euler.model.joints import Compound, Joint
+from newton_euler.model.joint import Joint
 from newton_euler.model.motions import Polynomial, Sine, Sum, TimeFunction
 from newton_euler.model.scene import Scene
-from newton_euler.model.tree import SpanningTree
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
 
 SIZE = 0.1

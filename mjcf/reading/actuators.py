@@ -31,7 +31,7 @@ from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
 from newton_euler.model.control import PD
 from newton_euler.model.forces import Wrench
-from newton_euler.model.joints import Key
+from newton_euler.model.joint import Key
 from newton_euler.model.motions import Sine
 from newton_euler.scalars import Array
 from newton_euler.verification.activity import Bounds

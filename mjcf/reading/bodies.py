@@ -11,8 +11,8 @@ from mjcf.reading.meshes import meshes, visible_geoms
 from mjcf.reading.source import SourceError
 from mjcf.reading.start import Start
 from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.geometry import Box, Capsule, Shape
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body
-from newton_euler.model.shapes import Box, Capsule, Shape
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport, unique_name
 

@@ -15,7 +15,7 @@ from mjcf.reading.loops import fixed, straight
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
-from newton_euler.model.joints import Key
+from newton_euler.model.joint import Key
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import FORCE, ROTOR, ImportReport, Part, unique_name
 

@@ -11,7 +11,7 @@ import numpy as np
 from mjcf.reading.bodies import Bodies, site_point
 from mjcf.reading.joints import Joints
 from mjcf.reading.start import Start
-from newton_euler.model.joints import Key
+from newton_euler.model.joint import Key
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import FRICTION, RANGE, Part, Value, value
 

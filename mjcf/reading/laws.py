@@ -10,7 +10,7 @@ import numpy as np
 
 from newton_euler.exercise import HIGHEST
 from newton_euler.model.control import PD
-from newton_euler.model.joints import Key
+from newton_euler.model.joint import Key
 from newton_euler.model.motions import Sine, Sum
 
 

@@ -10,7 +10,8 @@ from mjcf.reading.held import Held
 from mjcf.reading.joints import Joints
 from mjcf.reading.start import TORQUE_SCALE, Start
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
-from newton_euler.model.joints import Fixed, Joint, Key, Rod, Spherical
+from newton_euler.model.joint import Joint, Key
+from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport, unique_name

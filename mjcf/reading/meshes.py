@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from newton_euler.model.shapes import Mesh
+from newton_euler.model.geometry import Mesh
 from newton_euler.scalars import Array
 
 FIRST_HIDDEN_GROUP = 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from newton_euler.model.couplings import Gear, JointCoupling
-from newton_euler.model.joints import Key
+from newton_euler.model.joint import Key
 
 
 class Ties:

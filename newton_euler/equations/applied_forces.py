@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from newton_euler.equations import balls
-from newton_euler.model.armature import BallArmature
 from newton_euler.model.constraints import Frame
 from newton_euler.model.forces import (
+    BallArmature,
     BallSpring,
     JointSpring,
     PointSpring,
@@ -22,7 +22,7 @@ from newton_euler.model.forces import (
     pull_along,
     wrench_at,
 )
-from newton_euler.model.joints import Key, Pose
+from newton_euler.model.joint import Key, Pose
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar, cross, sqrt

@@ -17,7 +17,7 @@ import numpy as np
 
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.joints import Pose
+from newton_euler.model.joint import Pose
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array, arctan2, cos, cross, sin, sqrt
 

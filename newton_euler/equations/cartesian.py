@@ -30,8 +30,8 @@ from newton_euler.equations.sparse import solve_constrained as sparse_solve
 from newton_euler.equations.system import Evaluation, MassProperties, fastest_joint
 from newton_euler.errors import SingularityError
 from newton_euler.model.euler_parameters import matrix_g, matrix_l
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
-from newton_euler.model.tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros
 
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from newton_euler.equations import balls
 from newton_euler.equations.applied_forces import Surroundings, body_wrenches
-from newton_euler.equations.couplings import couplings, row_owners, row_units
-from newton_euler.equations.joint_coordinates import Measured, coordinates, wanted
+from newton_euler.equations.couplings import couplings, row_owners, row_units, wanted
+from newton_euler.equations.joint_coordinates import Measured, coordinates
 from newton_euler.equations.sparse import Rows, RowsInUse, add
-from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.euler_parameters import matrix_g, matrix_l, rotation
-from newton_euler.model.joints import Key
+from newton_euler.model.forces import Armature, BallArmature
+from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, Scalar, zeros
 

@@ -18,11 +18,12 @@ from typing import Protocol
 import numpy as np
 
 from newton_euler.model.constraints import Frame
-from newton_euler.model.joints import JointEquations, Key, Screw
+from newton_euler.model.joint import JointEquations, Key
+from newton_euler.model.joint_kinds import Screw
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
-from newton_euler.model.tree import SpanningTree
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar
 
 MOST_TURNS = 1000
@@ -113,6 +114,13 @@ def couplings(scene: Scene) -> tuple[Coupling, ...]:
         slides = _kind(mechanism, *first) == "slide"
         found.append(Coupling(coupling.kind, coupling.name, first[0], factors, None, slides))
     return tuple(found)
+
+
+def wanted(scene: Scene, couplings: Sequence[Coupling]) -> list[Key]:
+    """The coordinates whose values matter in a scene with these couplings, each once."""
+    forces = [(force.joint, force.coordinate) for force in scene.joint_forces]
+    coupled = [key for coupling in couplings for key in coupling.factors]
+    return list(dict.fromkeys([*forces, *coupled]))
 
 
 def _kind(mechanism: Mechanism, joint: str, coordinate: int) -> str:

@@ -7,24 +7,15 @@ and starts within half a turn.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.equations.couplings import Coupling
 from newton_euler.model.constraints import Constraint, Frame, Jacobian
-from newton_euler.model.joints import JointEquations, Key
-from newton_euler.model.scene import Scene
+from newton_euler.model.joint import JointEquations, Key
 from newton_euler.scalars import Array, Scalar, arctan2, cos, sin
-
-
-def wanted(scene: Scene, couplings: Iterable[Coupling]) -> list[Key]:
-    """The coordinates whose values matter in a scene with these couplings, each once."""
-    forces = [(force.joint, force.coordinate) for force in scene.joint_forces]
-    coupled = [key for coupling in couplings for key in coupling.factors]
-    return list(dict.fromkeys([*forces, *coupled]))
 
 
 class Measured(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import product, rotation
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.tree import SpanningTree, TreeJoint
+from newton_euler.model.spanning_tree import SpanningTree, TreeJoint
 from newton_euler.scalars import Array, cos, cross, sin, tilde
 
 

@@ -20,7 +20,7 @@ from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.equations.couplings import Coupling
 from newton_euler.equations.joint_coordinates import Coordinate
 from newton_euler.model.constraints import Frame, Jacobian
-from newton_euler.model.joints import JointEquations, Key
+from newton_euler.model.joint import JointEquations, Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array, Scalar, cross
 

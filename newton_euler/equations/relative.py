@@ -34,7 +34,7 @@ from newton_euler.equations.sparse import RowsInUse, Solution, factorise, sparse
 from newton_euler.equations.sparse import solve_constrained as sparse_solve
 from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.errors import SingularityError
-from newton_euler.model.armature import BallArmature
+from newton_euler.model.forces import BallArmature
 from newton_euler.scalars import Array, Scalar
 
 

@@ -9,17 +9,17 @@ import numpy as np
 
 from newton_euler.equations import balls
 from newton_euler.equations.applied_forces import Surroundings, body_wrenches
-from newton_euler.equations.couplings import couplings, row_owners, row_units, turns
-from newton_euler.equations.joint_coordinates import carried_angles, carried_rates, coordinates, wanted
+from newton_euler.equations.couplings import couplings, row_owners, row_units, turns, wanted
+from newton_euler.equations.joint_coordinates import carried_angles, carried_rates, coordinates
 from newton_euler.equations.kinematics import Link, tree_links
 from newton_euler.equations.sparse import Rows, RowsInUse, add, to_array
-from newton_euler.model.armature import Armature, BallArmature
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.euler_parameters import product
-from newton_euler.model.joints import Key
+from newton_euler.model.forces import Armature, BallArmature
+from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
-from newton_euler.model.tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, cross, zeros
 
 

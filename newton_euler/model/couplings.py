@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number
-from newton_euler.model.joints import Key
 
 
 class JointCoupling:
@@ -20,7 +19,7 @@ class JointCoupling:
     name: str
     kind: ClassVar[str]
 
-    def factors(self) -> dict[Key, float]:
+    def factors(self) -> dict[tuple[str, int], float]:
         """The factor of each coordinate; violations are those of the first, m or rad."""
         raise NotImplementedError
 
@@ -50,7 +49,7 @@ class Gear(JointCoupling):
     follower_coordinate: int = 0
     kind: ClassVar[str] = "gear"
 
-    def factors(self) -> dict[Key, float]:
+    def factors(self) -> dict[tuple[str, int], float]:
         follower = self.follower, self.follower_coordinate
         return {follower: 1.0, (self.driver, self.driver_coordinate): -self.ratio}
 
@@ -82,7 +81,7 @@ class LinearCoupling(JointCoupling):
     terms: tuple[tuple[str, int, float], ...]
     kind: ClassVar[str] = "coupling"
 
-    def factors(self) -> dict[Key, float]:
+    def factors(self) -> dict[tuple[str, int], float]:
         return {(joint, coordinate): factor for joint, coordinate, factor in self.terms}
 
     def __post_init__(self) -> None:

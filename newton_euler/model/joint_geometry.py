@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.tree import TreeJoint, WeldedMechanism, motion_names
+from newton_euler.model.spanning_tree import TreeJoint, WeldedMechanism, motion_names
 from newton_euler.scalars import Array
 
 

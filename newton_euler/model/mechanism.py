@@ -18,8 +18,8 @@ from newton_euler.errors import MechanismError, check_choice, elements_of
 from newton_euler.model.constraints import Frame
 from newton_euler.model.couplings import JointCoupling
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.joints import Joint, JointEquations, Pose
-from newton_euler.model.shapes import UNIT_TOLERANCE, Capsule, Mesh, Shape
+from newton_euler.model.geometry import UNIT_TOLERANCE, Capsule, Mesh, Shape
+from newton_euler.model.joint import Joint, JointEquations, Pose
 from newton_euler.scalars import Array
 
 CLOSURE_TOLERANCE = 1e-9

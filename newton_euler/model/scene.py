@@ -11,12 +11,19 @@ from functools import cached_property
 import numpy as np
 
 from newton_euler.errors import MechanismError, check_choice, is_finite_number
-from newton_euler.model.armature import Armature, BallArmature, check_armatures
 from newton_euler.model.control import Law, Sampled
-from newton_euler.model.forces import BallSpring, Force, JointSpring, check_forces
+from newton_euler.model.forces import (
+    Armature,
+    BallArmature,
+    BallSpring,
+    Force,
+    JointSpring,
+    check_armatures,
+    check_forces,
+)
+from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate
 from newton_euler.model.motions import PrescribedMotion
-from newton_euler.model.shapes import UNIT_TOLERANCE
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 

@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from newton_euler.model.constraints import Frame
-from newton_euler.model.joints import Key
+from newton_euler.model.joint import Key
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

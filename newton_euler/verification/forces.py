@@ -14,8 +14,7 @@ import numpy as np
 from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.equations.balls import SPIN, ends
 from newton_euler.equations.dense import least_squares
-from newton_euler.model.armature import BallArmature
-from newton_euler.model.forces import Wrench
+from newton_euler.model.forces import BallArmature, Wrench
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array

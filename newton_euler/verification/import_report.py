@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from newton_euler.model.joints import Key
+from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.verification.activity import Course, Watch, judged
 from newton_euler.verification.original import Original

@@ -220,7 +220,7 @@ class Original(ABC):
 
 
 def wholes(names: Sequence[str], bodies: Sequence[str]) -> tuple[str, ...]:
-    """Names with those of halves, as of `newton_euler.model.tree.weld_loops`, replaced by their bodies'."""
+    """Names with those of halves, as of `weld_loops`, replaced by their bodies'."""
     known = set(bodies)
     found = []
     for name in names:

@@ -21,7 +21,8 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.exercise import random_states
-from newton_euler.model.joints import Fixed, Free, Joint, Revolute, Spherical
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Fixed, Free, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

@@ -18,7 +18,8 @@ from newton_euler.assemble import initial_state
 from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import angle_between
-from newton_euler.model.joints import Joint, Revolute, Spherical
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory

@@ -27,11 +27,11 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import angle_between, rotation
-from newton_euler.model.joints import Free, Revolute, Spherical, Universal
+from newton_euler.model.joint_kinds import Free, Revolute, Spherical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import unweld_loops, weld_loops
 from newton_euler.model.state import State
-from newton_euler.model.tree import unweld_loops, weld_loops
 from urdf.read import read as read_urdf
 from urdf.write import loops_path
 

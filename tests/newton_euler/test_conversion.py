@@ -16,7 +16,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import from_rotation_vector
-from newton_euler.model.joints import Free
+from newton_euler.model.joint_kinds import Free
 
 COUNT = 30
 

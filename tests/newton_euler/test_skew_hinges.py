@@ -22,7 +22,7 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
-from newton_euler.model.joints import Compound
+from newton_euler.model.compound_joint import Compound
 from urdf.read import read as read_urdf
 
 PAIR = """

@@ -8,7 +8,9 @@ import numpy as np
 from mechanisms import GRAVITY, bar
 
 from newton_euler import Armature, JointSpring, Mechanism
-from newton_euler.model.joints import Compound, Joint, Universal
+from newton_euler.model.compound_joint import Compound
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Universal
 from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import Scene
 

@@ -11,7 +11,7 @@ from mechanisms import GRAVITY, ball_loop, slider_tree, spinning_top
 
 from newton_euler import BallArmature, BallSpring, Body, Mechanism, Scene, State
 from newton_euler.model.euler_parameters import from_rotation_vector
-from newton_euler.model.joints import Spherical
+from newton_euler.model.joint_kinds import Spherical
 
 AXIS = np.array([2.0, -1.0, 2.0]) / 3.0
 

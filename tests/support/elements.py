@@ -11,10 +11,10 @@ from mechanisms import GRAVITY, REGULAR, bar, planar_four_bar
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear
 from newton_euler.model.forces import Force, JointSpring, PointSpring, Wrench
-from newton_euler.model.joints import (
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import (
     Cylindrical,
     Free,
-    Joint,
     Planar,
     PointOnLine,
     Revolute,

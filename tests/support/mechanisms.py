@@ -9,11 +9,11 @@ import numpy as np
 
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.forces import Force, PointSpring
-from newton_euler.model.joints import (
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import (
     Cylindrical,
     Fixed,
     Free,
-    Joint,
     Revolute,
     Spherical,
     Translational,

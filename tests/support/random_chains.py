@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from newton_euler.model.control import PD
-from newton_euler.model.joints import JOINT_KINDS, Joint
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array

@@ -10,10 +10,10 @@ from rerun.chunk import RrdReader
 
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import from_rotation_vector
-from newton_euler.model.joints import Prismatic, Revolute
+from newton_euler.model.geometry import Box, Capsule
+from newton_euler.model.joint_kinds import Prismatic, Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.shapes import Box, Capsule
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array

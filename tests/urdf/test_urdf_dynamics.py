@@ -31,12 +31,13 @@ from newton_euler.exercise import random_states
 from newton_euler.integrators.stabilize import project_position, project_velocity
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear
-from newton_euler.model.joints import Cylindrical, Fixed, Joint, Revolute, Spherical, Universal
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Cylindrical, Fixed, Revolute, Spherical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import SpanningTree, weld_loops
 from newton_euler.model.state import State
-from newton_euler.model.tree import SpanningTree, weld_loops
 from urdf.dynamics import PinocchioSystem
 
 """Published with the scene: three independent formulations agree on them, six digits printed."""

@@ -12,7 +12,7 @@ from urdf_files import LOOPS, joint, link, robot
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation
 from newton_euler.errors import UnknownNameError
-from newton_euler.model.joints import Fixed, Free, Revolute, Spherical, Universal
+from newton_euler.model.joint_kinds import Fixed, Free, Revolute, Spherical, Universal
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from urdf.dynamics import PinocchioSystem

@@ -15,7 +15,8 @@ from urdf_files import CHAIN, LOOPS, TIPS, joint, link, robot
 import urdf
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation
-from newton_euler.model.joints import Compound, Fixed, Free, Prismatic, Revolute, Spherical
+from newton_euler.model.compound_joint import Compound
+from newton_euler.model.joint_kinds import Fixed, Free, Prismatic, Revolute, Spherical
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from urdf.errors import LoopFileError, UrdfError

@@ -17,10 +17,10 @@ from mechanisms import REGULAR, all_universal_loop, planar_four_bar, seven_hinge
 import urdf
 from newton_euler.equations.system import MassProperties
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.joints import Revolute, Universal
+from newton_euler.model.joint_kinds import Revolute, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.tree import motion_names, weld_loops
+from newton_euler.model.spanning_tree import motion_names, weld_loops
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import LoopFileError, NameClashError, UrdfError
 from urdf.loops import parse_loops

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 
 import pinocchio as pin
 
-from newton_euler.model.joints import Key
+from newton_euler.model.joint import Key
 from newton_euler.verification.import_report import FRICTION, RANGE, Part, Value, value
 from urdf.reading.bodies import GROUND, Tree
 from urdf.reading.start import Start

@@ -16,8 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.errors import NewtonEulerError
+from newton_euler.model.geometry import Box, Capsule, Mesh, Shape
 from newton_euler.model.mechanism import Body
-from newton_euler.model.shapes import Box, Capsule, Mesh, Shape
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport
 from urdf.reading.bodies import Tree

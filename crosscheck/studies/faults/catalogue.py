@@ -11,13 +11,11 @@ import numpy as np
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
 from newton_euler.equations.couplings import couplings
-from newton_euler.model.armature import BallArmature
 from newton_euler.model.control import PD
-from newton_euler.model.forces import BallSpring, JointSpring
-from newton_euler.model.joints import Joint
-from newton_euler.model.joints.base import perpendicular_pair
+from newton_euler.model.forces import BallArmature, BallSpring, JointSpring
+from newton_euler.model.joint import Joint, perpendicular_pair
 from newton_euler.model.scene import Scene
-from newton_euler.model.tree import SpanningTree
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
 
 SIZES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)

@@ -19,14 +19,15 @@ from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.catalogue import SKEW, Fault, bodies_at, other_kinds
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.armature import BallArmature
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD, Law
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
-from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
-from newton_euler.model.joints import Compound, Fixed, Joint
+from newton_euler.model.forces import BallArmature, BallSpring, Force, JointSpring, PointSpring, Wrench
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Fixed
 from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import Scene
-from newton_euler.model.tree import SpanningTree
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
 
 FACTORS = {"doubled": 2.0, "halved": 0.5, "dropped": 0.0, "negated": -1.0, "times 1 + 1e-6": 1.0 + 1e-6}

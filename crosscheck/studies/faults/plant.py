@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.couplings import JointCoupling
-from newton_euler.model.joints import JOINT_KINDS, Compound, Joint
-from newton_euler.model.joints.base import perpendicular_pair
+from newton_euler.model.joint import Joint, perpendicular_pair
+from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array

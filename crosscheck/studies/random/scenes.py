@@ -20,12 +20,12 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.stabilize import ROUND_OFF, project_position, project_velocity
-from newton_euler.model.armature import BallArmature
 from newton_euler.model.control import PD, Law
 from newton_euler.model.couplings import Gear
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
-from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
-from newton_euler.model.joints import JOINT_KINDS, Joint
+from newton_euler.model.forces import BallArmature, BallSpring, Force, JointSpring, PointSpring, Wrench
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.model.scene import Scene

@@ -11,7 +11,8 @@ import numpy as np
 from crosscheck.scenes import load
 from crosscheck.studies.stress.runs import COMBINATIONS, ONE_EACH, TIGHT, Setting, distance, lasting
 from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured
-from newton_euler.model.joints import Fixed, Joint, Revolute, Spherical
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 

@@ -22,7 +22,7 @@ from crosscheck.studies.stress.runs import (
 )
 from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured
 from newton_euler.model.control import PD
-from newton_euler.model.joints import Revolute
+from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 

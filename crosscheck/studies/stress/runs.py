@@ -13,7 +13,7 @@ from crosscheck.comparison.energy import energy_balance
 from newton_euler.assemble import initial_state
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
 from newton_euler.model.euler_parameters import product as quaternion_product
-from newton_euler.model.joints import Free
+from newton_euler.model.joint_kinds import Free
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

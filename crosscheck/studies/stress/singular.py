@@ -23,7 +23,7 @@ from crosscheck.studies.stress.runs import (
 )
 from crosscheck.studies.stress.topics import Bound, Case, Measured
 from newton_euler.model.control import PD
-from newton_euler.model.joints import Prismatic, Revolute, Spherical, Universal
+from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.model.scene import Scene

@@ -12,7 +12,7 @@ from crosscheck.studies.stress.runs import Setting, mujoco, newton_euler, pinocc
 from crosscheck.studies.stress.topics import REFUSAL, Bound, Case, Measured
 from newton_euler.model.control import PD, Controller, Sampled
 from newton_euler.model.forces import JointSpring, Wrench
-from newton_euler.model.joints import Prismatic
+from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

@@ -27,10 +27,9 @@ from crosscheck.studies.faults.plant import Plant
 from newton_euler import Body, Mechanism, Scene
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling
-from newton_euler.model.armature import Armature
 from newton_euler.model.couplings import Gear
-from newton_euler.model.forces import PointSpring, Wrench
-from newton_euler.model.joints import Fixed, Revolute, Spherical
+from newton_euler.model.forces import Armature, PointSpring, Wrench
+from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
 from newton_euler.model.motions import Polynomial
 from newton_euler.model.trajectory import IntegrationError, Trajectory
 

@@ -26,7 +26,7 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.exercise import random_states
 from newton_euler.model.couplings import Gear
-from newton_euler.model.joints import Free, Revolute
+from newton_euler.model.joint_kinds import Free, Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 

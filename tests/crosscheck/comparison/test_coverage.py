@@ -19,11 +19,11 @@ from crosscheck.engines import choose
 from crosscheck.scenes import load
 from crosscheck.studies.coverage import check, shortened
 from crosscheck.studies.stress.noise import flat_four_bar
-from newton_euler.model.armature import Armature
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD, Sampled
 from newton_euler.model.euler_parameters import angle_between
-from newton_euler.model.forces import JointSpring
-from newton_euler.model.joints import Compound, Revolute
+from newton_euler.model.forces import Armature, JointSpring
+from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine
 from newton_euler.model.scene import Scene

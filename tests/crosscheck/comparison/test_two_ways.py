@@ -22,7 +22,7 @@ from crosscheck.comparison.reactions import determined, undetermined
 from mjcf.rigid import RigidMuJoCo
 from newton_euler import Body, Mechanism, Scene
 from newton_euler.equations.system import Evaluation
-from newton_euler.model.joints import Revolute
+from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array

@@ -10,10 +10,10 @@ from recordings import AXIS, LID_BOX, TILT, lid_runs, lid_scene
 
 from crosscheck.recording.plots import hinge_angle, panel, plots, rotated, rotation_vector, slide_position
 from newton_euler.model.euler_parameters import from_rotation_vector, product, rotation
-from newton_euler.model.joints import Prismatic, Spherical, Universal
+from newton_euler.model.geometry import Box
+from newton_euler.model.joint_kinds import Prismatic, Spherical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.shapes import Box
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array

@@ -16,8 +16,8 @@ from crosscheck.recording.log import SHELL, write_recording
 from crosscheck.recording.shapes import HULL_OPACITY
 from newton_euler.errors import MechanismError
 from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.geometry import Box, Capsule, Mesh
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.shapes import Box, Capsule, Mesh
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.2]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])

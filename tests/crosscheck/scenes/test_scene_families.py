@@ -23,7 +23,7 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.exercise import random_states
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.tree import SpanningTree
+from newton_euler.model.spanning_tree import SpanningTree
 from urdf.dynamics import PinocchioSystem
 
 GRAVITY = 9.81

@@ -20,7 +20,7 @@ from crosscheck.studies.faults.find import REFUSED, Found, Search, Sighting, Sou
 from crosscheck.studies.faults.report import SMALLEST, Count, by_motion, holds, in_all, lines
 from newton_euler import Armature, Body, JointSpring, Mechanism, Scene
 from newton_euler.errors import MechanismError
-from newton_euler.model.joints import Fixed
+from newton_euler.model.joint_kinds import Fixed
 
 KINDS = {
     "mass",

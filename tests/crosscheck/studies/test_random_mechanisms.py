@@ -27,10 +27,10 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import SingularityError
 from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
-from newton_euler.model.joints import JOINT_KINDS, Free
+from newton_euler.model.joint_kinds import JOINT_KINDS, Free
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.tree import SpanningTree
+from newton_euler.model.spanning_tree import SpanningTree
 from urdf.proximal import ITERATIONS, regularised
 
 COUNT = 48

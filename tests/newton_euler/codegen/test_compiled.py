@@ -19,8 +19,9 @@ from newton_euler.compiled import FORMULATIONS, Code, formulate
 from newton_euler.equations.relative import Relative
 from newton_euler.exercise import random_states
 from newton_euler.integrators.integrate import Options
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
-from newton_euler.model.joints import Compound, Fixed, Free, Spherical
+from newton_euler.model.joint_kinds import Fixed, Free, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError
@@ -140,7 +141,7 @@ def test_a_singular_configuration_takes_the_dense_path():
 
 def flat_four_bar():
     """A parallelogram with all four bars on one line."""
-    from newton_euler.model.joints import Revolute
+    from newton_euler.model.joint_kinds import Revolute
     from newton_euler.model.mechanism import Body, Mechanism
     from newton_euler.model.scene import Scene
 

@@ -19,7 +19,7 @@ from newton_euler.compiled import FORMULATIONS, formulate
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.exercise import random_states
-from newton_euler.model.joints import Compound
+from newton_euler.model.compound_joint import Compound
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)
 

@@ -22,8 +22,8 @@ from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
-from newton_euler.model.joints import Free, Spherical
-from newton_euler.model.tree import SpanningTree, weld_loops
+from newton_euler.model.joint_kinds import Free, Spherical
+from newton_euler.model.spanning_tree import SpanningTree, weld_loops
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)
 

@@ -30,7 +30,7 @@ from newton_euler.equations.applied_forces import power
 from newton_euler.exercise import random_states
 from newton_euler.integrators.integrate import Options
 from newton_euler.model.euler_parameters import from_rotation_vector
-from newton_euler.model.joints import Free, Revolute
+from newton_euler.model.joint_kinds import Free, Revolute
 from newton_euler.simulate import compile_scene, run
 
 TIGHT = 1e-10

@@ -22,7 +22,7 @@ from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.joints import Fixed, Revolute, Spherical
+from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

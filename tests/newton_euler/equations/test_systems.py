@@ -14,7 +14,7 @@ from crosscheck.engines import ENGINES
 from newton_euler.assemble import initial_state
 from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
-from newton_euler.model.joints import Fixed, Free
+from newton_euler.model.joint_kinds import Fixed, Free
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

@@ -16,7 +16,8 @@ from newton_euler.compiled import formulate
 from newton_euler.equations.couplings import Coupling, turns
 from newton_euler.errors import MechanismError
 from newton_euler.model.euler_parameters import from_rotation_vector
-from newton_euler.model.joints import Joint, Revolute, Screw, Translational
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Revolute, Screw, Translational
 
 ANGLES = {"shaft_0": 1.0, "shaft_1": -2.5, "shaft_2": -7.5, "shaft_3": -30.0}
 """Of the four wheels of `train`, in angles of the first."""

@@ -18,7 +18,7 @@ from crosscheck.scenes import load
 from newton_euler import PD, Body, JointSpring, Mechanism, Sampled, Scene
 from newton_euler.compiled import FORMULATIONS, formulate
 from newton_euler.integrators.integrate import Options
-from newton_euler.model.joints import Prismatic, Translational
+from newton_euler.model.joint_kinds import Prismatic, Translational
 from newton_euler.model.motions import PrescribedMotion, Sine
 from newton_euler.simulate import run
 

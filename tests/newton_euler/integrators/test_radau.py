@@ -22,7 +22,7 @@ from newton_euler.integrators.linear import (
 )
 from newton_euler.integrators.march import COUNTS, DONE, Equations, Table
 from newton_euler.integrators.radau import march_radau
-from newton_euler.model.joints import Prismatic
+from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 

@@ -24,7 +24,7 @@ from newton_euler.integrators.integrate import Options
 from newton_euler.integrators.sampling import intervals
 from newton_euler.model.control import PD, Sampled
 from newton_euler.model.euler_parameters import angle_between
-from newton_euler.model.joints import Revolute, Translational
+from newton_euler.model.joint_kinds import Revolute, Translational
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, Trajectory

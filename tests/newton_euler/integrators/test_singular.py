@@ -17,7 +17,7 @@ from newton_euler.equations.system import MassProperties
 from newton_euler.integrators import march
 from newton_euler.integrators.passing import mass_matrix
 from newton_euler.integrators.stabilize import check_still_closed
-from newton_euler.model.joints import Free, Revolute
+from newton_euler.model.joint_kinds import Free, Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

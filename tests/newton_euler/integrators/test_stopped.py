@@ -27,7 +27,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.integrators.integrate import Options
 from newton_euler.limits import VARIABLE
 from newton_euler.model.forces import Wrench
-from newton_euler.model.joints import Prismatic
+from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory, load_arrays
 from newton_euler.simulate import run
 

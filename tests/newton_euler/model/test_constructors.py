@@ -29,9 +29,9 @@ from newton_euler import (
     Wrench,
 )
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.armature import Armature
-from newton_euler.model.joints import JOINT_KINDS
-from newton_euler.model.shapes import Box, Capsule
+from newton_euler.model.forces import Armature
+from newton_euler.model.geometry import Box, Capsule
+from newton_euler.model.joint_kinds import JOINT_KINDS
 
 ORIGIN, Y, Z = [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
 MECHANISM = pendulum().mechanism

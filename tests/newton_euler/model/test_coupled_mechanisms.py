@@ -13,7 +13,8 @@ from newton_euler import Body, Gear, Mechanism, PrescribedMotion, Scene, Sine
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import opening
 from newton_euler.exercise import random_states
-from newton_euler.model.joints import Cylindrical, Joint, Revolute, Screw, Universal
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Cylindrical, Revolute, Screw, Universal
 
 
 def everything() -> Scene:

@@ -17,8 +17,9 @@ from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
-from newton_euler.model.joints import Joint, Planar, PointOnLine, Revolute, Rod, Spherical
-from newton_euler.model.tree import SpanningTree
+from newton_euler.model.joint import Joint
+from newton_euler.model.joint_kinds import Planar, PointOnLine, Revolute, Rod, Spherical
+from newton_euler.model.spanning_tree import SpanningTree
 
 ORIGIN = [0.0, 0.0, 0.0]
 INTEGRATED = 2e-8

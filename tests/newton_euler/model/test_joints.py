@@ -7,18 +7,11 @@ import pytest
 from finite_difference import derivative, jacobian
 
 from newton_euler.errors import MechanismError
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
-from newton_euler.model.joints import (
-    JOINT_KINDS,
-    Compound,
-    Pose,
-    Revolute,
-    Rod,
-    Screw,
-    Universal,
-    perpendicular_pair,
-)
+from newton_euler.model.joint import Pose, perpendicular_pair
+from newton_euler.model.joint_kinds import JOINT_KINDS, Revolute, Rod, Screw, Universal
 
 AXIS = np.array([0.48, -0.6, 0.64])
 AXES = {

@@ -12,7 +12,7 @@ import newton_euler
 import urdf
 from newton_euler import Body, Mechanism, Scene
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
-from newton_euler.model.joints import Free, Spherical
+from newton_euler.model.joint_kinds import Free, Spherical
 from newton_euler.model.state import State
 
 SPIN = 100.0 * np.array([0.3, -0.7, 1.1]) / np.linalg.norm([0.3, -0.7, 1.1])

@@ -12,7 +12,7 @@ from mechanisms import pendulum, spinning_top
 from newton_euler import PD, State
 from newton_euler.assemble import initial_state
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.model.shapes import Box, Capsule
+from newton_euler.model.geometry import Box, Capsule
 from newton_euler.model.trajectory import atomic_file
 
 

@@ -22,7 +22,8 @@ from newton_euler.model.euler_parameters import (
     matrix_l,
     rotation,
 )
-from newton_euler.model.joints import Fixed, Free, Joint, JointEquations, Motion, Pose, Rod, Spherical
+from newton_euler.model.joint import Joint, JointEquations, Motion, Pose
+from newton_euler.model.joint_kinds import Fixed, Free, Rod, Spherical
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Body, Mechanism
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, sqrt

@@ -18,7 +18,7 @@ from newton_euler.model.hinge_angles import (
     Separation,
     dual_axes,
 )
-from newton_euler.model.joints.base import Joint, Motion, Pose, finite_vector, perpendicular_pair, unit_vector
+from newton_euler.model.joint import Joint, Motion, Pose, finite_vector, perpendicular_pair, unit_vector
 from newton_euler.scalars import Array, cross
 
 INDEPENDENT = 1e-3
