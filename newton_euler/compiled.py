@@ -131,7 +131,7 @@ class Code:
         Norms that Baumgarte's method governs are its own, but for those that Euler's method leaves behind.
         """
         marked = np.zeros(self.size)
-        marked[self.system.turning] = ANGLE
+        marked[self.system.uncounted_angles] = ANGLE
         cartesian = isinstance(self.system, Cartesian)
         if not (cartesian and self.stabilization == "baumgarte" and integrator != "Euler"):
             starts = [place.start for place in self.system.quaternions]

@@ -122,9 +122,8 @@ def swings(scene: Scene, forces: Sequence[Mapping[Key, float]]) -> Iterator[Swin
     """
     system = Relative(scene)
     q, v = system.coordinates(initial_state(scene))
-    links = system.links(q, v)
-    measured = system.measured(q, v, links)
-    mass, _ = system.mass_and_force(q, v, links)
+    measured = system.measured(q, v)
+    mass, _ = system.mass_and_force(q, v)
     free = orthonormal_null(dimensionless_jacobian(system, q), constraint_rank(system))
     free = system.velocity_units[:, None] * free
     inertia = free.T @ mass @ free

@@ -178,7 +178,7 @@ def _pushes(equations: Cartesian, law: Law | JointSpring | BallSpring, found: Ev
         first, second = ends(equations.mechanism, law.joint)
         jacobian = SPIN
     else:
-        driven = equations.measured[law.joint, law.coordinate]
+        driven = equations.between[law.joint, law.coordinate]
         first, second = driven.first, driven.second
         jacobian = driven.measure(q, frames).jacobian
     r_i, theta_i, r_j, theta_j = jacobian

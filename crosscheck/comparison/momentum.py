@@ -40,7 +40,7 @@ def momentum_residuals(samples: Samples) -> Array:
 def _residual(equations: Cartesian, found: Evaluation) -> Array:
     """(b - 1, 6): m a - f of each body that moves, and J' domega' + omega' x J' omega' - n' over the size."""
     state, mechanism = found.state, equations.mechanism
-    q, _ = equations.coordinates(state)
+    q, v = equations.coordinates(state)
     frames = state.frames()
     spins = [frame.rotation.T @ frame.angular_velocity for frame in frames]
     rates = [
@@ -54,9 +54,9 @@ def _residual(equations: Cartesian, found: Evaluation) -> Array:
             )
         ]
     )
-    applied = equations.applied(q, frames)[1].reshape(-1, 6)
+    applied = equations.g(q, v).reshape(-1, 6)
     accelerations = np.hstack([found.linear_acceleration, rates])[1:].ravel()
-    inertias, _, rows, gammas = equations.rotor_rows(q, frames)
+    inertias, _, rows, gammas = equations.rotors(q, v)
     for inertia, row, gamma in zip(inertias, to_array(rows, accelerations.size), gammas, strict=True):
         applied = applied - (inertia * (row @ accelerations - gamma) * row).reshape(-1, 6)
     left = (needed - _reaction_wrenches(equations.mechanism, found))[1:] - applied

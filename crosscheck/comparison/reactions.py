@@ -112,7 +112,7 @@ def _columns(scene: Scene, state: State, places: Mapping[str, Place], count: int
         i, j = equations.first, equations.second
         blocks = equations.jacobian(frames[i], frames[j])
         add([(equations.joint.name, i, j, blocks)], equations.units(size))
-    measured = Cartesian(scene).measured
+    measured = Cartesian(scene).between
     for coupling in couplings(scene):
         parts = []
         for key, factor in coupling.factors.items():

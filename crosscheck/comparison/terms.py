@@ -15,10 +15,10 @@ def mass_and_force(system: System, q: Array, v: Array) -> tuple[Array, Array]:
     bodies, whose rows are forces in the world and torques in the body.
     """
     if isinstance(system, Relative):
-        return system.mass_and_force(q, v, system.links(q, v))
+        return system.mass_and_force(q, v)
     if isinstance(system, Cartesian):
         rows = 6 * len(system.bodies)
-        matrix, right = system.system(q, v)
+        matrix, right = system.equation_21(q, v)
         return matrix[:rows, : system.nv], right[:rows]
     if system.name == "mujoco_rigid":
         from mjcf import inspect as mjcf

@@ -163,17 +163,17 @@ def _terms(trace: Trace, rows: Iterable[int]) -> Iterator[tuple[str, list[Scalar
     if isinstance(system, Relative):
         links = system.links(q, v)
         yield "kinematics", [*rate, *(x for link in links for x in _scalars(*link.frame))]
-        mass, force = system.sparse_mass_and_force(q, v, links)
-        yield "actuation", _scalars(*system.actuation(q, v, links))
+        mass, force = system.sparse_mass_and_force(q, v)
+        yield "actuation", [*system.joint_forces(system.measured(q, v)), *system.actuation(q, v)]
         yield "mass matrix", _entries(mass)
         yield "forces", _scalars(force)
-        _, jacobian, gamma = system.loop_terms(q, v, links)
-        yield "constraints", [x for k in rows for x in (*jacobian[k].values(), gamma[k])]
+        jacobian, right = system.constraints(q, v)
+        yield "constraints", [x for k in rows for x in (*jacobian[k].values(), right[k])]
     else:
         frames = system.frames(q, v)
         yield "kinematics", [*rate, *(x for frame in frames for x in _scalars(*frame))]
-        yield "actuation", _scalars(*system.applied(q, frames))
-        jacobian, gamma = system.joint_jacobian(q, frames)[1], system.joint_gamma(q, frames)
+        yield "actuation", [*system.joint_forces(system.measured(q, v)), *system.g(q, v)]
+        jacobian, gamma = system.Phi_q_and_B(q, v)[1], system.gamma(q, v)
         of_joints = [k for k in rows if k < system.rows]  # the others are the norms of Euler parameters
         yield "constraints", [x for k in of_joints for x in (*jacobian[k].values(), gamma[k])]
     yield "work", list(work)
@@ -231,7 +231,7 @@ def left_out(compiled: Code) -> Iterator[str]:
         yield "gravity: zero"
     if not scene.control:
         yield "actuation: no control law"
-    if not system.closures:
+    if not system.constrained:
         yield "constraints and their projection: no loops"
     moving = links[1:]
     still = sum(not _varying(link.frame.rotation) for link in moving)
@@ -239,10 +239,10 @@ def left_out(compiled: Code) -> Iterator[str]:
         yield f"rotation matrices of {still:,} of {len(moving):,} bodies: constant"
     rates = [x for link in moving for x in _scalars(link.frame.velocity, link.frame.angular_velocity)]
     yield f"body velocities: {sum(not _varying(x) for x in rates):,} of {len(rates):,} components are zero"
-    mass, _ = system.sparse_mass_and_force(trace.q, trace.v, links)
+    mass, _ = system.sparse_mass_and_force(trace.q, trace.v)
     yield f"mass matrix: {system.nv**2 - len(_entries(mass)):,} of {system.nv**2:,} entries are zero"
     if system.row_owners:
-        jacobian = system.loop_terms(trace.q, trace.v, links)[1]
+        jacobian = system.loops(trace.q, trace.v)[1]
         idle = len(jacobian) - len(compiled.rows.numbers)
         size = len(jacobian) * system.nv
         yield f"constraint Jacobian: {size - len(_entries(jacobian)):,} of {size:,} entries are zero"

@@ -7,216 +7,387 @@ Equation (21), body 1 (the ground) left out:
     |            | |        | =
     | Phi_q  0   | | -lambda| | gamma - K_D (Phi_q qdot) - K_P Phi(q)     |
 
-with q = (r, p) of each body. Two terms go beyond the printed equation, as the list of errata says:
-the Euler-parameter rows are stabilised like the others (erratum 11), and the ground takes no part
-(erratum 4), which leaves 42 coordinates, 34 + 6 constraints and 2 degrees of freedom of the tracker.
+with q = (r, p) of each body. Each symbol is the method of that name below. Two points go beyond the printed
+equation, as the list of errata says: the Euler-parameter rows are stabilized like the others (erratum 11),
+and the ground takes no part (erratum 4), which leaves 42 coordinates, 34 + 6 constraints and 2 degrees of
+freedom of the tracker. Couplings and prescribed motions are further rows of Phi and B; rotors are a section
+of their own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.equations.applied_forces import energies, power, rotors_energy, springs_energy
-from newton_euler.equations.cartesian_terms import CartesianTerms
-from newton_euler.equations.couplings import turns
-from newton_euler.equations.dense import independent_rows, singular_values
-from newton_euler.equations.joint_coordinates import carried_angles, carried_rates
+from newton_euler.equations import balls, dense, sparse
+from newton_euler.equations.applied_forces import body_wrenches
+from newton_euler.equations.formulation import Formulation
+from newton_euler.equations.joint_coordinates import Measured
 from newton_euler.equations.reactions import at_joint_points, pushes
 from newton_euler.equations.redundancy import rows_left_out, without
-from newton_euler.equations.sparse import Rows, RowsInUse, Solution, add, factorise, sparse_vector, to_array
-from newton_euler.equations.sparse import solve_constrained as sparse_solve
-from newton_euler.equations.system import Evaluation, MassProperties, fastest_joint
+from newton_euler.equations.sparse import Rows, RowsInUse, Solution, add, spread, to_array
+from newton_euler.equations.system import fastest_joint
 from newton_euler.errors import SingularityError
-from newton_euler.model.euler_parameters import matrix_g, matrix_l
+from newton_euler.model.constraints import Frame, Jacobian
+from newton_euler.model.euler_parameters import matrix_g, matrix_l, rotation
+from newton_euler.model.forces import BallArmature
+from newton_euler.model.joint import Key
+from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar, cross, sqrt, zeros
 
 
-class Cartesian(CartesianTerms):
-    """Cartesian formulation of a scene. State: q (7 n,), qdot (7 n,) of the n moving bodies."""
+class Rotors(NamedTuple):
+    """Armatures a of coordinates x: d2x/dt2 = Phi_q qddot - gamma, and a force on x acts through B^T."""
+
+    inertias: list[Scalar]
+    """kg m^2 or kg"""
+    on_q: Rows
+    """Rows of Phi_q."""
+    on_b: Rows
+    """Rows of B."""
+    gammas: list[Scalar]
+
+
+class Cartesian(Formulation):
+    """Cartesian formulation of a scene. State: q (7 n,), qdot (7 n,) of the n moving bodies.
+
+    The residuals `phi` are Phi(q) of joints and couplings, then 1/2 (p^T p - 1) of the bodies.
+    """
 
     name = "cartesian"
 
-    def system(self, q: Array, qdot: Array) -> tuple[Array, Array]:
-        """Matrix and right side of equation (21); its unknowns are (qddot, -lambda)."""
-        frames = self.frames(q, qdot)
-        mass, velocity = self.mass_matrix(q), self.velocity_terms(q, qdot)
-        g = self.applied(q, frames)[1]
-        phi, gamma, rate = self.joint_phi(q), self.joint_gamma(q, frames), self.joint_rate(q, frames)
-        n6, n7 = len(mass), self.nv
-        for inertia, on_q, on_b, drift in zip(*self.rotor_rows(q, frames), strict=True):
-            push = inertia * to_array([on_b], n6)[0]  # -a (Phi_q qddot - gamma) on the coordinate
-            mass = mass + np.outer(push, to_array([on_q], n7)[0])
-            g = g + drift * push
-        phi_q, b = (
-            to_array(rows, n) for rows, n in zip(self.joint_jacobian(q, frames), (n7, n6), strict=True)
-        )
-        norm, p_rows, c = self.norm_terms(q, qdot)
-        p_matrix = to_array(p_rows, n7)
-        matrix = zeros((n7 + self.rows, n7 + self.rows), q)
-        matrix[:n6, :n7], matrix[:n6, n7:] = mass, b.T
-        matrix[n6:n7, :n7] = p_matrix
-        matrix[n7:, :n7] = phi_q
-        right = np.concatenate(
-            [
-                g - velocity,
-                -c - self.damping * (p_matrix @ qdot) - self.stiffness * norm,
-                gamma - self.damping * rate - self.stiffness * phi,
-            ]
-        )
-        return matrix, right
+    def __init__(self, scene: Scene, alpha: float = 0.0) -> None:
+        """Baumgarte's gains are K_D = 2 alpha, K_P = alpha^2 (Appendix B); none for alpha = 0."""
+        mechanism = scene.mechanism
+        self.bodies = mechanism.bodies[1:]
+        n, poses = len(self.bodies), [body.pose for body in mechanism.bodies]
+        super().__init__(scene, alpha, poses, mechanism.equations, mechanism.equations, 7 * n, 7 * n)
+        self.inertias = [body.inertia for body in mechanism.bodies]
+        self.phi_units = np.concatenate([self.phi_units, np.ones(n)])
+        self.row_owners = (*self.row_owners, *(body.name for body in self.bodies))
+        self.quaternions = [slice(k + 3, k + 7) for k in range(0, self.nv, 7)]
+        size, mass = mechanism.size, sum(body.mass for body in self.bodies)
+        self.velocity_units = np.tile([size] * 3 + [1.0] * 4, n)
+        self.force_units = np.tile([mass * size] * 3 + [mass * size**2] * 3, n)
 
-    def solve(self, q: Array, qdot: Array) -> tuple[Array, Array]:
-        """qddot (7 n,) and lambda (k,); lambda is the smallest one where constraints are redundant.
+    # Section 2: coordinates
 
-        Equation (21), its constraint rows combined into independent ones and all in dimensionless form.
+    def split(self, q: Array) -> list[tuple[Array, Array]]:
+        """Return (r, p) of each moving body, or their rates."""
+        return [(q[k : k + 3], q[k + 3 : k + 7]) for k in range(0, self.nv, 7)]
 
-        Raises:
-            SingularityError: if it has no unique solution for qddot all the same.
+    def frames(self, q: Array, v: Array) -> list[Frame]:
+        """Compute the frames of all bodies: R = G L^T, eq. (3), and omega = 2 G pdot."""
+        return self.remembered(q, v, self._frames)
+
+    def _frames(self, q: Array, qdot: Array) -> list[Frame]:
+        ground = self.mechanism.bodies[0]
+        frames = [Frame(ground.center_of_mass, ground.pose.rotation, np.zeros(3), np.zeros(3))]
+        for (r, p), (rdot, pdot) in zip(self.split(q), self.split(qdot), strict=True):
+            frames.append(Frame(r, rotation(p), rdot, 2.0 * matrix_g(p) @ pdot))
+        return frames
+
+    def p_terms(self, q: Array, qdot: Array) -> tuple[Array, Array, Array]:
+        """Compute 1/2 (p^T p - 1), eq. (1), its rate P qdot, and c = pdot^T pdot, eq. (2), (n,) each."""
+        parts = [(p, pdot) for (_, p), (_, pdot) in zip(self.split(q), self.split(qdot), strict=True)]
+        norms = np.array([0.5 * (p @ p - 1.0) for p, _ in parts])
+        return norms, np.array([p @ pdot for p, pdot in parts]), np.array([pdot @ pdot for _, pdot in parts])
+
+    def P(self, q: Array) -> Rows:
+        """Compute the nonzeros of P (n, 7 n), eqs (15) and (20): p_i^T of each body."""
+        rows: Rows = [{} for _ in self.bodies]
+        for k, (_, p) in enumerate(self.split(q)):
+            spread(rows[k : k + 1], 7 * k + 3, p[None])
+        return rows
+
+    # Section 2: constraints. Those of a joint are in `newton_euler.model.joint_kinds`, eqs (25) to (28).
+
+    def Phi(self, q: Array, qdot: Array) -> Array:
+        """Compute Phi(q) (k,), eq. (4): joints, then couplings."""
+        frames, measured = self.frames(q, qdot), self.measured(q, qdot)
+        phis = [e.phi(frames[e.first], frames[e.second]) for e in self.equations]
+        return np.concatenate([*phis, [c.phi(measured, self.time) for c in self.couplings]])
+
+    def gamma(self, q: Array, qdot: Array) -> Array:
+        """Compute gamma (k,), eq. (5): joints, then couplings."""
+        frames, measured = self.frames(q, qdot), self.measured(q, qdot)
+        gammas = [e.gamma(frames[e.first], frames[e.second]) for e in self.equations]
+        return np.concatenate([*gammas, [c.gamma(measured, self.time) for c in self.couplings]])
+
+    def Phi_q_and_B(self, q: Array, qdot: Array) -> tuple[Rows, Rows]:
+        """Compute the nonzeros of Phi_q (k, 7 n), eq. (5), and B (k, 6 n), eqs (18) and (20).
+
+        Phi_p = 2 Phi_theta G, since delta theta = 2 G delta p. It makes the paper's
+        B = [Phi_r, 1/2 Phi_p L^T] equal to [Phi_r, Phi_theta R], with no product to work out,
+        because G L^T = R.
         """
-        matrix, right = self.system(q, qdot)
-        n = self.nv
-        unused = rows_left_out(self)
-        matrix[n:], right[n:] = without(matrix[n:], unused), without(right[n:], unused)
-        phi_q = matrix[n:, :n]
-        combine = independent_rows(phi_q, self.row_units, self.velocity_units)
-        force_rows = np.concatenate([self.force_units, np.ones(len(self.bodies))])
-        left = np.zeros((n + combine.shape[1],) * 2)
-        left[:n, :n] = matrix[:n, :n] * self.velocity_units / force_rows[:, None]
-        left[n:, :n] = combine.T @ phi_q * self.velocity_units
-        push = matrix[:n, n:] @ combine / force_rows[:, None]
-        share = np.max(np.abs(push), axis=0, initial=1e-300)  # multipliers in units of their own
-        left[:n, n:] = push / share
-        try:
-            unknowns = np.linalg.solve(left, np.concatenate([right[:n] / force_rows, combine.T @ right[n:]]))
-        except np.linalg.LinAlgError as error:
-            raise SingularityError(self._weakest_joint(q), f"{error} in equation (21)") from error
-        if not np.isfinite(unknowns).all():
-            joint = fastest_joint(self.mechanism, self.state(q, qdot))
-            raise SingularityError(joint, "equation (21) holds or gives what is not finite")
-        return self.velocity_units * unknowns[:n], -(combine @ (unknowns[n:] / share))
+        frames, measured = self.frames(q, qdot), self.measured(q, qdot)
+        phi_q: Rows = []
+        b: Rows = []
+        for e in self.equations:
+            blocks = e.jacobian(frames[e.first], frames[e.second])
+            on_q, on_b = self._rows(q, frames, e.first, e.second, blocks)
+            phi_q.extend(on_q)
+            b.extend(on_b)
+        for coupling in self.couplings:
+            totals: Rows = [{}, {}]
+            for key, factor in coupling.factors.items():
+                first, second = self.between[key].first, self.between[key].second
+                blocks = Jacobian(*(factor * block for block in measured[key].jacobian))
+                for total, (share,) in zip(totals, self._rows(q, frames, first, second, blocks), strict=True):
+                    for k, entry in share.items():
+                        add(total, k, entry)
+            phi_q.append(totals[0])
+            b.append(totals[1])
+        return phi_q, b
 
-    def sparse_solution(self, q: Array, qdot: Array, rows: RowsInUse) -> Solution:
-        """(rddot, omegadot'/p^T p) of each body and lambda, by sparse elimination over generic scalars.
+    def _rows(
+        self, q: Array, frames: list[Frame], first: int, second: int, blocks: Jacobian
+    ) -> tuple[Rows, Rows]:
+        """Compute the nonzeros of rows of Phi_q and of B for a Jacobian between two bodies."""
+        r_i, theta_i, r_j, theta_j = blocks
+        on_q: Rows = [{} for _ in r_i]
+        on_b: Rows = [{} for _ in r_i]
+        for body, phi_r, phi_theta in ((first, r_i, theta_i), (second, r_j, theta_j)):
+            if body == 0:
+                continue
+            k = body - 1
+            p = q[7 * k + 3 : 7 * k + 7]
+            spread(on_q, 7 * k, np.hstack([phi_r, 2.0 * phi_theta @ matrix_g(p)]))
+            spread(on_b, 6 * k, np.hstack([phi_r, phi_theta @ frames[body].rotation]))
+        return on_q, on_b
 
-        `rows` of `phi` are used; the others must follow from them.
+    # Section 3: bodies
 
-        Equation (21) with qddot eliminated: M is block diagonal and B M^-1 Phi_q^T as sparse as the
-        joints. omegadot' = 2 L pddot and Phi_p pddot = Phi_theta R omegadot' / (p^T p).
+    def M(self, q: Array) -> Array:
+        """Compute M (6 n, 7 n), eq. (20): N_i = m_i I and 2 J'_i L_i on its diagonal, eqs (10) to (15)."""
+        mass = zeros((6 * len(self.bodies), self.nv), q)
+        for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
+            mass[6 * k : 6 * k + 3, 7 * k : 7 * k + 3] = body.mass * np.eye(3)
+            mass[6 * k + 3 : 6 * k + 6, 7 * k + 3 : 7 * k + 7] = 2.0 * body.inertia @ matrix_l(p)
+        return mass
+
+    def b(self, q: Array, qdot: Array) -> Array:
+        """Compute b (6 n,), eq. (20): 0 and L_i H_i pdot_i with H = 4 Ldot^T J' L, eq. (13).
+
+        With omega' = 2 L pdot, eq. (11), L H pdot = omega' x J' omega' + 2 (p^T pdot) J' omega'. The last
+        term is zero where eq. (1) holds, and eq. (12) leaves it out.
         """
-        frames = self.frames(q, qdot)
-        _, b = self.joint_jacobian(q, frames)
-        right = self.joint_gamma(q, frames)
-        if self.damping or self.stiffness:
-            right = right - self.damping * self.joint_rate(q, frames) - self.stiffness * self.joint_phi(q)
-        mass: Rows = [{} for _ in range(6 * len(self.bodies))]
-        force = list(self.applied(q, frames)[1])
-        scales = []
-        for k, (body, (_, p), (_, pdot)) in enumerate(
-            zip(self.bodies, self.split(q), self.split(qdot), strict=True)
-        ):
+        terms = [np.zeros(0)]
+        for body, (_, p), (_, pdot) in zip(self.bodies, self.split(q), self.split(qdot), strict=True):
             omega = 2.0 * matrix_l(p) @ pdot
             momentum = body.inertia @ omega
-            # L H pdot = omega' x J' omega' + 2 (p^T pdot) J' omega', eqs (12) and (13)
             gyroscopic = cross(omega, momentum) + 2.0 * (p @ pdot) * momentum
-            scales.append(p @ p)
-            for i in range(3):
-                mass[6 * k + i][6 * k + i] = body.mass
-                force[6 * k + 3 + i] = force[6 * k + 3 + i] - gyroscopic[i]
-                for j in range(3):
-                    add(mass[6 * k + 3 + i], 6 * k + 3 + j, body.inertia[i, j])
-        factor = factorise(mass, range(len(mass)))
-        for k, scale in enumerate(scales):
-            for i in range(6 * k + 3, 6 * k + 6):
-                factor.inverse_pivots[i] = factor.inverse_pivots[i] / scale
-        # the rows of the norms of p are met by construction
-        count = sum(number < self.rows for number in rows.numbers)
-        # a rotor is a constraint that gives way: x'' + lambda / a = 0
-        inertias, _, of_rotors, drift = self.rotor_rows(q, frames)
-        soft = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
-        used = RowsInUse([*rows.numbers[:count], *soft], rows.scales and rows.scales[: count + len(soft)])
-        right = np.concatenate([right, drift])
-        pushed = sparse_vector(np.array(force))
-        return sparse_solve(factor, pushed, [*b, *of_rotors], right, used, refine=True, softness=soft)
+            terms += [np.zeros(3), gyroscopic]
+        return np.concatenate(terms)
 
-    def sparse_acceleration(self, q: Array, qdot: Array, rows: RowsInUse) -> tuple[Array, Scalar]:
-        """qddot (7 n,) and the health of the elimination, over generic scalars."""
-        return self._qddot(q, qdot, self.sparse_solution(q, qdot, rows))
+    def g(self, q: Array, qdot: Array) -> Array:
+        """Compute g (6 n,), eqs (20) and (24): applied f_i in the world and n'_i in the body."""
+        frames, measured = self.frames(q, qdot), self.measured(q, qdot)
+        wrenches = [
+            wrench + np.concatenate([body.mass * self.scene.gravity, np.zeros(3)])
+            for body, wrench in zip(
+                self.mechanism.bodies, body_wrenches(self.scene, self.poses, frames), strict=True
+            )
+        ]
+        for law, u in zip(self.scene.joint_forces, self.joint_forces(measured), strict=True):
+            key = law.joint, law.coordinate
+            (r_i, theta_i, r_j, theta_j), driven = measured[key].jacobian, self.between[key]
+            for body, r, theta in ((driven.first, r_i, theta_i), (driven.second, r_j, theta_j)):
+                wrenches[body] = wrenches[body] + u * np.concatenate([r[0], theta[0]])
+        parts = [np.zeros(0)]
+        for wrench, frame in zip(wrenches[1:], frames[1:], strict=True):
+            parts += [wrench[:3], frame.rotation.T @ wrench[3:]]
+        return np.concatenate(parts)
 
-    def _qddot(self, q: Array, qdot: Array, solution: Solution) -> tuple[Array, Scalar]:
-        qddot = []
-        for k, ((_, p), (_, pdot)) in enumerate(zip(self.split(q), self.split(qdot), strict=True)):
-            rddot = [solution.acceleration.get(6 * k + i, 0.0) for i in range(3)]
-            spin = np.array([solution.acceleration.get(6 * k + 3 + i, 0.0) for i in range(3)])
-            c = -(pdot @ pdot) - self.damping * (p @ pdot) - self.stiffness * (0.5 * (p @ p - 1.0))
-            # 2 L pddot = omegadot' and p^T pddot = c
-            qddot.extend([*rddot, *(0.5 * matrix_l(p).T @ spin + p * (c / (p @ p)))])
-        return np.array(qddot), solution.health
+    # Extension: rotors
 
-    def fastest_joint(self, q: Array, v: Array) -> str:
-        """Name of a joint of the body whose dimensionless velocity is largest."""
-        body = int(np.argmax(np.abs(v) / self.velocity_units)) // 7 + 1
-        joints = (e.joint.name for e in self.equations if body in (e.first, e.second))
-        return next(joints)
+    def rotors(self, q: Array, qdot: Array) -> Rotors:
+        """Compute the rows of armatures: of one coordinate each, of three angular velocities on balls."""
+        frames, measured = self.frames(q, qdot), self.measured(q, qdot)
+        found = Rotors([], [], [], [])
+        for armature in self.scene.armatures:
+            if isinstance(armature, BallArmature):
+                first, second = balls.ends(self.mechanism, armature.joint)
+                jacobian, gammas = balls.SPIN, balls.spin_gamma(frames[first], frames[second])
+            else:
+                first, second = self.between[armature.key].first, self.between[armature.key].second
+                seen = measured[armature.key]
+                jacobian, gammas = seen.jacobian, np.array([seen.gamma])
+            on_q, on_b = self._rows(q, frames, first, second, jacobian)
+            found.inertias.extend([armature.inertia] * len(gammas))
+            found.on_q.extend(on_q)
+            found.on_b.extend(on_b)
+            found.gammas.extend(gammas)
+        return found
+
+    # Equation (21), solved with dense matrices
+
+    def equation_21(self, q: Array, qdot: Array) -> tuple[Array, Array]:
+        """Assemble the matrix and the right side of equation (21); its unknowns are (qddot, -lambda)."""
+        n6, n7 = 6 * len(self.bodies), self.nv
+        phi_q_rows, b_rows = self.Phi_q_and_B(q, qdot)
+        Phi_q, B, P = to_array(phi_q_rows, n7), to_array(b_rows, n6), to_array(self.P(q), n7)
+        M, force = self.M(q), self.g(q, qdot) - self.b(q, qdot)
+        for inertia, on_q, on_b, gamma in zip(*self.rotors(q, qdot), strict=True):
+            push = inertia * to_array([on_b], n6)[0]  # -a (Phi_q qddot - gamma) on the coordinate
+            M = M + np.outer(push, to_array([on_q], n7)[0])
+            force = force + gamma * push
+        norms, norm_rates, c = self.p_terms(q, qdot)
+        matrix = np.block(
+            [
+                [M, B.T],
+                [P, np.zeros((len(P), len(B)))],
+                [Phi_q, np.zeros((len(B), len(B)))],
+            ]
+        )
+        right = [
+            force,
+            self.stabilized(-c, norm_rates, norms),  # erratum 11
+            self.stabilized(self.gamma(q, qdot), self.phi_rate(q, qdot), self.Phi(q, qdot)),  # eq. (9)
+        ]
+        return matrix, np.concatenate(right)
+
+    def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Solve equation (21), as eq. (22) does, for qddot (7 n,) and lambda (k,).
+
+        lambda is the smallest one where constraints are redundant.
+
+        Raises:
+            SingularityError: if qddot is not unique all the same.
+        """
+        matrix, right = self.equation_21(q, v)
+        n, unused = self.nv, rows_left_out(self)
+        matrix[n:], right[n:] = without(matrix[n:], unused), without(right[n:], unused)
+        force_units = np.concatenate([self.force_units, np.ones(len(self.bodies))])
+        row_units = self.phi_units[: self.rows]
+        try:
+            qddot, multipliers = dense.solve_augmented(
+                matrix, right, row_units, self.velocity_units, force_units
+            )
+        except np.linalg.LinAlgError as error:
+            raise SingularityError(self._weakest_joint(q), f"{error} in equation (21)") from error
+        if not np.isfinite(qddot).all():
+            joint = fastest_joint(self.mechanism, self.state(q, v))
+            raise SingularityError(joint, "equation (21) or its solution is not finite")
+        return qddot, multipliers
 
     def _weakest_joint(self, q: Array) -> str:
-        """Name of the joint that weighs most in the dependent combination of constraint rows."""
-        frames = self.frames(q, np.zeros(self.nv))
-        left = singular_values(to_array(self.joint_jacobian(q, frames)[1], 6 * len(self.bodies)))[0][:, -1]
+        """Find the joint with the largest share in the dependent combination of constraint rows."""
+        rows = self.Phi_q_and_B(q, np.zeros(self.nv))[1]
+        left = dense.singular_values(to_array(rows, 6 * len(self.bodies)))[0][:, -1]
         weights: dict[str, float] = {}
         for owner, share in zip(self.row_owners, left**2, strict=False):  # the norms are not among them
             weights[owner] = weights.get(owner, 0.0) + share
         return max(weights, key=lambda owner: weights[owner])
 
-    # What integrators, projection and assembly ask for
+    # Equation (21), solved by sparse elimination
 
-    def rate(self, q: Array, v: Array) -> Array:
-        """qdot (nq,): the velocities themselves, the rates of carried angles, and the power."""
-        if self.nq == self.nv:
-            return v
-        work = [self._power(q, v)] if self.scene.tracks_work else []
-        return np.concatenate([v, carried_rates(self.measured, self.frames(q, v)), work])
+    def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution:
+        """Solve for (rddot, omegadot' / p^T p) of each body and lambda, over generic scalars.
 
-    def _power(self, q: Array, v: Array) -> Scalar:
-        """Power, W, of what is not in the potential energy; that of constraints is -lambda . Phi_t."""
-        total = power(self.scene, *self.seen(q, v))
-        if not self.scene.motions:
-            return total
-        if self.in_use is None:
-            return total - self.phi_t()[: self.rows] @ self.solve(q, v)[1]
-        multipliers = self.sparse_solution(q, v, self.in_use).multipliers
-        return total - sum(rate * multipliers.get(k, 0.0) for k, rate in enumerate(self.phi_t()))
+        `rows` of `phi` are used; the others must follow from them.
 
-    def acceleration(self, q: Array, v: Array) -> Array:
-        """qddot (7 n,)."""
-        return self.solve(q, v)[0]
+        With qddot eliminated from equation (21), M is block diagonal and B M^-1 B^T as sparse as the
+        joints: omegadot' = 2 L pddot, eq. (11), and Phi_p pddot = Phi_theta R omegadot' / (p^T p).
+        """
+        mass: Rows = [{} for _ in range(6 * len(self.bodies))]
+        for k, body in enumerate(self.bodies):
+            spread(mass[6 * k : 6 * k + 3], 6 * k, body.mass * np.eye(3))  # N_i
+            spread(mass[6 * k + 3 : 6 * k + 6], 6 * k + 3, body.inertia)  # J'_i
+        factor = sparse.factorise(mass, range(len(mass)))
+        for k, (_, p) in enumerate(self.split(q)):
+            scale = p @ p
+            for i in range(6 * k + 3, 6 * k + 6):
+                factor.inverse_pivots[i] = factor.inverse_pivots[i] / scale
+        right = self.stabilized(self.gamma(q, v), self.phi_rate(q, v), self.Phi(q, v))  # eq. (9)
+        # the rows of the norms of p are met by construction
+        count = sum(number < self.rows for number in rows.numbers)
+        # a rotor is a constraint that gives way: x'' + lambda / a = 0
+        inertias, _, of_rotors, gammas = self.rotors(q, v)
+        soft = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
+        used = RowsInUse([*rows.numbers[:count], *soft], rows.scales and rows.scales[: count + len(soft)])
+        return sparse.solve_constrained(
+            factor,
+            sparse.sparse_vector(self.g(q, v) - self.b(q, v)),
+            [*self.Phi_q_and_B(q, v)[1], *of_rotors],
+            np.concatenate([right, gammas]),
+            used,
+            refine=True,
+            softness=soft,
+        )
 
-    def phi(self, q: Array) -> Array:
-        """All residuals: Phi(q) and 1/2 (p^T p - 1)."""
-        zero = np.zeros(self.nv)
-        return np.concatenate([self.joint_phi(q), self.norm_terms(q, zero)[0]])
+    def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
+        """Compute qddot (7 n,) from a sparse solution: 2 L pddot = omegadot' and p^T pddot = -c, eq. (2)."""
+        qddot = []
+        norms, norm_rates, c = self.p_terms(q, v)
+        along = self.stabilized(-c, norm_rates, norms)
+        for k, (_, p) in enumerate(self.split(q)):
+            rddot = [solution.acceleration.get(6 * k + i, 0.0) for i in range(3)]
+            spin = np.array([solution.acceleration.get(6 * k + 3 + i, 0.0) for i in range(3)])
+            qddot.extend([*rddot, *(0.5 * matrix_l(p).T @ spin + p * (along[k] / (p @ p)))])
+        return np.array(qddot)
 
-    def phi_t(self) -> Array:
-        """Partial derivative of `phi` by time."""
-        opening = [coupling.phi_t(self.time) for coupling in self.couplings]
-        scleronomic = np.zeros(self.rows - len(opening))
-        return np.concatenate([scleronomic, opening, np.zeros(len(self.bodies))])
+    def mass_rows(self, q: Array) -> Rows:
+        """Compute the nonzeros of the matrix (7 n, 7 n) of the kinetic energy: m and 4 L^T J' L."""
+        rows: Rows = [{} for _ in range(self.nv)]
+        for k, (body, (_, p)) in enumerate(zip(self.bodies, self.split(q), strict=True)):
+            spread(rows[7 * k : 7 * k + 3], 7 * k, body.mass * np.eye(3))
+            spread(rows[7 * k + 3 : 7 * k + 7], 7 * k + 3, 4.0 * matrix_l(p).T @ body.inertia @ matrix_l(p))
+        rotors = self.rotors(q, np.zeros(self.nv))
+        for inertia, row in zip(rotors.inertias, rotors.on_q, strict=True):
+            for i, x in row.items():
+                for j, y in row.items():
+                    add(rows[i], j, inertia * (x * y))
+        return rows
 
-    def phi_jacobian(self, q: Array) -> Array:
-        """Derivative of `phi` by q."""
-        return to_array(self.phi_and_jacobian(q)[1], self.nv)
+    # As integrators, projection and assembly see it
+
+    def orientations(self, q: Array, v: Array) -> list[Array]:
+        """Return the Euler parameters (4,) of all bodies as they are, not normalized."""
+        return [self.mechanism.bodies[0].quaternion, *(p for _, p in self.split(q))]
+
+    def measured(self, q: Array, v: Array) -> dict[Key, Measured]:
+        """Compute the joint coordinates that something acts on."""
+        frames = self.frames(q, v)
+        return {key: coordinate.measure(q, frames) for key, coordinate in self.between.items()}
+
+    def own_coordinates(self, state: State) -> tuple[Array, Array]:
+        """Compute (r, p) and their rates in a state: pdot = 1/2 G^T omega."""
+        parts, v = [np.zeros(0)], [np.zeros(0)]
+        for k in range(1, len(self.mechanism.bodies)):
+            p = state.quaternion[k]
+            parts += [state.position[k], p]
+            v += [state.linear_velocity[k], 0.5 * matrix_g(p).T @ state.angular_velocity[k]]
+        return np.concatenate(parts), np.concatenate(v)
+
+    def own_rate(self, q: Array, v: Array) -> Array:
+        """Return the velocities."""
+        return v
+
+    def own_retract(self, q: Array, step: Array) -> Array:
+        """Compute q + step with Euler parameters of norm 1."""
+        moved = []
+        for r, p in self.split(q[: self.nv] + step):
+            moved.extend([r, p / sqrt(p @ p)])
+        return np.concatenate(moved)
+
+    def joint_phi(self, q: Array) -> Array:
+        """Compute the residuals of all joints, then of all couplings."""
+        return self.Phi(q, np.zeros(self.nv))
 
     def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
-        """All residuals and the nonzeros of their Jacobian."""
-        zero = np.zeros(self.nv)
-        phi_q, _ = self.joint_jacobian(q, self.frames(q, zero))
-        return self.phi(q), [*phi_q, *self.norm_terms(q, zero)[1]]
+        """Compute Phi(q) and 1/2 (p^T p - 1), and the nonzeros of their Jacobian."""
+        rest = np.zeros(self.nv)
+        phi = np.concatenate([self.Phi(q, rest), self.p_terms(q, rest)[0]])
+        return phi, [*self.Phi_q_and_B(q, rest)[0], *self.P(q)]
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
-        """Rows of `phi` that hold these of the joint-coordinate form, and all that its tree holds."""
+        """Select rows of `phi`: these of the joint-coordinate form, and all of joints that its tree keeps."""
         cuts, used, number = SpanningTree(self.mechanism).cuts, set(relative), 0
         numbers: list[int] = []
         starts = np.cumsum([0, *(equations.count for equations in self.equations)])
@@ -232,93 +403,31 @@ class Cartesian(CartesianTerms):
         numbers.extend(row for k, row in enumerate(coupled, start=number) if k in used)
         return sorted([*map(int, numbers), *range(self.rows, self.rows + len(self.bodies))])
 
-    def retract(self, q: Array, step: Array) -> Array:
-        """q + step with Euler parameters of norm 1; carried angles follow."""
-        moved = []
-        for r, p in self.split(q[: self.nv] + step):
-            moved.extend([r, p / sqrt(p @ p)])
-        if self.nq > self.nv:
-            moved.append(q[self.nv : self.work.start] + carried_rates(self.measured, self.frames(q, step)))
-            moved.append(q[self.work])
-        return np.concatenate(moved)
-
-    # Between this formulation's coordinates and what everybody understands
-
-    def mass_properties(self) -> MassProperties:
-        """What the bodies weigh: as the mechanism states."""
-        return MassProperties.of(self.mechanism)
-
-    def coordinates(self, state: State) -> tuple[Array, Array]:
-        """q and qdot of a state: pdot = 1/2 G^T omega; no work done.
-
-        Carried angles are within half a turn, or where couplings ask for.
-        """
-        parts, v, frames = [], [], state.frames()
-        for k in range(1, len(self.mechanism.bodies)):
-            p = state.quaternion[k]
-            parts.extend([state.position[k], p])
-            v.extend([state.linear_velocity[k], 0.5 * matrix_g(p).T @ state.angular_velocity[k]])
-        work = np.zeros(self.nq - self.work.start)
-        q = np.concatenate([*parts, carried_angles(self.measured, frames), work])
-        angles = {key: c.carried for key, c in self.measured.items() if c.carried is not None}
-        x = {key: seen.x for key, seen in self._measurements(q, frames).items()}
-        for key, turn in turns(self.couplings, x, angles, self.time).items():
-            q[angles[key]] += turn
-        return q, np.concatenate(v)
-
-    def state(self, q: Array, v: Array) -> State:
-        """Body poses and velocities; Euler parameters as they are, not normalised."""
-        frames = self.frames(q, v)
-        return State(
-            np.array([frame.position for frame in frames]),
-            np.array([self.mechanism.bodies[0].quaternion, *(p for _, p in self.split(q))]),
-            np.array([frame.velocity for frame in frames]),
-            np.array([frame.angular_velocity for frame in frames]),
-        )
+    def fastest_joint(self, q: Array, v: Array) -> str:
+        """Find the name of a joint of the body whose dimensionless velocity is largest."""
+        body = int(np.argmax(np.abs(v) / self.velocity_units)) // 7 + 1
+        joints = (e.joint.name for e in self.equations if body in (e.first, e.second))
+        return next(joints)
 
     def velocity_transformation(self, q: Array) -> Array:
-        """(6 b, 7 n): v and omega = 2 G pdot of body 0, 1, ... for each velocity."""
+        """Compute v and omega = 2 G pdot of body 0, 1, ... for each velocity, (6 b, 7 n)."""
         rows = np.zeros((6 * len(self.mechanism.bodies), self.nv))
         for k, (_, p) in enumerate(self.split(q)):
             rows[6 * k + 6 : 6 * k + 9, 7 * k : 7 * k + 3] = np.eye(3)
             rows[6 * k + 9 : 6 * k + 12, 7 * k + 3 : 7 * k + 7] = 2.0 * matrix_g(p)
         return rows
 
-    def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Accelerations, reactions and energies at a state."""
-        return self._evaluation(q, v, *self.solve(q, v))
+    def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:
+        """Compute rddot and omegadot = 2 G pddot, because Gdot pdot = 0, (b, 3) each."""
+        linear, angular = [np.zeros(3)], [np.zeros(3)]
+        for (_, p), (rddot, pddot) in zip(self.split(q), self.split(vdot), strict=True):
+            linear.append(rddot)
+            angular.append(2.0 * matrix_g(p) @ pddot)
+        return np.array(linear), np.array(angular)
 
-    def sparse_evaluation(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Evaluation, Scalar]:
-        """`evaluate` by sparse elimination over generic scalars, and the health of that."""
-        solution = self.sparse_solution(q, v, rows)
-        multipliers = np.array([solution.multipliers.get(k, 0.0) for k in range(self.rows)])
-        return self._evaluation(q, v, self._qddot(q, v, solution)[0], multipliers), solution.health
-
-    def _evaluation(self, q: Array, v: Array, qddot: Array, multipliers: Array) -> Evaluation:
+    def reactions(
+        self, q: Array, v: Array, vdot: Array, bodies: tuple[Array, Array], multipliers: Array
+    ) -> tuple[Array, Array]:
+        """Compute forces and torques (j, 3) of joints from eq. (17)."""
         frames = self.frames(q, v)
-        ground = [np.zeros(3)]
-        linear = ground + [rddot for rddot, _ in self.split(qddot)]
-        angular = ground + [
-            2.0 * matrix_g(p) @ pddot  # omega-dot = 2 G pddot, because Gdot pdot = 0
-            for (_, p), (_, pddot) in zip(self.split(q), self.split(qddot), strict=True)
-        ]
-        arms = []
-        for e in self.equations:
-            pose = self.mechanism.bodies[e.second].pose
-            arms.append(frames[e.second].rotation @ pose.point_to_body(e.joint.reaction_point))
-        found = pushes(self.mechanism, self.equations, self.couplings, self.measured, frames, multipliers)
-        forces, torques = at_joint_points(self.mechanism, arms, found)
-        kinetic, potential = energies(self.scene, frames, [body.inertia for body in self.mechanism.bodies])
-        seen = self._measurements(q, frames)
-        springs = springs_energy(self.scene, self.poses, frames, seen)
-        return Evaluation(
-            self.state(q, v),
-            np.array(linear),
-            np.array(angular),
-            forces,
-            torques,
-            self.applied(q, frames)[0],
-            kinetic + rotors_energy(self.scene, frames, seen),
-            potential + springs,
-            q[self.work][0] if self.scene.tracks_work else None,
-        )
+        return at_joint_points(self, frames, pushes(self, frames, multipliers))

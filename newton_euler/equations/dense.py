@@ -9,8 +9,11 @@ configurations.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
+from newton_euler.equations.sparse import Block
 from newton_euler.scalars import Array
 
 RANK_TOLERANCE = 1e-9
@@ -96,6 +99,42 @@ def solve_constrained(
     q, r = np.linalg.qr(columns[:, 1:])
     push = np.linalg.solve(r.T, combine.T @ gamma) - q.T @ free
     return np.linalg.solve(lower.T, free + q @ push), combine @ np.linalg.solve(r, push)
+
+
+def solve_augmented(
+    matrix: Array, right: Array, row_units: Array, column_units: Array, force_units: Array
+) -> tuple[Array, Array]:
+    """Solve [[A, B^T], [J, 0]] (a, -lambda) = right for a (n,) and lambda (k,), as equation (21) is written.
+
+    Redundant rows of J are combined into independent ones first, and all is made dimensionless.
+
+    Args:
+        matrix, right: (n + k, n + k) and (n + k,).
+        row_units, column_units, force_units: (k,), (n,) and (n,), of rows of J, of a and of rows of A.
+
+    Raises:
+        numpy.linalg.LinAlgError: for a singular matrix, and for a Jacobian that is not finite.
+    """
+    n = len(column_units)
+    jacobian = matrix[n:, :n]
+    combine = independent_rows(jacobian, row_units, column_units)
+    left = np.zeros((n + combine.shape[1],) * 2)
+    left[:n, :n] = matrix[:n, :n] * column_units / force_units[:, None]
+    left[n:, :n] = combine.T @ jacobian * column_units
+    push = matrix[:n, n:] @ combine / force_units[:, None]
+    share = np.max(np.abs(push), axis=0, initial=1e-300)  # multipliers in units of their own
+    left[:n, n:] = push / share
+    unknowns = np.linalg.solve(left, np.concatenate([right[:n] / force_units, combine.T @ right[n:]]))
+    return column_units * unknowns[:n], -(combine @ (unknowns[n:] / share))
+
+
+def assemble(blocks: Iterable[Block], force: Array) -> tuple[Array, Array]:
+    """Sum up blocks to M (n, n), and to f (n,) on top of a `force`."""
+    mass, total = np.zeros((len(force), len(force))), force.copy()
+    for path, block, share in blocks:
+        mass[np.ix_(path, path)] += block
+        total[path] += share
+    return mass, total
 
 
 def orthonormal_range(matrix: Array) -> Array:

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from newton_euler.model.constraints import Constraint, Frame, Jacobian
+from newton_euler.model.constraints import Constraint, Frame
 from newton_euler.model.joint import JointEquations, Key
 from newton_euler.scalars import Array, Scalar, arctan2, cos, sin
 
@@ -24,8 +24,8 @@ class Measured(NamedTuple):
     x: Scalar
     """m or rad from the initial pose."""
     rate: Scalar
-    jacobian: Jacobian
-    """Through which a force on it acts on the two bodies, blocks (1, 3)."""
+    jacobian: Any
+    """A `Jacobian` between two bodies, blocks (1, 3); in joint coordinates the nonzeros of a row over v."""
     gamma: Scalar
 
 

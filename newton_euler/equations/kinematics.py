@@ -1,15 +1,27 @@
-"""Kinematics of a spanning tree over generic scalars, from the ground to the leaves."""
+"""Kinematics of a scene in the coordinates of its spanning tree, over generic scalars.
+
+Body by body from the ground to the leaves; then the constraints of the loops, Phi and their Jacobian. Body
+frames are those of the tree: parallel to the world at the initial pose.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from newton_euler.model.constraints import Frame
+from newton_euler.equations.formulation import Formulation
+from newton_euler.equations.joint_coordinates import Measured
+from newton_euler.equations.sparse import Rows, add
+from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.euler_parameters import product, rotation
+from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree, TreeJoint
+from newton_euler.model.state import State
 from newton_euler.scalars import Array, cos, cross, sin, tilde
 
 
@@ -115,3 +127,176 @@ def _child(
     stack = (lambda rows: np.array(rows).T) if path else (lambda rows: np.zeros((3, 0)))
     frame = Frame(r, a, velocity, omega)
     return Link(frame, acceleration, alpha, path, stack(linear), stack(angular), orientation)
+
+
+def drift(jacobian: Jacobian, first: Link, second: Link) -> Array:
+    """Compute Phi_r a0 + Phi_theta alpha0 (k,), the second rate of constraints at qddot = 0."""
+    return np.asarray(
+        jacobian.r_first @ first.acceleration
+        + jacobian.theta_first @ first.angular_acceleration
+        + jacobian.r_second @ second.acceleration
+        + jacobian.theta_second @ second.angular_acceleration
+    )
+
+
+class TreeKinematics(Formulation):
+    """Kinematics of a scene: q (nq,) and v (nv,) are those of a spanning tree.
+
+    Attributes:
+        tree: the spanning tree; the joints that it cuts are `constrained`.
+    """
+
+    def __init__(self, scene: Scene, alpha: float = 0.0) -> None:
+        """`alpha`, 1/s, gives Baumgarte's gains of the loops; none for 0."""
+        self.tree = tree = SpanningTree(scene.mechanism)
+        equations = [tree.equations(k) for k in range(len(scene.mechanism.joints))]
+        closures = [equations[k] for k in tree.cuts]
+        super().__init__(scene, alpha, tree.poses, equations, closures, tree.nq, tree.nv)
+        self.inertias = [
+            a0 @ body.inertia @ a0.T
+            for a0, body in zip(tree.initial_rotations, self.mechanism.bodies, strict=True)
+        ]
+        self.velocity_units = tree.velocity_units
+        self.quaternions = [on_q for motion, on_q, _ in tree.motions if motion.kind == "ball"]
+
+    @property
+    def uncounted_angles(self) -> list[int]:
+        """Places in q of angles of hinges whose revolutions nothing counts."""
+        counted = set(self.angles.values())
+        hinges = [on_q.start for motion, on_q, _ in self.tree.motions if motion.kind == "hinge"]
+        return [place for place in hinges if place not in counted]
+
+    # Bodies
+
+    def links(self, q: Array, v: Array) -> list[Link]:
+        """Compute the kinematics of all bodies, ground first."""
+        return self.remembered(q, v, lambda q, v: tree_links(self.mechanism, self.tree, q, v))
+
+    def frames(self, q: Array, v: Array) -> list[Frame]:
+        """Compute the frames of all bodies, ground first."""
+        return [link.frame for link in self.links(q, v)]
+
+    def orientations(self, q: Array, v: Array) -> list[Array]:
+        """Compute Euler parameters (4,) of all bodies, ground first, continuous in q."""
+        bodies = zip(self.links(q, v), self.mechanism.bodies, strict=True)
+        return [product(link.orientation, body.quaternion) for link, body in bodies]
+
+    def velocity_transformation(self, q: Array) -> Array:
+        """Compute v and omega of body 0, 1, ... for each joint velocity, (6 b, nv)."""
+        links = self.links(q, np.zeros(self.nv))
+        rows = np.zeros((len(links), 6, self.nv))
+        for body, link in enumerate(links):
+            rows[body][:, link.path] = np.concatenate([link.linear, link.angular])
+        return rows.reshape(6 * len(links), self.nv)
+
+    def project(self, jacobian: Jacobian, first: Link, second: Link) -> Rows:
+        """Project a Jacobian between two bodies onto joint velocities: J = Phi_r V + Phi_theta W."""
+        r_i, theta_i, r_j, theta_j = jacobian
+        rows: Rows = [{} for _ in r_i]
+        for link, block in (
+            (first, r_i @ first.linear + theta_i @ first.angular),
+            (second, r_j @ second.linear + theta_j @ second.angular),
+        ):
+            for row, entries in zip(rows, block, strict=True):
+                for k, entry in zip(link.path, entries, strict=True):
+                    add(row, k, entry)
+        return rows
+
+    # Coordinates
+
+    def place(self, key: Key) -> tuple[int, int] | None:
+        """Find where a joint coordinate is in q and in v; None if the tree cuts its joint."""
+        return self.tree.place(*key)
+
+    def own_coordinates(self, state: State) -> tuple[Array, Array]:
+        """Compute the joint coordinates and velocities of the tree in a state."""
+        return self.tree.coordinates(state)
+
+    def own_rate(self, q: Array, v: Array) -> Array:
+        """Compute the rates of the joint coordinates of the tree."""
+        return self.tree.rate(q, v)
+
+    def own_retract(self, q: Array, step: Array) -> Array:
+        """Move the joint coordinates of the tree by a small step (nv,); quaternions come out with norm 1."""
+        return self.tree.retract(q, step)
+
+    def measured(self, q: Array, v: Array) -> dict[Key, Measured]:
+        """Compute the joint coordinates that something acts on, their Jacobians as rows over v."""
+        links, frames = self.links(q, v), self.frames(q, v)
+        found = {}
+        for key, place in self.places.items():
+            if place is not None:
+                found[key] = Measured(q[place[0]], v[place[1]], {place[1]: 1.0}, 0.0)
+            else:
+                between = self.between[key]
+                x, rate, jacobian, gamma = between.measure(q, frames)
+                first, second = links[between.first], links[between.second]
+                row = self.project(jacobian, first, second)[0]
+                found[key] = Measured(x, rate, row, gamma - drift(jacobian, first, second)[0])
+        return found
+
+    # Constraints
+
+    def loops(self, q: Array, v: Array) -> tuple[Array, Rows]:
+        """Compute Phi (k,) of loop closures and couplings, and the nonzeros of J (k, nv)."""
+        links, measured = self.links(q, v), self.measured(q, v)
+        phis, rows = [np.zeros(0)], list[dict[int, Any]]()
+        for closure in self.constrained:
+            first, second = links[closure.first], links[closure.second]
+            phis.append(closure.phi(first.frame, second.frame))
+            rows.extend(self.project(closure.jacobian(first.frame, second.frame), first, second))
+        coupled = [coupling.phi(measured, self.time) for coupling in self.couplings]
+        return np.concatenate([*phis, coupled]), [*rows, *self._coupled_rows(measured)]
+
+    def _coupled_rows(self, measured: Mapping[Key, Measured]) -> Rows:
+        rows: Rows = [{} for _ in self.couplings]
+        for coupling, row in zip(self.couplings, rows, strict=True):
+            for key, factor in coupling.factors.items():
+                for k, entry in measured[key].jacobian.items():
+                    add(row, k, factor * entry)
+        return rows
+
+    def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
+        """Compute the residuals (k,) of loop closures and couplings, and the nonzeros of their Jacobian."""
+        return self.loops(q, np.zeros(self.nv))
+
+    def joint_phi(self, q: Array) -> Array:
+        """Compute the residuals of all joints, kept ones included, and of the couplings."""
+        frames, measured = self.frames(q, np.zeros(self.nv)), self.measured(q, np.zeros(self.nv))
+        phis = [e.phi(frames[e.first], frames[e.second]) for e in self.equations]
+        coupled = [coupling.phi(measured, self.time) for coupling in self.couplings]
+        return np.concatenate([np.zeros(0), *phis, coupled])
+
+    def rows_of(self, relative: Collection[int]) -> list[int]:
+        """Select rows of `phi`: these."""
+        return sorted(relative)
+
+    def row_scales(self, q: Array) -> Array:
+        """Compute natural magnitudes (k,) of the dimensionless rows of the Jacobian, to decide on their rank.
+
+        A row of a loop is the difference of the motions that its two branches give to the bodies that it
+        joins. Its magnitude is the largest of these contributions, so that a row in which they cancel counts
+        as small; that of a coupling is its own length.
+        """
+        links = self.links(q, np.zeros(self.nv))
+        scales: list[float] = []
+        for closure in self.constrained:
+            first, second = links[closure.first], links[closure.second]
+            r_i, theta_i, r_j, theta_j = (
+                np.linalg.norm(block, axis=1) for block in closure.jacobian(first.frame, second.frame)
+            )
+            largest = np.zeros(closure.count)
+            for link, other, r, theta in ((first, second, r_i, theta_i), (second, first, r_j, theta_j)):
+                own = [n for n, k in enumerate(link.path) if k not in other.path]
+                units = self.velocity_units[[link.path[n] for n in own]]
+                linear = np.linalg.norm(link.linear[:, own], axis=0) * units
+                angular = np.linalg.norm(link.angular[:, own], axis=0) * units
+                share = np.outer(r, linear) + np.outer(theta, angular)
+                largest = np.maximum(largest, np.max(share, axis=1, initial=0.0))
+            scales.extend(largest / closure.units(self.mechanism.size))
+        rows = self._coupled_rows(self.measured(q, np.zeros(self.nv)))
+        for row, unit in zip(rows, self.phi_units[len(scales) :], strict=True):
+            scales.append(
+                float(np.sqrt(sum((x * self.velocity_units[k] / unit) ** 2 for k, x in row.items())))
+            )
+        return np.array([scale or 1.0 for scale in scales])

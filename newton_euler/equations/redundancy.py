@@ -19,12 +19,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Literal, NamedTuple, Protocol
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from newton_euler.equations.dense import largest, numerical_rank, singular_values
+from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.independence import (
     NAMED,
     ROUND_OFF,
@@ -34,8 +35,9 @@ from newton_euler.equations.independence import (
     length,
     remainder,
 )
-from newton_euler.equations.relative_terms import RelativeTerms
-from newton_euler.equations.sparse import Rows, RowsInUse, Solution, to_array
+from newton_euler.equations.kinematics import TreeKinematics
+from newton_euler.equations.sparse import Rows, RowsInUse, to_array
+from newton_euler.equations.system import System
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -81,35 +83,10 @@ MOST_ROWS = 1000
 
 
 class Equations(Protocol):
-    """Any form of the equations of a scene, with constraints that hold all of the scene's."""
+    """Any form of the equations of a scene whose constraints include all of the scene's."""
 
     scene: Scene
     nv: int
-
-
-class Dense(Equations, Protocol):
-    """A form with a dense Jacobian; see `newton_euler.equations.system.System`."""
-
-    name: str
-    phi_units: Array
-    velocity_units: Array
-
-    def coordinates(self, state: State) -> tuple[Array, Array]: ...
-
-    def phi_jacobian(self, q: Array) -> Array: ...
-
-
-@runtime_checkable
-class Eliminated(Dense, Protocol):
-    """A form that sparse elimination solves."""
-
-    omitted: list[int] | None
-    """Rows to leave out instead of those that are chosen here."""
-
-    def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution: ...
-
-    def rows_of(self, relative: Collection[int]) -> list[int]:
-        """Rows of `phi` that hold these of the joint-coordinate form, and all that its tree holds."""
 
 
 class NearlyRedundant(NamedTuple):
@@ -177,7 +154,7 @@ def mobility(scene: Scene) -> Mobility:
     """Decide which constraints of a scene are redundant; asked again for the same scene, the same."""
     if scene not in _KNOWN:
         with np.errstate(all="ignore"):  # what overflows is reported by a run
-            _KNOWN[scene] = _mobility(RelativeTerms(scene))
+            _KNOWN[scene] = _mobility(TreeKinematics(scene))
     return _KNOWN[scene]
 
 
@@ -192,7 +169,7 @@ def loop_rank(system: Equations, but: Collection[str]) -> int:
     Args:
         but: names of joints whose constraints do not count either.
     """
-    relative, tolerance = RelativeTerms(system.scene), system.scene.redundancy_tolerance
+    relative, tolerance = TreeKinematics(system.scene), system.scene.redundancy_tolerance
     loops = relative.row_owners[: len(relative.row_owners) - len(relative.couplings)]
     kept = [row for row, owner in enumerate(loops) if owner not in but]
     seen = mobility(system.scene).configurations
@@ -200,7 +177,7 @@ def loop_rank(system: Equations, but: Collection[str]) -> int:
     return system.nv - relative.nv + max(ranks)
 
 
-def rows_left_out(system: Dense) -> list[int]:
+def rows_left_out(system: System) -> list[int]:
     """Rows of `phi` that noise keeps from being redundant, left out the same everywhere.
 
     Of a form that knows the rows of the joint-coordinate form, all but those; of another one those that a
@@ -210,7 +187,7 @@ def rows_left_out(system: Dense) -> list[int]:
     if decided.residual == 0.0:
         return []
     known = _LEFT_OUT.setdefault(system.scene, {})
-    if isinstance(system, Eliminated):
+    if isinstance(system, Formulation):
         if system.omitted is not None:
             return system.omitted
         used = system.rows_of(decided.independent)
@@ -245,7 +222,7 @@ def inherit_mobility(scene: Scene, of: Scene) -> None:
         _KNOWN[scene] = _KNOWN[of]
 
 
-def rows_in_use(system: Eliminated, used: Sequence[int] | None = None) -> RowsInUse:
+def rows_in_use(system: Formulation, used: Sequence[int] | None = None) -> RowsInUse:
     """Select rows of a form of the equations that are independent and imply all others.
 
     They hold the `used` rows of the joint-coordinate form, the independent ones of its mobility if None.
@@ -266,7 +243,7 @@ def rows_in_use(system: Eliminated, used: Sequence[int] | None = None) -> RowsIn
     return RowsInUse(numbers, scales, mass_scales)
 
 
-def _mobility(system: RelativeTerms) -> Mobility:
+def _mobility(system: TreeKinematics) -> Mobility:
     seen, alive = _examine(system)
     best = max(seen, key=lambda at: at.rank)
     used, rest = best.chosen.rows, np.zeros(system.nv)
@@ -280,7 +257,7 @@ def _mobility(system: RelativeTerms) -> Mobility:
     )
 
 
-def _nearly(system: RelativeTerms, seen: Sequence[Configuration]) -> Iterator[NearlyRedundant]:
+def _nearly(system: TreeKinematics, seen: Sequence[Configuration]) -> Iterator[NearlyRedundant]:
     """Small singular values on both sides of the rank.
 
     Those taken literally where no configuration has larger ones, those of redundant rows where they are
@@ -316,7 +293,7 @@ class Spectrum(NamedTuple):
     """Name of the joint or gear with the largest share in one."""
 
 
-def _spectrum(system: RelativeTerms, at: Configuration) -> Spectrum:
+def _spectrum(system: TreeKinematics, at: Configuration) -> Spectrum:
     rows, chosen, owners = at.rows, at.chosen, system.row_owners
     if len(rows) * system.nv <= DENSE_LIMIT:
         u, s, _ = singular_values(to_array(rows, system.nv))
@@ -336,7 +313,7 @@ def _spectrum(system: RelativeTerms, at: Configuration) -> Spectrum:
     return Spectrum(values, 1 + len(chosen.weak), lambda k: owners[named[k - 1]])
 
 
-def _examine(system: RelativeTerms) -> tuple[list[Configuration], set[int]]:
+def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
     """Examine closed configurations; also which rows are not zero in all of them."""
     tolerance = system.scene.redundancy_tolerance
     pose = State.initial(system.scene.mechanism)
@@ -364,7 +341,7 @@ def _examine(system: RelativeTerms) -> tuple[list[Configuration], set[int]]:
     return seen, alive
 
 
-def _scaled(system: RelativeTerms, q: Array) -> tuple[Array, Rows]:
+def _scaled(system: TreeKinematics, q: Array) -> tuple[Array, Rows]:
     """Dimensionless residuals and Jacobian rows, each in units of its own motions."""
     phi, jacobian = system.phi_and_jacobian(q)
     units, scales = system.velocity_units, system.phi_units * system.row_scales(q)
@@ -374,7 +351,7 @@ def _scaled(system: RelativeTerms, q: Array) -> tuple[Array, Rows]:
     return phi / scales, rows
 
 
-def _directions(system: RelativeTerms, v: Array) -> Iterator[Array]:
+def _directions(system: TreeKinematics, v: Array) -> Iterator[Array]:
     """Yield directions to other configurations: the velocity's, then random ones.
 
     From a singular configuration random steps lead off all of its branches, and what they come back to is too
@@ -388,7 +365,7 @@ def _directions(system: RelativeTerms, v: Array) -> Iterator[Array]:
         yield system.velocity_units * rng.uniform(-1.0, 1.0, system.nv)
 
 
-def _neighbour(system: RelativeTerms, q: Array, direction: Array) -> Array:
+def _neighbour(system: TreeKinematics, q: Array, direction: Array) -> Array:
     """Find another configuration that meets the independent constraints, some way off in a direction."""
     tolerance, unit = system.scene.redundancy_tolerance, system.velocity_units
     step = REACH * direction
@@ -423,7 +400,7 @@ def other_rows(scene: Scene, used: Sequence[int], states: Sequence[State]) -> li
         Numbers of rows; None if those in use stay independent, if no others do better, and where the rank of
         all rows changes in the run.
     """
-    system, decided = RelativeTerms(scene), mobility(scene)
+    system, decided = TreeKinematics(scene), mobility(scene)
     alive = sorted({*decided.independent, *decided.redundant})
     if not decided.redundant or len(alive) > MOST_ROWS or not len(states):
         return None

@@ -2,83 +2,160 @@
 
 The body equations are those of the Cartesian form; here they are projected onto the velocities
 that the tree allows. With v_i = V_i qdot and omega_i = W_i qdot the velocity transformation of
-body i, and a0_i, alpha0_i its acceleration at qddot = 0,
+body i, and a0_i, alpha0_i its acceleration at qddot = 0 (`newton_euler.equations.kinematics`),
 
     M qddot = f + J^T lambda
-    J qddot = gamma
+    J qddot = gamma - K_D (J qdot) - K_P Phi                    as in eq. (9)
 
     M = sum m V^T V + W^T I W
-    f = sum V^T m (g - a0) - W^T (I alpha0 + omega x I omega) + actuation
-    J = Phi_r V + Phi_theta W                          (of the joints that close loops)
-    gamma = gamma_Phi - Phi_r a0 - Phi_theta alpha0 - K_D J qdot - K_P Phi
+    f = sum V^T m (g - a0) - W^T (I alpha0 + omega x I omega) + applied forces
+    J = Phi_r V + Phi_theta W                                   of the joints that close loops
+    gamma = gamma_Phi - Phi_r a0 - Phi_theta alpha0
 
 (Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, chapter 13; Featherstone, Rigid
 Body Dynamics Algorithms, 2008, section 8.1, for loops on top of a tree.)
 
-Body frames are those of the tree: parallel to the world at the initial pose.
+Beyond that: couplings and prescribed motions are further rows of J, rotors further blocks of M.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from newton_euler.equations.applied_forces import energies, power, rotors_energy, springs_energy
-from newton_euler.equations.balls import ends, spin_rate
-from newton_euler.equations.dense import solve_constrained
-from newton_euler.equations.joint_coordinates import carried_rates
-from newton_euler.equations.kinematics import Link
+from newton_euler.equations import balls, dense, sparse
+from newton_euler.equations.applied_forces import body_wrenches
+from newton_euler.equations.kinematics import Link, TreeKinematics, drift
 from newton_euler.equations.reactions import tree_reactions
 from newton_euler.equations.redundancy import rows_left_out, without
-from newton_euler.equations.relative_terms import RelativeTerms
-from newton_euler.equations.sparse import RowsInUse, Solution, factorise, sparse_vector, to_array
-from newton_euler.equations.sparse import solve_constrained as sparse_solve
-from newton_euler.equations.system import Evaluation, MassProperties
+from newton_euler.equations.sparse import Block, Rows, RowsInUse, Solution
 from newton_euler.errors import SingularityError
 from newton_euler.model.forces import BallArmature
-from newton_euler.scalars import Array, Scalar
+from newton_euler.scalars import Array, Scalar, cross, zeros
 
 
-class Relative(RelativeTerms):
+class Relative(TreeKinematics):
     """Joint-coordinate formulation of a scene. State: q (nq,), v (nv,) of the spanning tree."""
 
     name = "relative"
 
-    # What integrators, projection and assembly ask for
+    # M and f
 
-    def rate(self, q: Array, v: Array) -> Array:
-        """qdot (nq,)."""
-        rates = self.tree.rate(q, v)
-        if self.nq == self.tree.nq:
-            return rates
-        work = [self._power(q, v)] if self.scene.tracks_work else []
-        return np.concatenate([rates, carried_rates(self.between, self._frames(q, v)), work])
+    def world_inertia(self, body: int, link: Link) -> Array:
+        """Compute the inertia (3, 3) of a body about its center of mass, world frame."""
+        a = link.frame.rotation
+        return a @ self.inertias[body] @ a.T
 
-    def _power(self, q: Array, v: Array) -> Scalar:
-        """Power, W, of what is not in the potential energy; that of constraints is -lambda . Phi_t."""
-        total = power(self.scene, *self.seen(q, v))
-        if not self.scene.motions:
-            return total
-        if self.in_use is None:
-            return total - self.phi_t() @ self._solve(q, v, self.links(q, v))[1]
-        multipliers = self.sparse_solution(q, v, self.in_use).multipliers
-        return total - sum(rate * multipliers.get(k, 0.0) for k, rate in enumerate(self.phi_t()))
+    def inertial_wrench(
+        self, body: int, link: Link, acceleration: Array, alpha: Array
+    ) -> tuple[Array, Array]:
+        """Compute m (a - g) and I alpha + omega x I omega of a body, I in the world frame."""
+        inertia, omega = self.world_inertia(body, link), link.frame.angular_velocity
+        force = self.mechanism.bodies[body].mass * (acceleration - self.scene.gravity)
+        return force, inertia @ alpha + cross(omega, inertia @ omega)
 
-    def acceleration(self, q: Array, v: Array) -> Array:
-        """qddot (nv,)."""
-        return self._solve(q, v, self.links(q, v))[0]
+    def body_blocks(self, q: Array, v: Array) -> Iterator[Block]:
+        """Compute the shares of bodies in M and f."""
+        links = self.links(q, v)
+        wrenches = body_wrenches(self.scene, self.poses, self.frames(q, v))
+        for body, link in enumerate(links[1:], start=1):
+            inertia = self.world_inertia(body, link)
+            block = (
+                self.mechanism.bodies[body].mass * (link.linear.T @ link.linear)
+                + link.angular.T @ inertia @ link.angular
+            )
+            f, n = self.inertial_wrench(body, link, link.acceleration, link.angular_acceleration)
+            force, torque = wrenches[body][:3] - f, wrenches[body][3:] - n
+            yield Block(link.path, block, link.linear.T @ force + link.angular.T @ torque)
 
-    def _solve(self, q: Array, v: Array, links: list[Link]) -> tuple[Array, Array]:
-        mass, force = self.mass_and_force(q, v, links)
-        _, rows, gamma = self.loop_terms(q, v, links)
+    def actuation(self, q: Array, v: Array) -> Array:
+        """Compute the share (nv,) of control laws and springs on joint coordinates in f."""
+        measured, generalized = self.measured(q, v), zeros(self.nv, q, v)
+        for law, u in zip(self.scene.joint_forces, self.joint_forces(measured), strict=True):
+            for k, entry in measured[law.joint, law.coordinate].jacobian.items():
+                generalized[k] += entry * u
+        return generalized
+
+    def rotor_blocks(self, q: Array, v: Array) -> Iterator[Block]:
+        """Compute the shares of armatures a in M and f, an extension: their force is -a (J vdot - gamma).
+
+        Armatures of balls have three rows J, of the relative angular velocity's components.
+        """
+        measured = self.measured(q, v)
+        for armature in self.scene.armatures:
+            if isinstance(armature, BallArmature):
+                terms = self._spin_terms(armature.joint, self.links(q, v))
+            else:
+                seen = measured[armature.key]
+                terms = [(seen.jacobian, seen.gamma)]
+            for row, gamma in terms:
+                j = np.array(list(row.values()))
+                yield Block(list(row), armature.inertia * np.outer(j, j), armature.inertia * gamma * j)
+
+    def _spin_terms(self, joint: str, links: list[Link]) -> list[tuple[dict[int, Scalar], Scalar]]:
+        """Compute J and gamma of the angular velocity at a ball, which is three of v if the tree has it."""
+        place = self.tree.ball_place(joint)
+        if place is not None:
+            return [({k: 1.0}, 0.0) for k in range(place.start, place.stop)]
+        first, second = (links[k] for k in balls.ends(self.mechanism, joint))
+        gamma = balls.spin_gamma(first.frame, second.frame) - drift(balls.SPIN, first, second)
+        return list(zip(self.project(balls.SPIN, first, second), gamma, strict=True))
+
+    def blocks(self, q: Array, v: Array) -> Iterator[Block]:
+        """Compute the shares of bodies and rotors in M and f."""
+        yield from self.body_blocks(q, v)
+        yield from self.rotor_blocks(q, v)
+
+    # gamma
+
+    def gamma(self, q: Array, v: Array) -> Array:
+        """Compute gamma (k,): loop closures, then couplings."""
+        links, measured = self.links(q, v), self.measured(q, v)
+        gammas = [np.zeros(0)]
+        for closure in self.constrained:
+            first, second = links[closure.first], links[closure.second]
+            blocks = closure.jacobian(first.frame, second.frame)
+            gammas.append(closure.gamma(first.frame, second.frame) - drift(blocks, first, second))
+        coupled = [coupling.gamma(measured, self.time) for coupling in self.couplings]
+        return np.concatenate([*gammas, coupled])
+
+    def constraints(self, q: Array, v: Array) -> tuple[Rows, Array]:
+        """Compute the nonzeros of J (k, nv), and the right side (k,) as in eq. (9)."""
+        phi, jacobian = self.loops(q, v)
+        return jacobian, self.stabilized(self.gamma(q, v), self.phi_rate(q, v), phi)
+
+    # Solutions
+
+    def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Compute M (nv, nv) and f (nv,)."""
+        return dense.assemble(self.blocks(q, v), self.actuation(q, v))
+
+    def sparse_mass_and_force(self, q: Array, v: Array) -> tuple[Rows, Array]:
+        """Compute the nonzeros of M (nv, nv), and f (nv,), over generic scalars."""
+        return sparse.assemble(self.blocks(q, v), self.actuation(q, v))
+
+    def mass_rows(self, q: Array) -> Rows:
+        """Compute the nonzeros of M (nv, nv), over generic scalars."""
+        return self.sparse_mass_and_force(q, np.zeros(self.nv))[0]
+
+    def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Solve for qddot (nv,) and lambda (k,) with dense matrices.
+
+        Raises:
+            SingularityError: if M is singular to working precision.
+        """
+        mass, force = self.mass_and_force(q, v)
+        rows, right = self.constraints(q, v)
         unused = rows_left_out(self)
-        jacobian, gamma = without(to_array(rows, self.nv), unused), without(gamma, unused)
+        jacobian, right = without(sparse.to_array(rows, self.nv), unused), without(right, unused)
         try:
-            return solve_constrained(mass, force, jacobian, gamma, self.phi_units, self.velocity_units)
+            return dense.solve_constrained(mass, force, jacobian, right, self.phi_units, self.velocity_units)
         except np.linalg.LinAlgError as error:
             raise self._singularity(mass, force) from error
 
     def _singularity(self, mass: Array, force: Array) -> SingularityError:
-        """Which joint's motion cannot be solved for, and why."""
+        """Name the joint whose motion cannot be solved for, and the reason."""
         finite = np.isfinite(mass).all(axis=1) & np.isfinite(force)
         if not finite.all():
             return SingularityError(self._joint_of(int(np.argmin(finite))), "inertia or force is not finite")
@@ -90,99 +167,60 @@ class Relative(RelativeTerms):
         )
 
     def _joint_of(self, velocity: int) -> str:
-        """Name of the joint that a velocity belongs to."""
+        """Find the name of the joint that a velocity belongs to."""
         (kept,) = (kept for kept in self.tree.joints if kept.v.start <= velocity < kept.v.stop)
         return self.tree.joint(kept.joint).name
 
     def fastest_joint(self, q: Array, v: Array) -> str:
-        """Name of the joint whose dimensionless velocity is largest."""
+        """Find the name of the joint whose dimensionless velocity is largest."""
         return self._joint_of(int(np.argmax(np.abs(v) / self.velocity_units)))
 
     def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution:
-        """Accelerations and multipliers by sparse elimination, leaves first, over generic scalars.
+        """Solve by sparse elimination, leaves first, over generic scalars.
 
         `rows` of `phi` are used; the others must follow from them.
         """
-        links = self.links(q, v)
-        mass, force = self.sparse_mass_and_force(q, v, links)
-        _, jacobian, gamma = self.loop_terms(q, v, links)
-        factor = factorise(mass, range(self.nv - 1, -1, -1), rows.mass_scales)
-        return sparse_solve(factor, sparse_vector(force), jacobian, gamma, rows, refine=False)
-
-    def sparse_acceleration(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Array, Scalar]:
-        """qddot (nv,) and the health of the elimination, over generic scalars."""
-        solution = self.sparse_solution(q, v, rows)
-        return np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)]), solution.health
-
-    # Between this formulation's coordinates and what everybody understands
-
-    def mass_properties(self) -> MassProperties:
-        """What the bodies weigh: as the mechanism states."""
-        return MassProperties.of(self.mechanism)
-
-    def velocity_transformation(self, q: Array) -> Array:
-        """(6 b, nv): v and omega of body 0, 1, ... for each joint velocity."""
-        links = self.links(q, np.zeros(self.nv))
-        rows = np.zeros((len(links), 6, self.nv))
-        for body, link in enumerate(links):
-            rows[body][:, link.path] = np.concatenate([link.linear, link.angular])
-        return rows.reshape(6 * len(links), self.nv)
-
-    def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Accelerations, reactions and energies at a state."""
-        links = self.links(q, v)
-        return self._evaluation(q, v, links, *self._solve(q, v, links))
-
-    def sparse_evaluation(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Evaluation, Scalar]:
-        """`evaluate` by sparse elimination over generic scalars, and the health of that."""
-        solution = self.sparse_solution(q, v, rows)
-        qddot = np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)])
-        multipliers = np.array([solution.multipliers.get(k, 0.0) for k in range(len(self.phi_units))])
-        return self._evaluation(q, v, self.links(q, v), qddot, multipliers), solution.health
-
-    def _evaluation(
-        self, q: Array, v: Array, links: list[Link], qddot: Array, multipliers: Array
-    ) -> Evaluation:
-        actuation = self.actuation(q, v, links)[0]
-        linear = np.array([k.acceleration + k.linear @ qddot[k.path] for k in links])
-        angular = np.array([k.angular_acceleration + k.angular @ qddot[k.path] for k in links])
-        measured = self.measured(q, v, links)
-        pushes = [
-            ((law.joint, law.coordinate), u)
-            for law, u in zip(self.scene.joint_forces, actuation, strict=True)
-        ]
-        frames = [link.frame for link in links]
-        spun = []
-        for armature in self.scene.armatures:
-            if isinstance(armature, BallArmature):
-                bodies = ends(self.mechanism, armature.joint)
-                spun.append((bodies, -armature.inertia * spin_rate(frames, angular, bodies)))
-            else:
-                seen = measured[armature.key]
-                x_rates = (x * qddot[k] for k, x in seen.jacobian.items())
-                acceleration = sum(x_rates, start=0.0) - seen.gamma
-                pushes.append((armature.key, -(armature.inertia * acceleration)))
-        forces, torques = tree_reactions(self, links, linear, angular, multipliers, pushes, spun)
-        state = self._state(links)
-        kinetic, potential = energies(self.scene, frames, self.inertias)
-        kinetic = kinetic + rotors_energy(self.scene, frames, measured)
-        potential = potential + springs_energy(self.scene, self.tree.poses, frames, measured)
-        return Evaluation(
-            state,
-            linear,
-            angular,
-            forces,
-            torques,
-            actuation[: len(self.scene.control)],
-            kinetic,
-            potential,
-            q[self.work][0] if self.scene.tracks_work else None,
+        mass, force = self.sparse_mass_and_force(q, v)
+        jacobian, right = self.constraints(q, v)
+        factor = sparse.factorise(mass, range(self.nv - 1, -1, -1), rows.mass_scales)
+        return sparse.solve_constrained(
+            factor, sparse.sparse_vector(force), jacobian, right, rows, refine=False
         )
 
-    def joint_phi(self, q: Array) -> Array:
-        """Residuals of all joints, kept ones included, and of the couplings."""
-        v = np.zeros(self.nv)
+    def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
+        """Compute qddot (nv,) from a sparse solution."""
+        return np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)])
+
+    # Bodies and reactions at a solution
+
+    def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:
+        """Compute linear and angular accelerations (b, 3): a0 + V qddot and alpha0 + W qddot."""
         links = self.links(q, v)
-        all_joints = [self.tree.equations(k) for k in range(len(self.mechanism.joints))]
-        phis = [e.phi(links[e.first].frame, links[e.second].frame) for e in all_joints]
-        return np.concatenate([np.zeros(0), *phis, self.coupling_terms(self.measured(q, v, links))[0]])
+        return (
+            np.array([k.acceleration + k.linear @ vdot[k.path] for k in links]),
+            np.array([k.angular_acceleration + k.angular @ vdot[k.path] for k in links]),
+        )
+
+    def reactions(
+        self, q: Array, v: Array, vdot: Array, bodies: tuple[Array, Array], multipliers: Array
+    ) -> tuple[Array, Array]:
+        """Compute forces and torques (j, 3) of joints about their points, on the second bodies."""
+        frames, measured, (linear, angular) = self.frames(q, v), self.measured(q, v), bodies
+        laws = [(law.joint, law.coordinate) for law in self.scene.joint_forces]
+        joint_forces = list(zip(laws, self.joint_forces(measured), strict=True))
+        couples = []
+        for armature in self.scene.armatures:
+            if isinstance(armature, BallArmature):
+                ends = balls.ends(self.mechanism, armature.joint)
+                couples.append((ends, -armature.inertia * balls.spin_rate(frames, angular, ends)))
+            else:
+                seen = measured[armature.key]
+                x_rates = (x * vdot[k] for k, x in seen.jacobian.items())
+                acceleration = sum(x_rates, start=0.0) - seen.gamma
+                joint_forces.append((armature.key, -(armature.inertia * acceleration)))
+        wrenches = body_wrenches(self.scene, self.poses, frames)
+        needed = [
+            np.concatenate(self.inertial_wrench(body, link, linear[body], angular[body])) - wrenches[body]
+            for body, link in enumerate(self.links(q, v))
+        ]
+        return tree_reactions(self, frames, needed, multipliers, joint_forces, couples)

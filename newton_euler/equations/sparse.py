@@ -2,13 +2,13 @@
 
 A zero of type float is a structural zero: it is not stored, multiplied or added. Run over traced
 scalars, what is left is straight-line code for exactly the nonzeros; run over floats it is the same
-algorithm. No pivoting: `Factor.health` says how close to singular the matrix has come.
+algorithm. No pivoting: `Factor.pivot_ratio` tells how close to singular the matrix is.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -49,6 +49,38 @@ def add(row: dict[int, Any], column: int, scalar: Scalar) -> None:
         row[column] = row[column] + scalar if column in row else scalar
 
 
+def spread(rows: Rows, start: int, block: Array) -> None:
+    """Add a block (rows, columns) whose first column is `start`."""
+    for row, entries in zip(rows, block, strict=True):
+        for k, entry in enumerate(entries):
+            add(row, start + k, entry)
+
+
+class Block(NamedTuple):
+    """A share in a symmetric matrix M and a vector f."""
+
+    path: Sequence[int]
+    """(p,) places."""
+    mass: Array
+    """(p, p)"""
+    force: Array
+    """(p,)"""
+
+
+def assemble(blocks: Iterable[Block], force: Array) -> tuple[Rows, Array]:
+    """Sum up blocks to the nonzeros of M (n, n), and to f (n,) on top of a `force`."""
+    mass: Rows = [{} for _ in force]
+    total = force.astype(object)
+    for path, block, share in blocks:
+        for n, i in enumerate(path):
+            total[i] = total[i] + share[n]
+            for m, j in enumerate(path[: n + 1]):  # both triangles alike, to the last bit and zero
+                add(mass[i], j, block[n, m])
+                if i != j:
+                    add(mass[j], i, block[n, m])
+    return mass, total
+
+
 def minimum_degree(pattern: Sequence[set[int]]) -> list[int]:
     """An order of elimination with little fill: always the row with fewest neighbours left.
 
@@ -80,15 +112,14 @@ class Factor:
         order: rows in the order of their elimination.
         columns: for each row k the entries of L below it, {row: l}.
         pivots, inverse_pivots: d and 1 / d for each row.
-        health: the least share of a pivot in what it usually is, less `SINGULAR`; not
-            positive if singular.
+        pivot_ratio: the least ratio of a pivot to its usual size, less `SINGULAR`; not positive if singular.
     """
 
     order: list[int]
     columns: Rows
     pivots: list[Any]
     inverse_pivots: list[Any]
-    health: Scalar
+    pivot_ratio: Scalar
 
     def lower(self, right: dict[int, Any]) -> dict[int, Any]:
         """L^-1 b for a sparse b."""
@@ -134,7 +165,7 @@ def factorise(
     pivots: list[Any] = [0.0] * len(work)
     columns: Rows = [{} for _ in work]
     inverse_pivots: list[Any] = [0.0] * len(work)
-    health: Scalar = np.inf
+    pivot_ratio: Scalar = np.inf
     done = []
     for k in order:
         pivot = work[k].get(k, 0.0)
@@ -145,7 +176,7 @@ def factorise(
             continue
         done.append(k)
         pivots[k] = pivot
-        health = minimum(health, pivot / usual[k] - SINGULAR)
+        pivot_ratio = minimum(pivot_ratio, pivot / usual[k] - SINGULAR)
         inverse_pivots[k] = 1.0 / pivot
         for i, entry in below:
             columns[k][i] = entry * inverse_pivots[k]
@@ -154,7 +185,7 @@ def factorise(
                 add(work[i], j, -(columns[k][i] * entry))
                 if i != j and j in work[i]:
                     work[j][i] = work[i][j]
-    return Factor(done, columns, pivots, inverse_pivots, health)
+    return Factor(done, columns, pivots, inverse_pivots, pivot_ratio)
 
 
 def dot(a: dict[int, Any], b: dict[int, Any]) -> Scalar:
@@ -208,14 +239,14 @@ class Solution:
 
     Attributes:
         acceleration, multipliers: their nonzeros.
-        health: how close to singular it was, as of `Factor`.
+        pivot_ratio: the lesser of those of both factors, see `Factor`.
         pivots: of the Schur complement, for the rows in use.
         mass_pivots: of the mass matrix.
     """
 
     acceleration: dict[int, Any]
     multipliers: dict[int, Any]
-    health: Scalar
+    pivot_ratio: Scalar
     pivots: list[Any]
     mass_pivots: list[Any]
 
@@ -245,7 +276,7 @@ def solve_constrained(
     total = factor.lower(force)
     acceleration = factor.upper(factor.scaled(total)) if not kept else {}
     if not kept:
-        return Solution(acceleration, {}, factor.health, [], factor.pivots)
+        return Solution(acceleration, {}, factor.pivot_ratio, [], factor.pivots)
     half = [factor.lower(jacobian[i]) for i in kept]
     weighted = [factor.scaled(row) for row in half]
     schur = gram(half, weighted)
@@ -267,12 +298,12 @@ def solve_constrained(
             n: gamma[i] - dot(jacobian[i], acceleration) - soft.get(i, 0.0) * multipliers.get(i, 0.0)
             for n, i in enumerate(kept)
         }
-    health = minimum(factor.health, complement.health)
-    return Solution(acceleration, multipliers, health, complement.pivots, factor.pivots)
+    pivot_ratio = minimum(factor.pivot_ratio, complement.pivot_ratio)
+    return Solution(acceleration, multipliers, pivot_ratio, complement.pivots, factor.pivots)
 
 
 def least_squares(rows: Rows, right: Array) -> tuple[dict[int, Any], Scalar]:
-    """The shortest x with rows @ x = right (k,), and the health of the Gram matrix; dimensionless."""
+    """Compute the shortest x with rows @ x = right (k,), and the pivot ratio of the Gram matrix."""
     products = gram(rows, rows)
     factor = factorise(products, pattern_order(products), [1.0] * len(rows))
     weights = factor.solve(sparse_vector(right))
@@ -280,4 +311,4 @@ def least_squares(rows: Rows, right: Array) -> tuple[dict[int, Any], Scalar]:
     for i, weight in weights.items():
         for k, entry in rows[i].items():
             add(x, k, entry * weight)
-    return x, factor.health
+    return x, factor.pivot_ratio

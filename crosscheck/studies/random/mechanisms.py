@@ -117,13 +117,12 @@ def equations_of_motion(scene: Scene) -> tuple[Array, int]:
     rows of B combined into independent ones; lengths in units of the mechanism's size, masses of its mass.
     """
     system = Cartesian(scene)
-    frames = system.frames(*system.coordinates(initial_state(scene)))
-    q, _ = system.coordinates(initial_state(scene))
+    q, v = system.coordinates(initial_state(scene))
     size, mass = scene.mechanism.size, sum(body.mass for body in system.bodies)
     n = 6 * len(system.bodies)
     units = np.tile([size] * 3 + [1.0] * 3, len(system.bodies))
-    rows = to_array(system.joint_jacobian(q, frames)[1], n)
-    independent = independent_rows(rows, system.row_units, units).T @ rows * units
+    rows = to_array(system.Phi_q_and_B(q, v)[1], n)
+    independent = independent_rows(rows, system.phi_units[: system.rows], units).T @ rows * units
     matrix = np.zeros((n + len(independent),) * 2)
     for k, body in enumerate(system.bodies):
         linear, angular = slice(6 * k, 6 * k + 3), slice(6 * k + 3, 6 * k + 6)

@@ -138,7 +138,7 @@ def test_mujoco_moves_alike_with_the_controls_that_swing(tmp_path: Path) -> None
     body = {name: own.body(name).id for name in ("one", "two")}
     start = initial_state(found.scene)
     system = Relative(found.scene)
-    seen = system.measured(*system.coordinates(start), system.links(*system.coordinates(start)))
+    seen = system.measured(*system.coordinates(start))
     data.qvel[:] = [seen[key].rate for key in (("p", 0), ("two_joints", 1), ("two_joints", 0))]
     steps = round(0.5 / own.opt.timestep)
     for n in range(steps):

@@ -33,7 +33,7 @@ def test_slider_accelerations_at_the_start(tracker, formulation):
 
 def test_tracker_counts_as_the_paper_with_a_fixed_ground(tracker):
     system = Cartesian(tracker)
-    matrix, right = system.system(*system.coordinates(initial_state(tracker)))
+    matrix, right = system.equation_21(*system.coordinates(initial_state(tracker)))
     assert (system.nv, system.rows, len(system.bodies)) == (42, 34, 6)
     assert matrix.shape == (76, 76)
     assert right.shape == (76,)
@@ -81,11 +81,10 @@ def test_blocks_of_equation_21_are_the_papers(tracker, tracker_states):
     """B = [Phi_r, 1/2 Phi_p L^T], Phi_q by differences on the unit spheres, b = omega' x J' omega'."""
     system = Cartesian(replace(tracker, outputs=frozenset()))  # no work beside the coordinates
     q, qdot = system.coordinates(tracker_states[0])
-    frames = system.frames(q, qdot)
     n = len(system.bodies)
     phi_q, b = (
         to_array(rows, columns)
-        for rows, columns in zip(system.joint_jacobian(q, frames), (7 * n, 6 * n), strict=True)
+        for rows, columns in zip(system.Phi_q_and_B(q, qdot), (7 * n, 6 * n), strict=True)
     )
     tangents = np.zeros((system.nq, 6 * len(system.bodies)))
     for k, (_, p) in enumerate(system.split(q)):
@@ -101,18 +100,18 @@ def test_blocks_of_equation_21_are_the_papers(tracker, tracker_states):
 
     # second-order terms off the unit sphere are odd-free and cancel in the central difference
     assert np.allclose(jacobian(phi_along, tangents.shape[1]), phi_q @ tangents, atol=1e-10)
-    velocity_terms = system.velocity_terms(q, qdot)
+    velocity_terms = system.b(q, qdot)
     for k, ((_, p), (_, pdot), body) in enumerate(
         zip(system.split(q), system.split(qdot), system.bodies, strict=True)
     ):
         omega = 2.0 * matrix_l(p) @ pdot
         expected = np.cross(omega, body.inertia @ omega)
         assert np.allclose(velocity_terms[6 * k + 3 : 6 * k + 6], expected, rtol=0, atol=1e-15)
-    mass = system.mass_matrix(q)
+    mass = system.M(q)
     assert np.allclose(mass[3:6, 3:7], 2.0 * system.bodies[0].inertia @ matrix_l(q[3:7]))
-    norm, p_rows, c = system.norm_terms(q, qdot)
-    p_matrix = to_array(p_rows, 7 * n)
-    assert np.allclose(p_matrix @ qdot, 0.0, atol=1e-15)
+    norm, norm_rate, c = system.p_terms(q, qdot)
+    assert np.allclose(to_array(system.P(q), 7 * n) @ qdot, norm_rate, atol=1e-15)
+    assert np.allclose(norm_rate, 0.0, atol=1e-15)
     assert np.allclose(norm, 0.0, atol=1e-15)
     assert c[-1] == pytest.approx(qdot[-4:] @ qdot[-4:])
 
@@ -122,7 +121,7 @@ def test_multipliers_are_the_papers_reaction_signs(tracker):
     system = Cartesian(tracker)
     q, qdot = system.coordinates(initial_state(tracker))
     qddot, multipliers = system.solve(q, qdot)
-    b = to_array(system.joint_jacobian(q, system.frames(q, qdot))[1], 36)
+    b = to_array(system.Phi_q_and_B(q, qdot)[1], 36)
     panel = tracker.mechanism.bodies[6]
     force = b[:, 30:33].T @ multipliers
     moment = b[:, 33:36].T @ multipliers
@@ -139,12 +138,12 @@ def test_baumgarte_terms(tracker, tracker_states, alpha):
     q, v = cartesian.coordinates(tracker_states[1])
     q, v = q + 1e-3 * rng.standard_normal(q.size), v + 1e-3 * rng.standard_normal(v.size)
     a = cartesian.acceleration(q, v)
-    norm, p_rows, c = cartesian.norm_terms(q, v)
-    p_matrix = to_array(p_rows, q.size)
+    norm, _, c = cartesian.p_terms(q, v)
+    p_matrix = to_array(cartesian.P(q), q.size)
     second_rate = p_matrix @ a + c
     assert np.allclose(second_rate, -2 * alpha * (p_matrix @ v) - alpha**2 * norm, atol=1e-11)
-    phi, gamma = cartesian.joint_phi(q), cartesian.joint_gamma(q, cartesian.frames(q, v))
-    phi_q = to_array(cartesian.joint_jacobian(q, cartesian.frames(q, v))[0], q.size)
+    phi, gamma = cartesian.Phi(q, v), cartesian.gamma(q, v)
+    phi_q = to_array(cartesian.Phi_q_and_B(q, v)[0], q.size)
     expected = -2 * alpha * (phi_q @ v) - alpha**2 * phi
     # accelerations are of order 1e2 and the matrix has condition 1e4
     assert np.allclose(phi_q @ a - gamma, expected, atol=1e-9)

@@ -75,12 +75,11 @@ def test_redundant_reactions_are_the_smallest(formulation):
     state = random_states(system.scene, 1)[0]
     q, v = system.coordinates(state)
     if formulation is Cartesian:
-        rows, units = system.joint_jacobian(q, system.frames(q, v))[0], system.row_units
+        rows, units = system.Phi_q_and_B(q, v)[0], system.phi_units[: system.rows]
         multipliers = system.solve(q, v)[1]
     else:
-        links = system.links(q, v)
-        rows, units = system.loop_terms(q, v, links)[1], system.phi_units
-        multipliers = system._solve(q, v, links)[1]
+        rows, units = system.loops(q, v)[1], system.phi_units
+        multipliers = system.solve(q, v)[1]
     left = (to_array(rows, system.nv) * system.velocity_units / units[:, None]).T
     _, s, vt = np.linalg.svd(left)
     idle = vt[np.sum(s > 1e-9) :]

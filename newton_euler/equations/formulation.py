@@ -1,0 +1,322 @@
+"""Coordinates and outputs that the Cartesian and the joint-coordinate form of the equations of motion share.
+
+Extensions of the paper, the same in both forms: couplings and prescribed motions
+(`newton_euler.equations.couplings`), angles whose revolutions are counted
+(`newton_euler.equations.joint_coordinates`), and the work of what has no potential energy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+
+from newton_euler.equations.applied_forces import Surroundings, energies, power, rotors_energy, springs_energy
+from newton_euler.equations.couplings import couplings, row_owners, row_units, turns, wanted
+from newton_euler.equations.joint_coordinates import (
+    Measured,
+    carried_angles,
+    carried_rates,
+    coordinates,
+)
+from newton_euler.equations.sparse import Rows, RowsInUse, Solution, to_array
+from newton_euler.equations.system import Evaluation, MassProperties
+from newton_euler.model.constraints import Frame
+from newton_euler.model.forces import Armature
+from newton_euler.model.joint import JointEquations, Key, Pose
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.scalars import Array, Scalar
+
+T = TypeVar("T")
+
+
+class Formulation:
+    """A form of the equations of motion of a scene, over floats or generic scalars.
+
+    q (nq,) holds the form's own coordinates, the carried angles, and the work if the scene tracks it; v (nv,)
+    holds the velocities of its own coordinates.
+
+    Attributes:
+        K_D, K_P: Baumgarte's gains, 1/s and 1/s^2.
+        time: s, at which prescribed motions are evaluated.
+        equations: of all joints, in body frames of the reference `poses`.
+        constrained: of the joints that have multipliers in this form.
+        rows: number of equations of these joints and of the couplings.
+        between: joint coordinates that are measured between two bodies.
+        angles: places in q of the angles whose revolutions are counted.
+        carried, work: where in q the carried angles and the work are.
+        in_use: constraint rows that imply all others, for the power of prescribed motions over generic
+            scalars; None in floats.
+        omitted: rows of `phi` to leave out; None for those that `newton_euler.equations.redundancy` selects.
+        phi_units, row_owners: of the rows of `phi`, what makes them dimensionless, and the joint, coupling or
+            body that each belongs to.
+        quaternions: where in q there are Euler parameters.
+    """
+
+    name: str
+    inertias: list[Array]
+    """(3, 3) of each body about its center of mass, in the frame of its reference pose, kg m^2."""
+    velocity_units: Array
+    quaternions: list[slice]
+
+    def __init__(
+        self,
+        scene: Scene,
+        alpha: float,
+        poses: list[Pose],
+        equations: Sequence[JointEquations],
+        constrained: Sequence[JointEquations],
+        nq: int,
+        nv: int,
+    ) -> None:
+        """`nq` counts the form's own coordinates; `alpha` is in 1/s, 0 for no stabilization."""
+        self.scene, self.mechanism = scene, scene.mechanism
+        self.K_D, self.K_P = 2.0 * alpha, alpha * alpha  # Appendix B, eqs (30) and (31) with zeta = 1
+        self.poses, self.equations, self.constrained = poses, equations, constrained
+        self.time: Scalar = 0.0
+        self.in_use: RowsInUse | None = None
+        self.omitted: list[int] | None = None
+        self.couplings = couplings(scene)
+        self.rows = sum(e.count for e in constrained) + len(self.couplings)
+        self.phi_units = row_units(constrained, self.couplings, self.mechanism.size)
+        self.row_owners = row_owners(constrained, self.couplings)
+        counted = wanted(scene, self.couplings)
+        rotors = (armature.key for armature in scene.armatures if isinstance(armature, Armature))
+        self.places = {key: self.place(key) for key in [*counted, *rotors]}
+        cut = {
+            key: equations[self.mechanism.joint_index(key[0])]
+            for key, place in self.places.items()
+            if place is None
+        }
+        self.between = coordinates(cut, nq, counted)
+        self.angles: dict[Key, int] = {}
+        for key in counted:
+            place = self.places[key]
+            on_q = self.between[key].carried if place is None else place[0]
+            if on_q is not None and not self._is_length(key):
+                self.angles[key] = on_q
+        carried = sum(coordinate.carried is not None for coordinate in self.between.values())
+        self.carried = slice(nq, nq + carried)
+        self.work = slice(nq + carried, nq + carried + int(scene.tracks_work))
+        self.nq, self.nv = self.work.stop, nv
+        self._last: tuple[Any, tuple[Array, Array], Any] | None = None
+
+    def _is_length(self, key: Key) -> bool:
+        return self.equations[self.mechanism.joint_index(key[0])].coordinates[key[1]].is_length
+
+    @property
+    def uncounted_angles(self) -> list[int]:
+        """Places in q of angles whose revolutions nothing counts."""
+        return []
+
+    # The two forms define
+
+    def place(self, key: Key) -> tuple[int, int] | None:
+        """Find where a joint coordinate is in q and in v; None if it is none of the form's own."""
+        return None
+
+    def frames(self, q: Array, v: Array) -> list[Frame]:
+        """Compute the frames of all bodies, ground first."""
+        raise NotImplementedError
+
+    def orientations(self, q: Array, v: Array) -> list[Array]:
+        """Compute Euler parameters (4,) of all bodies, ground first, continuous in q."""
+        raise NotImplementedError
+
+    def measured(self, q: Array, v: Array) -> Mapping[Key, Measured]:
+        """Compute the joint coordinates that something acts on."""
+        raise NotImplementedError
+
+    def own_coordinates(self, state: State) -> tuple[Array, Array]:
+        """Compute the form's own coordinates and velocities in a state."""
+        raise NotImplementedError
+
+    def own_rate(self, q: Array, v: Array) -> Array:
+        """Compute the rates of the form's own coordinates."""
+        raise NotImplementedError
+
+    def own_retract(self, q: Array, step: Array) -> Array:
+        """Move the form's own coordinates by a small step (nv,); quaternions come out with norm 1."""
+        raise NotImplementedError
+
+    def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
+        """Compute the residuals (k,) and the nonzeros of their Jacobian (k, nv)."""
+        raise NotImplementedError
+
+    def rows_of(self, relative: Collection[int]) -> list[int]:
+        """Select rows of `phi`: these of the joint-coordinate form, and all of joints that its tree keeps."""
+        raise NotImplementedError
+
+    def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Solve for vdot (nv,) and lambda (rows,) with dense matrices."""
+        raise NotImplementedError
+
+    def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution:
+        """Solve by sparse elimination; `rows` of `phi` are used, the others must follow from them."""
+        raise NotImplementedError
+
+    def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
+        """Compute vdot (nv,) from a sparse solution."""
+        raise NotImplementedError
+
+    def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:
+        """Compute linear and angular accelerations (b, 3) of all bodies."""
+        raise NotImplementedError
+
+    def reactions(
+        self, q: Array, v: Array, vdot: Array, bodies: tuple[Array, Array], multipliers: Array
+    ) -> tuple[Array, Array]:
+        """Compute forces and torques (j, 3) of joints; `bodies` are the accelerations of these."""
+        raise NotImplementedError
+
+    # Coordinates
+
+    def remembered(self, q: Array, v: Array, compute: Callable[[Array, Array], T]) -> T:
+        """Return compute(q, v), that of the last call if the state is the same."""
+        # over generic scalars the bytes tell which objects they are, which the copies keep alive
+        state = (q.dtype, q.tobytes(), v.dtype, v.tobytes())
+        if self._last is None or self._last[0] != state:
+            self._last = state, (q.copy(), v.copy()), compute(q, v)
+        found: T = self._last[2]
+        return found
+
+    def coordinates(self, state: State) -> tuple[Array, Array]:
+        """Compute q and v of a state; no work done.
+
+        Counted angles are within half a revolution, or in the revolution that couplings ask for.
+        """
+        q, v = self.own_coordinates(state)
+        if self.nq == len(q) and not self.couplings:
+            return q, v
+        q = np.concatenate([q, np.zeros(self.nq - len(q))])
+        q[self.carried] = carried_angles(self.between, self.frames(q, v))
+        x = {key: seen.x for key, seen in self.measured(q, v).items()}
+        for key, turn in turns(self.couplings, x, self.angles, self.time).items():
+            q[self.angles[key]] += turn
+        return q, v
+
+    def rate(self, q: Array, v: Array) -> Array:
+        """Compute qdot (nq,): the own coordinates' rates, those of the carried angles, and the power."""
+        own = self.own_rate(q, v)
+        if self.nq == self.carried.start:
+            return own
+        work = [self.power(q, v)] if self.scene.tracks_work else []
+        return np.concatenate([own, carried_rates(self.between, self.frames(q, v)), work])
+
+    def retract(self, q: Array, step: Array) -> Array:
+        """Move q by a small step (nv,); quaternions come out with norm 1, carried angles follow."""
+        own = self.own_retract(q, step)
+        if self.nq == self.carried.start:
+            return own
+        angles = q[self.carried] + carried_rates(self.between, self.frames(q, step))
+        return np.concatenate([own, angles, q[self.work]])
+
+    def state(self, q: Array, v: Array) -> State:
+        """Compute body poses and velocities."""
+        frames = self.frames(q, v)
+        return State(
+            np.array([frame.position for frame in frames]),
+            np.array(self.orientations(q, v)),
+            np.array([frame.velocity for frame in frames]),
+            np.array([frame.angular_velocity for frame in frames]),
+        )
+
+    def mass_properties(self) -> MassProperties:
+        """Return the masses and inertias that the mechanism states."""
+        return MassProperties.of(self.mechanism)
+
+    # Constraints
+
+    def phi(self, q: Array) -> Array:
+        """Compute the residuals (k,) that projection removes."""
+        return self.phi_and_jacobian(q)[0]
+
+    def phi_jacobian(self, q: Array) -> Array:
+        """Compute the derivative (k, nv) of `phi` along `retract`, and of the rate of `phi` by v."""
+        return to_array(self.phi_and_jacobian(q)[1], self.nv)
+
+    def phi_t(self) -> Array:
+        """Compute the partial derivative (k,) of `phi` by time, which prescribed motions have."""
+        prescribed = [coupling.phi_t(self.time) for coupling in self.couplings]
+        before, after = self.rows - len(prescribed), len(self.phi_units) - self.rows
+        return np.concatenate([np.zeros(before), prescribed, np.zeros(after)])
+
+    def phi_rate(self, q: Array, v: Array) -> Array:
+        """Compute Phi_q qdot + Phi_t (rows,), eqs (5) and (7): joints with multipliers, then couplings."""
+        frames, measured, rates = self.frames(q, v), self.measured(q, v), [np.zeros(0)]
+        for e in self.constrained:
+            first, second = frames[e.first], frames[e.second]
+            rates.append(e.jacobian(first, second).rate(first, second))
+        return np.concatenate([*rates, [c.rate(measured, self.time) for c in self.couplings]])
+
+    def stabilized(self, gamma: Array, rate: Array, phi: Array) -> Array:
+        """Add Baumgarte's terms: gamma - K_D (Phi_q qdot) - K_P Phi, eq. (9)."""
+        return gamma - self.K_D * rate - self.K_P * phi
+
+    # Forces on joint coordinates, and the power
+
+    def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
+        """Compute the coordinate (m or rad) and its rate of each control law."""
+        measured = self.measured(q, v)
+        return [measured[law.joint, law.coordinate][:2] for law in self.scene.control]
+
+    def joint_forces(self, measured: Mapping[Key, Measured]) -> list[Scalar]:
+        """Compute the forces of control laws and of springs on joint coordinates, N or N m."""
+        return [
+            law.force(*measured[law.joint, law.coordinate][:2], self.time) for law in self.scene.joint_forces
+        ]
+
+    def seen(self, q: Array, v: Array) -> Surroundings:
+        """Compute what the forces depend on."""
+        return self.poses, self.frames(q, v), self.measured(q, v), self.time
+
+    def power(self, q: Array, v: Array) -> Scalar:
+        """Compute the power, W, of what has no potential energy; that of constraints is -lambda . Phi_t."""
+        total = power(self.scene, *self.seen(q, v))
+        if not self.scene.motions:
+            return total
+        rates = self.phi_t()[: self.rows]
+        if self.in_use is None:
+            return total - rates @ self.solve(q, v)[1]
+        multipliers = self.sparse_solution(q, v, self.in_use).multipliers
+        return total - sum(rate * multipliers.get(k, 0.0) for k, rate in enumerate(rates))
+
+    # Solutions
+
+    def acceleration(self, q: Array, v: Array) -> Array:
+        """Compute vdot (nv,)."""
+        return self.solve(q, v)[0]
+
+    def sparse_acceleration(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Array, Scalar]:
+        """Compute vdot (nv,) and the pivot ratio of the elimination, over generic scalars."""
+        solution = self.sparse_solution(q, v, rows)
+        return self.sparse_vdot(q, v, solution), solution.pivot_ratio
+
+    def evaluate(self, q: Array, v: Array) -> Evaluation:
+        """Compute accelerations, reactions and energies."""
+        return self._evaluation(q, v, *self.solve(q, v))
+
+    def sparse_evaluation(self, q: Array, v: Array, rows: RowsInUse) -> tuple[Evaluation, Scalar]:
+        """Evaluate by sparse elimination over generic scalars; also the pivot ratio of that."""
+        solution = self.sparse_solution(q, v, rows)
+        multipliers = np.array([solution.multipliers.get(k, 0.0) for k in range(self.rows)])
+        vdot = self.sparse_vdot(q, v, solution)
+        return self._evaluation(q, v, vdot, multipliers), solution.pivot_ratio
+
+    def _evaluation(self, q: Array, v: Array, vdot: Array, multipliers: Array) -> Evaluation:
+        frames, measured = self.frames(q, v), self.measured(q, v)
+        bodies = self.body_accelerations(q, v, vdot)
+        forces, torques = self.reactions(q, v, vdot, bodies, multipliers)
+        kinetic, potential = energies(self.scene, frames, self.inertias)
+        return Evaluation(
+            self.state(q, v),
+            *bodies,
+            forces,
+            torques,
+            np.array(self.joint_forces(measured)[: len(self.scene.control)]),
+            kinetic + rotors_energy(self.scene, frames, measured),
+            potential + springs_energy(self.scene, self.poses, frames, measured),
+            q[self.work][0] if self.scene.tracks_work else None,
+        )
