@@ -20,8 +20,7 @@ from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross
 from newton_euler.verification.import_report import ImportReport, approximated, left_out, unique_name
-from newton_euler.verification.original import Original, wholes
-from newton_euler.verification.sample import Constraints, Forces, Kinematics, Sample
+from newton_euler.verification.original import Constraints, Forces, Kinematics, Original, Sample, wholes
 
 SEVERAL_HINGES = 1.2
 """rad, that hinges of a body with others are moved from the start: beyond a quarter turn of the second of

@@ -24,8 +24,7 @@ from newton_euler.verification.import_report import (
     left_out,
     unique_name,
 )
-from newton_euler.verification.original import Original, wholes
-from newton_euler.verification.sample import Constraints, Forces, Kinematics, Sample
+from newton_euler.verification.original import Constraints, Forces, Kinematics, Original, Sample, wholes
 from urdf.loops import UNIVERSAL, Loops
 
 SEVERAL_HINGES = 1.2

@@ -19,9 +19,8 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 from newton_euler.verification.figure import SPREAD, Figure, figure, positive, worst
-from newton_euler.verification.original import Original
+from newton_euler.verification.original import KINDS, Original
 from newton_euler.verification.placed import Place, Placed
-from newton_euler.verification.sample import KINDS
 
 ALIKE = 1e-3
 """Share of a difference (of squares) that what is blamed may leave unexplained."""

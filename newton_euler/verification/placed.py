@@ -11,8 +11,7 @@ from newton_euler.equations.system import System
 from newton_euler.model.euler_parameters import from_rotation, product
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, cross, tilde
-from newton_euler.verification.original import Original
-from newton_euler.verification.sample import Sample
+from newton_euler.verification.original import Original, Sample
 
 
 class Place(NamedTuple):

@@ -30,9 +30,8 @@ from newton_euler.verification.figure import Figure, worst
 from newton_euler.verification.forces import force_figures
 from newton_euler.verification.import_report import ImportReport
 from newton_euler.verification.model import PLACES, body_figures, joint_figures, start_figures
-from newton_euler.verification.original import Original
+from newton_euler.verification.original import LOOSEST, Original
 from newton_euler.verification.placed import Placed
-from newton_euler.verification.sample import LOOSEST
 
 PARTS: tuple[Callable[[Placed], Iterator[Figure]], ...] = (
     body_figures,
