@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from newton_euler.assemble import initial_state
-from newton_euler.integrators.march import NEAR
+from newton_euler.integrators.singular import NEAR
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory

@@ -13,7 +13,7 @@ from mjcf.motion import body_velocity
 from mjcf.write import controls, welded_to_xml
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.system import MassProperties
-from newton_euler.integrators.stabilize import joint_residuals
+from newton_euler.integrators.projection import joint_residuals
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import weld_loops

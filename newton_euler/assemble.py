@@ -10,7 +10,7 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.couplings import couplings, residuals
 from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import AssemblyError, MechanismError
-from newton_euler.integrators.stabilize import project_position, project_velocity
+from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.forces import PointSpring
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import Scene

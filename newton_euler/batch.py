@@ -1,4 +1,4 @@
-"""Many runs of one scene, over threads: native code lets go of Python's lock."""
+"""Batches: many runs of one scene, over threads, for native code lets go of Python's lock."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
+from newton_euler.compiled import PAPER_ALPHA
 from newton_euler.conversion import check, coordinates
 from newton_euler.errors import OptionError, UnknownNameError, is_count
-from newton_euler.integrators.integrate import Options
-from newton_euler.integrators.stabilize import PAPER_ALPHA
+from newton_euler.integrators.options import Options, StepControl
+from newton_euler.integrators.outputs import named
+from newton_euler.integrators.run import Integrator, load
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError, Trajectory
@@ -23,16 +25,16 @@ from newton_euler.scalars import Array
 from newton_euler.simulate import CompiledScene, native_trajectory
 
 PIECES = 8
-"""Into how many pieces a thread's share is cut, so that no thread waits long for the last one."""
+"""Number of pieces of a thread's share, so that no thread waits long for the last one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Batch(Sequence[Trajectory]):
-    """Runs of one scene; `batch[k]` is the trajectory of run k, or raises what ended it.
+    """Runs of one scene; `batch[k]` is the trajectory of run k, or raises the error that ended it.
 
     Attributes:
         wall_time: s, of all runs together.
-        errors: what ended runs that could not go on, by number of the run.
+        errors: of runs that could not go on, by number of the run.
     """
 
     scene: Scene
@@ -52,20 +54,18 @@ class Batch(Sequence[Trajectory]):
         number = range(len(self))[run]
         if number in self.errors:
             raise self.errors[number]
-        from newton_euler.integrators.outputs import named
-
         arrays = named(self._compiled, self._results[number])
         settings = self.settings | self._counts[number]
         return native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
 
     def stacked(self, name: str) -> Array:
-        """An array of all runs at all times, without a copy: `position` is (runs, n, b, 3).
+        """Return an array of all runs at all times, without a copy: `position` is (runs, n, b, 3).
 
         Not a number in runs that could not go on. Quaternions are as they were computed, whose sign may
         change from one time to the next; a trajectory's does not.
 
         Raises:
-            UnknownNameError: for what the scene does not ask for.
+            UnknownNameError: for an array that the scene does not ask for.
         """
         places = self._compiled.arrays
         if name not in places:
@@ -84,23 +84,20 @@ def simulate_batch(
     threads: int | None = None,
     formulation: str = "relative",
     integrator: str = "DOP853",
-    rtol: float = 1e-10,
-    atol: float = 1e-12,
-    step: float | None = None,
     stabilization: str = "projection",
     alpha: float = PAPER_ALPHA,
-    most_steps: int | None = None,
+    **control: Unpack[StepControl],
 ) -> Batch:
     """Run a scene many times, from other states or with other parameters; compiled once.
 
     Results do not depend on the number of threads.
 
     Args:
-        scene: what to run.
-        states: initial states, one a run; the scene's own for all if not given.
-        parameters: values, one a run, by name; see `newton_euler.parameters`.
-        threads: how many; as many as there are processors if not given.
-        formulation, integrator, rtol, atol, step, stabilization, alpha, most_steps: as of `simulate`.
+        scene: the scene of all runs.
+        states: initial states, one per run; the scene's own for all if not given.
+        parameters: values, one per run, by name; see `newton_euler.parameters`.
+        threads: their number; that of the processors if not given.
+        formulation, integrator, stabilization, alpha, control: as of `simulate`.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, state or value; a run that
@@ -108,11 +105,9 @@ def simulate_batch(
     """
     from concurrent.futures import ThreadPoolExecutor
 
-    from newton_euler.integrators.run import March, load
-
-    options = Options(integrator, rtol, atol, step, most_steps)
+    options = Options(integrator, **control)
     if not isinstance(parameters, Mapping | None):
-        raise OptionError("parameters", _short(parameters), "values, one a run, by name")
+        raise OptionError("parameters", _short(parameters), "values, one per run, by name")
     parameters = dict(parameters or {})
     if scene.sampled:
         raise OptionError("control", scene.sampled[0], "no sampled controller: Python would run in every run")
@@ -127,17 +122,17 @@ def simulate_batch(
     stopped: list[bool] = []
 
     def run(piece: tuple[int, int]) -> None:
-        march = March(compiled, times, options, stopped)
+        own = Integrator(compiled, times, options, stopped)
         for k in range(*piece):
             if stopped:
                 return
             try:
-                march(starts[k])
-                march.outputs(results[k])
+                own(starts[k])
+                own.outputs(results[k])
             except IntegrationError as error:
                 errors[k] = error
                 results[k] = np.nan
-            counts[k] = march.counted
+            counts[k] = own.counted
 
     edges = np.linspace(0, len(starts), min(len(starts), PIECES * workers) + 1).astype(int)
     start = time.perf_counter()
@@ -157,7 +152,7 @@ def simulate_batch(
 
 
 def _short(value: object) -> str:
-    """What an error says of a value that may be long."""
+    """Abbreviate a value that may be long, for a message."""
     return f"{value!r:.100}"
 
 
@@ -172,15 +167,15 @@ def _threads(threads: int | None) -> int:
 def _starts(
     compiled: CompiledScene, states: Sequence[State] | None, parameters: Mapping[str, Sequence[Any]]
 ) -> Array:
-    """x (runs, inputs) of all runs."""
+    """Pack x (runs, inputs) of all runs."""
     scene = compiled.scene
     series = dict(parameters) if states is None else {**parameters, "states": states}
     for name, each in series.items():
         if not hasattr(each, "__len__"):
-            raise OptionError(name, _short(each), "a sequence, one a run")
+            raise OptionError(name, _short(each), "a sequence, one value per run")
     lengths = {name: len(values) for name, values in series.items()}
     if not lengths or min(lengths.values()) < 1 or len(set(lengths.values())) > 1:
-        raise OptionError("states and parameters", lengths, "one state or value a run, of one length")
+        raise OptionError("states and parameters", lengths, "one state or value per run, of one length")
     count = next(iter(lengths.values()))
     starts = np.tile(compiled.start, (count, 1))
     if states is not None:

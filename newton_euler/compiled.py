@@ -1,7 +1,7 @@
 """A scene compiled: its equations traced, pruned to what is wanted, and turned into native code.
 
-All functions take one vector x = (q, v, time, parameters) and write one vector. Those that steppers
-call follow the conventions of `newton_euler.integrators.march`.
+All functions take one vector x = (q, v, time, parameters) and write one vector. Those that methods of
+integration call are as `newton_euler.integrators.stepper.Equations` says.
 """
 
 from __future__ import annotations
@@ -25,9 +25,7 @@ from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, m
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import RowsInUse, least_squares
 from newton_euler.equations.system import at_time
-from newton_euler.errors import UnknownNameError
-from newton_euler.integrators.march import ANGLE, OPEN_TOLERANCE, QUATERNION, QUATERNION_WITH_RATES
-from newton_euler.integrators.stabilize import PAPER_ALPHA, baumgarte_alpha
+from newton_euler.errors import OptionError, UnknownNameError, check_choice, is_finite_number
 from newton_euler.model.scene import Scene
 from newton_euler.parameters import parameter_values, place_of, with_values
 from newton_euler.scalars import Array, Scalar, minimum
@@ -46,8 +44,26 @@ FORMULATIONS: dict[str, type[Relative] | type[Cartesian]] = {
 }
 
 
+STABILIZATIONS = ("projection", "baumgarte", "none")
+
+PAPER_ALPHA = 10.0
+"""The paper's choice for K_D = 2 alpha, K_P = alpha^2 (Appendix B), 1/s."""
+
+OPEN_TOLERANCE = 1e-9
+"""Sizes of the mechanism, or rad, that a constraint may stay open after projection."""
+
+
+def baumgarte_alpha(stabilization: str, alpha: float) -> float:
+    """Return the alpha that equations take under a stabilization; raises `OptionError` for impossible
+    ones."""
+    if not is_finite_number(alpha) or alpha < 0.0:
+        raise OptionError("alpha", alpha, "a number of 1/s, zero or more")
+    check_choice("stabilization", stabilization, STABILIZATIONS)
+    return alpha if stabilization == "baumgarte" else 0.0
+
+
 def formulate(scene: Scene, formulation: str = "relative", alpha: float = 0.0) -> Formulation:
-    """Equations of motion of a scene in one of the `FORMULATIONS`; alpha is Baumgarte's, 1/s."""
+    """Return the equations of motion of a scene in one of the `FORMULATIONS`; alpha is Baumgarte's, 1/s."""
     if formulation not in FORMULATIONS:
         raise UnknownNameError("formulation", formulation, tuple(FORMULATIONS))
     return FORMULATIONS[formulation](scene, alpha)
@@ -57,16 +73,16 @@ class Code:
     """Native functions of one formulation of a scene. Each is traced and compiled when first needed.
 
     Attributes:
-        scene: what was compiled.
+        scene: that was compiled.
         system: its formulation, whose float form is the reference.
         formulation, stabilization, alpha: as asked for.
         parameters: names of the parameters that are inputs of the code, with their shapes.
         size: length of (q, v).
         inputs: length of (q, v, time, parameters).
-        programs: what has been traced, by name: derivative, position, velocity, rate, jacobian, output,
+        programs: traced so far, by name: derivative, position, velocity, rate, jacobian, output,
             measured, surface.
-        functions: the same in native code.
-        trace_time, compile_time: s that it took so far; loading from the cache counts as compiling.
+        functions: native code made or loaded so far, by the same names.
+        trace_time, compile_time: s taken so far; loading from the cache counts as compiling.
     """
 
     def __init__(
@@ -125,27 +141,8 @@ class Code:
         layout = self.function("output").layout
         return {name: (slice(start, stop), tuple(shape)) for name, (start, stop, shape) in layout.items()}
 
-    def marks(self, integrator: str) -> Array:
-        """(size,) marks of angles and Euler parameters, see `newton_euler.integrators.march`, else 0.
-
-        Norms that Baumgarte's method governs are its own, but for those that Euler's method leaves behind.
-        """
-        marked = np.zeros(self.size)
-        marked[self.system.uncounted_angles] = ANGLE
-        cartesian = isinstance(self.system, Cartesian)
-        if not (cartesian and self.stabilization == "baumgarte" and integrator != "Euler"):
-            starts = [place.start for place in self.system.quaternions]
-            marked[starts] = QUATERNION_WITH_RATES if cartesian else QUATERNION
-        return marked
-
-    def needed(self, integrator: str) -> list[str]:
-        """Names of the functions that a run needs."""
-        names = ["derivative", "output"] + ["position", "velocity"] * self.projects
-        names += {"Euler": ["rate"], "Radau": ["jacobian"]}.get(integrator, [])
-        return names + ["measured"] * bool(self.scene.sampled)
-
     def function(self, name: str) -> NativeFunction:
-        """One of the functions, traced and compiled if it has not been."""
+        """Return one of the functions, traced and compiled when first needed."""
         if name not in self.functions:
             identity = self._identity and f"{self._identity} {name}"
             start, traced = time.perf_counter(), self.trace_time
@@ -154,7 +151,7 @@ class Code:
         return self.functions[name]
 
     def program(self, name: str) -> Program:
-        """One of the programs, traced if it has not been."""
+        """Return one of the programs, traced when first needed."""
         if name not in self.programs:
             start = time.perf_counter()
             self.programs[name] = self._trace(name)
@@ -162,14 +159,14 @@ class Code:
         return self.programs[name]
 
     def _traced(self, name: str) -> Traced:
-        """One of the programs with its layout."""
+        """Return one of the programs with its layout."""
         group = next((group for group in SIDE_BY_SIDE if name in group), ())
         many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
         return Traced(self.program(name), many, self._layouts.get(name))
 
     @cached_property
     def _identity(self) -> str | None:
-        """Everything that programs depend on, see `fingerprint`."""
+        """Fingerprint of everything that programs depend on."""
         chosen: list[Any] = [self.formulation, self.stabilization, self._alpha, tuple(self.parameters)]
         if self._independent is not None:
             chosen.append(tuple(self._independent))
@@ -177,7 +174,7 @@ class Code:
 
     @cached_property
     def _decided(self) -> tuple[RowsInUse, bool, tuple[NearlyRedundant, ...]]:
-        """Rows in use, whether multipliers are not unique, and what is nearly redundant."""
+        """Rows in use; True if multipliers are not unique; nearly redundant constraints."""
         key = self._identity and cache_key(self._identity, "rows")
         stored = read_cache(key) if key else None
         if stored is not None:
@@ -208,7 +205,7 @@ class Code:
 
     @property
     def nearly_redundant(self) -> tuple[NearlyRedundant, ...]:
-        """Constraints that are almost redundant, and how they are taken."""
+        """Constraints that are almost redundant, and their treatment."""
         return self._decided[2]
 
     @property
@@ -224,12 +221,12 @@ class Code:
         return sorted(set(range(len(self.system.phi_units))) - set(self.rows.numbers))
 
     def packed(self, q: Array, v: Array, time: float = 0.0, values: dict[str, Array] | None = None) -> Array:
-        """x (inputs,) for native functions; parameters not in `values` are the scene's own."""
+        """Pack x (inputs,) for native functions; parameters not in `values` are the scene's own."""
         own = parameter_values(self.scene, self.parameters) | (values or {})
         return np.concatenate([q, v, [time], *(np.ravel(own[name]) for name in self.parameters)])
 
     def float_system(self, x: Array) -> Formulation:
-        """The float form at the time and the parameters in x (inputs,)."""
+        """Return the float form at the time and the parameters in x (inputs,)."""
         system = self.system
         if self.parameters:
             scene = with_values(self.scene, self._values(x))
@@ -238,7 +235,7 @@ class Code:
         return at_time(system, x[self.size])
 
     def place(self, parameter: str) -> int:
-        """Place where a parameter begins in x (inputs,)."""
+        """Return the place where a parameter begins in x (inputs,)."""
         start = self.size + 1
         for name, shape in self.parameters.items():
             if name == parameter:
@@ -247,12 +244,28 @@ class Code:
         raise UnknownNameError("parameter", parameter, tuple(self.parameters))
 
     def _values(self, x: Array) -> dict[str, Any]:
-        """The parameters in x (inputs,), by name."""
+        """Return the parameters in x (inputs,), by name."""
         values = {}
         for name, shape in self.parameters.items():
             start = self.place(name)
             values[name] = x[start : start + int(np.prod(shape))].reshape(shape) if shape else x[start]
         return values
+
+    def surface(self, x: Array) -> tuple[Array, Array, Array, Array]:
+        """Evaluate Phi (k,), dPhi/dt (k,), Phi_q (k, nv) and M (nv, nv) at x (inputs,), dense.
+
+        Rows that are taken as redundant are zero.
+        """
+        function = self.function("surface")
+        values, k, n = function(x), len(self.system.phi_units), self.system.nv
+        jacobian, mass = np.zeros((k, n)), np.zeros((n, n))
+        on_jacobian, on_mass = (np.array(places, dtype=int).reshape(-1, 2) for places in function.layout)
+        end = 2 * k + len(on_jacobian)
+        jacobian[tuple(on_jacobian.T)] = values[2 * k : end]
+        mass[tuple(on_mass.T)] = values[end:]
+        for omitted in (values[:k], values[k : 2 * k], jacobian):
+            omitted[self.omitted] = 0.0
+        return values[:k], values[k : 2 * k], jacobian, mass
 
     @cached_property
     def start(self) -> Array:
@@ -274,12 +287,12 @@ class Code:
         return graph.prune(scalars)
 
     def _trace_derivative(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """(qdot, vdot, health)."""
-        acceleration, health = system.sparse_acceleration(q, v, self.rows)
-        return [*system.rate(q, v), *acceleration, minimum(health, 1.0)]
+        """Trace (qdot, vdot, pivot ratio)."""
+        acceleration, pivot_ratio = system.sparse_acceleration(q, v, self.rows)
+        return [*system.rate(q, v), *acceleration, minimum(pivot_ratio, 1.0)]
 
     def _trace_jacobian(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """(n, n) derivative of (qdot, vdot) by (q, v), row by row."""
+        """Trace the derivative (n, n) of (qdot, vdot) by (q, v), row by row."""
         if self.size == 0:
             return []
         acceleration, _ = system.sparse_acceleration(q, v, self.rows)
@@ -287,18 +300,23 @@ class Code:
         return list(differentiate(q[0].graph, rates, [*q, *v]).ravel())
 
     def _trace_rate(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """qdot."""
+        """Trace qdot."""
         return [*system.rate(q, v)]
 
     def _trace_position(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """(q after one Newton step, v, squared residual before it, health)."""
+        """Trace (q after one Newton step, v, squared residual before it, pivot ratio)."""
         norms = [q[place] @ q[place] - 1.0 for place in system.quaternions]
         q = system.retract(q, np.zeros(system.nv))  # quaternions of norm 1
-        phi, step, health = self._correction(system, q, None)
-        return [*system.retract(q, -step), *v, self._open(phi) + sum(norm * norm for norm in norms), health]
+        phi, step, pivot_ratio = self._correction(system, q, None)
+        return [
+            *system.retract(q, -step),
+            *v,
+            self._open(phi) + sum(norm * norm for norm in norms),
+            pivot_ratio,
+        ]
 
     def _open(self, phi: Array) -> Scalar:
-        """Square of dimensionless residuals (k,); rows that are omitted may open by more than the others."""
+        """Square dimensionless residuals (k,); rows that are omitted may open by more than the others."""
         weights = np.ones(len(phi))
         if self.omitted:
             weights[self.omitted] = OPEN_TOLERANCE / loosely_closed(self.scene.redundancy_tolerance)
@@ -306,12 +324,12 @@ class Code:
         return weighted @ weighted
 
     def _trace_velocity(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """(q, v on the constraints, squared residual of positions, health)."""
-        phi, step, health = self._correction(system, q, v)
-        return [*q, *(v - step), self._open(phi), health]
+        """Trace (q, v on the constraints, squared residual of positions, pivot ratio)."""
+        phi, step, pivot_ratio = self._correction(system, q, v)
+        return [*q, *(v - step), self._open(phi), pivot_ratio]
 
     def _correction(self, system: Formulation, q: Array, v: Array | None) -> tuple[Array, Array, Scalar]:
-        """Residuals, the least step (nv,) that removes them or their rate at v, and its health; all
+        """Find residuals, the least step (nv,) that removes them or their rate at v, and its pivot ratio; all
         dimensionless but the step."""
         units = system.velocity_units
         phi, jacobian = system.phi_and_jacobian(q)
@@ -324,11 +342,15 @@ class Code:
         if v is not None:
             opening = (system.phi_t() / system.phi_units)[self.rows.numbers]
             right = opening + [sum(x * (v[k] / units[k]) for k, x in row.items()) for row in rows]
-        step, health = least_squares(rows, right)
-        return phi, np.array([units[k] * step.get(k, 0.0) for k in range(system.nv)]), minimum(health, 1.0)
+        step, pivot_ratio = least_squares(rows, right)
+        return (
+            phi,
+            np.array([units[k] * step.get(k, 0.0) for k in range(system.nv)]),
+            minimum(pivot_ratio, 1.0),
+        )
 
     def _trace_surface(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """(Phi, dPhi/dt, nonzeros of Phi_q, nonzeros of M); the layout has their rows and columns."""
+        """Trace (Phi, dPhi/dt, nonzeros of Phi_q, nonzeros of M); the layout has their rows and columns."""
         phi, jacobian = system.phi_and_jacobian(q)
         rates = [sum(x * v[k] for k, x in row.items()) for row in jacobian]
         scalars = [*phi, *(np.array(rates) + system.phi_t())]
@@ -340,8 +362,9 @@ class Code:
         return scalars
 
     def _trace_output(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """The arrays that the scene asks for, one after the other; the layout has their places and shapes."""
-        e, health = system.sparse_evaluation(q, v, self.rows)
+        """Trace the arrays that the scene asks for, one after the other; the layout has their places,
+        shapes."""
+        e, pivot_ratio = system.sparse_evaluation(q, v, self.rows)
         wanted = self.scene.outputs
         arrays: dict[str, Any] = {"position": e.state.position, "quaternion": e.state.quaternion}
         if "velocities" in wanted:
@@ -359,7 +382,7 @@ class Code:
         if "violation" in wanted or self.stabilization != "projection":
             arrays["phi"] = system.joint_phi(q)
         if "reactions" in wanted:
-            arrays["health"] = np.array(minimum(health, 1.0))
+            arrays["pivot_ratio"] = np.array(minimum(pivot_ratio, 1.0))
         places: dict[str, tuple[int, int, tuple[int, ...]]] = {}
         scalars: list[Scalar] = []
         for name, array in arrays.items():
@@ -369,6 +392,6 @@ class Code:
         return scalars
 
     def _trace_measured(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Coordinates of all control laws, then their rates."""
+        """Trace the coordinates of all control laws, then their rates."""
         seen = system.measure(q, v)
         return [*(x for x, _ in seen), *(rate for _, rate in seen)]

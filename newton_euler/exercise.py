@@ -19,8 +19,8 @@ from newton_euler.equations.redundancy import constraint_rank
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import AssemblyError
+from newton_euler.integrators.projection import worst_joint
 from newton_euler.integrators.run import Projection
-from newton_euler.integrators.stabilize import worst_joint
 from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Key

@@ -1,4 +1,4 @@
-"""Scene in, Trajectory out."""
+"""Runs of scenes: simulate, compile for many runs, and trajectories from what the runs evaluated."""
 
 from __future__ import annotations
 
@@ -7,19 +7,21 @@ import time
 import warnings
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
 from newton_euler.assemble import initial_state
-from newton_euler.compiled import FORMULATIONS, Code
+from newton_euler.compiled import FORMULATIONS, PAPER_ALPHA, Code, baumgarte_alpha
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.redundancy import mobility, other_rows
 from newton_euler.equations.system import Evaluation, System, at_time
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, check_choice
-from newton_euler.integrators.integrate import Options, integrate
-from newton_euler.integrators.sampling import holding, intervals, sample
-from newton_euler.integrators.stabilize import PAPER_ALPHA, baumgarte_alpha
+from newton_euler.integrators.interpreted import integrate
+from newton_euler.integrators.options import Options, StepControl
+from newton_euler.integrators.outputs import time_function
+from newton_euler.integrators.run import load
+from newton_euler.integrators.sampling import holding, integrate_sampled, intervals, sample
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -37,29 +39,26 @@ def simulate(
     scene: Scene,
     formulation: str = "relative",
     integrator: str = "DOP853",
-    rtol: float = 1e-10,
-    atol: float = 1e-12,
-    step: float | None = None,
+    *,
     stabilization: str = "projection",
     alpha: float = PAPER_ALPHA,
-    most_steps: int | None = None,
+    **control: Unpack[StepControl],
 ) -> Trajectory:
     """Run a scene with this package's own equations, in native code.
 
     Args:
-        scene: what to run.
+        scene: a mechanism with its surroundings, start and duration.
         formulation: "relative" (joint coordinates) or "cartesian" (the paper's equation 21).
         integrator: "DOP853", "Radau", "RK4" or "Euler" (semi-implicit).
-        rtol, atol: error control of the first two.
-        step: s, of the last two.
         stabilization: "projection", "baumgarte" or "none".
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
-        most_steps: after which an adaptive method gives up; see `newton_euler.integrators.integrate.Options`.
+        control: of steps: rtol and atol of the first two integrators, step (s) of the last two, most_steps;
+            see `newton_euler.integrators.options.Options`.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
     """
-    options = Options(integrator, rtol, atol, step, most_steps)
+    options = Options(integrator, **control)
     check_choice("formulation", formulation, FORMULATIONS)
     baumgarte_alpha(stabilization, alpha)
     return _compiled(scene, formulation, stabilization, float(alpha))._run(options)
@@ -81,12 +80,11 @@ def compile_scene(
     """Trace and compile a scene, for many runs; arguments as of `simulate`.
 
     Args:
-        parameters: names of what may differ from run to run, see `newton_euler.parameters`.
+        parameters: names of quantities that may differ from run to run, see `newton_euler.parameters`.
 
     Raises:
         NewtonEulerError: for an unknown name or an impossible option.
     """
-    from newton_euler.integrators.run import load
 
     check_choice("formulation", formulation, FORMULATIONS)
     if not isinstance(parameters, list | tuple) or not all(isinstance(name, str) for name in parameters):
@@ -101,11 +99,11 @@ class CompiledScene(Code):
 
     @cached_property
     def _others(self) -> dict[tuple[int, ...], CompiledScene]:
-        """The same with other constraint rows, by these."""
+        """Code with other constraint rows, by these."""
         return {}
 
     def with_scene(self, scene: Scene) -> CompiledScene:
-        """The same code for a scene that differs in parameters, controllers and duration alone."""
+        """Return the same code for a scene that differs in parameters, controllers and duration alone."""
         _ = self._decided  # once for all
         other = copy.copy(self)
         other.scene = scene
@@ -116,16 +114,13 @@ class CompiledScene(Code):
     def simulate(
         self,
         integrator: str = "DOP853",
-        rtol: float = 1e-10,
-        atol: float = 1e-12,
-        step: float | None = None,
-        most_steps: int | None = None,
+        **control: Unpack[StepControl],
     ) -> Trajectory:
         """Run the scene; arguments and errors as of `newton_euler.simulate`."""
-        return self._run(Options(integrator, rtol, atol, step, most_steps))
+        return self._run(Options(integrator, **control))
 
     def linearize(self, state: State) -> Array:
-        """(n, n) derivative of (qdot, vdot) by (q, v) at a state, from the traced derivatives.
+        """Evaluate the derivative (n, n) of (qdot, vdot) by (q, v) at a state, from the traced derivatives.
 
         The work, which nothing depends on, is left out of q.
         Constraints are eliminated: for independent coordinates restrict it to motions that keep the
@@ -138,8 +133,7 @@ class CompiledScene(Code):
         return np.delete(np.delete(jacobian, work, axis=0), work, axis=1)
 
     def repeat(self, count: int, q: Array, v: Array) -> float:
-        """s that `count` right-hand sides at one state q, v take, called from native code."""
-        from newton_euler.integrators.outputs import time_function
+        """Measure the time, s, of `count` right-hand sides at one state q, v, called from native code."""
 
         return time_function(self.function("derivative"), self.packed(q, v), count)
 
@@ -150,13 +144,11 @@ class CompiledScene(Code):
 
     def _try(self, options: Options, choices: int) -> Trajectory:
         """Run the scene, again with other constraint rows where those in use degenerate on the way."""
-        from newton_euler.integrators.run import load
-        from newton_euler.integrators.sampling import march_sampled
 
         load(self, options.integrator)
         x = self.start.copy()
         start = time.perf_counter()
-        arrays, counts, stopped = march_sampled(self, x, options)
+        arrays, counts, stopped = integrate_sampled(self, x, options)
         wall_time = time.perf_counter() - start
         settings: dict[str, Any] = {"formulation": self.formulation, "stabilization": self.stabilization}
         if self.stabilization == "baumgarte":
@@ -172,7 +164,7 @@ class CompiledScene(Code):
         raise stopped
 
     def _with_other_rows(self, arrays: dict[str, Array]) -> CompiledScene | None:
-        """The same scene with rows that stay independent at the poses of a run that stopped, if there are."""
+        """Return code with rows that stay independent at the poses of a run that stopped, if there are."""
         poses = zip(arrays.get("position", ()), arrays.get("quaternion", ()), strict=True)
         still = np.zeros((len(self.scene.mechanism.bodies), 3))
         used = mobility(self.scene).independent if self._independent is None else self._independent
@@ -188,8 +180,8 @@ class CompiledScene(Code):
 def native_trajectory(
     scene: Scene, settings: dict[str, Any], wall_time: float, arrays: dict[str, Array]
 ) -> Trajectory:
-    """The trajectory of a run in native code from what `newton_euler.integrators.run.outputs` gave."""
-    arrays.pop("health", None)
+    """Return the trajectory of a run in native code from its outputs by name."""
+    arrays.pop("pivot_ratio", None)
     if "violation" in scene.outputs:
         arrays["constraint_violation"] = _by_joint(scene, arrays["phi"])
     arrays.pop("phi", None)  # runs without projection have it to be checked
@@ -197,7 +189,7 @@ def native_trajectory(
 
 
 def _by_joint(scene: Scene, phi: Array) -> Array:
-    """(n, j) largest residual of each joint out of all residuals (n, k); a gear's are its follower's."""
+    """Find the largest residual (n, j) of each joint among all (n, k); a gear's are its follower's."""
     mechanism = scene.mechanism
     owners = [k for k, equations in enumerate(mechanism.equations) for _ in range(equations.count)]
     owners += [mechanism.joint_index(coupling.joint) for coupling in couplings(scene)]
@@ -261,14 +253,14 @@ def trajectory_from(
     phi: list[Array],
     stopped: StoppedError | None = None,
 ) -> Trajectory:
-    """The trajectory of a scene from an engine's evaluations at the output times.
+    """Build the trajectory of a scene from an engine's evaluations at the output times.
 
     Args:
         phi: residuals (k,) of all joints and then all couplings at each of them, m or rad.
 
     Raises:
         IntegrationError: for numbers that are not finite, with the trajectory before them.
-        `stopped`: what ended the run after these evaluations, if something did, with their trajectory.
+        `stopped`: the error that ended the run after these evaluations, if one did, with their trajectory.
     """
     states = [evaluation.state for evaluation in evaluations]
     optional: dict[str, dict[str, Any]] = {

@@ -77,13 +77,13 @@ BREAKS = {
         "pendulum",
     ),
     "a weight of RK4 off by 2e-7": (
-        "newton_euler/integrators/fixed.py",
+        "newton_euler/integrators/fixed_step.py",
         "weight = h / 6.0 if",
         "weight = h / 6.000001 if",
         "pendulum",
     ),
     "a projection that leaves joints open by 1e-6": (
-        "newton_euler/integrators/stabilize.py",
+        "newton_euler/integrators/projection.py",
         "ROUND_OFF = 16.0 * np.finfo(float).eps",
         "ROUND_OFF = 1e-6",
         "pendulum",

@@ -21,7 +21,7 @@ from newton_euler.equations.dense import rank
 from newton_euler.equations.redundancy import constraint_rank, loop_rank, mobility, rows_left_out
 from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.errors import SingularityError
-from newton_euler.integrators.stabilize import joint_residuals
+from newton_euler.integrators.projection import joint_residuals
 from newton_euler.model.euler_parameters import from_rotation
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Rod

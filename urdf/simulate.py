@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from newton_euler.integrators.integrate import Options
-from newton_euler.integrators.stabilize import PAPER_ALPHA, baumgarte_alpha
+from newton_euler.compiled import PAPER_ALPHA, baumgarte_alpha
+from newton_euler.integrators.options import Options
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.simulate import run
@@ -30,7 +30,7 @@ def simulate(
         step: s, of the last two.
         stabilization: "projection" after each step, "baumgarte" (Pinocchio's own corrector gains) or "none".
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
-        most_steps: after which an adaptive method gives up; see `newton_euler.integrators.integrate.Options`.
+        most_steps: after which an adaptive method gives up; see `newton_euler.integrators.options.Options`.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.

@@ -14,7 +14,7 @@ import numpy as np
 
 from crosscheck.advice.measured import Advice, Found, distance
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.stabilize import RK4_LIMIT
+from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.trajectory import Trajectory
 

@@ -22,7 +22,7 @@ from newton_euler.equations.balls import SPIN, ends
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.system import Evaluation
 from newton_euler.errors import AssemblyError
-from newton_euler.integrators.stabilize import project_position
+from newton_euler.integrators.projection import project_position
 from newton_euler.model.control import Law
 from newton_euler.model.forces import BallSpring, JointSpring
 from newton_euler.model.mechanism import Mechanism

@@ -33,7 +33,7 @@ from crosscheck.stiffness import explicit_steps, fastest_decay
 from newton_euler.assemble import initial_state
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
-from newton_euler.integrators.stabilize import RK4_LIMIT
+from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
 from newton_euler.verification.import_report import ImportReport
 

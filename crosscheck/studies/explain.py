@@ -23,7 +23,7 @@ from newton_euler.scalars import Array, Scalar, minimum
 ARRAYS = {
     "poses": ("position", "quaternion"),
     "velocities": ("linear_velocity", "angular_velocity"),
-    "reactions": ("reaction_force", "reaction_torque", "health"),
+    "reactions": ("reaction_force", "reaction_torque", "pivot_ratio"),
     "actuation": ("actuator_force",),
     "violation": ("phi",),
     "energy": ("kinetic_energy", "potential_energy"),

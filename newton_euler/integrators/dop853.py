@@ -1,4 +1,4 @@
-"""Runge-Kutta of order 8 with error estimates of orders 5 and 3 and dense output of order 7.
+"""DOP853: Runge-Kutta of order 8 with error estimates of orders 5 and 3 and dense output of order 7.
 
 The pair of Dormand and Prince in the form DOP853: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary
 Differential Equations I, second edition, Springer 1993, section II.5 (step) and II.6 (dense output).
@@ -10,8 +10,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import sqrt
 
-from newton_euler.codegen.native import Record, Vector, native
-from newton_euler.integrators.march import Equations, evaluate
+from newton_euler.codegen.native import Callback, Record, Vector, native
+from newton_euler.integrators.projection import begin_adaptive, finish_step, project_rows
+from newton_euler.integrators.singular import HOP, HOPS, NEAR, UNSAFE, crossing_factor, evaluate
+from newton_euler.integrators.stepper import (
+    DONE,
+    HUGE,
+    REACHED,
+    REJECTED,
+    STEPS,
+    Equations,
+    Table,
+    before_step,
+    keep_norms,
+)
 
 STAGES = 12
 """Stages of a step; stage 12 is the derivative at its end, stages 13 to 15 serve dense output."""
@@ -86,6 +98,15 @@ DENSE = (
 """Weights of stages 0 to 15 in the last four terms of the dense output, sixteen a row."""
 # fmt: on
 
+SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
+"""Factors of the step-size control, as in scipy."""
+
+EXPONENT = -1.0 / 8.0
+"""Of the error in the factor for the next step."""
+
+FAILED = 1e10
+"""Stands for the error of a step that could not be evaluated or projected."""
+
 
 @dataclass(frozen=True, eq=False)
 class Dop853(Record):
@@ -114,7 +135,8 @@ class Dop853(Record):
 
 @native
 def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> int:
-    """Stage s of a step of size h, its state in `at` and its derivative into row s of k; returns a status."""
+    """Evaluate stage s of a step of size h: its state in `at`, its derivative in row s of k; returns a
+    status."""
     n = system.n
     k = method.k
     for i in range(n):
@@ -133,7 +155,7 @@ def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> in
 
 @native
 def error_norm(n: int, h: float, method: Dop853) -> float:
-    """The error of a step in units of the tolerance, root mean square."""
+    """Estimate the error of a step in units of the tolerance, root mean square."""
     now = method.now
     end = method.end
     k = method.k
@@ -155,7 +177,7 @@ def error_norm(n: int, h: float, method: Dop853) -> float:
 
 @native
 def prepare_dense(n: int, h: float, method: Dop853) -> None:
-    """The terms of the dense output of a step, all sixteen stages known."""
+    """Work out the terms of the dense output of a step, all sixteen stages known."""
     k = method.k
     terms = method.terms
     last = (n + 1) * STAGES
@@ -180,7 +202,7 @@ def prepare_dense(n: int, h: float, method: Dop853) -> None:
 
 @native
 def interpolate(count: int, n: int, share: float, method: Dop853, y: Vector) -> None:
-    """The first `count` of the n elements of the state at a share (0 to 1) of the step."""
+    """Interpolate the first `count` of the n elements of the state at a share (0 to 1) of the step."""
     terms = method.terms
     left = 1.0 - share
     w1 = share * left
@@ -193,3 +215,180 @@ def interpolate(count: int, n: int, share: float, method: Dop853, y: Vector) -> 
         low = share * terms[i] + w1 * terms[n + i] + w2 * terms[2 * n + i] + w3 * terms[3 * n + i]
         high = w4 * terms[4 * n + i] + w5 * terms[5 * n + i] + w6 * terms[6 * n + i]
         y[i] = method.now[i] + (low + high)
+
+
+@native
+def first_step(system: Equations, method: Dop853, span: float) -> float:
+    """Choose a first step size (Hairer, Norsett, Wanner, section II.4); k holds the derivative at `now`."""
+    n = system.n
+    now = method.now
+    at = method.at
+    k = method.k
+    d0 = 0.0
+    d1 = 0.0
+    for i in range(n):
+        scale = method.atol + method.rtol * abs(now[i])
+        d0 += (now[i] / scale) * (now[i] / scale)
+        d1 += (k[i] / scale) * (k[i] / scale)
+    d0 = sqrt(d0 / n)
+    d1 = sqrt(d1 / n)
+    h = min(1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1, span)
+    for i in range(n):
+        at[i] = now[i] + h * k[i]
+    at[n] = now[n] + h
+    evaluate(system, at, k[n + 1 :])
+    d2 = 0.0
+    for i in range(n):
+        scale = method.atol + method.rtol * abs(now[i])
+        change = (k[n + 1 + i] - k[i]) / scale
+        d2 += change * change
+    d2 = sqrt(d2 / n) / h
+    largest = max(d1, d2)
+    wanted = max(1e-6, 1e-3 * h) if largest <= 1e-15 else (0.01 / largest) ** 0.125
+    return min(min(100.0 * h, wanted), span)
+
+
+@native
+def error_on_constraints(n: int, h: float, closing: Callback, method: Dop853) -> float:
+    """Estimate the error of a step after projection; the projected end is left in row 13 of k.
+
+    Near a singular configuration multipliers have few digits. What they add to a state in vain is off
+    the constraints, and no step is short enough for it not to matter.
+    """
+    row = n + 1
+    at = method.at
+    end = method.end
+    k = method.k
+    closing(end, k[13 * row :])
+    if not k[13 * row + n] > 0.0:
+        return FAILED
+    at[n] = end[n]
+    for i in range(n):
+        five = 0.0
+        for j in range(STAGES + 1):
+            five += ERROR_5[j] * k[row * j + i]
+        at[i] = end[i] + h * five
+    closing(at, k[14 * row :])
+    for i in range(n):
+        three = 0.0
+        for j in range(STAGES + 1):
+            three += ERROR_3[j] * k[row * j + i]
+        at[i] = end[i] + h * three
+    closing(at, k[15 * row :])
+    if not min(k[14 * row + n], k[15 * row + n]) > 0.0:
+        return FAILED
+    fifth = 0.0
+    third = 0.0
+    for i in range(n):
+        scale = method.near_atol + method.near_rtol * max(abs(method.now[i]), abs(end[i]))
+        five = (k[14 * row + i] - k[13 * row + i]) / scale
+        three = (k[15 * row + i] - k[13 * row + i]) / scale
+        fifth += five * five
+        third += three * three
+    if fifth == 0.0 and third == 0.0:
+        return 0.0
+    return fifth / sqrt((fifth + 0.01 * third) * n)
+
+
+@native
+def write_outputs(system: Equations, table: Table, method: Dop853, due: int, h: float, near: int) -> int:
+    """Write rows of the table from `due` on that a step of size h has reached; returns a status."""
+    n = system.n
+    now = method.now
+    times = table.times
+    for s in range(STAGES + 1, 16):
+        status = stage(system, method, s, h, method.at)
+        if status != DONE:
+            return status
+    prepare_dense(n, h, method)
+    row = due
+    while row < table.count and times[row] <= now[n] + h:
+        state = table.states[n * row :]
+        interpolate(n if near == 1 else table.kept, n, (times[row] - now[n]) / h, method, state)
+        keep_norms(system, state, state)
+        row += 1
+    return project_rows(system, table, due, row, near, method.at)
+
+
+@native
+def integrate_dop853(system: Equations, table: Table, method: Dop853) -> int:
+    """Integrate `now` from the first time on and write the states at all times into the table."""
+    n = system.n
+    row = n + 1
+    now = method.now
+    end = method.end
+    k = method.k
+    times = table.times
+    counts = system.counts
+    status = begin_adaptive(system, table, now, k)
+    if status != DONE:
+        return status
+    stop = times[table.count - 1]
+    h = first_step(system, method, stop - now[n])
+    due = 1
+    growing = LARGEST
+    hops = 0
+    while due < table.count:
+        status = before_step(system, table, method.most, h, now)
+        if status != DONE:
+            return status
+        if now[n] + h > stop or stop - now[n] - h < 1e-3 * h:
+            h = stop - now[n]
+        pivot_ratio = HUGE
+        for s in range(1, STAGES + 1):
+            status = stage(system, method, s, h, end if s == STAGES else method.at)
+            if status != DONE:
+                break
+            pivot_ratio = min(pivot_ratio, k[row * s + n])
+        if pivot_ratio < UNSAFE and k[n] >= UNSAFE:
+            counts[REJECTED] += 1.0
+            h = HOP * h
+            continue
+        pivot_ratio = min(pivot_ratio, k[n])
+        error = FAILED
+        if status == DONE:
+            error = error_norm(n, h, method)
+            end[n] = now[n] + h
+        near = 0
+        if system.projecting == 1 and pivot_ratio < NEAR and status == DONE:
+            near = 1
+            error = min(error, error_on_constraints(n, h, system.closing, method))
+        if near == 1 and hops < HOPS:
+            shorter = SAFETY * error**EXPONENT if error > 1.0 else 1.0
+            wanted = crossing_factor(k[n], k[row * 9 + n], k[row * STAGES + n], shorter)
+            if wanted < 1.0:
+                counts[REJECTED] += 1.0
+                hops += 1
+                h = wanted * h
+                continue
+        if not error < 1.0:
+            counts[REJECTED] += 1.0
+            if status != DONE and h < 1e-10 * (stop - times[0]):
+                return status
+            h = h * max(SMALLEST, SAFETY * error**EXPONENT)
+            growing = 1.0
+            continue
+        counts[STEPS] += 1.0
+        hops = 0
+        if times[due] <= now[n] + h:
+            status = write_outputs(system, table, method, due, h, near)
+            if status != DONE:
+                return status
+            while due < table.count and times[due] <= now[n] + h:
+                due += 1
+        for i in range(n):
+            now[i] = end[i]
+        now[n] = now[n] + h
+        status = finish_step(system, near, now, end)
+        if status == DONE and system.projecting == 1:
+            status = evaluate(system, now, k)
+        if status != DONE:
+            return status
+        if system.projecting == 0:
+            for i in range(n + 1):
+                k[i] = k[row * STAGES + i]
+        factor = LARGEST if error == 0.0 else min(growing, SAFETY * error**EXPONENT)
+        h = h * max(SMALLEST, factor)
+        growing = LARGEST
+    counts[REACHED] = now[n]
+    return DONE

@@ -1,31 +1,96 @@
-"""What a scene asks for, worked out from the states of a march."""
+"""Outputs: the arrays that a scene asks for, evaluated natively from the states of a run."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from newton_euler.codegen.compile import NativeFunction
+from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.compiled import Code
 from newton_euler.equations.system import at_time
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators import march as m
-from newton_euler.integrators.stabilize import check_still_closed
+from newton_euler.integrators.projection import check_still_closed
 from newton_euler.model.trajectory import IntegrationError, check_finite
 from newton_euler.scalars import Array
 
 
+@dataclass(frozen=True, eq=False)
+class Rows(Record):
+    """A function of each state of a table.
+
+    Attributes:
+        count: of states.
+        n, inputs: lengths of a state, and of one with time and parameters.
+        m, lanes: numbers of results of the function and of states that it takes at once.
+        function: of states.
+        x: (inputs,) has the parameters.
+        times, states: (count,) and (count, n).
+        given, found: (inputs, lanes) and (m, lanes), scratch.
+    """
+
+    count: int
+    n: int
+    inputs: int
+    m: int
+    lanes: int
+    function: Callback
+    x: Vector
+    times: Vector
+    states: Vector
+    given: Vector
+    found: Vector
+
+
+@native
+def map_rows(rows: Rows, results: Vector) -> None:
+    """Evaluate results (count, m), the function of each row at its time, several rows at once."""
+    n = rows.n
+    m = rows.m
+    lanes = rows.lanes
+    for i in range(n + 1, rows.inputs):
+        for lane in range(lanes):
+            rows.given[lanes * i + lane] = rows.x[i]
+    row = 0
+    while row < rows.count:
+        for lane in range(lanes):
+            source = row + lane
+            if source >= rows.count:
+                source = rows.count - 1
+            state = rows.states[n * source :]
+            taken = rows.given[lane:]
+            for i in range(n):
+                taken[lanes * i] = state[i]
+            taken[lanes * n] = rows.times[source]
+        rows.function(rows.given, rows.found)
+        for lane in range(lanes):
+            if row + lane < rows.count:
+                result = results[m * (row + lane) :]
+                made = rows.found[lane:]
+                for j in range(m):
+                    result[j] = made[lanes * j]
+        row += lanes
+
+
+@native
+def repeat(count: int, function: Callback, x: Vector, y: Vector) -> None:
+    """Evaluate the same function of the same x again and again, for benchmarks."""
+    for _k in range(count):
+        function(x, y)
+
+
 @lru_cache
 def loops() -> NativeFunctions:
-    """Loops over states."""
-    return NativeFunctions([m.map_rows, m.repeat])
+    """Compile the loops over states, once."""
+    return NativeFunctions([map_rows, repeat])
 
 
 class Outputs:
-    """The arrays that a scene asks for at the times of a march, for as many runs of it as one likes.
+    """The arrays that a scene asks for at the output times, for as many runs as one likes.
 
     Attributes:
         shape: of the results of one run, (n, outputs).
@@ -37,7 +102,7 @@ class Outputs:
         self._code, self._times, self._x, self._table = code, times, x, table
         self.shape = (len(times), function.outputs)
         given, found = (np.empty((size, function.lanes)) for size in (code.inputs, function.outputs))
-        rows = m.Rows(
+        rows = Rows(
             count=len(times),
             n=code.size,
             inputs=code.inputs,
@@ -50,7 +115,7 @@ class Outputs:
             given=given,
             found=found,
         )
-        self._write = loops().bind(m.map_rows, rows)
+        self._write = loops().bind(map_rows, rows)
 
     def __call__(self, results: Array, rows: int | None = None) -> dict[str, Array]:
         """Write the results (n, outputs); returns views of them, of the first `rows` if given, by name.
@@ -74,8 +139,8 @@ class Outputs:
         return arrays
 
     def _settle_reactions(self, arrays: dict[str, Array]) -> None:
-        code, times, health = self._code, self._times, arrays["health"]
-        for row in range(len(health)) if code.redundant else np.flatnonzero(~(health > 0.0)):
+        code, times, pivot_ratio = self._code, self._times, arrays["pivot_ratio"]
+        for row in range(len(pivot_ratio)) if code.redundant else np.flatnonzero(~(pivot_ratio > 0.0)):
             system, state = at_time(code.float_system(self._x), float(times[row])), self._table[row]
             try:
                 evaluation = system.evaluate(state[: system.nq], state[system.nq :])
@@ -86,18 +151,18 @@ class Outputs:
 
 
 def named(code: Code, results: Array) -> dict[str, Array]:
-    """Views of results (n, outputs) by name."""
+    """Return views of results (n, outputs) by name."""
     return {
         name: results[:, place].reshape(len(results), *shape) for name, (place, shape) in code.arrays.items()
     }
 
 
 def time_function(function: NativeFunction, x: Array, count: int) -> float:
-    """s that a native function takes for `count` times the same x, in a native loop."""
+    """Measure the time, s, of a native function called `count` times for the same x, in a native loop."""
     lanes = function.lanes
     y = np.empty((function.outputs, lanes))
     x = np.repeat(np.asarray(x, dtype=float)[:, None], lanes, axis=1)
     module = loops()
     start = time.perf_counter()
-    module(m.repeat, -(-count // lanes), function, x, y)
+    module(repeat, -(-count // lanes), function, x, y)
     return time.perf_counter() - start

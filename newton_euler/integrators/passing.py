@@ -1,9 +1,4 @@
-"""scipy's DOP853 through singular configurations, as `newton_euler.integrators.adaptive` passes them.
-
-Accelerations lose digits with the cube of the distance to a configuration where the rank of the constraints
-drops, and error control alone shortens steps without end there. So a step is placed with no stage near by,
-and its error is that of what is left of it on the constraints.
-"""
+"""scipy's DOP853 through singular configurations, by the algorithm of `newton_euler.integrators.singular`."""
 
 from __future__ import annotations
 
@@ -17,29 +12,25 @@ from scipy.integrate import DOP853
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.equations.system import MassProperties, System, at_time, dimensionless_jacobian, opening
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.adaptive import (
+from newton_euler.integrators.dop853 import (
     EXPONENT,
-    HOPS,
     LARGEST,
     SAFETY,
-    crossing_factor,
+    STAGES,
+    Dop853,
     error_on_constraints,
 )
-from newton_euler.integrators.closing import Surface, close_by
-from newton_euler.integrators.dop853 import STAGES, Dop853
-from newton_euler.integrators.march import HOP, NEAR, UNSAFE
+from newton_euler.integrators.projection import Surface, close_by
+from newton_euler.integrators.singular import FAR, HOP, HOPS, NEAR, UNSAFE, crossing_factor
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
-
-FAR = 100.0 * NEAR
-"""Health at both ends above which the stages of a step are not looked at."""
 
 Rates = Callable[[float, Array], Array]
 
 
 class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
-    """DOP853 that hops over singular configurations."""
+    """DOP853 that places its steps across singular configurations."""
 
     h_abs: float
     h_previous: float
@@ -58,7 +49,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         """As scipy's, for the equations of a system, with its usual projection of a state at a time.
 
         `near` are rtol and atol next to singular configurations, see
-        `newton_euler.integrators.integrate.Options.near`.
+        `newton_euler.integrators.options.Options.near`.
         """
         self._system, self._project, self._tolerances = system, project, near
         self._masses = system.mass_properties()
@@ -83,15 +74,15 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         self._growth = LARGEST
         outcome = super()._step_impl()
         if outcome[0] and self._near:
-            self.h_abs = self.h_previous * max(self.h_abs / self.h_previous, self._growth)
+            self.h_abs = max(self.h_abs, self.h_previous * self._growth)
         return outcome
 
     def _jacobian(self, y: Array) -> Array:
         jacobian = dimensionless_jacobian(self._system, y[: self._system.nq])
         return without(jacobian, rows_left_out(self._system))
 
-    def _health(self, y: Array) -> float:
-        """1 at the best so far; near a singular configuration it falls with the square of the distance.
+    def _pivot_ratio(self, y: Array) -> float:
+        """Return 1 at the best state so far; it falls with the square of the distance to a singular one.
 
         By the smallest singular value that is not zero where no configuration is singular.
         """
@@ -103,7 +94,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         return found / self._best
 
     def project(self, t: float, y: Array) -> Array:
-        """A state of the last step on the constraints.
+        """Put a state of the last step on the constraints.
 
         Raises:
             IntegrationError: where it cannot be put there.
@@ -116,23 +107,24 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
             raise IntegrationError(t, f"projection fails: {error}") from error
 
     def _estimate_error_norm(self, k: Array, h: float, scale: Array) -> float:
-        """Of a step from `self.y` with the rates k (13, n) of its stages; what is too large shortens it.
+        """Estimate the error of a step from `self.y` with the rates k (13, n) of its stages.
 
         Near a singular configuration it is made just so large that the step is shortened to where it fits.
         """
         error = float(super()._estimate_error_norm(k, h, scale))
-        ends = self._health(self.y), self._health(self._states[-1])
+        ends = self._pivot_ratio(self.y), self._pivot_ratio(self._states[-1])
         self._near = False
         if min(ends) < FAR:
-            healths = np.array([self._health(y) for y in (self.y, *self._states)])
-            self._near = min(healths) < NEAR
+            ratios = [self._pivot_ratio(y) for y in (self.y, *self._states)]
+            self._near = min(ratios) < NEAR
         if not self._near:
             self._hops = 0
             return error
-        if min(healths[1:]) < UNSAFE <= healths[0]:
+        if min(ratios[1:]) < UNSAFE <= ratios[0]:
             return _error_for(HOP)
         error = min(error, self._error_on_constraints(k, h))
-        factor = crossing_factor(0, healths, error)
+        shorter = SAFETY * error**EXPONENT if error > 1.0 else 1.0
+        factor = crossing_factor(ratios[0], ratios[9], ratios[STAGES], shorter)
         if factor < 1.0 and self._hops < HOPS:
             self._hops += 1
             return _error_for(factor)
@@ -163,7 +155,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         return error_on_constraints(n, h, self._closing, method)
 
     def _closing(self, x: Array, y: Array) -> None:
-        """Projection near a singular configuration, in the form that steppers call."""
+        """Project near a singular configuration, in the form that native methods call."""
         n = len(x) - 1
         try:
             y[:n] = close_densely(self._system, self._masses, x[n], x[:n])
@@ -173,7 +165,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
 
 
 def close_densely(system: System, masses: MassProperties, t: float, y: Array) -> Array:
-    """`newton_euler.integrators.closing.close_by` for any system, with its masses, at a time."""
+    """Put a state at a time on the constraints as `close_by` does, for any system with its masses."""
     now, unused = at_time(system, t), rows_left_out(system)
 
     def surface(y: Array) -> Surface:
@@ -186,7 +178,7 @@ def close_densely(system: System, masses: MassProperties, t: float, y: Array) ->
 
 
 def mass_matrix(system: System, masses: MassProperties, q: Array) -> Array:
-    """(nv, nv) M of the bodies' kinetic energy 1/2 v^T M v, without rotors."""
+    """Assemble M (nv, nv) of the bodies' kinetic energy 1/2 v^T M v, without rotors."""
     motions = system.velocity_transformation(q).reshape(len(masses.mass), 6, system.nv)
     now = rotations(system.state(q, np.zeros(system.nv)).quaternion)
     before = rotations(np.array([body.quaternion for body in system.mechanism.bodies]))
@@ -198,5 +190,5 @@ def mass_matrix(system: System, masses: MassProperties, q: Array) -> Array:
 
 
 def _error_for(factor: float) -> float:
-    """The error for which scipy's step control takes a step that is shorter by a factor."""
+    """Return the error for which scipy's step control takes a step that is shorter by a factor."""
     return float((SAFETY / factor) ** (DOP853.error_estimator_order + 1))

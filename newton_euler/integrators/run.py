@@ -1,4 +1,4 @@
-"""Marches of compiled scenes: native steppers with the scene's native functions, no Python inside a step."""
+"""Runs of compiled scenes: native methods on the scene's native functions, no Python inside a step."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ import numpy as np
 
 from newton_euler.codegen.native import Record
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.compiled import Code, Formulation
-from newton_euler.errors import OptionError
-from newton_euler.integrators import march as m
-from newton_euler.integrators.adaptive import march_dop853
-from newton_euler.integrators.closing import close
-from newton_euler.integrators.collocation import Radau
-from newton_euler.integrators.dop853 import Dop853
-from newton_euler.integrators.failure import failure
-from newton_euler.integrators.fixed import RungeKutta4, SemiImplicitEuler, march_euler, march_rk4
-from newton_euler.integrators.integrate import Options
+from newton_euler.compiled import OPEN_TOLERANCE, Code, Formulation
+from newton_euler.equations.applied_forces import strongest
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.dense import singular_values
+from newton_euler.equations.system import blamed, dimensionless_jacobian
+from newton_euler.errors import NewtonEulerError, OptionError
+from newton_euler.integrators import stepper as m
+from newton_euler.integrators.dop853 import Dop853, integrate_dop853
+from newton_euler.integrators.fixed_step import FixedStep, integrate_fixed
+from newton_euler.integrators.options import Options
 from newton_euler.integrators.outputs import Outputs, loops
-from newton_euler.integrators.radau import march_radau
-from newton_euler.integrators.stabilize import ROUND_OFF
+from newton_euler.integrators.projection import ROUND_OFF, Surface, close_by, project, worst_joint
+from newton_euler.integrators.radau import Radau, integrate_radau
+from newton_euler.integrators.singular import NEAR
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
 MOST_STEPS = 1_000_000
-"""Steps after which an adaptive method is taken to be getting nowhere, if a run does not say."""
+"""Steps after which an adaptive method gives up, if a run does not say."""
 
 COUNTED = 2**53
 """Steps that doubles count one by one."""
@@ -38,32 +39,53 @@ COUNTED = 2**53
 MOST_FIXED_STEPS = 1e10
 """Of a run; an hour at least."""
 
-MARCHES: dict[str, Callable[..., int]] = {
-    "DOP853": march_dop853,
-    "Radau": march_radau,
-    "RK4": march_rk4,
-    "Euler": march_euler,
+METHODS: dict[str, Callable[..., int]] = {
+    "DOP853": integrate_dop853,
+    "Radau": integrate_radau,
+    "RK4": integrate_fixed,
+    "Euler": integrate_fixed,
 }
 
 
 @lru_cache
-def stepper(integrator: str) -> NativeFunctions:
-    """An integrator, which no scene changes; compiled once."""
-    return NativeFunctions([MARCHES[integrator]])
+def native_method(method: Callable[..., int]) -> NativeFunctions:
+    """Compile a method, which no scene changes, once."""
+    return NativeFunctions([method])
 
 
 @lru_cache
-def projector() -> NativeFunctions:
-    """Projection by itself."""
-    return NativeFunctions([m.project])
+def native_projection() -> NativeFunctions:
+    """Compile projection by itself."""
+    return NativeFunctions([project])
 
 
 def load(code: Code, integrator: str) -> None:
-    """Have everything ready for a run."""
-    stepper(integrator)
+    """Make everything ready that a run needs."""
+    native_method(METHODS[integrator])
     loops()
-    for name in code.needed(integrator):
+    for name in needed(code, integrator):
         code.function(name)
+
+
+def needed(code: Code, integrator: str) -> list[str]:
+    """Return the names of the functions that a run needs."""
+    names = ["derivative", "output"] + ["position", "velocity"] * code.projects
+    names += {"Euler": ["rate"], "Radau": ["jacobian"]}.get(integrator, [])
+    return names + ["measured"] * bool(code.scene.sampled)
+
+
+def marks(code: Code, integrator: str) -> Array:
+    """Mark angles and Euler parameters (size,), see `newton_euler.integrators.stepper`; others are 0.
+
+    Norms that Baumgarte's method governs are its own, but for those that Euler's method leaves behind.
+    """
+    marked = np.zeros(code.size)
+    marked[code.system.uncounted_angles] = m.ANGLE
+    cartesian = isinstance(code.system, Cartesian)
+    if not (cartesian and code.stabilization == "baumgarte" and integrator != "Euler"):
+        starts = [place.start for place in code.system.quaternions]
+        marked[starts] = m.QUATERNION_WITH_RATES if cartesian else m.QUATERNION
+    return marked
 
 
 class Fallback:
@@ -93,7 +115,13 @@ class Fallback:
         self._guarded(x, y, rates)
 
     def _closing(self, x: int, y: int) -> None:
-        self._guarded(x, y, lambda system, state: close(self._code, system, state))
+        def closed(system: Formulation, state: Array) -> Array:
+            return close_by(self._surface, system, state)[: self._code.size]
+
+        self._guarded(x, y, closed)
+
+    def _surface(self, x: Array) -> Surface:
+        return Surface(*self._code.surface(x))
 
     def _pause(self, counts: int, wish: int) -> None:
         """Python runs signal handlers here, between two of its own instructions."""
@@ -125,7 +153,7 @@ class Fallback:
         system = code.float_system(state)
         results[-1] = -1.0
         try:
-            with np.errstate(all="ignore"):  # the march checks what comes back
+            with np.errstate(all="ignore"):  # the method checks what comes back
                 results[:-1] = function(system, state)
         except Exception as error:  # nothing may pass through native code
             self.error = error
@@ -134,18 +162,18 @@ class Fallback:
 
 
 def _vector(address: int, size: int) -> Array:
-    """The doubles at an address."""
+    """Return the doubles at an address as an array."""
     return np.ctypeslib.as_array((ctypes.c_double * size).from_address(address))
 
 
-class March:
-    """A march over given times, ready to be run from many starts; one thread at a time.
+class Integrator:
+    """A method on a compiled scene over given times, ready to run from many starts; one thread at a time.
 
     Attributes:
         x: (inputs,) the state with time and parameters: the start, and after the run where it ended.
         table: (n, size) the states at all times after a run, as far as `outputs` needs them.
-        outputs: what the scene asks for of them.
-        counts: what the run took.
+        outputs: the arrays that the scene asks for.
+        counts: (COUNTS,) of the run, see `newton_euler.integrators.stepper`.
     """
 
     def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
@@ -154,13 +182,13 @@ class March:
         self._times, self._most = times, min(options.most_steps or MOST_STEPS, COUNTED)
         self.x, self.counts = np.zeros(code.inputs), np.zeros(m.COUNTS)
         self.table = np.zeros((len(times), code.size))
-        system = equations(code, self._python, code.marks(options.integrator), self.counts)
+        system = equations(code, self._python, marks(code, options.integrator), self.counts)
         table = m.Table(len(times), code.kept, times, self.table)
         method = _method(code, self.x, times, options, self._most)
         self._copies = [getattr(method, name) for name in ("at", "end") if hasattr(method, name)]
         self.outputs = Outputs(code, times, self.x, self.table)
-        march = MARCHES[options.integrator]
-        self._run = stepper(options.integrator).bind(march, system, table, method)
+        integrate = METHODS[options.integrator]
+        self._run = native_method(integrate).bind(integrate, system, table, method)
 
     def __call__(self, x: Array) -> None:
         """Run from x (inputs,).
@@ -181,7 +209,8 @@ class March:
             raise failure(self._code, self._integrator, self._most, status, self.x, self.counts, error)
 
     def attempt(self, x: Array) -> tuple[dict[str, Array], IntegrationError | None]:
-        """Run from x (inputs,): outputs at the times that were reached, and what ended it before the last.
+        """Run from x (inputs,): outputs at the times that were reached, and the error before the last of
+        them.
 
         The arrays have a row for each of the first times; without any there are no arrays.
         """
@@ -200,7 +229,7 @@ class March:
 
     @property
     def counted(self) -> dict[str, int]:
-        """What the run took, by name."""
+        """Counts of the run by name."""
         names = {
             "steps": m.STEPS,
             "rejected": m.REJECTED,
@@ -210,8 +239,8 @@ class March:
         return {name: int(self.counts[place]) for name, place in names.items()}
 
 
-def equations(code: Code, python: Fallback, turning: Array, counts: Array) -> m.Equations:
-    """A scene's native functions as steppers call them."""
+def equations(code: Code, python: Fallback, marked: Array, counts: Array) -> m.Equations:
+    """Return a scene's native functions as methods call them."""
     position, velocity = (code.function(name) if code.projects else None for name in ("position", "velocity"))
     lanes = position.lanes if position else 1
     return m.Equations(
@@ -222,28 +251,36 @@ def equations(code: Code, python: Fallback, turning: Array, counts: Array) -> m.
         dense=python.derivative,
         projecting=int(code.projects),
         tolerance=ROUND_OFF,
+        open_tolerance=OPEN_TOLERANCE,
         lanes=lanes,
         position=position,
         velocity=velocity,
         closing=python.closing,
         beside=np.zeros((code.inputs + code.size + 2, lanes)),
         pause=python.pause,
-        turning=turning,
+        marks=marked,
         counts=counts,
     )
 
 
 def _method(code: Code, x: Array, times: Array, options: Options, most: int) -> Record:
-    """An integrator that begins at x (inputs,), with its scratch."""
+    """Return a method that begins at x (inputs,), with its scratch."""
     n, like = code.size, np.zeros_like
     if options.step is not None:
         span = float(times[-1] - times[0])
         if span / options.step > MOST_FIXED_STEPS:
-            needed = f"at least {span / MOST_FIXED_STEPS:.3g} s, {MOST_FIXED_STEPS:.0e} steps"
-            raise OptionError("step", options.step, needed)
-        if options.integrator == "RK4":
-            return RungeKutta4(options.step, x, like(x), np.empty((4, n + 1)), np.empty(n))
-        return SemiImplicitEuler(options.step, code.function("rate"), x, np.empty(n + 1), np.empty(n))
+            least = f"at least {span / MOST_FIXED_STEPS:.3g} s, {MOST_FIXED_STEPS:.0e} steps"
+            raise OptionError("step", options.step, least)
+        euler = options.integrator == "Euler"
+        return FixedStep(
+            order=1 if euler else 4,
+            step=options.step,
+            rate=code.function("rate") if euler else None,
+            now=x,
+            at=like(x),
+            k=np.empty((4, n + 1)),
+            change=np.empty(n),
+        )
     if options.integrator == "DOP853":
         near = options.near(code.noise, code.scene.mechanism.size)
         k, terms = np.empty(16 * (n + 1) + 1), np.empty((7, n))
@@ -271,16 +308,16 @@ def _method(code: Code, x: Array, times: Array, options: Options, most: int) -> 
 
 
 class Projection:
-    """Puts states on the constraints of a scene."""
+    """Projection of states onto the constraints of a scene."""
 
     def __init__(self, code: Code) -> None:
         self._python, self._projects = Fallback(code), code.projects
         self.x = np.zeros(code.inputs)
         system = equations(code, self._python, np.zeros(code.size), np.zeros(m.COUNTS))
-        self._run = projector().bind(m.project, system, 1, self.x)
+        self._run = native_projection().bind(project, system, 1, self.x)
 
     def __call__(self, x: Array) -> bool:
-        """Change x (inputs,) by the least that meets the constraints; whether that could be done."""
+        """Change x (inputs,) by the least that meets the constraints; False if that cannot be done."""
         if not self._projects:
             return True
         self.x[:] = x
@@ -288,3 +325,62 @@ class Projection:
             return False
         x[:] = self.x
         return True
+
+
+def failure(
+    code: Code, integrator: str, most: int, status: int, x: Array, counts: Array, error: Exception | None
+) -> IntegrationError:
+    """Explain a run that could not go on: time, reason, fastest joint, largest force.
+
+    Args:
+        most: steps that it might take.
+        x: (inputs,) the last state that it reached.
+        error: what Python raised in it.
+    """
+    system, reached = code.float_system(x), float(counts[m.REACHED])
+    q, v = x[: system.nq], x[system.nq : code.size]
+    if error is not None and status in (m.SINGULAR, m.OPEN):
+        if not isinstance(error, NewtonEulerError | np.linalg.LinAlgError):
+            raise error
+        reason = str(error)
+    elif status == m.OPEN:
+        joint, residual = worst_joint(system, system.state(q, v))
+        reason = f"projection cannot close joint {joint!r}, which is open by {residual:.3g} (m or rad)"
+    else:
+        reason = _reason(code, integrator, most, status, x)
+    force = strongest(system.scene, system.seen(q, v))
+    return IntegrationError(reached, blamed(reason, system.fastest_joint(q, v), force))
+
+
+def _reason(code: Code, integrator: str, most: int, status: int, x: Array) -> str:
+    known = status in (m.STRAYING, m.UNDETERMINED, m.UNPROJECTED)
+    near = known or code.function("derivative")(x)[-1] < NEAR
+    advice = {True: "", False: "; for stiff equations use Radau"}[near or integrator != "DOP853"]
+    here = f"a singular configuration, where joint {singular_joint(code, x)!r} loses rank" if near else ""
+    larger = f"; round-off near {here}, is larger than rtol allows" if near else ""
+    return {
+        m.NOT_FINITE: "the solution is not finite",
+        m.SINGULAR: "the equations of motion are singular",
+        m.TOO_MANY_STEPS: f"more than {most} steps{advice}{larger}",
+        m.STEP_TOO_SMALL: f"steps have become too small{advice}{larger}",
+        m.STRAYING: f"accelerations of a step contradict each other near {here}; another step may pass",
+        m.UNDETERMINED: f"the run starts at rest at {here}, and the direction of motion is undetermined",
+        m.UNPROJECTED: f"the run starts without projection at {here}, and may go over to another motion",
+    }[status]
+
+
+def singular_joint(code: Code, x: Array) -> str:
+    """Find the joint or gear that weighs most in the constraint rows that are nearest to dependent.
+
+    Without constraints, the one that moves fastest.
+    """
+    system, rows = code.float_system(x), code.rows.numbers
+    if not rows:
+        return system.fastest_joint(x[: system.nq], x[system.nq : code.size])
+    jacobian = dimensionless_jacobian(system, x[: system.nq])
+    combination = singular_values(jacobian[rows])[0][:, -1]
+    weights: dict[str, float] = {}
+    for row, share in zip(rows, combination, strict=True):
+        owner = system.row_owners[row]
+        weights[owner] = weights.get(owner, 0.0) + share**2
+    return max(weights, key=lambda owner: weights[owner])

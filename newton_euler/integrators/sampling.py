@@ -5,20 +5,19 @@ from __future__ import annotations
 import copy
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from newton_euler.compiled import Code
 from newton_euler.errors import is_finite_number
-from newton_euler.integrators.integrate import Options
+from newton_euler.integrators.options import Options
+from newton_euler.integrators.run import Integrator
 from newton_euler.model.control import Sampled
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.parameters import place_of, with_values
 from newton_euler.scalars import Array
-
-if TYPE_CHECKING:
-    from newton_euler.compiled import Code
 
 SAME = 1e-9
 """Times that differ by less than this share of a controller's period are one: multiples of different
@@ -26,12 +25,12 @@ periods meet only up to round-off."""
 
 
 class Interval(NamedTuple):
-    """A part of a run in which forces are held.
+    """A part of a run in which forces of sampled controllers are constant.
 
     Attributes:
-        due: laws whose controllers are called where it begins.
-        times: (n,) s, n >= 2: where it begins, the output times in it, where it ends.
-        wanted: (n,) which of `times` are outputs of this interval. One where the next interval begins
+        due: laws whose controllers are called where it begins. times: (n,) s, n >= 2: where it begins, the
+            output times in it, where it ends. wanted: (n,) True for those of `times` that are outputs of this
+            interval. One where the next interval begins
             belongs to that: at a sampling instant the new force holds already.
     """
 
@@ -41,7 +40,7 @@ class Interval(NamedTuple):
 
 
 def intervals(scene: Scene) -> Iterator[Interval]:
-    """What a run of the scene consists of; a single interval if nothing is sampled.
+    """Divide a run of the scene at sampling instants; a single interval if nothing is sampled.
 
     Controllers are called at multiples of their periods from 0 on, but not at the end of the run.
     """
@@ -61,7 +60,7 @@ def intervals(scene: Scene) -> Iterator[Interval]:
 
 
 def _instant(law: Sampled, number: int, outputs: Array) -> float:
-    """When a controller is called for that time, from 0; an output time is met exactly."""
+    """Return the time of the call of a controller with that number, from 0; an output time is met exactly."""
     time, slack = number * law.period, SAME * law.period
     k = int(np.searchsorted(outputs, time - slack))
     return float(outputs[k]) if k < len(outputs) and outputs[k] < time + slack else time
@@ -71,7 +70,7 @@ def sample(due: tuple[Sampled, ...], time: float, x: Array, x_rate: Array) -> di
     """Call controllers, and return their forces (N or N m) by the names of `newton_euler.parameters`.
 
     Args:
-        due: whose controllers.
+        due: laws of the controllers.
         time: s.
         x, x_rate: (a,) coordinates of all control laws of the scene (m or rad) and their rates.
 
@@ -106,18 +105,18 @@ S = TypeVar("S", bound=OfScene)
 
 
 def holding(system: S, forces: Mapping[str, float]) -> S:
-    """The same equations with these forces held, as `sample` returns them; models are shared."""
+    """Return the same equations with these constant forces, as `sample` returns them; models are shared."""
     changed = copy.copy(system)
     changed.scene = with_values(system.scene, forces)
     return changed
 
 
-class Marched(NamedTuple):
+class NativeRun(NamedTuple):
     """A run in native code.
 
     Attributes:
         arrays: what the scene asks for at the output times that were reached; none if none was.
-        counts: what it took, by name.
+        counts: of steps and evaluations, by name.
         stopped: what ended the run before the last output; None if nothing did.
     """
 
@@ -126,14 +125,12 @@ class Marched(NamedTuple):
     stopped: IntegrationError | None
 
 
-def march_sampled(code: Code, x: Array, options: Options) -> Marched:
-    """Run from x (inputs,), which is changed."""
-    from newton_euler.integrators.run import March
-
+def integrate_sampled(code: Code, x: Array, options: Options) -> NativeRun:
+    """Run a scene from x (inputs,), which is changed."""
     if not code.scene.sampled:
-        march = March(code, code.scene.times, options)
-        arrays, stopped = march.attempt(x)
-        return Marched(arrays, march.counted, stopped)
+        integrator = Integrator(code, code.scene.times, options)
+        arrays, stopped = integrator.attempt(x)
+        return NativeRun(arrays, integrator.counted, stopped)
     parts: list[dict[str, Array]] = []
     total: Counter[str] = Counter()
     for interval in intervals(code.scene):
@@ -145,14 +142,14 @@ def march_sampled(code: Code, x: Array, options: Options) -> Marched:
             break
         for name, force in forces.items():
             x[code.place(name)] = force
-        march = March(code, interval.times, options)
-        arrays, stopped = march.attempt(x)
-        total.update(march.counted)
+        integrator = Integrator(code, interval.times, options)
+        arrays, stopped = integrator.attempt(x)
+        total.update(integrator.counted)
         if arrays:
             parts.append({name: array[interval.wanted[: len(array)]] for name, array in arrays.items()})
         if stopped:
             break
-        x[:] = march.x
+        x[:] = integrator.x
     names = parts[0] if parts else {}
     arrays = {name: np.concatenate([part[name] for part in parts]) for name in names}
-    return Marched(arrays, dict(total), stopped)
+    return NativeRun(arrays, dict(total), stopped)

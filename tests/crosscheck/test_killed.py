@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from crosscheck.regress.baseline import read
 from crosscheck.scenes import load
 from newton_euler.codegen.cache import CACHE_VARIABLE
 from newton_euler.compiled import Code
+from newton_euler.integrators.run import needed
 from newton_euler.model.trajectory import load_arrays
 
 ENGINES = "newton_euler,pinocchio"
@@ -121,7 +123,7 @@ TAMPERING: tuple[Callable[[Path, random.Random], None], ...] = (truncated, flipp
 def test_a_damaged_cache_is_not_used(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
-    """Every program of a scene, data and native code, is damaged in turn; results stay as they were."""
+    """All native code of a scene and its rows are damaged in turn; results stay as they were."""
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     scene = load("pendulum")
     expected = newton_euler.simulate(scene)
@@ -131,17 +133,17 @@ def test_a_damaged_cache_is_not_used(
     damaged = files if seed < len(TAMPERING) else chance.sample(files, chance.randint(1, len(files)))
     for path in damaged:
         TAMPERING[seed % len(TAMPERING)](path, chance)
-    again = newton_euler.simulate(scene)
+    again = newton_euler.simulate(replace(scene))
     np.testing.assert_array_equal(again.position, expected.position)
     np.testing.assert_array_equal(again.quaternion, expected.quaternion)
     assert any(path.is_file() and path.read_bytes() == kept[path] for path in damaged)  # made again
 
 
 def test_no_pickle_is_in_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pickles run what they hold; programs are JSON, and the rest is object code."""
+    """Pickles run what they hold; rows are JSON, and the rest is object code."""
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     code = Code(load("pendulum"))
-    for name in code.needed("Radau"):
+    for name in needed(code, "Radau"):
         code.function(name)
     contents = [path.read_bytes()[32:] for path in tmp_path.glob("*.newton-euler")]
     assert contents

@@ -113,8 +113,8 @@ def test_every_parameter_has_the_scenes_own_value(short):
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({}, OptionError, "one state or value a run"),
-        ({"states": []}, OptionError, "one state or value a run"),
+        ({}, OptionError, "one state or value per run"),
+        ({"states": []}, OptionError, "one state or value per run"),
         ({"parameters": {"gravity": [[0, 0, 1]], "panel_7.mass": [1.0, 2.0]}}, OptionError, "of one length"),
         ({"parameters": {"panel_7.color": [1.0]}}, UnknownNameError, "unknown parameter 'panel_7.color'"),
         ({"parameters": {"panel_7.mass": [-1.0]}}, MechanismError, "positive mass"),

@@ -11,7 +11,7 @@ from newton_euler.compiled import Code, Formulation
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time, opening
-from newton_euler.integrators.stabilize import project_position, project_velocity
+from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array

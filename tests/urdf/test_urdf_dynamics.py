@@ -28,7 +28,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import MassProperties
 from newton_euler.errors import SingularityError
 from newton_euler.exercise import random_states
-from newton_euler.integrators.stabilize import project_position, project_velocity
+from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear
 from newton_euler.model.joint import Joint

@@ -15,7 +15,7 @@ from crosscheck.scenes import load
 from crosscheck.studies.stress.runs import FORMULATIONS, TIGHT, distance, largest_drift, lasting
 from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.stabilize import RK4_LIMIT
+from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.simulate import CompiledScene

@@ -19,7 +19,7 @@ from crosscheck.studies.stress.runs import (
 )
 from crosscheck.studies.stress.topics import REFUSAL, Bound, Case, Curve, Measured
 from newton_euler.assemble import CHECKED, assemble, initial_state
-from newton_euler.integrators.stabilize import joint_violations
+from newton_euler.integrators.projection import joint_violations
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.euler_parameters import product as quaternion_product
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE

@@ -34,7 +34,7 @@ from mjcf.write import SOLIMP
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.stabilize import RK4_LIMIT
+from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.joint_kinds import Cylindrical, Fixed, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene

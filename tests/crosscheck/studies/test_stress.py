@@ -45,7 +45,7 @@ from crosscheck.studies.stress.topics import (
     stress,
 )
 from newton_euler.assemble import initial_state
-from newton_euler.integrators.stabilize import RK4_LIMIT
+from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.trajectory import IntegrationError
 
 BOUND = Bound(1e-6, 1e-2, "for the sake of the test")

@@ -27,7 +27,7 @@ from newton_euler.codegen.native import Callback, NativeError, Record, Signature
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.codegen.translate import text
 from newton_euler.compiled import Code
-from newton_euler.integrators.run import load, stepper
+from newton_euler.integrators.run import load, native_method
 
 
 @pytest.fixture
@@ -215,12 +215,12 @@ def test_what_a_killed_run_left_is_removed_in_time(cache, monkeypatch):
 
 
 def test_another_integrator_is_compiled_before_its_run():
-    stepper.cache_clear()
+    native_method.cache_clear()
     code = Code(pendulum())
     load(code, "DOP853")
-    assert stepper.cache_info().currsize == 1
+    assert native_method.cache_info().currsize == 1
     load(code, "RK4")  # which needs nothing else of this scene
-    assert stepper.cache_info().currsize == 2
+    assert native_method.cache_info().currsize == 2
 
 
 def test_code_of_another_processor_is_another_and_says_the_same(cache, monkeypatch, tracker, tracker_states):

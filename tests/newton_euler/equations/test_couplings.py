@@ -15,7 +15,7 @@ from newton_euler.assemble import initial_state
 from newton_euler.compiled import Code
 from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.integrators.stabilize import project_position, project_velocity
+from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Prismatic, Revolute, Screw, Spherical, Translational, Universal

@@ -28,7 +28,7 @@ from newton_euler.assemble import initial_state
 from newton_euler.compiled import FORMULATIONS, Code, formulate
 from newton_euler.equations.applied_forces import power
 from newton_euler.exercise import random_states
-from newton_euler.integrators.integrate import Options
+from newton_euler.integrators.options import Options
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joint_kinds import Free, Revolute
 from newton_euler.simulate import compile_scene, run

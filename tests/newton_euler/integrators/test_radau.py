@@ -12,16 +12,9 @@ import newton_euler
 from crosscheck.scenes import load
 from newton_euler import PD, compile_scene
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.integrators.collocation import ALPHA, BETA, GAMMA, Radau
-from newton_euler.integrators.linear import (
-    factor_complex,
-    factor_real,
-    solve_complex,
-    solve_real,
-    zero_block,
-)
-from newton_euler.integrators.march import COUNTS, DONE, Equations, Table
-from newton_euler.integrators.radau import march_radau
+from newton_euler.integrators.lu import factor_complex, factor_real, solve_complex, solve_real, zero_block
+from newton_euler.integrators.radau import ALPHA, BETA, GAMMA, Radau, integrate_radau
+from newton_euler.integrators.stepper import COUNTS, DONE, Equations, Table
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -183,19 +176,20 @@ def test_outputs_between_steps_are_as_exact_as_the_steps():
         dense=derivative,
         projecting=0,
         tolerance=1e-12,
+        open_tolerance=1e-12,
         lanes=1,
         position=None,
         velocity=None,
         closing=None,
         beside=np.zeros(0),
         pause=pause,
-        turning=np.zeros(n),
+        marks=np.zeros(n),
         counts=np.zeros(COUNTS),
     )
     sizes = (n, n + 2, 3 * n, 3 * n, 3 * n + 3, 3 * n + 2, 3 * n, n * n, n * n, n * n, n * n, 2 * n)
     for rtol in (1e-3, 1e-6, 1e-9):
         scratch = (np.empty(size) for size in sizes)
         method = Radau(rtol, 1e-2 * rtol, 10**6, jacobian, np.zeros(2), np.zeros(2), *scratch)
-        status = march_radau(system, Table(len(times), n, times, table), method)
+        status = integrate_radau(system, Table(len(times), n, times, table), method)
         assert status == DONE
         assert np.abs(table - np.sin(times)).max() < rtol  # one tolerance: stiff errors do not add up

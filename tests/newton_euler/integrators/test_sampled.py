@@ -20,7 +20,7 @@ from mjcf.write import to_xml
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError
-from newton_euler.integrators.integrate import Options
+from newton_euler.integrators.options import Options
 from newton_euler.integrators.sampling import intervals
 from newton_euler.model.control import PD, Sampled
 from newton_euler.model.euler_parameters import angle_between

@@ -7,9 +7,9 @@ from crosscheck.scenes import load
 from newton_euler.codegen.compile import LANES
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.compiled import Code
-from newton_euler.integrators import march as m
+from newton_euler.integrators import stepper as m
+from newton_euler.integrators.projection import ROUND_OFF, project_rows
 from newton_euler.integrators.run import Fallback, Projection, equations
-from newton_euler.integrators.stabilize import ROUND_OFF
 
 
 def recorded(code, times, table):
@@ -18,8 +18,8 @@ def recorded(code, times, table):
     counts, table = np.zeros(m.COUNTS), table.copy()
     system = equations(code, Fallback(code), np.zeros(code.size), counts)
     target = m.Table(len(table), code.size, times, table)
-    status = NativeFunctions([m.record_rows])(
-        m.record_rows, system, target, 1, len(table), 0, code.start.copy()
+    status = NativeFunctions([project_rows])(
+        project_rows, system, target, 1, len(table), 0, code.start.copy()
     )
     return status, table, int(counts[m.WRITTEN])
 

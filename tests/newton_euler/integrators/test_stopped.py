@@ -24,7 +24,7 @@ from crosscheck.studies.faults import plant
 from newton_euler import PD, Body, Mechanism, Sampled, Scene
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
-from newton_euler.integrators.integrate import Options
+from newton_euler.integrators.options import Options
 from newton_euler.limits import VARIABLE
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint_kinds import Prismatic

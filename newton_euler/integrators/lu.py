@@ -1,4 +1,5 @@
-"""Dense LU with partial pivoting, real and complex, for Newton's iterations of implicit steppers.
+"""LU factors of dense matrices with partial pivoting, real and complex, for Newton's iterations of implicit
+steppers.
 
 Matrices are shifted Jacobians, lambda - J. Rates of hinges and slides are velocities alone, so J begins with
 a block of zeros, as far as the first Euler parameters, and the matrix with a diagonal block of `m` rows:
@@ -17,7 +18,7 @@ from newton_euler.codegen.native import Vector, native
 
 @native
 def zero_block(n: int, a: Vector) -> int:
-    """The number of rows of the block of zeros with which a (n, n), by rows or by columns, begins."""
+    """Count the rows of the block of zeros with which a (n, n), by rows or by columns, begins."""
     for m in range(n):
         for k in range(m + 1):
             if a[n * m + k] != 0.0 or a[n * k + m] != 0.0:
@@ -27,7 +28,7 @@ def zero_block(n: int, a: Vector) -> int:
 
 @native
 def factor_real(n: int, m: int, a: Vector, pivots: Vector) -> int:
-    """LU of a (n, n), which begins with a diagonal block of m rows, in place; 1 if it is singular, else 0.
+    """Factor a (n, n), which begins with a diagonal block of m rows, in place; 1 if it is singular, else 0.
 
     Rows from m on are exchanged as `pivots` (n,) says.
     """
@@ -59,7 +60,7 @@ def factor_real(n: int, m: int, a: Vector, pivots: Vector) -> int:
 
 @native
 def solve_real(n: int, m: int, a: Vector, pivots: Vector, x: Vector) -> None:
-    """x (n,) = A^-1 x by the factors of `factor_real`."""
+    """Solve A x = x (n,) in place by the factors of `factor_real`."""
     for k in range(m, n):
         place = int(pivots[k])
         kept = x[k]
@@ -79,7 +80,7 @@ def solve_real(n: int, m: int, a: Vector, pivots: Vector, x: Vector) -> None:
 
 @native
 def factor_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector) -> int:
-    """LU of a + ib (n, n) as of `factor_real`; 1 if it is singular, else 0."""
+    """Factor a + ib (n, n) as `factor_real` does; 1 if it is singular, else 0."""
     for k in range(n):
         best = k
         if k >= m:
@@ -120,7 +121,7 @@ def factor_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector) -> int:
 
 @native
 def solve_complex(n: int, m: int, a: Vector, b: Vector, pivots: Vector, x: Vector, y: Vector) -> None:
-    """x + iy (n,) = (A + iB)^-1 (x + iy) by the factors of `factor_complex`."""
+    """Solve (A + iB) (x + iy) = x + iy (n,) in place by the factors of `factor_complex`."""
     for k in range(m, n):
         place = int(pivots[k])
         kept = x[k]

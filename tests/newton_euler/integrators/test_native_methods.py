@@ -1,4 +1,4 @@
-"""Marches as plain Python, where an element beyond the end of an array is an error."""
+"""Methods of integration as plain Python, where an element beyond the end of an array is an error."""
 
 from dataclasses import fields, replace
 
@@ -9,12 +9,11 @@ from crosscheck.scenes import load
 from newton_euler.codegen.compile import NativeFunction
 from newton_euler.codegen.native import Record
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.compiled import Code
-from newton_euler.integrators.integrate import Options
-from newton_euler.integrators.run import MARCHES, March
-from newton_euler.integrators.stabilize import STABILIZATIONS
+from newton_euler.compiled import STABILIZATIONS, Code
+from newton_euler.integrators.options import Options
+from newton_euler.integrators.run import METHODS, Integrator
 
-OPTIONS = {name: {"step": 0.01} if name in ("RK4", "Euler") else {"rtol": 1e-4} for name in MARCHES}
+OPTIONS = {name: {"step": 0.01} if name in ("RK4", "Euler") else {"rtol": 1e-4} for name in METHODS}
 
 
 def plain(argument, pause):
@@ -48,8 +47,8 @@ def plain(argument, pause):
         ("heavy_top", "cartesian"),
     ],
 )
-@pytest.mark.parametrize("integrator", MARCHES)
-def test_marches_stay_within_their_arrays(monkeypatch, integrator, scene, formulation, stabilization):
+@pytest.mark.parametrize("integrator", METHODS)
+def test_methods_stay_within_their_arrays(monkeypatch, integrator, scene, formulation, stabilization):
     """Ten outputs of a scene of hinges and of one with Euler parameters, the same as in native code."""
     scene = load(scene)
     code = Code(replace(scene, duration=10.0 * scene.output_period), formulation, stabilization)
@@ -62,13 +61,13 @@ def test_marches_stay_within_their_arrays(monkeypatch, integrator, scene, formul
         return bind(self, function, *arguments)
 
     monkeypatch.setattr(NativeFunctions, "bind", taking)
-    native, march = (March(code, code.scene.times, options) for _ in range(2))
-    arguments = [each for function, each in taken if function is MARCHES[integrator]][1]
-    for copy in (march.x, *march._copies):
+    native, interpreted = (Integrator(code, code.scene.times, options) for _ in range(2))
+    arguments = [each for function, each in taken if function is METHODS[integrator]][1]
+    for copy in (interpreted.x, *interpreted._copies):
         copy[:] = code.start
-    assert MARCHES[integrator](*(plain(each, march._python.pause) for each in arguments)) == 0
+    assert METHODS[integrator](*(plain(each, interpreted._python.pause) for each in arguments)) == 0
     native(code.start)
     # the same operations, but for sums and products that are rounded once in native code: what that changes
     # grows by less than a thousand in ten outputs; adaptive steps are then others, good to the tolerance
     close = 1e-12 if options.step else options.rtol
-    assert march.table == pytest.approx(native.table, rel=0.0, abs=close * np.abs(native.table).max())
+    assert interpreted.table == pytest.approx(native.table, rel=0.0, abs=close * np.abs(native.table).max())

@@ -1,41 +1,34 @@
-"""Integration of a `System` over time: scipy's adaptive methods and two with fixed steps."""
+"""Integration of equations of motion that Python evaluates, as Pinocchio's are: scipy's methods and fixed
+steps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from newton_euler.equations.applied_forces import strongest_force
+from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.system import System, at_time, blamed, fastest_joint
-from newton_euler.errors import NewtonEulerError, OptionError, check_choice, is_count, is_finite_number
-from newton_euler.integrators.stabilize import project_position, project_velocity
+from newton_euler.errors import NewtonEulerError
+from newton_euler.integrators.options import ADAPTIVE, Options
+from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
-ADAPTIVE = ("DOP853", "Radau")
-"""Runge-Kutta of order 8 (Hairer, Norsett, Wanner, Solving ODEs I, 1993, section II.5) and the stiff
-Radau IIA of order 5 (Hairer, Wanner, Solving ODEs II, 1996, section IV.8), both as in scipy."""
-
-FIXED = ("RK4", "Euler")
-"""Classical Runge-Kutta of order 4, and semi-implicit Euler: velocities first, then positions with
-the new velocities. Euler takes gyroscopic torques t = -omega x I omega explicitly: they do no work, but each
-step h adds h^2/2 t^T I^-1 t to the energy of a freely turning body, a share of order (h omega)^2."""
-
-INTEGRATORS = ADAPTIVE + FIXED
-
 NUDGE = 1e-8
-"""Relative, and of coordinates (m, rad) and velocities below 1, for differences."""
+"""Relative difference of coordinates and velocities, absolute (m, rad) for those below 1, for the
+Jacobian."""
 
 MOST_STEPS = 50_000
-"""Steps after which an adaptive method is taken to be getting nowhere, if a run does not say."""
+"""Steps after which an adaptive method gives up, if a run does not say."""
 
 TINY, PATIENT = 1e-10, 50
-"""The same of so many steps below this share of the whole, none longer in between, that do not grow, as where
-a linkage locks. After a start, or a singular configuration, each is longer than the one before."""
+"""Share of the whole, and number of steps below it, none longer in between, that do not grow, after which an
+adaptive method gives up, as where a linkage locks. After a start, or a singular configuration, each is longer
+than the one before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,60 +44,6 @@ class Solution:
     steps: int
     evaluations: int
     stopped: IntegrationError | None
-
-
-@dataclass(frozen=True)
-class Options:
-    """How to integrate.
-
-    Attributes:
-        integrator: one of `INTEGRATORS`.
-        rtol, atol: error control of the adaptive methods, per step and component.
-        step: s, of the methods with fixed steps; made smaller where it does not divide the time
-            between outputs, or sampling instants of controllers.
-        most_steps: steps after which an adaptive method is taken to be getting nowhere; if not given, a
-            million in native code and `MOST_STEPS` in Python.
-        projection: whether to project onto the constraints after each step and at outputs.
-    """
-
-    integrator: str = "DOP853"
-    rtol: float = 1e-10
-    atol: float = 1e-12
-    step: float | None = None
-    most_steps: int | None = None
-    projection: bool = True
-
-    def __post_init__(self) -> None:
-        check_choice("integrator", self.integrator, INTEGRATORS)
-        for name in ("rtol", "atol"):
-            value = getattr(self, name)
-            if not is_finite_number(value) or not 0.0 < value < 1.0:
-                raise OptionError(name, value, "a number between 0 and 1")
-            object.__setattr__(self, name, float(value))
-        if self.most_steps is not None:
-            if not is_count(self.most_steps):
-                raise OptionError("most_steps", self.most_steps, "a whole number of steps")
-            object.__setattr__(self, "most_steps", int(self.most_steps))
-        if self.integrator in FIXED:
-            if self.step is None or not is_finite_number(self.step) or self.step <= 0.0:
-                raise OptionError("step", self.step, f"a positive number of seconds for {self.integrator}")
-            object.__setattr__(self, "step", float(self.step))
-        elif self.step is not None:
-            raise OptionError("step", self.step, f"none: {self.integrator} chooses its own steps")
-
-    def near(self, noise: float, size: float) -> tuple[float, float]:
-        """rtol and atol of steps next to a singular configuration of a mechanism of a size, m.
-
-        A motion is known no better than the noise of constraints that are taken as redundant (their largest
-        singular value). There it bends branches that meet by design around each other, and a step that saw
-        more than the noise would follow the bend.
-        """
-        return self.rtol + noise, self.atol + noise * min(1.0, size)
-
-    def chosen(self) -> dict[str, Any]:
-        """What a run was asked for, by name."""
-        control = {"step": self.step} if self.step else {"rtol": self.rtol, "atol": self.atol}
-        return {"integrator": self.integrator} | control
 
 
 def integrate(system: System, q: Array, v: Array, times: Array, options: Options) -> Solution:
@@ -145,8 +84,8 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
     try:
         with np.errstate(all="ignore"):  # numbers are checked
             rows.append(project(float(times[0]), good))
-            march = _march_adaptive if options.integrator in ADAPTIVE else _march_fixed
-            for step, y in march(system, derivative, project, rows[0], times, options):
+            method = _adaptive if options.integrator in ADAPTIVE else _fixed
+            for step, y in method(system, derivative, project, rows[0], times, options):
                 steps = step
                 if not np.all(np.isfinite(y)):
                     reason = _with_blame(system, float(times[len(rows)]), good, "the solution is not finite")
@@ -159,7 +98,7 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
 
 
 def _with_blame(system: System, time: float, y: Array, reason: str) -> str:
-    """A reason with the joint that moves fastest and the largest force at a time in s."""
+    """Add the joint that moves fastest and the largest force at a time in s to a reason."""
     state = system.state(y[: system.nq], y[system.nq :])
     return blamed(reason, fastest_joint(system.mechanism, state), strongest_force(system.scene, state, time))
 
@@ -168,13 +107,12 @@ Derivative = Callable[[float, Array], Array]
 Projection = Callable[[float, Array], Array]
 
 
-def _march_adaptive(
+def _adaptive(
     system: System, derivative: Derivative, project: Projection, y: Array, times: Array, options: Options
 ) -> Iterator[tuple[int, Array]]:
     """Yield (steps so far, y) at times[1:], from the steps' dense output."""
     from scipy.integrate import DOP853, Radau
 
-    from newton_euler.equations.redundancy import mobility
     from newton_euler.integrators.passing import PassingDOP853
 
     def jacobian(t: float, y: Array) -> Array:
@@ -226,7 +164,7 @@ def _march_adaptive(
             solver.f = derivative(solver.t, solver.y)
 
 
-def _march_fixed(
+def _fixed(
     system: System, derivative: Derivative, project: Projection, y: Array, times: Array, options: Options
 ) -> Iterator[tuple[int, Array]]:
     """Yield (steps so far, y) at times[1:], in equal steps between outputs."""

@@ -1,0 +1,82 @@
+"""Names and options of the methods of integration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypedDict
+
+from newton_euler.errors import OptionError, check_choice, is_count, is_finite_number
+
+ADAPTIVE = ("DOP853", "Radau")
+"""Runge-Kutta of order 8 (Hairer, Norsett, Wanner, Solving ODEs I, 1993, section II.5) and the stiff
+Radau IIA of order 5 (Hairer, Wanner, Solving ODEs II, 1996, section IV.8), both as in scipy."""
+
+FIXED = ("RK4", "Euler")
+"""Classical Runge-Kutta of order 4, and semi-implicit Euler: velocities first, then positions with
+the new velocities. Euler takes gyroscopic torques t = -omega x I omega explicitly: they do no work, but each
+step h adds h^2/2 t^T I^-1 t to the energy of a freely turning body, a share of order (h omega)^2."""
+
+INTEGRATORS = ADAPTIVE + FIXED
+
+
+class StepControl(TypedDict, total=False):
+    """The choice of steps, as keywords; see `Options`."""
+
+    rtol: float
+    atol: float
+    step: float | None
+    most_steps: int | None
+
+
+@dataclass(frozen=True)
+class Options:
+    """A method of integration and its choice of steps.
+
+    Attributes:
+        integrator: one of `INTEGRATORS`.
+        rtol, atol: error control of the adaptive methods, per step and component.
+        step: s, of the methods with fixed steps; made smaller where it does not divide the time
+            between outputs, or sampling instants of controllers.
+        most_steps: steps after which an adaptive method is taken to be getting nowhere; if not given, a
+            million in native code and `MOST_STEPS` in Python.
+        projection: True to project onto the constraints after each step and at outputs.
+    """
+
+    integrator: str = "DOP853"
+    rtol: float = 1e-10
+    atol: float = 1e-12
+    step: float | None = None
+    most_steps: int | None = None
+    projection: bool = True
+
+    def __post_init__(self) -> None:
+        check_choice("integrator", self.integrator, INTEGRATORS)
+        for name in ("rtol", "atol"):
+            value = getattr(self, name)
+            if not is_finite_number(value) or not 0.0 < value < 1.0:
+                raise OptionError(name, value, "a number between 0 and 1")
+            object.__setattr__(self, name, float(value))
+        if self.most_steps is not None:
+            if not is_count(self.most_steps):
+                raise OptionError("most_steps", self.most_steps, "a whole number of steps")
+            object.__setattr__(self, "most_steps", int(self.most_steps))
+        if self.integrator in FIXED:
+            if self.step is None or not is_finite_number(self.step) or self.step <= 0.0:
+                raise OptionError("step", self.step, f"a positive number of seconds for {self.integrator}")
+            object.__setattr__(self, "step", float(self.step))
+        elif self.step is not None:
+            raise OptionError("step", self.step, f"none: {self.integrator} chooses its own steps")
+
+    def near(self, noise: float, size: float) -> tuple[float, float]:
+        """Return rtol and atol of steps next to a singular configuration of a mechanism of a size, m.
+
+        A motion is known no better than the noise of constraints that are taken as redundant (their largest
+        singular value). There it bends branches that meet by design around each other, and a step that saw
+        more than the noise would follow the bend.
+        """
+        return self.rtol + noise, self.atol + noise * min(1.0, size)
+
+    def chosen(self) -> dict[str, Any]:
+        """Return what a run was asked for, by name."""
+        control = {"step": self.step} if self.step else {"rtol": self.rtol, "atol": self.atol}
+        return {"integrator": self.integrator} | control

@@ -1,0 +1,404 @@
+"""Projection onto the constraints, and the drift that is left without it.
+
+A state is projected after each step: coordinates by Newton's steps of least length, then velocities (E.
+Eich-Soellner, C. Fuehrer, Numerical Methods in Multibody Dynamics, Teubner 1998, chapter 5). There are three
+forms:
+
+- native, on the compiled `position` and `velocity` of `Equations`; several rows of outputs side by side;
+- in Python, for any `System`: `project_position`, `project_velocity`;
+- next to a singular configuration, for any system whose constraints and mass matrix are known: `close_by`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from newton_euler.codegen.native import Vector, native
+from newton_euler.equations.couplings import couplings, residuals, row_owners, row_units
+from newton_euler.equations.dense import largest, minimum_norm, singular_values
+from newton_euler.equations.redundancy import loosely_closed, rows_left_out, without
+from newton_euler.equations.system import Rheonomic, System, opening
+from newton_euler.errors import AssemblyError
+from newton_euler.integrators.singular import DENSE_PIVOT_RATIO, WEAK, evaluate, leaving
+from newton_euler.integrators.stepper import (
+    DONE,
+    HUGE,
+    NOT_FINITE,
+    OPEN,
+    WRITTEN,
+    Equations,
+    Table,
+    keep_norms,
+    record,
+    unwind,
+)
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import IntegrationError
+from newton_euler.scalars import Array
+
+ROUND_OFF = 16.0 * np.finfo(float).eps
+"""Residuals below this share of the mechanism's size are what evaluating them loses."""
+
+NATIVE_STEPS = 10
+"""Newton's steps in native code, which begins near the constraints."""
+
+FEW_STEPS = 3
+"""The same for several states side by side, from where dense output has put them."""
+
+NEWTON_STEPS = 20
+"""The same in Python, which also assembles mechanisms."""
+
+SURE = 1e-10
+"""Pivot ratio of the least-squares problem above which its corrections are more than magnified round-off."""
+
+SQUARING = 1e-4
+"""A residual r leaves one of r^2 times a number that grows with the root of 1 / pivot ratio; a hundred such
+are allowed for."""
+
+COME_OPEN = 1e-2
+"""Lengths of the mechanism's longest body, or rad, by which a joint may drift without projection before what
+runs on is another mechanism: a hundredth can be seen."""
+
+
+@native
+def project_densely(system: Equations, x: Vector, scratch: Vector) -> int:
+    """Project as `project` does, by the dense form; `scratch` is (n + 1,)."""
+    system.closing(x, scratch)
+    if not scratch[system.n] > 0.0:
+        return OPEN
+    for i in range(system.n):
+        x[i] = scratch[i]
+    return DONE
+
+
+@native
+def spread(inputs: int, lanes: int, x: Vector, given: Vector) -> None:
+    """Copy x (inputs,) into all lanes of `given` (inputs, lanes)."""
+    for i in range(inputs):
+        for lane in range(lanes):
+            given[lanes * i + lane] = x[i]
+
+
+@native
+def project(system: Equations, with_velocities: int, x: Vector) -> int:
+    """Put a state on the constraints, positions first, velocities if wanted (1 or 0); returns a status.
+
+    After `NATIVE_STEPS` the residual is found once more, for what the last one left is what counts.
+    x (inputs,) is a state with time and parameters.
+    """
+    n = system.n
+    lanes = system.lanes
+    found = system.beside[lanes * system.inputs :]
+    left = HUGE
+    for step in range(NATIVE_STEPS + 1):
+        spread(system.inputs, lanes, x, system.beside)
+        system.position(system.beside, found)
+        if not found[lanes * (n + 1)] > SURE:
+            return project_densely(system, x, found)
+        before = left
+        left = found[lanes * n]
+        # at round-off, or at an end
+        if left < system.tolerance * system.tolerance or left >= 0.25 * before or step == NATIVE_STEPS:
+            break
+        for i in range(n):
+            x[i] = found[lanes * i]
+        if left * left < SQUARING * found[lanes * (n + 1)] * system.tolerance * system.tolerance:
+            left = 0.0  # so the next one would find
+            break
+    if with_velocities == 1:
+        spread(system.inputs, lanes, x, system.beside)
+        system.velocity(system.beside, found)
+        left = found[lanes * n]
+        if left < HUGE and not found[lanes * (n + 1)] > SURE:
+            return project_densely(system, x, found)
+    if not left < HUGE:
+        return NOT_FINITE
+    if left > system.open_tolerance * system.open_tolerance:
+        return OPEN
+    if with_velocities == 1:
+        for i in range(n):
+            x[i] = found[lanes * i]
+    return DONE
+
+
+@native
+def project_side_by_side(system: Equations, with_velocities: int) -> int:
+    """Project a state in each lane of `beside`; 1 if a few steps did for all of them, else 0."""
+    n = system.n
+    lanes = system.lanes
+    beside = system.beside
+    found = beside[lanes * system.inputs :]
+    settled = 0
+    for _step in range(FEW_STEPS):
+        settled = 0
+        system.position(beside, found)
+        for lane in range(lanes):
+            left = found[lanes * n + lane]
+            pivot_ratio = found[lanes * (n + 1) + lane]
+            if not pivot_ratio > SURE:
+                return 0
+            if left < system.tolerance * system.tolerance:
+                settled += 1
+            else:
+                for i in range(n):
+                    beside[lanes * i + lane] = found[lanes * i + lane]
+                if left * left < SQUARING * pivot_ratio * system.tolerance * system.tolerance:
+                    settled += 1
+        if settled == lanes:
+            break
+    if settled < lanes:
+        return 0
+    if with_velocities == 1:
+        system.velocity(beside, found)
+        for lane in range(lanes):
+            left = found[lanes * n + lane]
+            if (
+                not left <= system.open_tolerance * system.open_tolerance
+                or not found[lanes * (n + 1) + lane] > SURE
+            ):
+                return 0
+        for i in range(lanes * n):
+            beside[i] = found[i]
+    return 1
+
+
+@native
+def project_rows(system: Equations, table: Table, first: int, end: int, near: int, x: Vector) -> int:
+    """Put rows `first` to `end` of a table of states on the constraints, if wanted; returns a status.
+
+    Near a singular configuration (`near` is 1) they are by the dense form. x has the parameters; the rest of
+    it is scratch.
+    """
+    n = system.n
+    lanes = system.lanes
+    beside = system.beside
+    with_velocities = 1 if table.kept == n else 0
+    row = first
+    while system.projecting == 1 and row < end:
+        together = 0
+        if near == 0 and lanes > 1:
+            for lane in range(lanes):
+                source = row + lane if row + lane < end else end - 1
+                for i in range(n):
+                    beside[lanes * i + lane] = table.states[n * source + i]
+                beside[lanes * n + lane] = table.times[source]
+                for i in range(n + 1, system.inputs):
+                    beside[lanes * i + lane] = x[i]
+            together = project_side_by_side(system, with_velocities)
+        for lane in range(lanes if row + lanes < end else end - row):
+            state = table.states[n * row :]
+            if together == 1:
+                for i in range(n):
+                    state[i] = beside[lanes * i + lane]
+            else:
+                for i in range(n):
+                    x[i] = state[i]
+                x[n] = table.times[row]
+                status = DONE
+                if near == 1:
+                    status = project_densely(system, x, beside)
+                else:
+                    status = project(system, with_velocities, x)
+                if status != DONE:
+                    return status
+                for i in range(n):
+                    state[i] = x[i]
+            row += 1
+            system.counts[WRITTEN] = float(row)
+    system.counts[WRITTEN] = float(end)
+    return DONE
+
+
+@native
+def begin(system: Equations, table: Table, now: Vector) -> int:
+    """Put the first state on the constraints if wanted, and into the table; returns a status."""
+    if system.projecting == 1:
+        status = project(system, 1, now)
+        if status != DONE:
+            return status
+    record(system, table, 0, now)
+    return DONE
+
+
+@native
+def begin_adaptive(system: Equations, table: Table, now: Vector, rates: Vector) -> int:
+    """Begin, and evaluate the rates (n + 1) of the first state; returns a status."""
+    status = begin(system, table, now)
+    if status == DONE:
+        status = evaluate(system, now, rates)
+    if status == DONE and not rates[system.n] > DENSE_PIVOT_RATIO:
+        span = table.times[table.count - 1] - now[system.n]
+        status = leaving(system, span, system.projecting, now, rates)
+    return status
+
+
+@native
+def finish_step(system: Equations, near: int, now: Vector, carried: Vector) -> int:
+    """Complete a step: angles within half a revolution, norms 1, on the constraints; returns a status.
+
+    Near a singular configuration (`near` is 1) projection is by the dense form. `carried` moves with angles.
+    """
+    unwind(system, now, carried)
+    keep_norms(system, now, now)
+    if system.projecting == 0:
+        return DONE
+    if near == 1:
+        return project_densely(system, now, system.beside)
+    return project(system, 1, now)
+
+
+@np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation
+def project_position(system: System, q: Array) -> Array:
+    """Find the coordinates near q that meet phi(q) = 0 to round-off, by Newton's steps of least length.
+
+    Nearly redundant constraints stay open as far as the others leave them.
+
+    Raises:
+        AssemblyError: if the independent constraints stay open by more than `CLOSURE_TOLERANCE`, or nearly
+            redundant ones by more than the scene's tolerance.
+    """
+    unused = rows_left_out(system)
+    at = best = system.retract(q, np.zeros(system.nv))
+    worse, least = 0, np.inf
+    for _ in range(NEWTON_STEPS + 1):
+        phi, jacobian = system.phi(at), without(system.phi_jacobian(at), unused)
+        open_by = largest(without(phi, unused))
+        worse = 0 if open_by < least else worse + 1
+        if worse == 0:
+            best, least = at, open_by
+        if not np.isfinite(phi).all() or least < ROUND_OFF * system.mechanism.size or worse == 2:
+            break
+        step = minimum_norm(jacobian, without(phi, unused), system.phi_units, system.velocity_units)
+        at = system.retract(at, -step)
+    _check_closed(system, best, system.phi(best))
+    return best
+
+
+def _check_closed(system: System, q: Array, phi: Array) -> None:
+    """Raise `AssemblyError` for residuals (k,) at q beyond `CLOSURE_TOLERANCE`, or noise of rows left out."""
+    unused = rows_left_out(system)
+    noise = largest(phi[unused] / system.phi_units[unused])
+    loose = loosely_closed(system.scene.redundancy_tolerance)
+    if not (largest(without(phi, unused)) <= CLOSURE_TOLERANCE and noise <= loose):
+        joint, residual = worst_joint(system, system.state(q, np.zeros(system.nv)))
+        raise AssemblyError(joint, residual, CLOSURE_TOLERANCE)
+
+
+def project_velocity(system: System, q: Array, v: Array) -> Array:
+    """Find the velocities nearest to v that meet the constraints' rate, Phi_q v + Phi_t = 0."""
+    unused = rows_left_out(system)
+    jacobian, excess = without(system.phi_jacobian(q), unused), without(opening(system, q, v), unused)
+    step = minimum_norm(jacobian, excess, system.phi_units, system.velocity_units)
+    return np.asarray(v - step)
+
+
+class Surface(NamedTuple):
+    """The constraints and the mass matrix at a state, all dense."""
+
+    phi: Array
+    """(k,) residuals."""
+    opening: Array
+    """(k,) dPhi/dt."""
+    jacobian: Array
+    """(k, nv) Phi_q."""
+    mass: Array
+    """(nv, nv) of the kinetic energy 1/2 v^T M v."""
+
+
+def close_by(surface: Callable[[Array], Surface], system: System, x: Array) -> Array:
+    """Put x, which begins with (q, v), on the constraints near it, as far as they are strong enough.
+
+    Corrections are M^-1 J^T times multipliers, the direction in which wrong multipliers lead a run
+    astray: what they did is undone, whatever it was.
+
+    Args:
+        surface: of the system, at an x.
+
+    Raises:
+        AssemblyError: if the constraints stay open by more than `CLOSURE_TOLERANCE`.
+    """
+    x = x.copy()
+    on_q, on_v = slice(system.nq), slice(system.nq, system.nq + system.nv)
+    x[on_q] = system.retract(x[on_q], np.zeros(system.nv))
+    found, best = surface(x), x.copy()
+    for _ in range(NEWTON_STEPS):
+        x[on_q] = system.retract(x[on_q], -_correction(system, found)(found.phi))
+        here = surface(x)
+        if not largest(here.phi) < 0.5 * largest(found.phi):
+            break
+        found, best = here, x.copy()
+    _check_closed(system, best[on_q], found.phi)
+    correct = _correction(system, found)
+    best[on_v] -= correct(found.opening)
+    best[on_v] -= correct(surface(best).opening)  # once more for the digits
+    return best
+
+
+def _correction(system: System, found: Surface) -> Callable[[Array], Array]:
+    """Return the step (nv,) that undoes residuals (k,) in the metric of the mass matrix, as a function of
+    them."""
+    units = system.velocity_units
+    jacobian = found.jacobian * units / system.phi_units[:, None]
+    mass = found.mass * np.outer(units, units)
+    # what the constraints measure costs nothing on them, and makes Euler parameters definite
+    lower = np.linalg.cholesky(mass / np.max(np.diag(mass)) + jacobian.T @ jacobian)
+    u, s, vt = singular_values(np.linalg.solve(lower, jacobian.T).T)
+    strong = s > WEAK * np.max(s, initial=0.0)
+    back = np.linalg.solve(lower.T, vt[strong].T) / s[strong]
+
+    def correct(residual: Array) -> Array:
+        return np.asarray(units * (back @ (u[:, strong].T @ (residual / system.phi_units))))
+
+    return correct
+
+
+def joint_residuals(mechanism: Mechanism, state: State) -> Array:
+    """Evaluate the residuals (k,) of all joints' equations in a state, m or rad."""
+    frames = state.frames()
+    return np.concatenate(
+        [np.zeros(0), *(e.phi(frames[e.first], frames[e.second]) for e in mechanism.equations)]
+    )
+
+
+def joint_violations(mechanism: Mechanism, state: State) -> Array:
+    """Evaluate the largest residual (j,) of each joint's equations in a state, m or rad."""
+    frames = state.frames()
+    return np.array([largest(e.phi(frames[e.first], frames[e.second])) for e in mechanism.equations])
+
+
+def check_still_closed(scene: Scene, times: Array, phi: Array) -> None:
+    """Raise `IntegrationError` at the first of times (n,) with a residual (n, k) of more than `COME_OPEN`.
+
+    Residuals are those of all joints, then of couplings. Where the first are larger than that, as of a start
+    that nobody has checked, twice as much is allowed: gains may still close it. Nothing is known of the steps
+    between the times, which are those of outputs: a joint that closes again by the next one passes.
+    """
+    coupled, mechanism = couplings(scene), scene.mechanism
+    drifts = np.abs(phi) / row_units(mechanism.equations, coupled, mechanism.longest)
+    largest_drift = np.max(drifts, axis=1, initial=0.0)
+    start = float(largest_drift[0])
+    wide = np.flatnonzero(largest_drift > (COME_OPEN if start <= COME_OPEN else 2.0 * start))
+    if not wide.size:
+        return
+    row = int(wide[0])
+    worst = int(np.argmax(drifts[row]))
+    owner = row_owners(mechanism.equations, coupled)[worst]
+    drift = abs(float(phi[row, worst]))
+    reason = f"joint {owner!r} drifted by {drift:.3g} (m or rad); use stabilization='projection'"
+    raise IntegrationError(float(times[row]), reason)
+
+
+def worst_joint(system: System, state: State) -> tuple[str, float]:
+    """Find the joint or gear with the largest residual: its name and that residual, m or rad."""
+    coupled = couplings(system.scene)
+    time = system.time if isinstance(system, Rheonomic) else 0.0
+    phi, _ = residuals(system.mechanism, coupled, state.frames(), time)
+    violations = np.concatenate([joint_violations(system.mechanism, state), np.abs(phi)])
+    worst = int(np.argmax(violations))
+    names = (*system.mechanism.joint_names, *(coupling.name for coupling in coupled))
+    return names[worst], float(violations[worst])

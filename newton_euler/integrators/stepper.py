@@ -1,0 +1,180 @@
+"""Contract between methods of integration and the scenes that they integrate: records, counts and statuses.
+
+Written for native code, see `newton_euler.codegen.native`; it runs as plain Python as well.
+
+A state is a vector of n numbers y = (q, v), followed by the time and the scene's parameters, which
+callbacks read and methods leave alone. A derivative callback writes n rates and, in place n, the pivot ratio
+of its elimination: a number that is not positive where the equations are too close to singular to be trusted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, sqrt
+
+from newton_euler.codegen.native import Callback, Record, Vector, native
+
+DONE, NOT_FINITE, SINGULAR, TOO_MANY_STEPS = 0, 1, 2, 3
+STEP_TOO_SMALL, OPEN, INTERRUPTED, STRAYING = 4, 5, 6, 7
+UNDETERMINED, UNPROJECTED = 8, 9
+"""Statuses: how an integration ended."""
+
+STEPS, EVALUATIONS, REJECTED, DENSE_CALLS = 0, 1, 2, 3
+REACHED, WISH, WRITTEN, SHORT = 4, 5, 6, 7
+"""Places in the vector of counts; REACHED is the time, s, WISH is 1 to stop, WRITTEN are rows of the table,
+SHORT are steps in a row below the share `TINY` of the whole."""
+
+COUNTS = 8
+
+PATIENCE = 64
+"""Steps after which Python is given a chance to see that the user wants to stop."""
+
+SPACING = 2.3e-16
+"""Distance of doubles near 1."""
+
+TINY, PATIENT = 1e-10, 1000
+"""An adaptive method gets nowhere if so many steps in a row are below this share of the whole."""
+
+HUGE = 1e300
+"""A sum of rates that is not below it is not finite."""
+
+ANGLE, QUATERNION, QUATERNION_WITH_RATES = 1.0, 2.0, 3.0
+"""Marks of coordinates, in the vector `marks`: those that mean the same after a full revolution, and the
+first of four Euler parameters, whose velocities are an angular velocity or their own rates at the same
+places."""
+
+
+@dataclass(frozen=True, eq=False)
+class Equations(Record):
+    """The equations of motion and constraints of a scene, as steppers call them.
+
+    `position` writes the state after one Newton step, `velocity` one with its velocities projected; both
+    write the squared residual at their argument in place n and their pivot ratio after it, and take several
+    states side by side, one per lane. `closing` does all of it where their pivot ratio is too small; it
+    writes a number above 0 in place n if it could.
+
+    Attributes:
+        n, nq: lengths of a state (q, v) and of q.
+        inputs: length of a state with time and parameters.
+        derivative, dense: rates and pivot ratio of a state, compiled, and by the dense form.
+        projecting: 1 if states are kept on the constraints, else 0.
+        tolerance: dimensionless residual below which projection has nothing to do.
+        open_tolerance: dimensionless residual that a constraint may have after projection.
+        lanes: number of states that `position` and `velocity` take.
+        position, velocity, closing: projection.
+        beside: (inputs + n + 2, lanes) scratch.
+        pause: asks whether the user wants to stop.
+        marks: (n,) of angles and Euler parameters.
+        counts: (COUNTS,) of the run.
+    """
+
+    n: int
+    nq: int
+    inputs: int
+    derivative: Callback
+    dense: Callback
+    projecting: int
+    tolerance: float
+    open_tolerance: float
+    lanes: int
+    position: Callback
+    velocity: Callback
+    closing: Callback
+    beside: Vector
+    pause: Callback
+    marks: Vector
+    counts: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class Table(Record):
+    """The states of a run at its output times.
+
+    Attributes:
+        count: of output times.
+        kept: number of elements of a state that outputs need, nq or n; the others are anything.
+        times: (count,) s.
+        states: (count, n).
+    """
+
+    count: int
+    kept: int
+    times: Vector
+    states: Vector
+
+
+@native
+def interrupted(system: Equations) -> int:
+    """Return 1 if the user wants to stop, which is asked every `PATIENCE` steps, else 0."""
+    counts = system.counts
+    if int(counts[STEPS] + counts[REJECTED]) % PATIENCE == PATIENCE - 1:
+        system.pause(counts, counts[WISH:])
+    return int(counts[WISH])
+
+
+@native
+def before_step(system: Equations, table: Table, most: int, h: float, now: Vector) -> int:
+    """Check that an adaptive method may take a step of size h, of at most so many; returns a status."""
+    counts = system.counts
+    counts[REACHED] = now[system.n]
+    if counts[STEPS] + counts[REJECTED] >= most:
+        return TOO_MANY_STEPS
+    if interrupted(system) == 1:
+        return INTERRUPTED
+    span = table.times[table.count - 1] - table.times[0]
+    counts[SHORT] = counts[SHORT] + 1.0 if h < TINY * span else 0.0
+    if counts[SHORT] > PATIENT or h < 10.0 * SPACING * max(abs(now[system.n]), h):
+        return STEP_TOO_SMALL
+    return DONE
+
+
+@native
+def record(system: Equations, table: Table, row: int, state: Vector) -> None:
+    """Write a state into a row of the table."""
+    for i in range(system.n):
+        table.states[system.n * row + i] = state[i]
+    system.counts[WRITTEN] = float(row + 1)
+
+
+@native
+def unwind(system: Equations, x: Vector, before: Vector) -> None:
+    """Take full revolutions off the marked angles; `before` moves along.
+
+    An angle of many revolutions has fewer digits than its sine needs, and a tolerance relative to it would
+    let steps grow with it.
+    """
+    for i in range(system.n):
+        if system.marks[i] == ANGLE and abs(x[i]) > pi:
+            revolution = 2.0 * pi if x[i] > 0.0 else -2.0 * pi
+            x[i] -= revolution
+            before[i] -= revolution
+
+
+@native
+def keep_norms(system: Equations, x: Vector, before: Vector) -> None:
+    """Give marked Euler parameters p norm 1, whatever a run does about its constraints.
+
+    A norm n would scale rotations by n^2. It is one of coordinates, not of the mechanism: no drift that
+    one would want to see. Rates become those of the same angular velocity of the body, 2 L pdot / n^2 at
+    `before`, where they were taken (paper, equation 11); that may be x itself.
+    """
+    nq = system.nq
+    for i in range(nq):
+        if system.marks[i] >= QUATERNION:
+            a = before[i]
+            b = before[i + 1]
+            c = before[i + 2]
+            d = before[i + 3]
+            square = a * a + b * b + c * c + d * d
+            norm = sqrt(x[i] * x[i] + x[i + 1] * x[i + 1] + x[i + 2] * x[i + 2] + x[i + 3] * x[i + 3])
+            for j in range(4):
+                x[i + j] = x[i + j] / norm
+            if system.marks[i] == QUATERNION_WITH_RATES:
+                k = nq + i
+                u = (a * x[k + 1] - b * x[k] - c * x[k + 3] + d * x[k + 2]) / square
+                v = (a * x[k + 2] + b * x[k + 3] - c * x[k] - d * x[k + 1]) / square
+                w = (a * x[k + 3] - b * x[k + 2] + c * x[k + 1] - d * x[k]) / square
+                x[k] = -x[i + 1] * u - x[i + 2] * v - x[i + 3] * w
+                x[k + 1] = x[i] * u - x[i + 3] * v + x[i + 2] * w
+                x[k + 2] = x[i + 3] * u + x[i] * v - x[i + 1] * w
+                x[k + 3] = -x[i + 2] * u + x[i + 1] * v + x[i] * w
