@@ -24,12 +24,16 @@ from crosscheck.limit import SHORTER, limited
 from crosscheck.scenes.options import titled
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.verification.activity import Course
 from newton_euler.verification.import_report import ImportReport
 
-RANDOM_STATES = 20
-"""Random consistent states at which the engines' equations are compared in a run."""
+SAMPLES = 200
+"""Velocities, at least, that the random states at which the engines' equations are compared have together."""
+
+FEWEST_STATES, MOST_STATES = 4, 20
+"""Of these: each is a sample of all joints of a large mechanism, and of few of a small one."""
 
 Progress = Callable[[str], None]
 
@@ -49,7 +53,7 @@ class Crosscheck:
         measured: figures that are known from elsewhere, as the engines give them.
         wall_time: s, of everything.
         mapping: what became of the elements of a model file; None for a scene of this package's own.
-        advice: what to do about what was measured.
+        advice: what to do about what was measured, where that was asked for.
         unfinished: engines that stopped, and parts of the comparison that did not come to their end.
         coverage: elements that the compared runs test; None where no trajectories were compared, and where
             `notes` say why it is not known.
@@ -208,10 +212,12 @@ def crosscheck(
     source: str,
     options: Mapping[str, str],
     mapping: ImportReport | None = None,
+    advised: bool = False,
 ) -> Crosscheck:
     """Run a scene through the engines and compare them; `progress` is told each stage.
 
-    What can be compared is compared, whatever stops or fails.
+    What can be compared is compared, whatever stops or fails. Advice takes runs of its own, and is worked out
+    if `advised` is set and all came to an end.
 
     Raises:
         CrosscheckError: for a scene without the outputs that are compared, and where nothing can be: no
@@ -226,7 +232,7 @@ def crosscheck(
     runs, stops = each_run(scene, able, progress)
     stopped = {stop.what for stop in stops}
     rows: list[Row] = []
-    for what, stage in stages(scene, able, runs, RANDOM_STATES, mapping).items():
+    for what, stage in stages(scene, able, runs, _random_states(scene), mapping).items():
         with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
             for row in finite(stage(tuple(rows))):
                 rows.append(row)  # not all at once: those before an error are kept
@@ -250,7 +256,7 @@ def crosscheck(
         with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
             mapping = mapping.after(Course(scene, next(iter(runs.values()))))
     advice: tuple[Advice, ...] = ()
-    if not stops:
+    if advised and not stops:
         what = "working out advice"
         with as_far_as_it_goes(what, beside), limited(what, "there is none", progress):
             advice = advise(Found(scene, source, able, runs, rows, options, mapping))
@@ -271,6 +277,11 @@ def crosscheck(
         found,
         tuple(map(str, beside)),
     )
+
+
+def _random_states(scene: Scene) -> int:
+    """Number of random consistent states at which the engines' equations are compared."""
+    return max(FEWEST_STATES, min(MOST_STATES, -(-SAMPLES // max(1, SpanningTree(scene.mechanism).nv))))
 
 
 def _able(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engine], dict[str, str]]:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cached_property
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -236,18 +237,22 @@ class Code:
 
     def place(self, parameter: str) -> int:
         """Return the place where a parameter begins in x (inputs,)."""
-        start = self.size + 1
-        for name, shape in self.parameters.items():
-            if name == parameter:
-                return start
-            start += int(np.prod(shape))
-        raise UnknownNameError("parameter", parameter, tuple(self.parameters))
+        if parameter not in self.parameters:
+            raise UnknownNameError("parameter", parameter, tuple(self.parameters))
+        return self._places[parameter]
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        """The place of each parameter by name."""
+        sizes = [int(np.prod(shape)) for shape in self.parameters.values()]
+        starts = accumulate(sizes, initial=self.size + 1)
+        return dict(zip(self.parameters, starts, strict=False))
 
     def _values(self, x: Array) -> dict[str, Any]:
         """Return the parameters in x (inputs,), by name."""
         values = {}
         for name, shape in self.parameters.items():
-            start = self.place(name)
+            start = self._places[name]
             values[name] = x[start : start + int(np.prod(shape))].reshape(shape) if shape else x[start]
         return values
 

@@ -175,7 +175,9 @@ def _substitute(scene: Scene, values: Mapping[str, Any], change: Callable[..., A
     mechanism = _altered(scene.mechanism, bodies=tuple(parts.pop("bodies")))
     for what, elements in parts.items():
         fields[what] = tuple(elements)
-    return _altered(scene, mechanism=mechanism, **fields)
+    changed = _altered(scene, mechanism=mechanism, **fields)
+    vars(changed).pop("joint_forces", None)  # kept of the elements that have changed
+    return changed
 
 
 def _linear(function: TimeFunction) -> list[float]:

@@ -107,7 +107,10 @@ class CompiledScene(Code):
         _ = self._decided  # once for all
         other = copy.copy(self)
         other.scene = scene
-        q, v = self.system.coordinates(initial_state(scene))
+        if scene.initial_state is self.scene.initial_state:
+            q, v = self.start[: self.system.nq], self.start[self.system.nq : self.size]
+        else:
+            q, v = self.system.coordinates(initial_state(scene))
         other.__dict__.update(start=other.packed(q, v), _others={})
         return other
 

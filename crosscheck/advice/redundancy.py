@@ -52,7 +52,7 @@ def redundancy_advice(found: Found) -> Iterator[Advice]:
     names = [joint.name for joint in holding[:MOST_JOINTS]]
     mechanism, steps, left = scene.mechanism, list[str](), redundant
     while left:
-        changes = _changes(mechanism, names, driven, states)
+        changes = _changes(mechanism, left, names, driven, states)
         best = min(changes, key=lambda change: change[0], default=(left, "", mechanism))
         if best[0] >= left:
             break
@@ -77,8 +77,8 @@ def _redundant(mechanism: Mechanism, states: list[State]) -> int:
     return min(undetermined(scene, state).shape[1] for state in states)
 
 
-def _rank(mechanism: Mechanism, states: list[State]) -> int:
-    return sum(equations.count for equations in mechanism.equations) - _redundant(mechanism, states)
+def _rows(mechanism: Mechanism) -> int:
+    return sum(equations.count for equations in mechanism.equations)
 
 
 def _driven(scene: Scene) -> set[str]:
@@ -90,10 +90,13 @@ def _driven(scene: Scene) -> set[str]:
 
 
 def _changes(
-    mechanism: Mechanism, names: list[str], driven: set[str], states: list[State]
+    mechanism: Mechanism, redundant: int, names: list[str], driven: set[str], states: list[State]
 ) -> Iterator[tuple[int, str, Mechanism]]:
-    """What has the same motions with a joint less or of another kind: redundant rows, what was done, it."""
-    rank = _rank(mechanism, states)
+    """Yield mechanisms with the same motions and one joint less or of another kind.
+
+    Each with the number of its redundant rows and what was done; the given one has `redundant` rows.
+    """
+    rank = _rows(mechanism) - redundant
     joints = {joint.name: joint for joint in mechanism.joints}
     for name in names:
         if name not in joints:
@@ -104,8 +107,9 @@ def _changes(
             kept = [j for j in changed if j is not None]
             try:
                 tried = Mechanism(mechanism.bodies, kept, mechanism.couplings)
-                if _rank(tried, states) == rank:
-                    yield _redundant(tried, states), what, tried
+                left = _redundant(tried, states)
+                if _rows(tried) - left == rank:
+                    yield left, what, tried
             except NewtonEulerError:  # a body that nothing holds any more
                 continue
 

@@ -54,6 +54,7 @@ OUTPUT = Path("output")
     default=None,
     help="Folder.  [default: output/ and SCENE's name or its file's without suffix; output with --all]",
 )
+@click.option("--advice", is_flag=True, help="Work out what to do about what is found, by more runs.")
 @recording_options
 def run_command(
     scene: str | None,
@@ -65,6 +66,7 @@ def run_command(
     against_settings: tuple[str, ...],
     output: Path | None,
     loops: str | None,
+    advice: bool,
     **recording: Any,
 ) -> int:
     """Run SCENE through the engines and compare them, or with --against compare it with another model.
@@ -77,18 +79,21 @@ def run_command(
         name.strip() for name in (ALL_ENGINES if engines is None else engines).split(",") if name.strip()
     ]
     if library:
-        if scene is not None or settings or loops or against is not None or destination != Destination():
+        alone = scene is None and against is None and not (settings or loops or advice)
+        if not alone or destination != Destination():
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
         return _run_all(wanted, output)
     if against is None and (against_loops or against_settings):
         raise CrosscheckError("--against-loops and --against-set are options of the model of --against")
     if against is not None and engines is not None:
         raise CrosscheckError("--against compares two models by newton_euler alone, without --engines")
+    if against is not None and advice:
+        raise CrosscheckError("--advice is on the runs of engines, without --against")
     destination.check()
     chosen = "tracker" if scene is None else scene
     with redirect_stdout(sys.stderr) if destination.stdout else nullcontext():
         if against is None:
-            return _run(chosen, wanted, settings, output, destination, loops)
+            return _run(chosen, wanted, settings, output, destination, loops, advice)
         models = _models((chosen, settings, loops), (against, against_settings, against_loops))
         return _run_against(models, output, destination)
 
@@ -117,6 +122,7 @@ def _run(
     output: Path | None,
     destination: Destination,
     loops: str | None,
+    advised: bool,
 ) -> int:
     from crosscheck.engines import choose
     from crosscheck.files import check_no_source
@@ -135,7 +141,7 @@ def _run(
         click.echo("--set exercise=off runs the file as it stands")
 
     def work(progress: Progress) -> Crosscheck:
-        return crosscheck(loaded, chosen, progress, scene, options, mapping)
+        return crosscheck(loaded, chosen, progress, scene, options, mapping, advised)
 
     return _carry_out(work, loaded.name, [engine.name for engine in chosen], folder, destination)
 

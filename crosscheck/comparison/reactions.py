@@ -37,8 +37,12 @@ def undetermined(scene: Scene, state: State) -> Array:
     For each joint force and torque over the mechanism's size, N both, on the second body at the joint
     point; world frame. What couplings and prescribed motions put on a joint's coordinates is among them.
     """
-    places, size = _places(scene, state), scene.mechanism.size
-    rank = 6 * (len(scene.mechanism.bodies) - 1) - mobility(scene).degrees_of_freedom
+    mechanism, size = scene.mechanism, scene.mechanism.size
+    rank = 6 * (len(mechanism.bodies) - 1) - mobility(scene).degrees_of_freedom
+    count = sum(equations.count for equations in mechanism.equations) + len(couplings(scene))
+    if count <= rank:
+        return np.zeros((6 * len(mechanism.joints), 0))
+    places = _places(scene, state)
     return _acting_on_nothing([_columns(scene, state, places, len(places), size)], len(places), rank)
 
 

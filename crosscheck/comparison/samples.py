@@ -14,7 +14,7 @@ from crosscheck.comparison.joint_geometry import joint_geometry
 from crosscheck.comparison.reactions import undetermined
 from crosscheck.comparison.terms import mass_and_force
 from crosscheck.errors import CrosscheckError
-from newton_euler.equations.dense import numerical_rank, orthonormal_null, orthonormal_range, singular_values
+from newton_euler.equations.dense import numerical_rank, orthonormal_range, singular_values
 from newton_euler.equations.redundancy import mobility, rows_left_out, without
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation, MassProperties, System, dimensionless_jacobian
@@ -204,10 +204,12 @@ def admissible_basis(system: System, q: Array, units: Array) -> tuple[Array, flo
     that of the independent constraint rows, 1 without constraints.
     """
     jacobian = without(dimensionless_jacobian(system, q), rows_left_out(system))
-    transformation = system.velocity_transformation(q) * system.velocity_units
-    basis = orthonormal_range(transformation / units[:, None] @ orthonormal_null(jacobian))
-    values = singular_values(jacobian)[1] if jacobian.size else np.ones(1)
+    transformation = system.velocity_transformation(q) * system.velocity_units / units[:, None]
+    if not jacobian.size:
+        return orthonormal_range(transformation), 1.0
+    _, values, directions = singular_values(jacobian, full=True)
     rank = numerical_rank(values)
+    basis = orthonormal_range(transformation @ directions[rank:].T)
     return basis, float(values[0] / values[rank - 1]) if rank else 1.0
 
 

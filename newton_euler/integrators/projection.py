@@ -20,7 +20,7 @@ from newton_euler.codegen.native import Vector, native
 from newton_euler.equations.couplings import couplings, residuals, row_owners, row_units
 from newton_euler.equations.dense import largest, minimum_norm, singular_values
 from newton_euler.equations.redundancy import loosely_closed, rows_left_out, without
-from newton_euler.equations.system import Rheonomic, System, opening
+from newton_euler.equations.system import System, is_rheonomic, opening
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.singular import DENSE_PIVOT_RATIO, WEAK, evaluate, leaving
 from newton_euler.integrators.stepper import (
@@ -262,8 +262,10 @@ def project_position(system: System, q: Array) -> Array:
         AssemblyError: if the independent constraints stay open by more than `CLOSURE_TOLERANCE`, or nearly
             redundant ones by more than the scene's tolerance.
     """
-    unused = rows_left_out(system)
     at = best = system.retract(q, np.zeros(system.nv))
+    if not len(system.phi_units):
+        return best
+    unused = rows_left_out(system)
     worse, least = 0, np.inf
     for _ in range(NEWTON_STEPS + 1):
         phi, jacobian = system.phi(at), without(system.phi_jacobian(at), unused)
@@ -291,6 +293,8 @@ def _check_closed(system: System, q: Array, phi: Array) -> None:
 
 def project_velocity(system: System, q: Array, v: Array) -> Array:
     """Find the velocities nearest to v that meet the constraints' rate, Phi_q v + Phi_t = 0."""
+    if not len(system.phi_units):
+        return v
     unused = rows_left_out(system)
     jacobian, excess = without(system.phi_jacobian(q), unused), without(opening(system, q, v), unused)
     step = minimum_norm(jacobian, excess, system.phi_units, system.velocity_units)
@@ -396,7 +400,7 @@ def check_still_closed(scene: Scene, times: Array, phi: Array) -> None:
 def worst_joint(system: System, state: State) -> tuple[str, float]:
     """Find the joint or gear with the largest residual: its name and that residual, m or rad."""
     coupled = couplings(system.scene)
-    time = system.time if isinstance(system, Rheonomic) else 0.0
+    time = system.time if is_rheonomic(system) else 0.0
     phi, _ = residuals(system.mechanism, coupled, state.frames(), time)
     violations = np.concatenate([joint_violations(system.mechanism, state), np.abs(phi)])
     worst = int(np.argmax(violations))

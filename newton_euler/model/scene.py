@@ -252,7 +252,7 @@ class Scene:
         """The sampled controllers among the control laws."""
         return tuple(law for law in self.control if isinstance(law, Sampled))
 
-    @property
+    @cached_property
     def joint_forces(self) -> tuple[Law | JointSpring, ...]:
         """All that acts on joint coordinates: the control laws, then the springs of joints."""
         return (*self.control, *(force for force in self.forces if isinstance(force, JointSpring)))

@@ -38,7 +38,9 @@ FOUR_BAR = FOUR_BARS["cut at C by a connect"]
 def test_an_mjcf_is_run_with_its_report(capsys, tmp_path):
     path = tmp_path / "model.xml"
     path.write_text(FOUR_BAR)
-    status, out, err = run(capsys, "run", path, "--set", "duration=0.1", "--output", tmp_path / "out")
+    status, out, err = run(
+        capsys, "run", path, "--set", "duration=0.1", "--advice", "--output", tmp_path / "out"
+    )
     assert (status, err) == (0, "")
     lines = out.splitlines()
     assert lines[0].startswith("carried over: 7 exactly, 0 approximated, 1 left out")

@@ -315,7 +315,7 @@ def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None
     engines = choose(["newton_euler", "mujoco"])
     loop = replace(planar_four_bar(), duration=0.1, output_period=0.05)
     resting = replace(loop, gravity=np.zeros(3), initial_state=None)
-    result = crosscheck(resting, engines, lambda _: None, "a_scene", {})
+    result = crosscheck(resting, engines, lambda _: None, "a_scene", {}, advised=True)
     assert result.rests
     assert result.agrees
     assert result.verdict.endswith("figures; nothing moves; motion covers 0 of 10 elements")
@@ -350,6 +350,7 @@ def test_a_mechanism_without_freedom_is_called_so() -> None:
         lambda _: None,
         "a_scene",
         {},
+        advised=True,
     )
     (line,) = (line for line in settings_lines(result) if line.startswith("nothing moves"))
     assert "the mechanism has no freedom" in line
@@ -377,7 +378,9 @@ def test_an_engine_that_others_deserted_agrees_with_nobody() -> None:
 def test_advice_is_in_reports(loop: Scene) -> None:
     from crosscheck.report.run import report, settings_lines
 
-    result = crosscheck(loop, choose(["newton_euler", "mujoco"]), lambda _: None, "a_scene", {})
+    engines = choose(["newton_euler", "mujoco"])
+    assert not crosscheck(loop, engines, lambda _: None, "a_scene", {}).advice  # unless asked for
+    result = crosscheck(loop, engines, lambda _: None, "a_scene", {}, advised=True)
     topics = [advice.topic for advice in result.advice]
     assert topics == ["mujoco", "redundancy", "baumgarte", "cost"]
     assert [entry["topic"] for entry in result.summary()["advice"]] == topics

@@ -192,7 +192,8 @@ def test_what_fails_beside_the_comparison_is_a_note(monkeypatch):
     scene = replace(pendulum(), duration=0.2)
     monkeypatch.setattr(run, "coverage", fail)
     monkeypatch.setattr(run, "advise", fail)
-    found = run.crosscheck(scene, choose(["newton_euler", "pinocchio"]), lambda _: None, "a pendulum", {})
+    engines = choose(["newton_euler", "pinocchio"])
+    found = run.crosscheck(scene, engines, lambda _: None, "a pendulum", {}, advised=True)
     assert found.agrees
     assert not found.unfinished
     assert found.verdict.endswith("; what the motion covers is not known")
