@@ -220,8 +220,8 @@ def _carry_out(
     else:
         status = AGREE if result.agrees else DISAGREE
     with destination.sent(result, found) as sent:
-        for line in sent.lines:
-            click.echo(line)
+        if sent.line:
+            click.echo(sent.line)
         click.echo(click.style(result.verdict, bold=True))
         sent.wait()
     return status

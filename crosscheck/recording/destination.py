@@ -1,5 +1,4 @@
-"""Where `crosscheck run` sends its recording, as the scripts of Rerun's examples can: a file unless told
-otherwise, a viewer to start or to connect to, a server, or standard output."""
+"""The destination of a recording: a file, a viewer that runs or is started, a server, or standard output."""
 
 from __future__ import annotations
 
@@ -43,7 +42,7 @@ class Destination:
         return not (self.spawn or self.connect is not None or self.serve or self.stdout)
 
     def check(self) -> None:
-        """Raise `CrosscheckError`, before a run, for what cannot be afterwards."""
+        """Raise `CrosscheckError`, before a run, for a destination that cannot be reached afterwards."""
         given = {
             "--save": self.save is not None,
             "--spawn": self.spawn,
@@ -64,15 +63,12 @@ class Destination:
             return
         from crosscheck.recording import server
 
-        if self.spawn:
-            if not server.has_display():
-                raise CrosscheckError(
-                    "no display for --spawn to open a viewer on; --serve shows it in a browser"
-                )
-        elif self.connect is not None:
+        if self.spawn and not server.has_display():
+            raise CrosscheckError("no display for --spawn to open a viewer on; --serve shows it in a browser")
+        if self.connect is not None:
             server.check_url(self.connect)
-        elif self.bind is not None:
-            server.check_address(self.bind)
+        if self.bind is not None:
+            server.free_port(self.bind)
 
     @contextmanager
     def sent(self, result: Crosscheck, report: Report) -> Iterator[Sent]:
@@ -96,7 +92,7 @@ class Destination:
             assert stream is not None
             stream.buffer.write(content)
             stream.buffer.flush()
-            yield Sent((f"wrote the recording to standard output, {len(content)} bytes",))
+            yield Sent(f"wrote the recording to standard output, {len(content)} bytes")
             return
         recording = new_recording(result.scene)
 
@@ -104,26 +100,26 @@ class Destination:
             log_run(recording, result.scene, result.runs, verdict, result.title)
 
         if self.spawn:
-            yield Sent((f"sent the recording to the viewer at {server.spawn(recording, log)}",))
+            yield Sent(f"sent the recording to the viewer at {server.spawn(recording, log)}")
         elif self.connect is not None:
             server.send(recording, self.connect, log)
-            yield Sent((f"sent the recording to {self.connect}",))
+            yield Sent(f"sent the recording to {self.connect}")
         else:
             address = self.bind or server.LOOPBACK
             with tidied_up(), server.served(recording, address, log) as (place, process):
-                yield Sent((f"serving the recording at {place} until interrupted",), process)
+                yield Sent(f"serving the recording at {place} until interrupted", process)
 
 
 @dataclass(frozen=True)
 class Sent:
-    """What became of a recording.
+    """A recording that was sent.
 
     Attributes:
-        lines: to tell of it.
-        server: what serves it.
+        line: to tell of it.
+        server: serves it until it is ended.
     """
 
-    lines: tuple[str, ...] = ()
+    line: str = ""
     server: subprocess.Popen[bytes] | None = None
 
     def wait(self) -> None:

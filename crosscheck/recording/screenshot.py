@@ -16,8 +16,8 @@ from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.files import write_files
 from crosscheck.recording.server import LOOPBACK, PATIENCE, end, free_port, start
-from newton_euler.model.trajectory import atomic_file
 
 WINDOW = "1600x900"
 SETTLE = 2.0
@@ -34,11 +34,7 @@ def screenshot(rrd: str | os.PathLike[str], png: str | os.PathLike[str], time_se
         CrosscheckError: if the viewer does not start or does not get as far as a picture.
     """
     (content,) = screenshots(rrd, [time_seconds])
-    try:
-        with atomic_file(png) as temporary:
-            temporary.write_bytes(content)
-    except OSError as error:
-        raise CrosscheckError(f"cannot write {os.fspath(png)}: {error.strerror}") from error
+    write_files({Path(png): content})
 
 
 def screenshots(rrd: str | os.PathLike[str], times: Sequence[float]) -> list[bytes]:

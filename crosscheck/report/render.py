@@ -22,8 +22,8 @@ WIDTH = 130
 STYLES = {"": "", "holds": "green", "doubtful": "yellow", "fails": "bold red"}
 """Of verdicts, in a terminal."""
 
-MARKED = re.compile(r"[\\`*_\[\]<>|]")
-"""Characters that Markdown would take for its own."""
+MARKED = re.compile(r"[\\`*\[\]<|]|(?<!\w)_|_(?!\w)")
+"""Characters that Markdown would take for its own; underscores within a word it does not."""
 
 ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML cannot hold in any form."""

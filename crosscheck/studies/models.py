@@ -25,8 +25,10 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.files import write_files
 from crosscheck.model_files.read import is_urdf
-from newton_euler.model.trajectory import atomic_file
+from crosscheck.report.render import markdown_table
+from crosscheck.report.table import Rows, Table, texts
 from newton_euler.verification.import_report import FATES, ImportedElement, ImportReport
 
 LIMIT = 600.0
@@ -166,10 +168,9 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
     yield f"{total['approximated']} approximated, {total['inactive']} left out and inactive in the run,"
     yield f"{total['left out']} left out and active or not watched."
     yield ""
-    yield "| model | options | verdict | covered | of the file | s |"
-    yield "|---|---|---|---|---|---|"
+    rows: Rows = []
     for repository in repositories:
-        yield f"| **{repository.repository}** | | | | | |"
+        rows.append(repository.repository)
         for entry in repository.files:
             name = f"{repository.repository}/{entry.file}"
             if name not in found:
@@ -178,9 +179,10 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
             options = ", ".join(f"{k}={v}" for k, v in (repository.options | entry.options).items())
             verdict = model.verdict
             if verdict != "AGREE":
-                verdict += f": {entry.why or model.line}".replace("|", "\\|")
-            said = f"{verdict} | {model.covered} | {model.lacks}"
-            yield f"| {entry.file} | {options} | {said} | {model.seconds:.0f} |"
+                verdict += f": {entry.why or model.line}"
+            rows.append([entry.file, options, verdict, model.covered, model.lacks, f"{model.seconds:.0f}"])
+    heads = texts("model", "options", "verdict", "covered", "of the file", "s")
+    yield from markdown_table(Table("", heads, rows))
 
 
 def write(path: Path, lines: Sequence[str]) -> None:
@@ -194,8 +196,7 @@ def write(path: Path, lines: Sequence[str]) -> None:
     _, end, after = rest.partition(END)
     if not begin or not end:
         raise CrosscheckError(f"{path} has no lines {BEGIN} and {END}")
-    with atomic_file(path) as temporary:
-        temporary.write_text("\n".join([before + begin, *lines, end + after]), encoding="utf-8")
+    write_files({path: "\n".join([before + begin, *lines, end + after]).encode()})
 
 
 @click.command()
@@ -230,9 +231,8 @@ def main(
                     continue
                 found[name] = run_model(folder, repository, entry, output / "run", limit)
                 click.echo(f"{name}: {found[name].seconds:.0f} s: {found[name].line}")
-                with atomic_file(store) as temporary:
-                    kept = {key: each.model_dump() for key, each in found.items()}
-                    temporary.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+                kept = {key: each.model_dump() for key, each in found.items()}
+                write_files({store: (json.dumps(kept, indent=1) + "\n").encode()})
         if target is not None:
             write(target, list(table(repositories, found)))
             click.echo(f"wrote {target}")

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crosscheck.studies.random.scenes import GRAVITY, random_scene
-from crosscheck.studies.stress.topics import PROCESSES, Progress, Row, Verdict
+from crosscheck.studies.stress.cases import PROCESSES, Progress, Row, Verdict
 from newton_euler.assemble import initial_state
 from newton_euler.compiled import FORMULATIONS, Code
 from newton_euler.equations.cartesian import Cartesian

@@ -12,8 +12,8 @@ from functools import lru_cache, partial
 import numpy as np
 
 from crosscheck.scenes import load
+from crosscheck.studies.stress.cases import Bound, Case, Curve, Measured
 from crosscheck.studies.stress.runs import FORMULATIONS, TIGHT, distance, largest_drift, lasting
-from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene

@@ -9,6 +9,7 @@ import numpy as np
 
 from crosscheck.comparison.energy import energy_balance
 from crosscheck.scenes import load
+from crosscheck.studies.stress.cases import Bound, Case, Curve, Measured
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
     TIGHT,
@@ -19,7 +20,6 @@ from crosscheck.studies.stress.runs import (
     newton_euler,
     pinocchio,
 )
-from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured
 from newton_euler.assemble import initial_state
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array

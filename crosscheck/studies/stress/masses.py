@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from crosscheck.scenes import load
+from crosscheck.studies.stress.cases import Bound, Case, Curve, Measured
 from crosscheck.studies.stress.runs import (
     ONE_EACH,
     Setting,
@@ -19,7 +20,6 @@ from crosscheck.studies.stress.runs import (
     symmetric_top,
     top_error,
 )
-from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 

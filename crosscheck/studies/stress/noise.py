@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 
 from crosscheck.scenes import load
+from crosscheck.studies.stress.cases import Bound, Case, Curve, Measured
 from crosscheck.studies.stress.runs import COMBINATIONS, ONE_EACH, TIGHT, Setting, distance, lasting
-from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism

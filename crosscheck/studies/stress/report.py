@@ -27,8 +27,9 @@ from crosscheck.report.table import (
     texts,
 )
 from crosscheck.studies.diagram import COLORS, DASHES, Diagram, Line, picture, recording
+from crosscheck.studies.stress.cases import PROCESSES, Row
 from crosscheck.studies.stress.soft import recommendation
-from crosscheck.studies.stress.topics import PROCESSES, TOPICS, Row
+from crosscheck.studies.stress.topics import TOPICS
 
 JUDGED: dict[str, Verdict] = {
     "survives": "holds",

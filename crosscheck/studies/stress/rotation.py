@@ -8,6 +8,7 @@ import numpy as np
 
 from crosscheck.references import known_figures
 from crosscheck.scenes import FIGURES, load
+from crosscheck.studies.stress.cases import Bound, Case, Curve, Measured
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
     FORMULATIONS,
@@ -20,7 +21,6 @@ from crosscheck.studies.stress.runs import (
     symmetric_top,
     top_error,
 )
-from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured
 from newton_euler.model.control import PD
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism

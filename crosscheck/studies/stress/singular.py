@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from crosscheck.scenes import load
+from crosscheck.studies.stress.cases import Bound, Case, Measured
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
     GRAVITY,
@@ -21,7 +22,6 @@ from crosscheck.studies.stress.runs import (
     parallelogram_error,
     pinocchio,
 )
-from crosscheck.studies.stress.topics import Bound, Case, Measured
 from newton_euler.model.control import PD
 from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical, Universal
 from newton_euler.model.mechanism import Body, Mechanism

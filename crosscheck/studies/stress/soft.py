@@ -13,8 +13,8 @@ from functools import lru_cache, partial
 import numpy as np
 
 from crosscheck.scenes import load
+from crosscheck.studies.stress.cases import Bound, Case, Curve, Measured, Row
 from crosscheck.studies.stress.runs import TIGHT, distance, lasting, mujoco
-from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured, Row
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.trajectory import Trajectory

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from crosscheck.scenes import load
+from crosscheck.studies.stress.cases import REFUSAL, Bound, Case, Curve, Measured
 from crosscheck.studies.stress.runs import (
     FORMULATIONS,
     Setting,
@@ -17,7 +18,6 @@ from crosscheck.studies.stress.runs import (
     newton_euler,
     pinocchio,
 )
-from crosscheck.studies.stress.topics import REFUSAL, Bound, Case, Curve, Measured
 from newton_euler.assemble import CHECKED, assemble, initial_state
 from newton_euler.integrators.projection import joint_violations
 from newton_euler.model.euler_parameters import from_rotation_vector

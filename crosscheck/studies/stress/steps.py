@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.scenes import load
+from crosscheck.studies.stress.cases import Bound, Case, Measured
 from crosscheck.studies.stress.runs import (
     FORMULATIONS,
     TIGHT,
@@ -19,7 +20,6 @@ from crosscheck.studies.stress.runs import (
     newton_euler,
     pinocchio,
 )
-from crosscheck.studies.stress.topics import Bound, Case, Measured
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.simulate import CompiledScene

@@ -6,8 +6,8 @@ from dataclasses import replace
 from functools import lru_cache, partial
 
 from crosscheck.scenes import load
+from crosscheck.studies.stress.cases import Bound, Case, Curve, Measured
 from crosscheck.studies.stress.runs import Setting, distance, lasting, mujoco, newton_euler, pinocchio
-from crosscheck.studies.stress.topics import Bound, Case, Curve, Measured
 from newton_euler.model.control import PD
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory

@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
+from crosscheck.studies.stress.cases import REFUSAL, Bound, Case, Measured
 from crosscheck.studies.stress.runs import Setting, mujoco, newton_euler, pinocchio
-from crosscheck.studies.stress.topics import REFUSAL, Bound, Case, Measured
 from newton_euler.model.control import PD, Controller, Sampled
 from newton_euler.model.forces import JointSpring, Wrench
 from newton_euler.model.joint_kinds import Prismatic

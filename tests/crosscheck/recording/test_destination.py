@@ -35,7 +35,7 @@ def viewer(tmp_path):
     port, file = free_port(LOOPBACK), tmp_path / "received.rrd"
     with (tmp_path / "viewer.log").open("wb") as log:
         process = start(["--serve-grpc", "--port", str(port), "--save", str(file)], LOOPBACK, log)
-    server._wait(process, LOOPBACK, port)
+    server.wait(process, LOOPBACK, port)
     yield port, file
     end(process)
 
@@ -214,28 +214,11 @@ def listener(answer: bytes | None) -> Iterator[str]:
         connection.close()
 
 
-@pytest.mark.parametrize(
-    ("answer", "message"),
-    [
-        (None, "no viewer answers: timed out"),
-        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "no viewer answers: it does not speak gRPC"),
-        (b"\0\0", "no viewer answers: "),
-    ],
-)
-def test_somebody_answers_who_is_no_viewer(tmp_path, capsys, good, monkeypatch, answer, message):
-    monkeypatch.setattr(server, "ANSWER", 0.5)
-    with listener(answer) as url:
-        arguments = (scene_file(tmp_path, good), "--connect", url)
-        check_refused(capsys, tmp_path, *arguments, message=f"--connect {url}: {message}")
-
-
-def test_a_viewer_that_falls_silent(monkeypatch):
-    """Rerun's own way out would wait for it for ever."""
+@pytest.mark.parametrize("answer", [None, b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\0\0"])
+def test_somebody_answers_who_is_no_viewer(monkeypatch, answer):
+    """Rerun's own way out would wait for ever for who never says a word."""
     monkeypatch.setattr(server, "PATIENCE", 1.0)
     monkeypatch.setattr(rr, "unregister_shutdown", lambda: None)
     recording = new_recording(lid_scene())
-    with (
-        listener(None) as url,
-        pytest.raises(CrosscheckError, match=r"did not take the recording within 1 s"),
-    ):
+    with listener(answer) as url, pytest.raises(CrosscheckError, match=r"did not take the recording"):
         server.send(recording, url, lambda: recording.log("/", rr.Clear(recursive=False)))

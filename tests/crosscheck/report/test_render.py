@@ -47,7 +47,7 @@ def test_terminal():
 
 def test_markdown():
     assert markdown(REPORT).splitlines() == [
-        "# run four\\_bar",
+        "# run four_bar",
         "",
         "**DISAGREE: somewhere**",
         "",
@@ -56,7 +56,7 @@ def test_markdown():
         "| quantity | difference, m |",
         "|---|---:|",
         "| **model** | |",
-        "| mass | **1.0e-03 \\> 1e-06** |",
+        "| mass | **1.0e-03 > 1e-06** |",
         "| points | 1.0e-09 \\< 1e-06 |",
         "| **energy** | |",
         "",
