@@ -5,22 +5,23 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Unpack
 
 import numpy as np
 
-from newton_euler.compiled import PAPER_ALPHA
 from newton_euler.conversion import check, coordinates
+from newton_euler.equations.parameters import checked
 from newton_euler.errors import OptionError, UnknownNameError, is_count
+from newton_euler.integrators.compiled import PAPER_ALPHA
 from newton_euler.integrators.options import Options, StepControl
 from newton_euler.integrators.outputs import named
 from newton_euler.integrators.run import Integrator, load
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError, Trajectory
-from newton_euler.parameters import checked
 from newton_euler.scalars import Array
 from newton_euler.simulate import CompiledScene, native_trajectory
 
@@ -95,7 +96,7 @@ def simulate_batch(
     Args:
         scene: the scene of all runs.
         states: initial states, one per run; the scene's own for all if not given.
-        parameters: values, one per run, by name; see `newton_euler.parameters`.
+        parameters: values, one per run, by name; see `newton_euler.equations.parameters`.
         threads: their number; that of the processors if not given.
         formulation, integrator, stabilization, alpha, control: as of `simulate`.
 
@@ -103,8 +104,6 @@ def simulate_batch(
         NewtonEulerError: for an unknown name, an impossible option, state or value; a run that
             cannot go on is in `Batch.errors`.
     """
-    from concurrent.futures import ThreadPoolExecutor
-
     options = Options(integrator, **control)
     if not isinstance(parameters, Mapping | None):
         raise OptionError("parameters", _short(parameters), "values, one per run, by name")

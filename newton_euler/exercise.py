@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.assemble import assemble, initial_state
-from newton_euler.compiled import Code
 from newton_euler.equations.dense import orthonormal_null
 from newton_euler.equations.redundancy import constraint_rank
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import AssemblyError
+from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.projection import worst_joint
 from newton_euler.integrators.run import Projection
 from newton_euler.model.control import PD

@@ -12,11 +12,11 @@ from typing import Any, Unpack
 import numpy as np
 
 from newton_euler.assemble import initial_state
-from newton_euler.compiled import FORMULATIONS, PAPER_ALPHA, Code, baumgarte_alpha
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.redundancy import mobility, other_rows
 from newton_euler.equations.system import Evaluation, System, at_time
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, check_choice
+from newton_euler.integrators.compiled import FORMULATIONS, PAPER_ALPHA, Code, baumgarte_alpha
 from newton_euler.integrators.interpreted import integrate
 from newton_euler.integrators.options import Options, StepControl
 from newton_euler.integrators.outputs import time_function
@@ -80,7 +80,7 @@ def compile_scene(
     """Trace and compile a scene, for many runs; arguments as of `simulate`.
 
     Args:
-        parameters: names of quantities that may differ from run to run, see `newton_euler.parameters`.
+        parameters: names of what may differ from run to run, see `newton_euler.equations.parameters`.
 
     Raises:
         NewtonEulerError: for an unknown name or an impossible option.
@@ -96,6 +96,11 @@ def compile_scene(
 
 class CompiledScene(Code):
     """A scene in native code, to be run many times; see `compile_scene`."""
+
+    @cached_property
+    def start(self) -> Array:
+        """x (inputs,) at the scene's initial state."""
+        return self.packed(*self.system.coordinates(initial_state(self.scene)))
 
     @cached_property
     def _others(self) -> dict[tuple[int, ...], CompiledScene]:

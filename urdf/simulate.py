@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from newton_euler.compiled import PAPER_ALPHA, baumgarte_alpha
+from newton_euler.integrators.compiled import PAPER_ALPHA, baumgarte_alpha
 from newton_euler.integrators.options import Options
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory

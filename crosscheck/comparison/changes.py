@@ -17,6 +17,7 @@ import numpy as np
 
 from newton_euler.assemble import assemble, initial_state
 from newton_euler.equations.couplings import Coupling, couplings, residuals
+from newton_euler.equations.parameters import numbered, parameter_values, with_values
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.control import Law, Sampled
@@ -29,7 +30,6 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
-from newton_euler.parameters import numbered, parameter_values, with_values
 from newton_euler.scalars import Array
 
 CHANGE = 0.1
@@ -51,8 +51,8 @@ class Element:
     Attributes:
         name: kind and name, such as "mass of body 'crank'".
         changed: gives a scene with the change.
-        parameters: names of the parameters that it changes, see `newton_euler.parameters`; None for a change
-            of the equations themselves.
+        parameters: names of the parameters that it changes, see `newton_euler.equations.parameters`; None for
+            a change of the equations themselves.
         violated: by how much poses violate the changed constraints, in what they may where they are off by a
             length (m) and an angle (rad): with more than 1 they are no poses of the changed scene, nor within
             that of any. 0 where nothing is told.

@@ -14,7 +14,7 @@ from typing import Any
 
 from crosscheck.comparison.known_figures import Measured
 from crosscheck.comparison.rows import FILE, LEVELS, Row
-from newton_euler.compiled import FORMULATIONS
+from newton_euler.integrators.compiled import FORMULATIONS
 
 SYSTEMS = tuple(FORMULATIONS)
 """Formulations of `OWNER`; its runs are those of the first."""

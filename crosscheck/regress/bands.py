@@ -27,8 +27,8 @@ from crosscheck.regress.measure import (
 )
 from crosscheck.regress.values import Value
 from newton_euler import compile_scene
-from newton_euler.compiled import FORMULATIONS
 from newton_euler.errors import NewtonEulerError
+from newton_euler.integrators.compiled import FORMULATIONS
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory

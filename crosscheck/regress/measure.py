@@ -27,8 +27,8 @@ from crosscheck.regress.values import (
 )
 from newton_euler import compile_scene
 from newton_euler.assemble import initial_state
-from newton_euler.compiled import FORMULATIONS, PAPER_ALPHA, formulate
 from newton_euler.equations.system import System, at_time
+from newton_euler.integrators.compiled import FORMULATIONS, PAPER_ALPHA, formulate
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory

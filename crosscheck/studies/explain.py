@@ -12,9 +12,9 @@ import numpy as np
 from crosscheck.report.table import Column, Lines, Part, Table
 from newton_euler.assemble import initial_state
 from newton_euler.codegen.expression import Expression, Graph, Node, operands
-from newton_euler.compiled import FORMULATIONS, Code, Formulation
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import Rows
+from newton_euler.integrators.compiled import FORMULATIONS, Code, Formulation
 from newton_euler.integrators.outputs import time_function
 from newton_euler.integrators.run import load
 from newton_euler.model.scene import OUTPUTS, Scene

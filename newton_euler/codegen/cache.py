@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -91,8 +92,6 @@ def write_cache(key: str, code: bytes) -> None:
     directory = cache_directory()
     if directory is None:
         return
-    import tempfile
-
     with suppress(OSError):  # a full or read-only disk: the next run compiles again
         directory.mkdir(parents=True, exist_ok=True)
         if int(key, 16) % _COUNT_EVERY == 0:

@@ -11,9 +11,9 @@ import numpy as np
 from newton_euler.codegen.compile import NativeFunction
 from newton_euler.codegen.native import Callback, Record, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.compiled import Code
 from newton_euler.equations.system import at_time
 from newton_euler.errors import NewtonEulerError
+from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.projection import check_still_closed
 from newton_euler.model.trajectory import IntegrationError, check_finite
 from newton_euler.scalars import Array

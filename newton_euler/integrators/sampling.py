@@ -9,14 +9,14 @@ from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from newton_euler.compiled import Code
+from newton_euler.equations.parameters import place_of, with_values
 from newton_euler.errors import is_finite_number
+from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.run import Integrator
 from newton_euler.model.control import Sampled
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError
-from newton_euler.parameters import place_of, with_values
 from newton_euler.scalars import Array
 
 SAME = 1e-9
@@ -67,7 +67,7 @@ def _instant(law: Sampled, number: int, outputs: Array) -> float:
 
 
 def sample(due: tuple[Sampled, ...], time: float, x: Array, x_rate: Array) -> dict[str, float]:
-    """Call controllers, and return their forces (N or N m) by the names of `newton_euler.parameters`.
+    """Call controllers, and return their forces (N or N m) by the names of `equations.parameters`.
 
     Args:
         due: laws of the controllers.

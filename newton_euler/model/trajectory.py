@@ -9,7 +9,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Literal
+from typing import IO, Any, Literal
+from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile
+from zlib import error as ZlibError
 
 import numpy as np
 
@@ -17,9 +19,6 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.limits import MB, exceeded
 from newton_euler.model.source_file import SourceError, read_content
 from newton_euler.scalars import Array
-
-if TYPE_CHECKING:
-    from zipfile import ZipFile
 
 SHAPES = {
     "time": "n",
@@ -153,9 +152,6 @@ def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
     Raises:
         SourceError: naming the file, and the array at fault if one is.
     """
-    from zipfile import BadZipFile, ZipFile
-    from zlib import error as ZlibError
-
     content = io.BytesIO(read_content(path, "array_size"))
     try:
         with ZipFile(content) as archive:
@@ -172,8 +168,6 @@ def _unpacked(archive: ZipFile) -> dict[str, Array]:
     Raises:
         ValueError: for what no trajectory has; and whatever the archive raises.
     """
-    from zipfile import ZIP_DEFLATED, ZIP_STORED
-
     found: dict[str, Array] = {}
     unpacked = 0
     for entry in archive.infolist():

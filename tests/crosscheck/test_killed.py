@@ -22,7 +22,7 @@ import newton_euler
 from crosscheck.regress.baseline import read
 from crosscheck.scenes import load
 from newton_euler.codegen.cache import CACHE_VARIABLE
-from newton_euler.compiled import Code
+from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.run import needed
 from newton_euler.model.trajectory import load_arrays
 

@@ -14,7 +14,7 @@ from mjcf.model import CompiledScene
 from mjcf.read import Reading
 from mjcf.reading.ties import Ties
 from newton_euler.assemble import initial_state
-from newton_euler.compiled import FORMULATIONS, formulate
+from newton_euler.integrators.compiled import FORMULATIONS, formulate
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.couplings import Gear
 from newton_euler.model.joint_kinds import (

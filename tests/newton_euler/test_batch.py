@@ -10,12 +10,12 @@ from mechanisms import line_spring, mass_on_rail
 
 import newton_euler
 from newton_euler import simulate_batch
+from newton_euler.equations.parameters import parameter_values
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError
 from newton_euler.model.control import PD
 from newton_euler.model.forces import Armature
 from newton_euler.model.motions import Polynomial, Sine, Sum
 from newton_euler.model.trajectory import IntegrationError
-from newton_euler.parameters import parameter_values
 
 
 @pytest.fixture(scope="module")

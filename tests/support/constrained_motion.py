@@ -7,10 +7,10 @@ from finite_difference import derivative, jacobian
 
 from crosscheck.comparison.samples import admissible_basis, body_units
 from newton_euler.assemble import initial_state
-from newton_euler.compiled import Code, Formulation
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time, opening
+from newton_euler.integrators.compiled import Code, Formulation
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State

@@ -10,7 +10,7 @@ from typing import Any
 
 from crosscheck.studies.benchmark.work_precision import Ladder, Model, Models, Run, Setting
 from newton_euler import compile_scene
-from newton_euler.compiled import FORMULATIONS, STABILIZATIONS
+from newton_euler.integrators.compiled import FORMULATIONS, STABILIZATIONS
 from newton_euler.integrators.run import load
 from newton_euler.model.scene import Scene
 from newton_euler.simulate import CompiledScene

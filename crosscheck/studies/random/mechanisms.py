@@ -25,13 +25,13 @@ import numpy as np
 from crosscheck.studies.random.scenes import GRAVITY, random_scene
 from crosscheck.studies.stress.cases import PROCESSES, Progress, Row, Verdict
 from newton_euler.assemble import initial_state
-from newton_euler.compiled import FORMULATIONS, Code
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import independent_rows, singular_values
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import to_array
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.errors import NewtonEulerError
+from newton_euler.integrators.compiled import FORMULATIONS, Code
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross
 
@@ -175,7 +175,8 @@ def _gaps(scene: Scene, redundant: int, found: Evaluation, wanted: Evaluation) -
 def _compiled_gap(scene: Scene, formulation: str) -> float | None:
     """Native accelerations against their float form, relative; None where native code leaves them to that."""
     code = Code(scene, formulation)
-    system, x = code.system, code.start
+    system = code.system
+    x = code.packed(*system.coordinates(initial_state(scene)))
     found = code.function("derivative")(x)
     if not found[-1] > 0.0:
         return None

@@ -9,7 +9,7 @@ from command_line import EXAMPLE, run
 
 from crosscheck.scenes import load
 from crosscheck.studies.explain import features, left_out, operations_by_output, operations_by_term, structure
-from newton_euler.compiled import FORMULATIONS, Code
+from newton_euler.integrators.compiled import FORMULATIONS, Code
 from newton_euler.model.scene import OUTPUTS
 
 SCENES = {"tracker": {}, "four_bar": {"N": 2}, "chain": {"N": 3}}

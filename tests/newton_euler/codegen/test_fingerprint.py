@@ -16,7 +16,7 @@ import newton_euler.equations.relative
 from crosscheck.scenes import SCENES, load
 from newton_euler.codegen.cache import CACHE_VARIABLE
 from newton_euler.codegen.fingerprint import PACKAGE, fingerprint
-from newton_euler.compiled import Code
+from newton_euler.integrators.compiled import Code
 from newton_euler.model.control import Sampled
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import PrescribedMotion, Sine

@@ -15,10 +15,10 @@ from mechanisms import MASS, REGULAR, STIFFNESS, mass_on_rail, pendulum, planar_
 import newton_euler
 from newton_euler import Armature, JointSpring, Mechanism
 from newton_euler.assemble import initial_state
-from newton_euler.compiled import FORMULATIONS, formulate
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.exercise import random_states
+from newton_euler.integrators.compiled import FORMULATIONS, formulate
 from newton_euler.model.compound_joint import Compound
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)

@@ -16,11 +16,11 @@ import newton_euler
 import urdf
 from newton_euler import Armature, BallArmature, BallSpring, Body, JointSpring, Mechanism, Scene
 from newton_euler.codegen.expression import Graph, differentiate
-from newton_euler.compiled import FORMULATIONS, Code, formulate
 from newton_euler.equations.balls import rotation_by, rotation_vector, spin, spin_rate
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.exercise import random_states
+from newton_euler.integrators.compiled import FORMULATIONS, Code, formulate
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint_kinds import Free, Spherical
 from newton_euler.model.spanning_tree import SpanningTree, weld_loops

@@ -12,9 +12,9 @@ from mechanisms import GRAVITY, bar
 import newton_euler
 from newton_euler import PD, Body, Gear, Mechanism, Polynomial, PrescribedMotion, Scene, Sine, Sum
 from newton_euler.assemble import initial_state
-from newton_euler.compiled import Code
 from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint import Joint

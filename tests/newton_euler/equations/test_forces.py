@@ -25,9 +25,9 @@ from mechanisms import (
 import newton_euler
 from newton_euler import PD, Body, JointSpring, Mechanism, PointSpring, Scene, State, Wrench
 from newton_euler.assemble import initial_state
-from newton_euler.compiled import FORMULATIONS, Code, formulate
 from newton_euler.equations.applied_forces import power
 from newton_euler.exercise import random_states
+from newton_euler.integrators.compiled import FORMULATIONS, Code, formulate
 from newton_euler.integrators.options import Options
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joint_kinds import Free, Revolute

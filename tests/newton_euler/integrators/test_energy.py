@@ -16,7 +16,7 @@ from crosscheck.comparison.levels import compare
 from crosscheck.engines import ENGINES
 from crosscheck.scenes import load
 from newton_euler import PD, Body, JointSpring, Mechanism, Sampled, Scene
-from newton_euler.compiled import FORMULATIONS, formulate
+from newton_euler.integrators.compiled import FORMULATIONS, formulate
 from newton_euler.integrators.options import Options
 from newton_euler.model.joint_kinds import Prismatic, Translational
 from newton_euler.model.motions import PrescribedMotion, Sine

@@ -12,9 +12,9 @@ from scipy.special import ellipj, ellipk
 import newton_euler
 from crosscheck.scenes import load
 from newton_euler.assemble import initial_state
-from newton_euler.compiled import STABILIZATIONS
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError, UnknownNameError
+from newton_euler.integrators.compiled import STABILIZATIONS
 from newton_euler.integrators.interpreted import integrate
 from newton_euler.integrators.options import INTEGRATORS, Options
 from newton_euler.model.control import PD

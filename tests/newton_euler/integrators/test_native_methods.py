@@ -9,9 +9,10 @@ from crosscheck.scenes import load
 from newton_euler.codegen.compile import NativeFunction
 from newton_euler.codegen.native import Record
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.compiled import STABILIZATIONS, Code
+from newton_euler.integrators.compiled import STABILIZATIONS
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.run import METHODS, Integrator
+from newton_euler.simulate import CompiledScene
 
 OPTIONS = {name: {"step": 0.01} if name in ("RK4", "Euler") else {"rtol": 1e-4} for name in METHODS}
 
@@ -51,7 +52,7 @@ def plain(argument, pause):
 def test_methods_stay_within_their_arrays(monkeypatch, integrator, scene, formulation, stabilization):
     """Ten outputs of a scene of hinges and of one with Euler parameters, the same as in native code."""
     scene = load(scene)
-    code = Code(replace(scene, duration=10.0 * scene.output_period), formulation, stabilization)
+    code = CompiledScene(replace(scene, duration=10.0 * scene.output_period), formulation, stabilization)
     options = Options(integrator, **OPTIONS[integrator])
     taken = []
     bind = NativeFunctions.bind

@@ -6,10 +6,10 @@ import pytest
 from crosscheck.scenes import load
 from newton_euler.codegen.compile import LANES
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.compiled import Code
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.projection import ROUND_OFF, project_rows
 from newton_euler.integrators.run import Fallback, Projection, equations
+from newton_euler.simulate import CompiledScene
 
 
 def recorded(code, times, table):
@@ -28,7 +28,7 @@ def recorded(code, times, table):
 @pytest.mark.parametrize("scene", ["tracker", "four_bar", "stewart"])
 def test_rows_are_what_each_is_alone(scene, far):
     """A group of as many as there are lanes and one of fewer, with and without rows that need more steps."""
-    code, rng = Code(load(scene)), np.random.default_rng(0)
+    code, rng = CompiledScene(load(scene)), np.random.default_rng(0)
     rows, start = 1 + LANES + 2, code.start
     times, table = np.linspace(0.0, 1.0, rows), np.tile(start[: code.size], (rows, 1))
     table[1:] += 1e-6 * rng.standard_normal((rows - 1, code.size))
@@ -50,7 +50,7 @@ def test_rows_are_what_each_is_alone(scene, far):
 
 
 def test_a_row_that_cannot_be_closed_ends_it_and_those_before_it_are_kept():
-    code = Code(load("four_bar"))
+    code = CompiledScene(load("four_bar"))
     rows = 1 + 2 * LANES
     times, table = np.linspace(0.0, 1.0, rows), np.tile(code.start[: code.size], (rows, 1))
     table[1 + LANES + 1] = np.nan
@@ -62,7 +62,7 @@ def test_a_row_that_cannot_be_closed_ends_it_and_those_before_it_are_kept():
 
 def test_states_without_constraints_are_left_as_they_are() -> None:
     """A scene that has nothing to project onto has no code for it either."""
-    code = Code(load("pendulum"))
+    code = CompiledScene(load("pendulum"))
     x = code.start + 0.1
     before = x.copy()
     assert Projection(code)(x)

@@ -12,9 +12,9 @@ from scipy.integrate import solve_ivp
 
 import newton_euler
 from newton_euler.assemble import assemble, initial_state
-from newton_euler.compiled import OPEN_TOLERANCE
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import MassProperties
+from newton_euler.integrators.compiled import OPEN_TOLERANCE
 from newton_euler.integrators.passing import mass_matrix
 from newton_euler.integrators.projection import NATIVE_STEPS, check_still_closed, project
 from newton_euler.integrators.stepper import COUNTS, DONE, OPEN, Equations

@@ -15,9 +15,9 @@ import newton_euler
 from crosscheck.scenes import SCENES, load
 from newton_euler import compile_scene
 from newton_euler.assemble import initial_state
-from newton_euler.compiled import FORMULATIONS, Code, formulate
 from newton_euler.equations.relative import Relative
 from newton_euler.exercise import random_states
+from newton_euler.integrators.compiled import FORMULATIONS, Code, formulate
 from newton_euler.integrators.options import Options
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation

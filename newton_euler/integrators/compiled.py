@@ -16,19 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from newton_euler.assemble import initial_state
 from newton_euler.codegen.cache import cache_key, read_cache, write_cache
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.parameters import parameter_values, place_of, with_values
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import RowsInUse, least_squares
 from newton_euler.equations.system import at_time
 from newton_euler.errors import OptionError, UnknownNameError, check_choice, is_finite_number
 from newton_euler.model.scene import Scene
-from newton_euler.parameters import parameter_values, place_of, with_values
 from newton_euler.scalars import Array, Scalar, minimum
 
 SIDE_BY_SIDE = (("output",), ("position", "velocity"))
@@ -271,11 +270,6 @@ class Code:
         for omitted in (values[:k], values[k : 2 * k], jacobian):
             omitted[self.omitted] = 0.0
         return values[:k], values[k : 2 * k], jacobian, mass
-
-    @cached_property
-    def start(self) -> Array:
-        """x (inputs,) at the scene's initial state."""
-        return self.packed(*self.system.coordinates(initial_state(self.scene)))
 
     # Tracing
 
