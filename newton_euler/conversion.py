@@ -1,7 +1,7 @@
 """Initial states of many runs, checked and turned into coordinates all at once.
 
-The equations of the joints run once, over scalars that hold one value for each state. A state takes some
-tens of microseconds so, instead of milliseconds.
+The equations of the joints run once, over scalars that hold one value for each state. A state of the tracker
+takes some 15 microseconds so; one by one it would take a millisecond, twice its run of a second.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ PORTION = 1000
 """States at a time: their values stay in the processor's caches."""
 
 SURE = 0.99
-"""Share of a tolerance up to which round-off cannot matter; what is above is judged by the scene itself."""
+"""Share of a tolerance up to which round-off cannot matter; states above it are checked one by one."""
 
 WIDTHS = {"position": 3, "quaternion": 4, "linear_velocity": 3, "angular_velocity": 3}
-"""The arrays of a state."""
+"""Arrays of a state and their widths."""
 
 
 class Stack:
@@ -42,7 +42,7 @@ class Stack:
     __slots__ = ("values",)
 
     def __init__(self, values: Array) -> None:
-        """From the values (n,)."""
+        """Hold the values (n,)."""
         self.values = values
 
     def __add__(self, other: Any) -> Any:
@@ -81,23 +81,23 @@ def _each(function: Any, a: Stack, b: Any) -> Any:
 
 
 def arrays(states: Sequence[State]) -> list[Array]:
-    """The arrays of n states, (n, b, 3) or (n, b, 4), in the order of `WIDTHS`."""
+    """Collect the arrays of n states, (n, b, 3) or (n, b, 4), in the order of `WIDTHS`."""
     return [np.array([getattr(state, name) for state in states]) for name in WIDTHS]
 
 
 def stack(found: Sequence[Array]) -> State:
-    """One state of `Stack` for n states, from their `arrays`."""
+    """Make one state of `Stack` for n states, from their `arrays`."""
     return State(*(_stacked(values) for values in found))
 
 
 def _stacked(values: Array) -> Array:
-    """(b, w) of `Stack` from (n, b, w) floats."""
+    """Turn (n, b, w) floats into (b, w) of `Stack`."""
     columns = np.ascontiguousarray(np.moveaxis(values, 0, -1)).reshape(-1, len(values))
     return objects([Stack(column) for column in columns]).reshape(values.shape[1:])
 
 
 def _floats(scalars: Array, count: int) -> Array:
-    """(n, k) floats from (k,) of `Stack` or floats."""
+    """Turn (k,) of `Stack` or floats into (n, k) floats."""
     rows = np.empty((count, len(scalars)))
     for k, scalar in enumerate(scalars):
         rows[:, k] = scalar.values if isinstance(scalar, Stack) else scalar
@@ -105,17 +105,17 @@ def _floats(scalars: Array, count: int) -> Array:
 
 
 class Convertible(Protocol):
-    """What has coordinates of its own; those of its spanning tree, if it has a `tree`."""
+    """Equations with coordinates of their own; those of a spanning tree, if they have a `tree`."""
 
     scene: Scene
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """q (nq,) and v (nv,) of a state."""
+        """Return q (nq,) and v (nv,) of a state."""
 
 
 def coordinates(system: Convertible, states: Sequence[State]) -> tuple[Array, Array]:
-    """q (n, nq) and v (n, nv) of n consistent states, as `system.coordinates` gives them one by one."""
-    if couplings(system.scene):  # which turn an angle is in depends on those of others
+    """Convert n consistent states into q (n, nq) and v (n, nv), as `system.coordinates` does one by one."""
+    if couplings(system.scene):  # the revolution of an angle depends on those of others
         q, v = (np.array(rows) for rows in zip(*map(system.coordinates, states), strict=True))
         return q, v
     over_stacks: Any = copy.copy(system)
@@ -141,7 +141,7 @@ class _TreeOverStacks(SpanningTree):
         self.__dict__.update(vars(tree))
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """The same as of any tree; rotations of balls by products of Euler parameters, without a choice."""
+        """Convert as any tree does; rotations of balls by products of Euler parameters, without a choice."""
         frames = [
             frame._replace(rotation=frame.rotation @ initial.T)
             for frame, initial in zip(state.frames(), self.initial_rotations, strict=True)
@@ -170,7 +170,7 @@ class _TreeOverStacks(SpanningTree):
 
 
 def _normalised(p: Array) -> list[Stack]:
-    """Euler parameters (4,) of norm 1 with e0 >= 0."""
+    """Scale Euler parameters (4,) to norm 1 with e0 >= 0."""
     values = np.array([scalar.values for scalar in p])
     values *= np.where(values[0] < 0.0, -1.0, 1.0) / np.linalg.norm(values, axis=0)
     return [Stack(row) for row in values]
@@ -201,7 +201,7 @@ def check(scene: Scene, states: Sequence[State]) -> None:
 
 
 def _shaped(state: object, bodies: int) -> bool:
-    """Whether something is a state of so many bodies, all floats."""
+    """Return True for a state of so many bodies, all floats."""
     if not isinstance(state, State):
         return False
     arrays = ((getattr(state, name), width) for name, width in WIDTHS.items())
@@ -212,7 +212,7 @@ def _shaped(state: object, bodies: int) -> bool:
 
 
 def _consistent(scene: Scene, states: Sequence[State]) -> Array:
-    """(n,) whether each state surely passes all that `newton_euler.initial_state` checks.
+    """Return True (n,) for each state that surely passes all that `newton_euler.initial_state` checks.
 
     None does where coordinates are coupled or prescribed: that is left to the scene.
     """
@@ -226,7 +226,7 @@ def _consistent(scene: Scene, states: Sequence[State]) -> Array:
         squares = quaternion[:, 0, :, None] * quaternion[:, 0, None, :]
         turn = squares - np.outer(ground.quaternion, ground.quaternion)
         speed = np.linalg.norm(velocity, axis=2).max(axis=1) + size * np.linalg.norm(spin, axis=2).max(axis=1)
-        gaps = [
+        shares = [
             np.abs(np.linalg.norm(quaternion, axis=2) - 1.0) / UNIT_TOLERANCE,
             np.linalg.norm(position[:, :1] - ground.center_of_mass, axis=2) / CLOSURE_TOLERANCE,
             np.linalg.norm(turn, axis=(1, 2))[:, None] / UNIT_TOLERANCE,
@@ -235,18 +235,18 @@ def _consistent(scene: Scene, states: Sequence[State]) -> Array:
         frames = stack(found).frames()
         for equations in mechanism.equations:
             i, j = frames[equations.first], frames[equations.second]
-            gaps.append(np.abs(_floats(equations.phi(i, j), count)) / CLOSURE_TOLERANCE)
+            shares.append(np.abs(_floats(equations.phi(i, j), count)) / CLOSURE_TOLERANCE)
             rates = np.abs(_floats(equations.jacobian(i, j).rate(i, j), count))
             allowed = VELOCITY_TOLERANCE * speed[:, None] * np.where(equations.is_length, 1.0, 1.0 / size)
             sure &= np.all(rates <= SURE * allowed, axis=1)
         for force in scene.forces:
             if isinstance(force, PointSpring) and force.has_direction:
                 sure &= _distance(scene, force, frames, count) > CLOSURE_TOLERANCE / SURE
-        return np.asarray(sure & np.all(np.concatenate(gaps, axis=1) <= SURE, axis=1))
+        return np.asarray(sure & np.all(np.concatenate(shares, axis=1) <= SURE, axis=1))
 
 
 def _distance(scene: Scene, spring: PointSpring, frames: list[Frame], count: int) -> Array:
-    """(n,) m between the ends of a spring."""
+    """Measure the distance (n,), m, between the ends of a spring."""
     bodies = scene.mechanism.bodies
     ends = []
     for name, point in ((spring.first, spring.point_on_first), (spring.second, spring.point_on_second)):

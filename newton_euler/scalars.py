@@ -22,14 +22,14 @@ Scalar = Any
 
 
 def objects(scalars: Sequence[Any]) -> Array:
-    """An object array of scalars, which NumPy must not look into."""
+    """Make an object array of scalars, which NumPy must not look into."""
     array = np.empty(len(scalars), dtype=object)
     array[:] = scalars
     return array
 
 
 def zeros(shape: int | tuple[int, ...], *like: Array) -> Array:
-    """Zeros of the given shape that can hold the scalars of all arrays in `like`."""
+    """Make zeros of the given shape that can hold the scalars of all arrays in `like`."""
     generic = any(np.asarray(a).dtype == object for a in like)
     return np.zeros(shape, dtype=object if generic else float)
 

@@ -32,12 +32,12 @@ _FULL = 0.75
 
 _COUNT_EVERY = 16
 _RECENT = 3600.0
-"""s within which uses are not told apart."""
+"""s within which uses are not distinguished."""
 
 _ENDING = ".newton-euler"
 _OWN = re.compile(r"[0-9a-f]{64}" + re.escape(_ENDING))
 _UNFINISHED = ".newton-euler-new-"
-"""What the cache's own files are called, of all that may be in a directory that somebody chose."""
+"""Names of the cache's own files, among all that may be in a directory that somebody chose."""
 
 _ABANDONED = 3600.0
 """s after which an unfinished file is that of a run that was killed."""
@@ -51,7 +51,7 @@ def _digest(key: str, code: bytes) -> bytes:
 
 
 def cache_key(*parts: object) -> str:
-    """The name of what depends on these parts, and on their text alone."""
+    """Return the name of an entry that depends on the text of these parts alone."""
     return hashlib.sha256("\n".join(map(str, parts)).encode()).hexdigest()
 
 
@@ -68,7 +68,7 @@ def cache_directory() -> Path | None:
 
 
 def read_cache(key: str) -> bytes | None:
-    """The code kept under a key; None if there is none, or none that can be trusted."""
+    """Read the entry of a key; None if there is none, or none that can be trusted."""
     directory = cache_directory()
     if directory is None:
         return None
@@ -88,7 +88,7 @@ def read_cache(key: str) -> bytes | None:
 
 
 def write_cache(key: str, code: bytes) -> None:
-    """Keep code under a key, if the disk lets us."""
+    """Write an entry under a key, if the disk permits."""
     directory = cache_directory()
     if directory is None:
         return
@@ -107,7 +107,8 @@ def write_cache(key: str, code: bytes) -> None:
 
 
 def _tidy(directory: Path) -> None:
-    """Remove what runs that were killed left unfinished, and what is too much for the cache."""
+    """Remove files that killed runs left unfinished, and entries beyond the limit, those unused for longest
+    first."""
     now, total = time.time(), 0
     found: list[tuple[float, int, str]] = []
     for entry in os.scandir(directory):

@@ -1,4 +1,4 @@
-"""Programs to native code, through LLVM, cached on disk.
+"""Compilation of programs to native code, through LLVM, cached on disk.
 
 llvmlite takes LLVM's own text form, which straight-line code is easily written in; a front end that
 has to understand Python takes some twenty times longer for it. Machine code is kept under the user's
@@ -35,7 +35,7 @@ DESCRIPTION = "f.description"
 """Constant beside the function that a program becomes: the attributes of `NativeFunction`, as JSON."""
 
 PROGRAM = Signature({"x": "ptr", "y": "ptr"}, "void")
-"""Of the function `f` that a program becomes."""
+"""Signature of the function `f` that a program becomes."""
 
 
 @lru_cache
@@ -52,7 +52,7 @@ class NativeModule:
     """Functions compiled together, alive as long as this object is.
 
     Attributes:
-        from_cache: whether the machine code was on disk when this was made.
+        from_cache: True if the machine code was on disk when this was made.
         size: bytes of the object code.
         addresses: of the functions, by name.
     """
@@ -67,9 +67,9 @@ class NativeModule:
         """Compile LLVM text, or take its machine code from the cache.
 
         Args:
-            identity: what the text depends on, or the text itself.
+            identity: all that the text depends on, or the text itself.
             text: makes the text.
-            functions: what others call of it.
+            functions: signatures of the functions that others call, by name.
             optimise: for code with variables, which are to live in registers; a program has none.
         """
         llvm = llvm_binding()
@@ -127,7 +127,7 @@ class NativeFunction:
         operations: floating-point operations of the program.
         layout: as of `Traced`.
         address: of `void f(double *x, double *y)`, for native callers.
-        module: what it was compiled in.
+        module: the compiled module that it is in.
     """
 
     def __init__(self, trace: Callable[[], Traced], identity: str | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Programs as LLVM text.
+"""Emission of programs as LLVM text.
 
 Products may be contracted with sums into one rounding (`contract`); nothing else is reordered.
 """
@@ -19,7 +19,7 @@ _BOTH = ("sin", "cos")
 
 
 def declarations(lanes: int = 1) -> str:
-    """What emitted functions call."""
+    """Declare the functions that emitted ones call."""
     t, suffix = vector_type("double", lanes), "f64" if lanes == 1 else f"v{lanes}f64"
     return f"""
 declare {t} @llvm.sqrt.{suffix}({t})
@@ -80,7 +80,7 @@ Emitter = Callable[[Program, str], str]
 
 
 def emit_straight(program: Program, name: str, lanes: int = 1) -> str:
-    """The program as straight-line code; x and y hold the values of all lanes side by side."""
+    """Emit the program as straight-line code; x and y hold the values of all lanes side by side."""
     out = Instructions(lanes)
     values: list[str] = []
     for k, (op, a, b) in enumerate(program.nodes):

@@ -35,7 +35,7 @@ BINARY: dict[str, Callable[[float, float], float]] = {
     "arctan2": math.atan2,
     "minimum": min,
 }
-"""What each operation means; node operands are indices of earlier nodes."""
+"""Meaning of each operation; node operands are indices of earlier nodes."""
 
 
 class Node(NamedTuple):
@@ -62,29 +62,29 @@ class Graph:
         self._negated: dict[int, int] = {}
 
     def variables(self, count: int) -> Array:
-        """(count,) new inputs."""
+        """Add inputs (count,)."""
         first = self.inputs
         self.inputs += count
         return objects([self.record("input", first + k) for k in range(count)])
 
     def constant(self, value: float) -> int:
-        """The node of a constant."""
+        """Return the node of a constant."""
         index = self.record("const", float(value)).index
         self._constants[index] = float(value)
         return index
 
     def index(self, scalar: Expression | float) -> int:
-        """The node of a scalar, a float becoming a constant."""
+        """Return the node of a scalar, a float becoming a constant."""
         return scalar.index if isinstance(scalar, Expression) else self.constant(scalar)
 
     def scalar(self, index: int) -> Any:
-        """What stands at a node: a float if it is a constant."""
+        """Return the scalar at a node: a float if it is a constant."""
         value = self._constants.get(index)
         return Expression(self, index) if value is None else value
 
     def record(self, op: str, a: Any, b: int = -1) -> Expression:
-        """An operation as it is, found again if it was done before; operands of sums and products in
-        one order."""
+        """Record an operation, found again if it was done before; operands of sums and products in one
+        order."""
         if b < a and op in COMMUTATIVE:
             a, b = b, a
         key = (op, a, b)
@@ -134,7 +134,7 @@ class Graph:
         return self.record("mul", a, b) if minus is None else -self.mul(minus, b)
 
     def scale(self, x: float, b: int) -> Any:
-        """A constant, neither 0 nor 1, times a node."""
+        """Multiply a node by a constant, neither 0 nor 1."""
         if x == -1.0:
             return self.neg(b)
         minus = self._negated.get(b)
@@ -151,7 +151,7 @@ class Graph:
         return self.record("mul", self.constant(x), b)
 
     def ancestors(self, roots: Iterable[int]) -> set[int]:
-        """The nodes that these nodes need, themselves included."""
+        """Find the nodes that these nodes need, themselves included."""
         needed = set(roots)
         for index in range(len(self.nodes) - 1, -1, -1):
             if index in needed:
@@ -159,7 +159,7 @@ class Graph:
         return needed
 
     def prune(self, outputs: Iterable[Any]) -> Program:
-        """The operations that these outputs (scalars) need, and nothing else."""
+        """Keep the operations that these outputs (scalars) need, and nothing else."""
         roots = [self.index(scalar) for scalar in outputs]
         kept = sorted(self.ancestors(roots))
         place = {index: k for k, index in enumerate(kept)}
@@ -174,21 +174,21 @@ class Graph:
 
 
 def operands(node: Node) -> tuple[int, ...]:
-    """Indices of the nodes that a node uses."""
+    """Return the indices of the nodes that a node uses."""
     if node.op in BINARY:
         return (node.a, node.b)
     return (node.a,) if node.op in UNARY else ()
 
 
 class Program(NamedTuple):
-    """A pruned graph: what to compute, in order, and which nodes are the outputs."""
+    """A pruned graph: operations in order, and the nodes that are outputs."""
 
     nodes: tuple[Node, ...]
     inputs: int
     outputs: tuple[int, ...]
 
     def counts(self) -> Counter[str]:
-        """Operations by name, without constants and inputs."""
+        """Count operations by name, without constants and inputs."""
         return Counter(node.op for node in self.nodes if operands(node))
 
     @property
@@ -197,7 +197,7 @@ class Program(NamedTuple):
         return sum(count for op, count in self.counts().items() if op != "neg")
 
     def run(self, inputs: Sequence[float]) -> Array:
-        """(outputs,) by plain Python, the meaning that native code is tested against."""
+        """Evaluate the outputs (outputs,) by plain Python, the meaning that native code is tested against."""
         values: list[float] = []
         for op, a, b in self.nodes:
             if op in BINARY:
@@ -285,14 +285,14 @@ class Expression:
 
 
 def _scaled(graph: Graph, x: float, b: int) -> Expression | float:
-    """Any constant times a node."""
+    """Multiply a node by any constant."""
     if x == 0.0:
         return 0.0
     return Expression(graph, b) if x == 1.0 else graph.scale(x, b)
 
 
 def differentiate(graph: Graph, outputs: Sequence[Any], variables: Sequence[Expression]) -> Array:
-    """(outputs, variables) partial derivatives, forward mode, as scalars of the same graph."""
+    """Differentiate, forward mode: partial derivatives (outputs, variables) as scalars of the same graph."""
     roots = [graph.index(output) for output in outputs]
     needed = sorted(graph.ancestors(roots))
     table = np.zeros((len(outputs), len(variables)), dtype=object)
@@ -307,7 +307,7 @@ def differentiate(graph: Graph, outputs: Sequence[Any], variables: Sequence[Expr
 
 
 def _rate(graph: Graph, index: int, rates: dict[int, Any]) -> Any:
-    """Derivative of a node by the chain rule, from those of its operands."""
+    """Differentiate a node by the chain rule, from the derivatives of its operands."""
     node = graph.nodes[index]
     ends = operands(node)
     if not any(end in rates for end in ends):

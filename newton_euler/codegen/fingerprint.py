@@ -1,4 +1,4 @@
-"""What a traced program depends on, as one hash: the scene, and the source that traces it."""
+"""Fingerprints of traced programs: one hash of all they depend on, the source that traces them included."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-NEUTRAL = frozenset({"description", "duration", "output_period", "controller", "shapes", "meshes"})
-"""Fields of scenes, control laws and bodies that no equation sees."""
 
-
-def fingerprint(*values: object) -> str | None:
-    """The hash of some values and of this package's source.
+def fingerprint(*values: object, neutral: frozenset[str] = frozenset()) -> str | None:
+    """Hash some values and this package's source.
 
     None if one of them holds something whose meaning lies outside this package: an object of a class of the
     user's own, for one.
+
+    Args:
+        neutral: names of fields that no program depends on.
     """
     try:
-        parts = [part for value in values for part in _parts(value)]
+        parts = [part for value in values for part in _parts(value, neutral)]
     except TypeError:
         return None
     return hashlib.sha256(b"\0".join([SOURCE, *parts])).hexdigest()
@@ -43,8 +43,8 @@ SOURCE = _source()
 """Of the files as they are imported; later they may be edited, and this process would not know."""
 
 
-def _parts(value: Any) -> Iterator[bytes]:
-    """The same bytes for the same value, in every process."""
+def _parts(value: Any, neutral: frozenset[str]) -> Iterator[bytes]:
+    """Yield the same bytes for the same value, in every process."""
     if value is None or isinstance(value, str | int | float):
         yield repr(value).encode()
     elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
@@ -54,13 +54,13 @@ def _parts(value: Any) -> Iterator[bytes]:
         items = sorted(value) if isinstance(value, frozenset) else value
         yield f"{type(value).__name__} {len(value)}".encode()
         for item in items.items() if isinstance(items, Mapping) else items:
-            yield from _parts(item)
+            yield from _parts(item, neutral)
     elif type(value).__module__.startswith("newton_euler."):
         yield type(value).__qualname__.encode()
         names = [f.name for f in fields(value)] if is_dataclass(value) else value.DEFINED_BY
         for name in names:
-            if name not in NEUTRAL:
+            if name not in neutral:
                 yield name.encode()
-                yield from _parts(getattr(value, name))
+                yield from _parts(getattr(value, name), neutral)
     else:
         raise TypeError(f"{type(value)} has no fingerprint")

@@ -1,8 +1,8 @@
 """Plain Python functions that become native code: the loops around traced programs, integrators above all.
 
 A function decorated with `native` is ordinary Python over floats, integers, NumPy vectors and other
-functions, and runs as such. `newton_euler.codegen.translate` gives the same function as LLVM text. What it
-may contain is what an integrator needs: assignments, if, while, `for k in range(...)`, arithmetic,
+functions, and runs as such. `newton_euler.codegen.translate` gives the same function as LLVM text. It may
+contain all that a method of integration needs: assignments, if, while, `for k in range(...)`, arithmetic,
 comparisons, elements `a[k]` and tails `a[k:]` of vectors, fields of records, calls of other native
 functions, of callbacks and of abs, min, max, sqrt. Arguments are annotated `float`, `int`, `Vector`,
 `Callback` or a subclass of `Record`; tables of module level (tuples of floats) become constants.
@@ -63,7 +63,7 @@ class Record:
 
 
 def address_of(argument: Any) -> Any:
-    """The address of an array of doubles, of a record or of a native function; anything else as it is.
+    """Return the address of an array of doubles, of a record or of a native function, anything else as it is.
 
     Raises:
         TypeError: for an array of another kind.
@@ -84,7 +84,7 @@ Kind = str | type[Record]
 
 
 class NativeError(TypeError):
-    """Python that `native` does not speak; names the function and the line."""
+    """Python that native code cannot express, with the function and the line."""
 
 
 class Signature(NamedTuple):
@@ -95,7 +95,7 @@ class Signature(NamedTuple):
 
 
 def machine_type(kind: Kind) -> str:
-    """LLVM's own type for one of those that values have here: callbacks and records are pointers."""
+    """Return LLVM's own type of a kind: callbacks and records are pointers."""
     return "ptr" if kind == "fn" or not isinstance(kind, str) else kind
 
 
@@ -120,10 +120,10 @@ def native(function: F) -> F:
 
 
 def signature_of(function: Callable[..., Any]) -> Signature:
-    """LLVM types of a native function."""
+    """Return the LLVM types of a native function."""
     return _SIGNATURES[function]
 
 
 def is_native(function: object) -> bool:
-    """Whether something is a function marked by `native`."""
+    """Return True for a function marked by `native`."""
     return function in _SIGNATURES

@@ -1,14 +1,31 @@
-"""Native functions compiled, to be called from Python."""
+"""Native functions compiled together, to be called from Python."""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from pathlib import Path
+from types import FunctionType
 from typing import Any
 
+from newton_euler.codegen import native, translate
 from newton_euler.codegen.compile import NativeModule
-from newton_euler.codegen.native import Kind, Signature, address_of, signature_of
-from newton_euler.codegen.translate import sources, text
+from newton_euler.codegen.native import (
+    Kind,
+    NativeError,
+    Signature,
+    address_of,
+    is_native,
+    signature_of,
+)
+
+DECLARATIONS = """
+declare double @llvm.fabs.f64(double)
+declare double @llvm.sqrt.f64(double)
+declare double @llvm.minnum.f64(double, double)
+declare double @llvm.maxnum.f64(double, double)
+declare double @llvm.pow.f64(double, double)
+"""
 
 
 class NativeFunctions:
@@ -24,9 +41,9 @@ class NativeFunctions:
         }
 
     def bind(self, function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
-        """A call of one of the functions with these arguments, arrays and native functions by address.
+        """Bind one of the functions to these arguments, arrays and native functions by address.
 
-        What is missing of them is for each call to give.
+        Each call gives what is missing of them.
         """
         call, given = self._calls[function.__name__], [address_of(argument) for argument in arguments]
 
@@ -44,3 +61,41 @@ def _ctypes(signature: Signature) -> Any:
     kinds: dict[Kind, Any] = {"double": ctypes.c_double, "i64": ctypes.c_int64, "void": None}
     arguments = [kinds.get(kind, ctypes.c_void_p) for kind in signature.arguments.values()]
     return ctypes.CFUNCTYPE(kinds[signature.result], *arguments)
+
+
+def text(functions: list[Callable[..., Any]]) -> str:
+    """Translate these native functions and all they call to LLVM text."""
+    done: dict[str, str] = {}
+    owners: dict[str, Callable[..., Any]] = {}
+    entries = [function.__name__ for function in functions]
+    tables: dict[str, str] = {}
+    waiting = list(functions)
+    while waiting:
+        function = waiting.pop()
+        known = owners.setdefault(function.__name__, function)
+        if known is not function:
+            raise NativeError(f"two functions are called {function.__name__}")
+        if function.__name__ not in done:
+            translator = translate.Translator(function)
+            inner = function.__name__ not in entries
+            done[function.__name__] = translator.translate("internal " if inner else "")
+            for name, table in translator.tables.items():
+                if tables.setdefault(name, table) != table:
+                    raise NativeError(f"two tables are called {name}")
+            waiting.extend(translator.callees)
+    return "\n".join([DECLARATIONS, *tables.values(), *done.values()])
+
+
+def sources(functions: list[Callable[..., Any]]) -> str:
+    """Read all that their text depends on: the files of native functions they may call, and the
+    translator."""
+    files = {__file__, str(native.__file__), str(translate.__file__)}
+    waiting = list(functions)
+    while waiting:
+        function = waiting.pop()
+        if function.__code__.co_filename not in files:
+            files.add(function.__code__.co_filename)
+            waiting += (
+                f for f in function.__globals__.values() if isinstance(f, FunctionType) and is_native(f)
+            )
+    return "".join(Path(file).read_text(encoding="utf-8") for file in sorted(files))

@@ -1,4 +1,4 @@
-"""Large programs as loops: code for each piece that repeats, and tables of where it is repeated.
+"""Loop rolling of large programs: code for each piece that repeats, and tables of its instances.
 
 Straight-line code grows with the scene; what it computes repeats itself, once for every joint, body
 and loop of a kind. The program is cut into pieces at places that depend on nothing but the operations
@@ -7,7 +7,7 @@ become one function; which values and constants each instance takes is data. Res
 straight-line code: the same operations in the same order.
 
 A value that other pieces use has a place in a table of values. Its first places are the inputs. Where
-there is no memory for the table, all results are NaN, which is no healthy configuration to any caller.
+there is no memory for the table, all results are NaN, whose pivot ratio no caller takes for positive.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from newton_euler.codegen.expression import Program, operands
 from newton_euler.codegen.trigonometry import literal
 
 WINDOW = 8
-"""How many operations decide whether the program is cut after them."""
+"""Number of operations that decide on a cut of the program after them."""
 
 SHORTEST = 48
 """Operations of a piece at least; calling a shorter one would cost as much as running it."""
@@ -43,7 +43,7 @@ class Instance:
     """One occurrence of a piece.
 
     Attributes:
-        nodes: what it computes, in order.
+        nodes: those that it computes, in order.
         values: nodes of other pieces that it uses, in order of first use.
         data: its own constants.
     """
@@ -60,7 +60,7 @@ class Piece:
     Attributes:
         steps: operations on operands that are the same in all instances but for values and data.
         instances: its occurrences.
-        kept: which of its steps some other piece or an output uses, in order.
+        kept: those of its steps that some other piece or an output uses, in order.
     """
 
     number: int
@@ -70,7 +70,7 @@ class Piece:
 
 
 def cut(program: Program) -> list[list[int]]:
-    """The operations of a program in pieces."""
+    """Cut the operations of a program into pieces."""
     operations = [k for k, node in enumerate(program.nodes) if operands(node)]
     words = [program.nodes[k].op for k in operations]
     sums = [_checksum(words[max(0, n + 1 - WINDOW) : n + 1]) for n in range(len(words))]
@@ -93,7 +93,7 @@ def _checksum(words: Iterable[str]) -> int:
 
 
 def roll(program: Program) -> tuple[list[Piece], list[tuple[Piece, Instance]]]:
-    """The kinds of pieces of a program, and all instances in the order in which to run them."""
+    """Find the kinds of pieces of a program, and all instances in the order in which to run them."""
     common = _common_constants(program)
     pieces: dict[tuple[Step, ...], Piece] = {}
     order: list[tuple[Piece, Instance]] = []
@@ -125,7 +125,7 @@ def _common_constants(program: Program) -> set[float]:
 
 
 def _structure(program: Program, nodes: list[int], common: set[float]) -> tuple[tuple[Step, ...], Instance]:
-    """What is the same in all instances of a piece, and what is its own."""
+    """Separate the structure that all instances of a piece share from the data of one."""
     own = {node: place for place, node in enumerate(nodes)}
     instance = Instance(nodes, [], [])
     arguments: dict[int, int] = {}
@@ -151,7 +151,7 @@ def _structure(program: Program, nodes: list[int], common: set[float]) -> tuple[
 
 
 def emit_rolled(program: Program, name: str) -> str:
-    """The program as loops over its pieces; an `Emitter`."""
+    """Emit the program as loops over its pieces; an `Emitter`."""
     pieces, order = roll(program)
     place = {k: int(node.a) for k, node in enumerate(program.nodes) if node.op == "input"}
     size = program.inputs
@@ -203,13 +203,13 @@ def emit_rolled(program: Program, name: str) -> str:
 
 
 def _table(kind: str, name: str, entries: Sequence[object]) -> str:
-    """A constant array."""
+    """Emit a constant array."""
     content = ", ".join(f"{kind} {entry}" for entry in entries)
     return f"@{name} = private constant [{len(entries)} x {kind}] [{content}]"
 
 
 def _emit_piece(piece: Piece, name: str) -> str:
-    """A piece as `void(values, places of its arguments, data, start of its results)`."""
+    """Emit a piece as `void(values, places of its arguments, data, start of its results)`."""
     out = Instructions()
     known: dict[Operand, str] = {}
 

@@ -1,4 +1,4 @@
-"""Native functions to LLVM text; whatever else a function contains is refused with the line it stands in."""
+"""Translation of native functions to LLVM text; what native code cannot do is refused with its line."""
 
 from __future__ import annotations
 
@@ -6,10 +6,8 @@ import ast
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from types import FunctionType
 from typing import Any, NamedTuple
 
-from newton_euler.codegen import native
 from newton_euler.codegen.native import Kind, NativeError, is_native, machine_type, signature_of
 from newton_euler.codegen.trigonometry import literal
 
@@ -29,52 +27,6 @@ INTRINSICS = {
     "max": "llvm.maxnum.f64",
 }
 
-DECLARATIONS = """
-declare double @llvm.fabs.f64(double)
-declare double @llvm.sqrt.f64(double)
-declare double @llvm.minnum.f64(double, double)
-declare double @llvm.maxnum.f64(double, double)
-declare double @llvm.pow.f64(double, double)
-declare double @llvm.ceil.f64(double)
-"""
-
-
-def text(functions: list[Callable[..., Any]]) -> str:
-    """LLVM text of these native functions and of all they call."""
-    done: dict[str, str] = {}
-    owners: dict[str, Callable[..., Any]] = {}
-    entries = [function.__name__ for function in functions]
-    tables: dict[str, str] = {}
-    waiting = list(functions)
-    while waiting:
-        function = waiting.pop()
-        known = owners.setdefault(function.__name__, function)
-        if known is not function:
-            raise NativeError(f"two functions are called {function.__name__}")
-        if function.__name__ not in done:
-            translator = Translator(function)
-            inner = function.__name__ not in entries
-            done[function.__name__] = translator.translate("internal " if inner else "")
-            for name, table in translator.tables.items():
-                if tables.setdefault(name, table) != table:
-                    raise NativeError(f"two tables are called {name}")
-            waiting.extend(translator.callees)
-    return "\n".join([DECLARATIONS, *tables.values(), *done.values()])
-
-
-def sources(functions: list[Callable[..., Any]]) -> str:
-    """What their text depends on: the files of all native functions they may call, and this one."""
-    files = {__file__, str(native.__file__)}
-    waiting = list(functions)
-    while waiting:
-        function = waiting.pop()
-        if function.__code__.co_filename not in files:
-            files.add(function.__code__.co_filename)
-            waiting += (
-                f for f in function.__globals__.values() if isinstance(f, FunctionType) and is_native(f)
-            )
-    return "".join(Path(file).read_text(encoding="utf-8") for file in sorted(files))
-
 
 class Value(NamedTuple):
     """An LLVM operand with its type."""
@@ -84,7 +36,7 @@ class Value(NamedTuple):
 
 
 class Translator:
-    """One function to LLVM text. Variables live in memory; LLVM moves them to registers."""
+    """Translation of one function. Variables live in memory; LLVM moves them to registers."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.function = function
@@ -102,7 +54,7 @@ class Translator:
         self._open = True
 
     def translate(self, linkage: str = "") -> str:
-        """The whole function."""
+        """Translate the whole function."""
         definition = _definitions(self.function.__code__.co_filename)[self.function.__name__]
         arguments = []
         for name, kind in self.signature.arguments.items():
@@ -186,7 +138,7 @@ class Translator:
             and call.func.id == "range"
             and len(call.args) <= 2
         ):
-            raise self._error(statement, "loops over something else than range(stop) or range(start, stop)")
+            raise self._error(statement, "loops over anything but range(stop) or range(start, stop)")
         bounds = [self._value(argument) for argument in call.args]
         stop = bounds[-1]
         start = bounds[0] if len(bounds) == 2 else Value("i64", "0")
@@ -252,7 +204,7 @@ class Translator:
             self._emit(f"br i1 {found}, label %{yes}, label %{no}")
             self._open = False
         else:
-            raise self._error(test, "tests something else than a comparison")
+            raise self._error(test, "tests anything but a comparison")
 
     # Expressions
 
@@ -290,9 +242,9 @@ class Translator:
             raise self._error(node, f"uses {node.id!r} before it has a value") from error
 
     def _of_attribute(self, node: ast.Attribute) -> Value:
-        """A field of a record, from where it was put on entry."""
+        """Read a field of a record, from where it was put on entry."""
         if not isinstance(node.value, ast.Name) or node.value.id not in self._records:
-            raise self._error(node, "holds an attribute of something else than a record")
+            raise self._error(node, "holds an attribute of anything but a record")
         record, name = self._records[node.value.id], node.attr
         assert not isinstance(record.type, str)
         if name not in record.type.kinds:
@@ -345,7 +297,7 @@ class Translator:
         return Value("double", self._new(f"load double, ptr {self._element(node)}"))
 
     def _element(self, node: ast.Subscript) -> str:
-        """Address of a[k], which is also the vector a[k:]."""
+        """Compute the address of a[k], which is also the vector a[k:]."""
         vector, place = self._value(node.value), node.slice
         if isinstance(place, ast.Slice):
             if place.upper is not None or place.step is not None or place.lower is None:
@@ -358,7 +310,7 @@ class Translator:
 
     def _of_call(self, node: ast.Call) -> Value:
         if not isinstance(node.func, ast.Name | ast.Attribute) or node.keywords:
-            raise self._error(node, "calls something else than a function by its name")
+            raise self._error(node, "calls anything but a function by its name")
         arguments = [self._value(argument) for argument in node.args]
         if isinstance(node.func, ast.Attribute) or node.func.id in self._variables:
             callback, (x, y) = self._value(node.func), arguments
@@ -435,7 +387,7 @@ class Translator:
         self._open = True
 
     def _jump(self, label: str) -> bool:
-        """Jump unless the block has ended already; returns whether it jumped."""
+        """Jump unless the block has ended already; True if it jumps."""
         jumped = self._open
         if jumped:
             self._emit(f"br label %{label}")
@@ -449,12 +401,12 @@ class Translator:
 
 @lru_cache
 def _definitions(file: str) -> dict[str, ast.FunctionDef]:
-    """The functions that a file defines, by name."""
+    """Parse the functions that a file defines, by name."""
     body = ast.parse(Path(file).read_text(encoding="utf-8")).body
     return {node.name: node for node in body if isinstance(node, ast.FunctionDef)}
 
 
 def _loaded(target: ast.expr) -> ast.expr:
-    """The target of an assignment as an expression to read."""
+    """Return the target of an assignment as an expression to read."""
     copy = ast.parse(ast.unparse(target), mode="eval").body
     return ast.copy_location(copy, target)

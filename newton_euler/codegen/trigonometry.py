@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 FAR = 1e5
-"""rad: up to here the number of quarter turns times a part of pi/2 is exact."""
+"""rad: up to here the number of quarter revolutions times a part of pi/2 is exact."""
 
 TWO_OVER_PI = 6.36619772367581382433e-01
 HALF_PI = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
@@ -42,17 +42,17 @@ COSINE = (
 
 
 def literal(value: float) -> str:
-    """A double in LLVM's hexadecimal form, exact."""
+    """Write a double in LLVM's hexadecimal form, exact."""
     return f"0x{int(np.float64(value).view(np.uint64)):016X}"
 
 
 def vector_type(element: str, lanes: int) -> str:
-    """The LLVM type of so many elements, or of one alone."""
+    """Return the LLVM type of so many elements, or of one alone."""
     return element if lanes == 1 else f"<{lanes} x {element}>"
 
 
 def constant(value: float, lanes: int) -> str:
-    """A double as an operand, the same in all lanes."""
+    """Write a double as an operand, the same in all lanes."""
     return literal(value) if lanes == 1 else f"splat (double {literal(value)})"
 
 
@@ -61,7 +61,7 @@ def _whole(value: int, lanes: int) -> str:
 
 
 def _polynomial(name: str, coefficients: Sequence[float], lanes: int) -> str:
-    """Horner's rule in %z into %name0."""
+    """Emit Horner's rule in %z into %name0."""
     t = vector_type("double", lanes)
     last = constant(coefficients[-1], lanes)
     lines = [f"  %{name}{len(coefficients) - 1} = fadd {t} {last}, {constant(0.0, lanes)}"]
@@ -72,7 +72,7 @@ def _polynomial(name: str, coefficients: Sequence[float], lanes: int) -> str:
 
 
 def _reduction(lanes: int) -> str:
-    """%x - %n pi/2 into %r3, one part of pi/2 after the other."""
+    """Emit %x - %n pi/2 into %r3, one part of pi/2 after the other."""
     t = vector_type("double", lanes)
     return "\n".join(
         f"  %w{k} = fmul contract {t} %n, {constant(part, lanes)}\n"
@@ -82,7 +82,7 @@ def _reduction(lanes: int) -> str:
 
 
 def by_lane(name: str, function: str, arguments: Sequence[str], lanes: int) -> str:
-    """%name = a scalar function of double arguments, called for each lane."""
+    """Emit %name = a scalar function of double arguments, called for each lane."""
     if lanes == 1:
         return f"  %{name} = call double @{function}({', '.join(f'double {a}' for a in arguments)})"
     t = vector_type("double", lanes)
@@ -99,7 +99,7 @@ def by_lane(name: str, function: str, arguments: Sequence[str], lanes: int) -> s
 
 
 def sincos(lanes: int) -> str:
-    """LLVM text of `{double, double} sincos(double)`, sine and then cosine, for so many lanes.
+    """Emit `{double, double} sincos(double)`, sine and then cosine, for so many lanes.
 
     With several, all of them go to the C library if one is far.
     """

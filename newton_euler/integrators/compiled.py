@@ -44,6 +44,9 @@ FORMULATIONS: dict[str, type[Relative] | type[Cartesian]] = {
 }
 
 
+NEUTRAL = frozenset({"description", "duration", "output_period", "controller", "shapes", "meshes"})
+"""Fields of scenes, control laws and bodies that no equation sees."""
+
 STABILIZATIONS = ("projection", "baumgarte", "none")
 
 PAPER_ALPHA = 10.0
@@ -54,8 +57,7 @@ OPEN_TOLERANCE = 1e-9
 
 
 def baumgarte_alpha(stabilization: str, alpha: float) -> float:
-    """Return the alpha that equations take under a stabilization; raises `OptionError` for impossible
-    ones."""
+    """Return the alpha that equations take; raises `OptionError` for impossible choices."""
     if not is_finite_number(alpha) or alpha < 0.0:
         raise OptionError("alpha", alpha, "a number of 1/s, zero or more")
     check_choice("stabilization", stabilization, STABILIZATIONS)
@@ -73,7 +75,7 @@ class Code:
     """Native functions of one formulation of a scene. Each is traced and compiled when first needed.
 
     Attributes:
-        scene: that was compiled.
+        scene: the scene that is compiled.
         system: its formulation, whose float form is the reference.
         formulation, stabilization, alpha: as asked for.
         parameters: names of the parameters that are inputs of the code, with their shapes.
@@ -170,7 +172,7 @@ class Code:
         chosen: list[Any] = [self.formulation, self.stabilization, self._alpha, tuple(self.parameters)]
         if self._independent is not None:
             chosen.append(tuple(self._independent))
-        return fingerprint(self.scene, *chosen)
+        return fingerprint(self.scene, *chosen, neutral=NEUTRAL)
 
     @cached_property
     def _decided(self) -> tuple[RowsInUse, bool, tuple[NearlyRedundant, ...]]:
@@ -307,12 +309,8 @@ class Code:
         norms = [q[place] @ q[place] - 1.0 for place in system.quaternions]
         q = system.retract(q, np.zeros(system.nv))  # quaternions of norm 1
         phi, step, pivot_ratio = self._correction(system, q, None)
-        return [
-            *system.retract(q, -step),
-            *v,
-            self._open(phi) + sum(norm * norm for norm in norms),
-            pivot_ratio,
-        ]
+        square = self._open(phi) + sum(norm * norm for norm in norms)
+        return [*system.retract(q, -step), *v, square, pivot_ratio]
 
     def _open(self, phi: Array) -> Scalar:
         """Square dimensionless residuals (k,); rows that are omitted may open by more than the others."""
@@ -328,8 +326,10 @@ class Code:
         return [*q, *(v - step), self._open(phi), pivot_ratio]
 
     def _correction(self, system: Formulation, q: Array, v: Array | None) -> tuple[Array, Array, Scalar]:
-        """Find residuals, the least step (nv,) that removes them or their rate at v, and its pivot ratio; all
-        dimensionless but the step."""
+        """Find residuals, the least step (nv,) that removes them or their rate at v, and its pivot ratio.
+
+        All but the step is dimensionless.
+        """
         units = system.velocity_units
         phi, jacobian = system.phi_and_jacobian(q)
         rows = [
@@ -342,11 +342,8 @@ class Code:
             opening = (system.phi_t() / system.phi_units)[self.rows.numbers]
             right = opening + [sum(x * (v[k] / units[k]) for k, x in row.items()) for row in rows]
         step, pivot_ratio = least_squares(rows, right)
-        return (
-            phi,
-            np.array([units[k] * step.get(k, 0.0) for k in range(system.nv)]),
-            minimum(pivot_ratio, 1.0),
-        )
+        least = np.array([units[k] * step.get(k, 0.0) for k in range(system.nv)])
+        return phi, least, minimum(pivot_ratio, 1.0)
 
     def _trace_surface(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace (Phi, dPhi/dt, nonzeros of Phi_q, nonzeros of M); the layout has their rows and columns."""
@@ -361,8 +358,7 @@ class Code:
         return scalars
 
     def _trace_output(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
-        """Trace the arrays that the scene asks for, one after the other; the layout has their places,
-        shapes."""
+        """Trace the arrays that the scene asks for; the layout has their places and shapes."""
         e, pivot_ratio = system.sparse_evaluation(q, v, self.rows)
         wanted = self.scene.outputs
         arrays: dict[str, Any] = {"position": e.state.position, "quaternion": e.state.quaternion}

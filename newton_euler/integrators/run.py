@@ -89,7 +89,7 @@ def marks(code: Code, integrator: str) -> Array:
 
 
 class Fallback:
-    """What native code leaves to Python: states near singular, by the dense float form, and interrupts.
+    """Callbacks of native code into Python: states near singular, by the dense float form, and interrupts.
 
     Attributes:
         derivative, closing, pause: addresses of native callbacks.

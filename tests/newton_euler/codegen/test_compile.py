@@ -24,8 +24,7 @@ from newton_euler.codegen.compile import NativeFunction, NativeModule, Traced
 from newton_euler.codegen.emit import LANES
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.native import Callback, NativeError, Record, Signature, Vector, native
-from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.codegen.translate import text
+from newton_euler.codegen.native_functions import NativeFunctions, text
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.run import load, native_method
 
