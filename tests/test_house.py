@@ -1,11 +1,15 @@
-"""Which package may import which, and what an import costs."""
+"""Imports: which package and room may import which, no circle, and what an import costs."""
 
 from __future__ import annotations
 
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -18,6 +22,105 @@ ALLOWED = {
     "crosscheck": {"newton_euler", "mjcf", "urdf", "crosscheck", "rerun"},
 }
 WATCHED = {"newton_euler", "mjcf", "urdf", "crosscheck", "mujoco", "pinocchio", "rerun"}
+
+
+ROOMS: dict[str, set[str]] = {
+    "model": set(),
+    "equations": {"model"},
+    "codegen": set(),
+    "integrators": {"model", "equations", "codegen"},
+}
+"""Rooms of newton_euler, and those that each may import; what stands above them all may import any."""
+
+GROUND = {"newton_euler.errors", "newton_euler.limits", "newton_euler.scalars"}
+"""Modules below all rooms."""
+
+HEAVY = {"coal", "dask", "llvmlite", "matplotlib", "mujoco", "pinocchio", "rerun", "scipy"}
+"""Packages that are loaded when they are needed."""
+
+LIMITED = {"numpy", "resource"}
+"""Imported by functions that run in processes of their own, whose memory they limit first."""
+
+
+class Import(NamedTuple):
+    """An import of a module.
+
+    Attributes:
+        module: its name; of a name that is imported from a package's module, that module.
+        inside: whether it stands in a function.
+    """
+
+    module: str
+    inside: bool
+
+
+@cache
+def modules(package: str) -> dict[str, Path]:
+    """The source of each module of a package, by the module's name."""
+    found = {}
+    for source in sorted((ROOT / package).rglob("*.py")):
+        parts = source.relative_to(ROOT).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = source
+    return found
+
+
+@cache
+def imports_of(source: Path) -> tuple[Import, ...]:
+    """All imports of a module, those for type checkers included."""
+    known = {name for package in ALLOWED for name in modules(package)}
+    return tuple(_imports(ast.parse(source.read_text()), known, inside=False))
+
+
+def _imports(node: ast.AST, known: set[str], inside: bool) -> Iterator[Import]:
+    inside = inside or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.Import):
+            yield from (Import(alias.name, inside) for alias in child.names)
+        elif isinstance(child, ast.ImportFrom):
+            for alias in child.names:
+                full = f"{child.module}.{alias.name}"
+                yield Import(full if full in known else str(child.module), inside)
+        else:
+            yield from _imports(child, known, inside)
+
+
+@pytest.mark.parametrize("package", ["newton_euler", "mjcf", "urdf"])
+def test_modules_do_not_import_each_other_in_a_circle(package):
+    graph = {
+        name: {each.module for each in imports_of(source)} - {name}
+        for name, source in modules(package).items()
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" imports ".join(reversed(error.args[1])))
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_rooms_import_one_way(room):
+    allowed = tuple(f"newton_euler.{other}." for other in (room, *ROOMS[room]))
+    for name, source in modules("newton_euler").items():
+        if name.startswith(f"newton_euler.{room}."):
+            for module, _ in imports_of(source):
+                own = module.startswith("newton_euler")
+                assert not own or module in GROUND or module.startswith(allowed), f"{name} imports {module}"
+
+
+@cache
+def is_heavy(module: str) -> bool:
+    """Whether importing a module loads a heavy package."""
+    if module.split(".")[0] in HEAVY:
+        return True
+    source = modules(module.split(".")[0]).get(module)
+    return source is not None and any(is_heavy(each.module) for each in imports_of(source) if not each.inside)
+
+
+@pytest.mark.parametrize("package", ["newton_euler", "mjcf", "urdf"])
+def test_imports_inside_functions_are_of_heavy_packages(package):
+    for name, source in modules(package).items():
+        for module, inside in imports_of(source):
+            allowed = not inside or is_heavy(module) or module in LIMITED
+            assert allowed, f"{name} imports {module} inside a function"
 
 
 @pytest.mark.parametrize("package", ALLOWED)
