@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from numbers import Integral, Real
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 T = TypeVar("T")
 
@@ -58,6 +59,37 @@ def check_texts(where: str, thing: object, *fields: str) -> None:
         value = getattr(thing, field)
         if not isinstance(value, str):
             raise MechanismError(where, f"{field} is {value!r:.100}", "a name")
+
+
+def finite_array(element: str, name: str, value: object, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Convert a value to a read-only array of finite numbers; raises `MechanismError`."""
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        array = np.full(1, np.nan)
+    if array.shape != shape or not np.all(np.isfinite(array)):
+        words = {(): "a finite number", (3,): "three finite numbers"}
+        needed = words.get(shape, f"{int(np.prod(shape))} finite numbers, shape {shape}")
+        raise MechanismError(element, f"{name} is {value!r:.200}", needed)
+    array.flags.writeable = False
+    return array
+
+
+def set_arrays(thing: object, element: str, **shapes: tuple[int, ...]) -> None:
+    """Replace attributes by read-only arrays of these shapes, or floats for (); raises `MechanismError`."""
+    for name, shape in shapes.items():
+        value = finite_array(element, name, getattr(thing, name), shape)
+        object.__setattr__(thing, name, value if shape else float(value))
+
+
+def set_numbers(thing: object, element: str, names: Iterable[str], least: float = -np.inf) -> None:
+    """Replace attributes by floats of at least `least`; raises `MechanismError`."""
+    for name in names:
+        value: Any = getattr(thing, name)
+        if not is_finite_number(value) or value < least:
+            needed = "a finite number" if np.isinf(least) else f"a finite number, {least:g} or more"
+            raise MechanismError(element, f"{name} is {value!r:.100}", needed)
+        object.__setattr__(thing, name, float(value))
 
 
 def elements_of(where: str, field: str, given: Iterable[T], kind: type[T]) -> tuple[T, ...]:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from newton_euler.errors import MechanismError
+from newton_euler.errors import MechanismError, finite_array
 from newton_euler.model.constraints import Constraint, Displacement, Perpendicular
 from newton_euler.model.hinge_angles import (
     ClosedRow,
@@ -18,7 +18,7 @@ from newton_euler.model.hinge_angles import (
     Separation,
     dual_axes,
 )
-from newton_euler.model.joint import Joint, Motion, Pose, finite_vector, perpendicular_pair, unit_vector
+from newton_euler.model.joint import Joint, Motion, Pose, perpendicular_pair, unit_vector
 from newton_euler.scalars import Array, cross
 
 INDEPENDENT = 1e-3
@@ -74,7 +74,7 @@ class Compound(Joint):
         needed = max(len(self.hinges) - 1, 0)
         stated = np.zeros((needed, 3)) if self.offsets is None else self.offsets
         try:
-            vectors = [finite_vector(self.name, "offsets", each) for each in stated]
+            vectors = [finite_array(where, "offsets", each, (3,)) for each in stated]
         except TypeError as error:
             raise MechanismError(where, f"offsets is {self.offsets!r:.100}", "vectors") from error
         if len(vectors) != needed:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from newton_euler.errors import MechanismError, check_key, is_finite_number
+from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
 from newton_euler.model.motions import TimeFunction
 from newton_euler.scalars import Array, Scalar
 
@@ -38,13 +38,7 @@ class PD:
 
     def __post_init__(self) -> None:
         where = self.element
-        for name in self.parameters:
-            value = getattr(self, name)
-            if name == "feedforward" and self.is_driven:
-                continue
-            if not is_finite_number(value):
-                raise MechanismError(where, f"{name} is {value!r}", "a finite number")
-            object.__setattr__(self, name, float(value))
+        set_numbers(self, where, self.parameters[: 3 if self.is_driven else 4])
         check_key(where, self.joint, self.coordinate)
 
     @property

@@ -15,7 +15,14 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_key, check_texts, is_finite_number
+from newton_euler.errors import (
+    MechanismError,
+    check_key,
+    check_texts,
+    is_finite_number,
+    set_arrays,
+    set_numbers,
+)
 from newton_euler.model.constraints import Frame
 from newton_euler.model.joint import Key, Pose
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate, check_name
@@ -48,8 +55,8 @@ class JointSpring:
     parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "rest")
 
     def __post_init__(self) -> None:
-        _set_numbers(self, self.element, ("stiffness", "damping"), 0.0)
-        _set_numbers(self, self.element, ("rest",))
+        set_numbers(self, self.element, ("stiffness", "damping"), 0.0)
+        set_numbers(self, self.element, ("rest",))
         check_key(self.element, self.joint, self.coordinate)
 
     @property
@@ -104,8 +111,8 @@ class BallSpring:
 
     def __post_init__(self) -> None:
         check_texts(self.element, self, "joint")
-        _set_numbers(self, self.element, ("stiffness", "damping"), 0.0)
-        _set_vector(self, self.element, "rest")
+        set_numbers(self, self.element, ("stiffness", "damping"), 0.0)
+        set_arrays(self, self.element, rest=(3,))
 
     @property
     def element(self) -> str:
@@ -159,9 +166,8 @@ class PointSpring:
     def __post_init__(self) -> None:
         check_name("point spring", self.name)
         check_texts(self.element, self, "first", "second")
-        for name in ("point_on_first", "point_on_second"):
-            _set_vector(self, self.element, name)
-        _set_numbers(self, self.element, self.parameters, 0.0)
+        set_arrays(self, self.element, point_on_first=(3,), point_on_second=(3,))
+        set_numbers(self, self.element, self.parameters, 0.0)
 
     @property
     def element(self) -> str:
@@ -220,8 +226,7 @@ class Wrench:
     def __post_init__(self) -> None:
         check_name("wrench", self.name)
         check_texts(self.element, self, "body")
-        for name in ("point", "force", "torque"):
-            _set_vector(self, self.element, name)
+        set_arrays(self, self.element, point=(3,), force=(3,), torque=(3,))
         if not isinstance(self.frame, str) or self.frame not in ("world", "body"):
             raise MechanismError(self.element, f"frame is {self.frame!r}", "'world' or 'body'")
 
@@ -253,29 +258,6 @@ def check_ball(element: str, joint: str, mechanism: Mechanism) -> None:
     if not any(motion.kind == "ball" for motion in found.motions):
         needed = "a joint with a ball: spherical, free, or compound with one"
         raise MechanismError(element, f"is on a {found.kind} joint", needed)
-
-
-def _set_numbers(thing: Force, element: str, names: Sequence[str], least: float = -np.inf) -> None:
-    """Replace attributes by floats of at least `least`; raises `MechanismError`."""
-    for name in names:
-        value = getattr(thing, name)
-        if not is_finite_number(value) or value < least:
-            needed = "a finite number" if np.isinf(least) else f"a finite number, {least:g} or more"
-            raise MechanismError(element, f"{name} is {value!r:.100}", needed)
-        object.__setattr__(thing, name, float(value))
-
-
-def _set_vector(thing: BallSpring | PointSpring | Wrench, element: str, name: str) -> None:
-    """Replace an attribute by a read-only array (3,) of its own; raises `MechanismError`."""
-    raw = getattr(thing, name)
-    try:
-        value = np.array(raw, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        value = np.zeros(0)
-    if value.shape != (3,) or not np.all(np.isfinite(value)):
-        raise MechanismError(element, f"{name} is {raw!r:.100}", "three finite numbers")
-    value.flags.writeable = False
-    object.__setattr__(thing, name, value)
 
 
 class Line(NamedTuple):

@@ -16,7 +16,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_texts
+from newton_euler.errors import MechanismError, check_texts, finite_array, set_arrays
 from newton_euler.model.constraints import (
     Angle,
     Coincidence,
@@ -105,21 +105,9 @@ def perpendicular_pair(axis: Array) -> tuple[Array, Array]:
     return cross(w, axis), w
 
 
-def finite_vector(joint: str, name: str, value: object) -> Array:
-    """A read-only array (3,) of finite numbers; raises `MechanismError`."""
-    try:
-        vector = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        vector = np.zeros(0)
-    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        raise MechanismError(f"joint {joint!r}", f"{name} is {value!r}", "three finite numbers")
-    vector.flags.writeable = False
-    return vector
-
-
 def unit_vector(joint: str, name: str, value: object) -> Array:
     """A read-only array (3,) of norm 1 along an axis of a joint; raises `MechanismError`."""
-    vector = finite_vector(joint, name, value)
+    vector = finite_array(f"joint {joint!r}", name, value, (3,))
     largest = float(np.max(np.abs(vector)))
     if largest < 1e-12:
         raise MechanismError(f"joint {joint!r}", f"{name} is {vector.tolist()}", "a non-zero axis")
@@ -160,9 +148,9 @@ class Joint:
             raise MechanismError(
                 f"joint {self.name!r:.100}", f"actuated is {self.actuated!r:.100}", "a truth value"
             )
-        object.__setattr__(self, "point", finite_vector(self.name, "point", self.point))
-        second = self.point if self.point_on_second is None else self.point_on_second
-        object.__setattr__(self, "point_on_second", finite_vector(self.name, "point_on_second", second))
+        if self.point_on_second is None:
+            object.__setattr__(self, "point_on_second", self.point)
+        set_arrays(self, f"joint {self.name!r}", point=(3,), point_on_second=(3,))
         for name in self.axis_names:
             object.__setattr__(self, name, unit_vector(self.name, name, getattr(self, name)))
 

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_choice, elements_of
+from newton_euler.errors import MechanismError, check_choice, elements_of, set_arrays
 from newton_euler.model.constraints import Frame
 from newton_euler.model.couplings import JointCoupling
 from newton_euler.model.euler_parameters import rotation
@@ -80,26 +80,11 @@ class Body:
 
     def __post_init__(self) -> None:
         check_name("body", self.name)
-        for name, shape in (
-            ("mass", ()),
-            ("center_of_mass", (3,)),
-            ("inertia", (3, 3)),
-            ("quaternion", (4,)),
-        ):
-            raw = getattr(self, name)
-            try:
-                value = np.array(raw, dtype=float)
-            except (TypeError, ValueError, OverflowError):
-                value = np.zeros((0, 0))
-            if value.shape != shape or not np.all(np.isfinite(value)):
-                count = int(np.prod(shape))
-                needed = "a finite number" if not shape else f"{count} finite numbers, shape {shape}"
-                raise MechanismError(f"body {self.name!r}", f"{name} is {raw!r}", needed)
-            value.flags.writeable = False
-            object.__setattr__(self, name, value if shape else float(value))
+        where = f"body {self.name!r}"
+        set_arrays(self, where, mass=(), center_of_mass=(3,), inertia=(3, 3), quaternion=(4,))
         if not isinstance(self.allow_unrealisable_inertia, bool):
             problem = f"allow_unrealisable_inertia is {self.allow_unrealisable_inertia!r:.100}"
-            raise MechanismError(f"body {self.name!r}", problem, "True or False")
+            raise MechanismError(where, problem, "True or False")
 
     @classmethod
     def ground(

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from newton_euler.errors import MechanismError, check_key, is_finite_number
+from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
 from newton_euler.scalars import Scalar, cos, sin
 
 HIGHEST = 1e15
@@ -81,11 +81,7 @@ class Sine:
     offset: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("amplitude", "angular_frequency", "phase", "offset"):
-            value = getattr(self, name)
-            if not is_finite_number(value):
-                raise MechanismError("sine", f"{name} is {value!r:.100}", "a finite number")
-            object.__setattr__(self, name, float(value))
+        set_numbers(self, "sine", ("amplitude", "angular_frequency", "phase", "offset"))
         w = self.angular_frequency
         if not is_finite_number(self.amplitude * w * w) or abs(w) > HIGHEST or abs(self.phase) > HIGHEST:
             problem = (

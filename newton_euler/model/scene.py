@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_choice, is_finite_number
+from newton_euler.errors import MechanismError, check_choice, is_finite_number, set_arrays
 from newton_euler.model.control import Law, Sampled
 from newton_euler.model.forces import (
     Armature,
@@ -106,7 +106,7 @@ class Scene:
                 f"than {MAXIMUM_OUTPUTS} outputs",
                 "a longer output_period",
             )
-        self._check_gravity()
+        set_arrays(self, where, gravity=(3,))
         if not isinstance(self.outputs, Iterable) or isinstance(self.outputs, str):
             raise MechanismError(where, f"outputs is {self.outputs!r}", "a set of names")
         for output in self.outputs:
@@ -128,18 +128,6 @@ class Scene:
             raise MechanismError(
                 f"scene {name!r}", f"description is {description!r:.150}", "one line of printable text"
             )
-
-    def _check_gravity(self) -> None:
-        try:
-            gravity = np.array(self.gravity, dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            gravity = np.zeros(0)
-        if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
-            raise MechanismError(
-                f"scene {self.name!r}", f"gravity is {self.gravity!r}", "three finite numbers, m/s^2"
-            )
-        gravity.flags.writeable = False
-        object.__setattr__(self, "gravity", gravity)
 
     def _check_control(self) -> None:
         laws = self.control

@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import IO, Any, Literal
 from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile
@@ -57,7 +57,8 @@ class Trajectory:
     engine: str
     settings: dict[str, Any]
     wall_time: float
-    time: Array = field(metadata={"shape": "n", "unit": "s"})
+    time: Array
+    """(n,) s."""
     body_names: tuple[str, ...]
     joint_names: tuple[str, ...]
     position: Array
