@@ -17,6 +17,9 @@ from crosscheck.cli.shared import (
 )
 from crosscheck.errors import CrosscheckError
 
+BENCH_WIDTH = 200
+"""Columns that the tables of a benchmark are laid out for."""
+
 
 @cli.command("explain")
 @click.argument("scene", default="tracker")
@@ -92,7 +95,7 @@ def bench_command(
             found, written = run.bench_batch(loaded, scene, options, batch, error, output, progress)
         else:
             found, written = run.bench(loaded, scene, options, error, repeats, output, progress)
-    click.echo(terminal(found.parts), nl=False)
+    click.echo(terminal(found.parts, BENCH_WIDTH), nl=False)
     click.echo("wrote " + ", ".join(str(path) for path in written))
     return AGREE
 

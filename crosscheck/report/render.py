@@ -19,6 +19,9 @@ from crosscheck.report.table import Cell, Lines, Part, Report, Table
 WIDTH = 130
 """Columns that tables are laid out for; a narrower terminal wraps them itself."""
 
+BRIEF = 32
+"""Characters of texts that are cut."""
+
 STYLES = {"": "", "holds": "green", "doubtful": "yellow", "fails": "bold red"}
 """Of verdicts, in a terminal."""
 
@@ -29,9 +32,9 @@ ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML cannot hold in any form."""
 
 
-def terminal(parts: Iterable[Part]) -> str:
-    """Parts that are not folded, in color where standard output has it."""
-    console = Console(width=max(WIDTH, Console().width))
+def terminal(parts: Iterable[Part], width: int = WIDTH) -> str:
+    """Parts that are not folded, in color where standard output has it, and as wide at least."""
+    console = Console(width=max(width, Console().width))
     with console.capture() as capture:
         for part in parts:
             if part.folded:
@@ -63,6 +66,9 @@ def _rich_table(table: Table) -> RichTable:
         else:
             cells = [cell if isinstance(cell, Cell) else Cell(cell) for cell in row]
             shown = [Text(cell.text, style=STYLES[cell.verdict]) for cell in cells]
+            for column, text in zip(table.columns, shown, strict=False):
+                if column.brief:
+                    text.truncate(BRIEF, overflow="ellipsis")
             drawn.add_row(*(Text(indent) + text if k == 0 else text for k, text in enumerate(shown)))
     return drawn
 

@@ -37,11 +37,13 @@ class Column:
         name: may have several lines.
         unit: of all its figures.
         numeric: whether it holds figures, aligned at the right and never wrapped.
+        brief: whether the terminal cuts its texts to the beginning.
     """
 
     name: str
     unit: str = ""
     numeric: bool = False
+    brief: bool = False
 
     @property
     def heading(self) -> str:

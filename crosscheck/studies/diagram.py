@@ -86,9 +86,9 @@ def picture(*diagrams: Diagram) -> bytes:
     legend = drawn.legend(*axes[0].get_legend_handles_labels(), loc="upper right", fontsize="x-small")
     # a layout of matplotlib's own takes three times as long as all the rest
     room = 0.99 - legend.get_window_extent().width / drawn.bbox.width
+    each, margin = room / len(diagrams), 0.09 / len(diagrams)
     for k, ax in enumerate(axes):
-        left = 0.09 / len(diagrams) + k * room / len(diagrams)
-        ax.set_position((left, 0.11, 0.85 * room / len(diagrams), 0.81))
+        ax.set_position((k * each + margin, 0.11, each - 1.2 * margin, 0.81))
     return png(drawn, dpi=110)
 
 

@@ -76,7 +76,8 @@ def _cases(title: str, rows: Sequence[Row]) -> Table:
     heads = [
         *texts("case", "engine", "setting", "measured"),
         *figures("figure", "bound"),
-        *texts("verdict", ""),
+        Column("verdict"),
+        Column("", brief=True),
     ]
     return Table(
         title,

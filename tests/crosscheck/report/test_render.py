@@ -106,6 +106,12 @@ def test_units_follow_the_last_comma():
     ]
 
 
+def test_long_texts_are_cut_where_they_may_be():
+    table = Table("", [Column("reason", brief=True)], [["a" * 100]])
+    assert "a" * 31 + "…" in terminal([table])
+    assert "a" * 100 in markdown(Report("", "", Cell(""), [table]))
+
+
 def test_entries_of_any_value():
     table = entries("settings", {"a": [1, 2.5, None, "<"], "b": {"c": True, "d": 1.23456789}})
     assert table.rows == [["a", "1, 2.5, , <"], ["b", "c: True\nd: 1.23457"]]
