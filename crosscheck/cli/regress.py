@@ -56,8 +56,8 @@ def regress_command(
 ) -> int:
     """Compare the figures of SCENEs or model files with stored baselines.
 
-    The library of scenes if none is given. Exit status 1 if a figure moved out of its band. What `crosscheck
-    report` makes a page of is in OUTPUT.
+    The library of scenes if none is given. Exit status 1 if a figure moved by more than its tolerance. What
+    `crosscheck report` makes a page of is in OUTPUT.
     """
     from crosscheck.regress.report import tables, verdict
     from crosscheck.regress.run import check, update, write_reports

@@ -25,7 +25,7 @@ from newton_euler.scalars import Array
 
 PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin", "crosscheck")
 
-Band = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Tolerance = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
 GroupName = Literal["relative", "cartesian", "integrators", "mujoco", "pinocchio"]
@@ -36,7 +36,7 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-class Figure(_Strict):
+class StoredFigure(_Strict):
     """One figure: a table of numbers, SI, world frame.
 
     Attributes:
@@ -44,7 +44,7 @@ class Figure(_Strict):
         name, unit: of the quantity.
         rows, columns: names of bodies, joints, times or components; one empty name for a single number.
         value: a row for each of `rows`.
-        band: how far the numbers of each row may move.
+        tolerance: how far the numbers of each row may move.
     """
 
     group: GroupName
@@ -53,20 +53,25 @@ class Figure(_Strict):
     rows: list[str]
     columns: list[str]
     value: list[list[Number]]
-    band: list[Band]
+    tolerance: list[Tolerance]
 
     @model_validator(mode="after")
-    def _check_shape(self) -> Figure:
+    def _check_shape(self) -> StoredFigure:
         if len(self.value) != len(self.rows) or any(len(row) != len(self.columns) for row in self.value):
             raise ValueError(f"value is not a table of {len(self.rows)} x {len(self.columns)} numbers")
-        if len(self.band) != len(self.rows):
-            raise ValueError(f"band has {len(self.band)} numbers for {len(self.rows)} rows")
+        if len(self.tolerance) != len(self.rows):
+            raise ValueError(f"tolerance has {len(self.tolerance)} numbers for {len(self.rows)} rows")
         return self
 
     @property
     def array(self) -> Array:
         """(rows, columns)."""
         return np.array(self.value, dtype=float).reshape(len(self.rows), len(self.columns))
+
+    @property
+    def over_time(self) -> bool:
+        """True if rows are times, along which errors grow; otherwise all rows have one error."""
+        return self.name.endswith("over time")
 
 
 class StoredState(_Strict):
@@ -98,7 +103,7 @@ class Plan(_Strict):
     """Settings of the measurement of figures; chosen when the baseline is made, the same ever after.
 
     Attributes:
-        rtol: of the runs in each formulation of newton_euler.
+        rtol: of the runs in each formulation of newton_euler, and of Radau.
         step: s, of methods with fixed steps.
         time: s, of `state`.
         state: one that the scene passes through, with all that moves moving.
@@ -108,6 +113,10 @@ class Plan(_Strict):
     step: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
     time: Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
     state: StoredState
+
+    def tighter(self, factor: float) -> Plan:
+        """The same with error control so many times as large."""
+        return self.model_copy(update={"rtol": {name: factor * rtol for name, rtol in self.rtol.items()}})
 
 
 class Record(_Strict):
@@ -134,14 +143,14 @@ class Baseline(_Strict):
         left_out: groups that have no figures here, and why.
     """
 
-    format: Literal[1] = 1
+    format: Literal[2] = 2
     scene: str
     options: dict[str, str]
     unsimulated: list[str] | None = None
     history: Annotated[list[Record], Field(min_length=1)]
     plan: Plan
     left_out: dict[GroupName, str]
-    figures: Annotated[list[Figure], Field(min_length=1)]
+    figures: Annotated[list[StoredFigure], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _check_names(self) -> Baseline:
@@ -161,7 +170,7 @@ class Baseline(_Strict):
         """Groups that have figures, in their order."""
         return list(dict.fromkeys(figure.group for figure in self.figures))
 
-    def figure(self, group: str, name: str) -> Figure | None:
+    def figure(self, group: str, name: str) -> StoredFigure | None:
         found = (figure for figure in self.figures if (figure.group, figure.name) == (group, name))
         return next(found, None)
 

@@ -1,4 +1,4 @@
-"""A scene's figures against its baseline: which moved, by how many bands, and from when on."""
+"""A scene's figures against its baseline: what moved, by how many tolerances, and from when on."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.regress.baseline import Baseline, Figure, Record, versions
+from crosscheck.comparison.rows import Row
+from crosscheck.regress.baseline import Baseline, Record, StoredFigure, versions
 from crosscheck.regress.measure import MAIN, measure_group, regress_scene
-from crosscheck.regress.values import Value
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport
@@ -19,54 +19,49 @@ from newton_euler.verification.import_report import ImportReport
 MODEL_FILE = "model file"
 """In place of the group of a figure: what a file holds and no scene does."""
 
+BETWEEN = ("baseline", "now")
+
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Checked:
-    """One figure against its baseline, where it moved most.
+class Checked(Row):
+    """One stored figure against what it is now, where it moved most.
+
+    Its level is the group of figures, its value the difference; infinite where there is nothing to compare.
 
     Attributes:
-        group, name, unit: of the figure.
-        where: the row and column, for example body and axis; empty for a single number.
-        was, now: SI; None where there is nothing to compare, see `problem`.
-        band: how far it may move.
+        unit: of the quantity.
+        was, now: SI; None where there is nothing to compare.
         problem: why it could not be compared.
     """
 
-    group: str
-    name: str
-    unit: str
-    where: str
-    was: float | None
-    now: float | None
-    band: float
+    unit: str = ""
+    was: float | None = None
+    now: float | None = None
     problem: str = ""
 
     @property
-    def bands(self) -> float:
-        """By how much it moved, in bands; infinite if it is not there or not finite any more."""
-        if self.was is None or self.now is None or not np.isfinite(self.now):
-            return float("inf")
-        difference = abs(self.now - self.was)
-        return difference / self.band if self.band > 0.0 else (0.0 if difference == 0.0 else float("inf"))
+    def moved(self) -> bool:
+        return not self.agrees
 
     @property
-    def moved(self) -> bool:
-        return self.bands > 1.0
+    def tolerances(self) -> float:
+        """By how many tolerances it moved."""
+        return self.value / self.tolerance if self.tolerance > 0.0 else (np.inf if self.moved else 0.0)
 
     def summary(self) -> dict[str, Any]:
         """For JSON, which has no infinities."""
         now = self.now if self.now is not None and np.isfinite(self.now) else None
         return {
-            "group": self.group,
-            "name": self.name,
+            "group": self.level,
+            "name": self.quantity,
             "unit": self.unit,
             "where": self.where,
             "was": self.was,
             "now": now,
-            "band": self.band,
-            "bands": self.bands if np.isfinite(self.bands) else None,
+            "tolerance": self.tolerance,
+            "tolerances": self.tolerances if np.isfinite(self.tolerances) else None,
             "moved": self.moved,
             "problem": self.problem,
         }
@@ -81,7 +76,7 @@ class Comparison:
         checked: what of a model file is in no figure, then all figures in the baseline's order.
         made: when, why and with which versions the baseline was made.
         now: versions of this run.
-        diverges: s, first output time at which a pose is out of its band; None if none is.
+        diverges: s, first output time at which a pose is out of its tolerance; None if none is.
         wall_time: s.
     """
 
@@ -145,8 +140,7 @@ def compare(
     """
     start = clock()
     measured = regress_scene(scene)
-    now = [] if mapping is None else unsimulated(mapping)
-    checked = check_unsimulated(baseline.unsimulated or [], now)
+    checked = check_unsimulated(baseline.unsimulated or [], unsimulated(mapping) if mapping else [])
     diverges = None
     for group in baseline.groups:
         progress(f"{scene.name}: {group}")
@@ -159,72 +153,73 @@ def compare(
 
 
 def unsimulated(mapping: ImportReport) -> list[str]:
-    """What of a model file is in no figure and moves something, a line each, as the report words it."""
+    """Lines on what of a model file is in no figure and moves something, as its report words them."""
     return [str(entry) for entry in mapping.entries if entry.fate != "exactly" and not entry.inert]
 
 
 def check_unsimulated(stored: Sequence[str], found: Sequence[str]) -> list[Checked]:
     """Lines on what of a model file is in no figure, against those of the baseline."""
     gone, new = Counter(stored) - Counter(found), Counter(found) - Counter(stored)
-    return [
-        *(Checked(MODEL_FILE, line, "", "", 0.0, 0.0, 0.0) for line in stored if line not in gone),
-        *(Checked(MODEL_FILE, line, "", "", None, None, 0.0, "no longer so") for line in gone.elements()),
-        *(Checked(MODEL_FILE, line, "", "", None, None, 0.0, "new") for line in new.elements()),
+    same = [Checked(MODEL_FILE, line, BETWEEN, 0.0, 0.0, "") for line in stored if line not in gone]
+    moved = [
+        Checked(MODEL_FILE, line, BETWEEN, np.inf, 0.0, "", problem=problem)
+        for lines, problem in ((gone, "no longer so"), (new, "new"))
+        for line in lines.elements()
     ]
+    return same + moved
 
 
-def check(figures: Iterable[Figure], found: list[Value] | str) -> list[Checked]:
+def check(figures: Iterable[StoredFigure], found: list[StoredFigure] | str) -> list[Checked]:
     """A group's figures against what was measured, or against why nothing was."""
     if isinstance(found, str):
         return [_missing(figure, found) for figure in figures]
-    values = {value.name: value for value in found}
+    now = {figure.name: figure for figure in found}
     return [
-        _check(figure, values[figure.name])
-        if figure.name in values
-        else _missing(figure, "no longer measured")
+        _check(figure, now[figure.name]) if figure.name in now else _missing(figure, "no longer measured")
         for figure in figures
     ]
 
 
-def _missing(figure: Figure, problem: str) -> Checked:
-    return Checked(figure.group, figure.name, figure.unit, "", None, None, 0.0, problem)
+def _missing(figure: StoredFigure, problem: str) -> Checked:
+    return Checked(figure.group, figure.name, BETWEEN, np.inf, 0.0, "", unit=figure.unit, problem=problem)
 
 
-def _check(figure: Figure, value: Value) -> Checked:
-    if tuple(figure.rows) != value.rows or tuple(figure.columns) != value.columns:
-        return _missing(figure, "is of other bodies, joints or times")
-    if value.array.size == 0:
-        return Checked(figure.group, figure.name, figure.unit, "", 0.0, 0.0, 0.0)
-    row, column = np.unravel_index(int(np.argmax(_bands(figure, value))), value.array.shape)
-    names = (figure.rows[row], figure.columns[column])
+def _check(stored: StoredFigure, now: StoredFigure) -> Checked:
+    if (stored.rows, stored.columns) != (now.rows, now.columns):
+        return _missing(stored, "is of other bodies, joints or times")
+    if stored.array.size == 0:
+        return Checked(stored.group, stored.name, BETWEEN, 0.0, 0.0, "", unit=stored.unit, was=0.0, now=0.0)
+    row, column = np.unravel_index(int(np.argmax(_tolerances(stored, now))), stored.array.shape)
+    was, found = float(stored.array[row, column]), float(now.array[row, column])
     return Checked(
-        figure.group,
-        figure.name,
-        figure.unit,
-        ", ".join(name for name in names if name),
-        float(figure.array[row, column]),
-        float(value.array[row, column]),
-        figure.band[row],
+        stored.group,
+        stored.name,
+        BETWEEN,
+        abs(found - was),
+        stored.tolerance[row],
+        ", ".join(filter(None, (stored.rows[row], stored.columns[column]))),
+        unit=stored.unit,
+        was=was,
+        now=found,
     )
 
 
-def _bands(figure: Figure, value: Value) -> Array:
-    """(rows, columns): by how many bands each number moved; infinite for what is not finite."""
-    difference = np.abs(value.array - figure.array)
-    band = np.array(figure.band)[:, None]
+def _tolerances(stored: StoredFigure, now: StoredFigure) -> Array:
+    """(rows, columns): by how many tolerances each number moved; infinite for what is not finite."""
+    difference = np.abs(now.array - stored.array)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(difference == 0.0, 0.0, difference / band)
-    return np.where(np.isfinite(value.array), ratio, np.inf)
+        ratio = np.where(difference == 0.0, 0.0, difference / np.array(stored.tolerance)[:, None])
+    return np.where(np.isfinite(now.array), ratio, np.inf)
 
 
-def divergence(figures: Iterable[Figure], found: list[Value], times: Array) -> float | None:
-    """s: the first output time at which a figure over time is out of its band."""
-    values = {value.name: value for value in found if value.over_time}
+def divergence(figures: Iterable[StoredFigure], found: Iterable[StoredFigure], times: Array) -> float | None:
+    """s: the first output time at which a figure over time is out of its tolerance."""
+    now = {figure.name: figure for figure in found if figure.over_time}
     first = [
         int(np.argmax(out))
         for figure in figures
-        if figure.name in values
+        if figure.name in now
         and len(figure.rows) == len(times)
-        and (out := (_bands(figure, values[figure.name]) > 1.0).any(axis=1)).any()
+        and (out := (_tolerances(figure, now[figure.name]) > 1.0).any(axis=1)).any()
     ]
     return float(times[min(first)]) if first else None

@@ -1,33 +1,33 @@
-"""The figures of a scene, measured in groups: equations and runs of each engine.
+"""Figures of a scene, measured in groups: equations and runs of each engine, with their tolerances.
 
 newton_euler runs the whole scene in joint coordinates and a tenth of it in Cartesian ones, at tight
 tolerances. Its other integrators, MuJoCo and Pinocchio make a few dozen steps of one size: that takes all of
-their code, costs the same for every scene, and lets round-off grow little, so that bands are narrow. The
-equations of all engines are evaluated at the initial state and at one that the scene passes through, those of
-newton_euler also with the joints open, where Baumgarte's gains act.
+their code, costs the same for every scene, and lets round-off grow little. The equations of all engines are
+evaluated at the initial state and at one that the scene passes through, those of newton_euler also with the
+joints open, where Baumgarte's gains act.
+
+Tolerances are those of the levels of `crosscheck.comparison`: of equations round-off times condition, of runs
+that and what they change by where their error control is tighter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from crosscheck.comparison.energy import energy_balance
+from crosscheck.comparison.reactions import determined
+from crosscheck.comparison.rows import OWN_ERROR, reach, round_off
+from crosscheck.comparison.samples import Samples, Scales, States
 from crosscheck.engines import ENGINES
-from crosscheck.regress.baseline import GroupName, Plan
-from crosscheck.regress.values import (
-    Value,
-    balance,
-    count,
-    counts,
-    end_of_run,
-    equations,
-    poses_over_time,
-)
+from crosscheck.regress.baseline import GroupName, Plan, StoredFigure, StoredState
 from newton_euler import compile_scene
 from newton_euler.assemble import initial_state
-from newton_euler.equations.system import System, at_time
+from newton_euler.equations.system import Evaluation, System, at_time
+from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.compiled import FORMULATIONS, PAPER_ALPHA, formulate
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.state import State
@@ -50,34 +50,31 @@ MOST_OPERATIONS = 1500
 """Of a right-hand side whose traced derivatives, for Radau, and whose Cartesian form with gains are compiled
 too. They take longer than all else in a scene of more, and show no code that smaller ones do not."""
 
-RADAU_RTOL = 1e-10
-"""Of the method of order 5, which takes a few hundred steps for as long as the others' short runs."""
+RADAU, RADAU_RTOL = "Radau", 1e-10
+"""The method of order 5, and its tolerance: a few hundred steps for as long as the others' short runs."""
 
-COUNT_RTOL = 1e-6
-"""Of the runs whose steps are counted. At the tolerances of the others steps follow round-off, which differs
-from one processor to the next."""
+COUNT_RTOL, COUNT_SHARE = 1e-6, 0.02
+"""Of the runs whose steps are counted: at the tolerances of the others steps follow round-off, which differs
+from one processor to the next. And the share of a count that may differ: libraries of other versions round
+constants differently, and a step more or less follows."""
 
 OPEN = 1e-3
-"""Distance of coordinates from the constraints, sizes of the mechanism or rad; of velocities the same a
+"""Distance of coordinates from the constraints, sizes of the mechanism or rad; of velocities the same per
 second."""
 
+SOFT = 1e-8
+"""Relative improvement below which MuJoCo stops to iterate soft constraint forces, its default."""
 
-@dataclass(frozen=True)
-class Variant:
-    """A change to a measurement that alters nothing but its errors.
+RTOLS = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8)
+"""Of runs: the first that can be made a tenth as large as well."""
 
-    Attributes:
-        nudge: by what share of their sizes the states that it starts from are moved.
-        tighten: factor on the tolerances of adaptive integrators.
-    """
+TIGHTER = 0.1
+"""Times the tolerances of a run, for what it changes by."""
 
-    nudge: float = 0.0
-    tighten: float = 1.0
+EVALUATIONS = 4
+"""Of RK4 in a step."""
 
-
-PLAIN = Variant()
-
-Group = Callable[[Scene, Plan, Variant], Iterator[Value]]
+XYZ, WXYZ = ("x", "y", "z"), ("w", "x", "y", "z")
 
 
 def regress_scene(scene: Scene) -> Scene:
@@ -89,15 +86,71 @@ def regress_scene(scene: Scene) -> Scene:
     return replace(scene, output_period=scene.duration / OUTPUT_COUNT, outputs=frozenset(OUTPUTS))
 
 
-def measure_group(group: GroupName, scene: Scene, plan: Plan, variant: Variant = PLAIN) -> list[Value] | str:
+def measure_group(group: GroupName, scene: Scene, plan: Plan) -> list[StoredFigure] | str:
     """The figures of one group, or why there are none.
 
     Whatever goes wrong in it is a result, as figures are: that of the code which is guarded.
     """
     try:
-        return list(GROUPS[group](scene, plan, variant))
+        return list(GROUPS[group](Measurement(group, scene, plan)))
     except Exception as error:
         return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def with_own_errors(group: GroupName, scene: Scene, plan: Plan) -> list[StoredFigure] | str:
+    """The figures of one group, with what tighter error control changes of them in their tolerances."""
+    found = measure_group(group, scene, plan)
+    tighter = measure_group(group, scene, plan.tighter(TIGHTER))
+    if isinstance(found, str) or isinstance(tighter, str):
+        return found if isinstance(found, str) else tighter
+    if wrong := [figure.name for figure in found if not np.all(np.isfinite(figure.array))]:
+        return f"{wrong[0]} is not finite"
+    figures = []
+    for figure, other in zip(found, tighter, strict=True):
+        changes = np.max(np.abs(other.array - figure.array), axis=1, initial=0.0)
+        if figure.over_time:
+            changes = np.maximum.accumulate(changes)
+        else:
+            changes = np.full(len(changes), np.max(changes, initial=0.0))
+        tolerance = (np.array(figure.tolerance) + OWN_ERROR * changes).tolist()
+        figures.append(figure.model_copy(update={"tolerance": tolerance}))
+    return figures
+
+
+def make_plan(scene: Scene) -> Plan:
+    """Settings of the measurement of a scene.
+
+    Raises:
+        NewtonEulerError: for a scene that newton_euler cannot run at any tolerance.
+    """
+    rtol: dict[str, float] = {MAIN: _tolerance(scene, MAIN), RADAU: RADAU_RTOL}
+    run = main_run(scene, rtol[MAIN])
+    assert run.kinetic_energy is not None
+    assert run.linear_velocity is not None
+    assert run.angular_velocity is not None
+    # half of the largest kinetic energy: all moves, nothing is special
+    n = int(np.argmin(np.abs(run.kinetic_energy - 0.5 * np.max(run.kinetic_energy))))
+    state = State(run.position[n], run.quaternion[n], run.linear_velocity[n], run.angular_velocity[n])
+    # as many evaluations a second as the adaptive run needs, so that RK4 is stable and not exact
+    step = float(f"{EVALUATIONS * scene.duration / run.settings['evaluations']:.1e}")
+    for formulation in FORMULATIONS:
+        if formulation != MAIN:
+            rtol[formulation] = _tolerance(part(scene, formulation, step), formulation)
+    return Plan(rtol=rtol, step=step, time=float(run.time[n]), state=StoredState.of(state))
+
+
+def _tolerance(scene: Scene, formulation: str) -> float:
+    """The first of the `RTOLS` that works, also a tenth as large."""
+    compiled = compile_scene(scene, formulation)
+    for rtol in RTOLS:
+        try:
+            for each in (rtol, TIGHTER * rtol):
+                compiled.simulate(rtol=each, atol=0.01 * each)
+            return rtol
+        except NewtonEulerError:
+            if rtol == RTOLS[-1] and formulation == MAIN:
+                raise
+    return RTOLS[-1]  # the group fails at it, and is left out with the reason
 
 
 def main_run(scene: Scene, rtol: float) -> Trajectory:
@@ -113,107 +166,192 @@ def part(scene: Scene, formulation: str, step: float) -> Scene:
     return replace(scene, duration=duration, output_period=duration)
 
 
-def nudged(state: State, size: float, share: float) -> State:
-    """All bodies but the ground moved and turned by a share of what they measure, in all directions."""
-    if share == 0.0:
-        return state
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """The measurement of one group of figures of a scene, as a plan says."""
 
-    def pattern(array: Array) -> Array:
-        waves = np.cos(1.0 + np.arange(array.size)).reshape(array.shape)
-        waves[0] = 0.0
-        return waves
+    group: GroupName
+    scene: Scene
+    plan: Plan
 
-    quaternion = state.quaternion + share * pattern(state.quaternion)
-    speed = float(np.max(np.abs(state.linear_velocity))) + size * float(
-        np.max(np.abs(state.angular_velocity))
-    )
-    return State(
-        state.position + share * size * pattern(state.position),
-        quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True),
-        state.linear_velocity + share * speed * pattern(state.linear_velocity),
-        state.angular_velocity + share * speed / size * pattern(state.angular_velocity),
-    )
+    @cached_property
+    def states(self) -> tuple[tuple[str, float, State], ...]:
+        """Names, times (s) and states at which equations are evaluated."""
+        return ("start", 0.0, initial_state(self.scene)), ("moving", self.plan.time, self.plan.state.state())
+
+    def samples(self, system: System, time: float, state: State) -> Samples:
+        return Samples(at_time(system, time), States(self.scene, (state,)))
+
+    @cached_property
+    def share(self) -> dict[str, float]:
+        """Round-off of accelerations at both states: the tolerance of level 4, and of all short runs.
+
+        A few dozen steps add up velocities from accelerations, and lengths from velocities.
+        """
+        systems = {name: formulate(self.scene, name) for name in FORMULATIONS}
+        return {
+            name: max(_shares(self.samples(system, time, state))[0] for _, time, state in self.states)
+            for name, system in systems.items()
+        }
+
+    def figure(
+        self,
+        name: str,
+        unit: str,
+        rows: Sequence[str],
+        columns: Sequence[str],
+        array: Array,
+        tolerance: float,
+    ) -> StoredFigure:
+        """(rows, columns) numbers, each with the same tolerance."""
+        return StoredFigure.model_construct(
+            group=self.group,
+            name=name,
+            unit=unit,
+            rows=list(rows),
+            columns=list(columns),
+            value=np.reshape(array, (len(rows), len(columns))).tolist(),
+            tolerance=[tolerance] * len(rows),
+        )
+
+    def single(self, name: str, unit: str, value: float, tolerance: float) -> StoredFigure:
+        return self.figure(name, unit, ("",), ("",), np.array(value), tolerance)
+
+    def count(self, name: str, value: int) -> StoredFigure:
+        """A number of steps, evaluations or operations."""
+        return self.single(name, "", float(value), float(np.ceil(COUNT_SHARE * value)))
+
+    def vectors(
+        self, name: str, unit: str, rows: Sequence[str], array: Array, tolerance: float
+    ) -> StoredFigure:
+        """(rows, 3) vectors or (rows, 4) quaternions."""
+        return self.figure(name, unit, rows, WXYZ if array.shape[1] == 4 else XYZ, array, tolerance)
+
+    def equations(self, system: System) -> Iterator[StoredFigure]:
+        """Accelerations and reactions of a system at both states."""
+        for label, time, state in self.states:
+            samples = self.samples(system, time, state)
+            yield from self.evaluation(label, samples, samples.evaluations[0], *_shares(samples))
+
+    def evaluation(
+        self, label: str, samples: Samples, found: Evaluation, share: float, looser: float
+    ) -> Iterator[StoredFigure]:
+        """Accelerations of all bodies and reactions at all joints, as far as they are determined."""
+        mechanism, scales = self.scene.mechanism, Scales(samples)
+        bodies, joints, size = mechanism.body_names[1:], mechanism.joint_names, scales.size
+        linear, angular = found.linear_acceleration[1:], found.angular_acceleration[1:]
+        allowed = share * scales.acceleration
+        yield self.vectors(f"{label}: linear acceleration", "m/s^2", bodies, linear, allowed)
+        yield self.vectors(f"{label}: angular acceleration", "rad/s^2", bodies, angular, allowed / size)
+        reactions = found.reaction_force[None], found.reaction_torque[None]
+        (force,), (torque,) = determined(*reactions, samples.states.undetermined, size)
+        allowed = looser * scales.force
+        yield self.vectors(f"{label}: reaction force", "N", joints, force, allowed)
+        yield self.vectors(f"{label}: reaction torque", "N m", joints, torque, allowed * size)
+
+    def open_joints(self, formulation: str) -> StoredFigure:
+        """Accelerations where joints are open and opening, under Baumgarte's gains."""
+        system = at_time(formulate(self.scene, formulation, PAPER_ALPHA), self.plan.time)
+        q, v = system.coordinates(self.plan.state.state())
+        step = OPEN * system.velocity_units * np.cos(1.0 + np.arange(system.nv))
+        acceleration = system.acceleration(system.retract(q, step), v + step) / system.velocity_units
+        columns = [str(k) for k in range(system.nv)]
+        allowed = self.share[formulation] * float(np.max(np.abs(acceleration), initial=0.0))
+        return self.figure("open joints: acceleration", "1/s^2", ("",), columns, acceleration, allowed)
+
+    def over_time(self, run: Trajectory) -> Iterator[StoredFigure]:
+        """Positions and quaternions of all bodies at all output times."""
+        rows = [f"{time:.9g} s" for time in run.time]
+        for name, unit, array, letters, scale in (
+            ("position over time", "m", run.position, XYZ, reach(self.scene, run.position)),
+            ("quaternion over time", "", run.quaternion, WXYZ, 1.0),
+        ):
+            columns = [f"{body} {letter}" for body in run.body_names[1:] for letter in letters]
+            yield self.figure(name, unit, rows, columns, array[:, 1:], round_off(1.0) * scale)
+
+    def end_of_run(
+        self, label: str, run: Trajectory, formulation: str = "relative"
+    ) -> Iterator[StoredFigure]:
+        """Poses and velocities of all bodies at the end, and by how much joints were open at most."""
+        assert run.linear_velocity is not None
+        assert run.angular_velocity is not None
+        assert run.constraint_violation is not None
+        bodies, size = run.body_names[1:], self.scene.mechanism.size
+        share = self.share[formulation]
+        length = share * reach(self.scene, run.position)
+        linear, angular = run.linear_velocity, run.angular_velocity
+        speed = share * max(size, float(np.max(np.abs(linear))), size * float(np.max(np.abs(angular))))
+        for name, unit, array, allowed in (
+            ("position", "m", run.position, length),
+            ("quaternion", "", run.quaternion, share),
+            ("linear velocity", "m/s", linear, speed),
+            ("angular velocity", "rad/s", angular, speed / size),
+        ):
+            yield self.vectors(f"{label}: {name} at the end", unit, bodies, array[-1, 1:], allowed)
+        drift = float(np.max(run.constraint_violation, initial=0.0))
+        yield self.single(f"{label}: drift", "m or rad", drift, share * max(size, 1.0))
+
+    def counts(self, compiled: CompiledScene, integrator: str) -> Iterator[StoredFigure]:
+        """Steps and evaluations of a run at `COUNT_RTOL`."""
+        run = compiled.simulate(integrator, rtol=COUNT_RTOL, atol=0.01 * COUNT_RTOL)
+        for name in ("steps", "evaluations"):
+            yield self.count(f"{integrator}, rtol {COUNT_RTOL:g}: {name}", run.settings[name])
+
+    def short(self, steps: int) -> Scene:
+        """A few steps from the moving state; from the start where motions are prescribed from there."""
+        start = initial_state(self.scene) if self.scene.motions else self.plan.state.state()
+        duration = steps * self.plan.step
+        return replace(self.scene, duration=duration, output_period=duration, initial_state=start)
 
 
-def _moved(scene: Scene, variant: Variant) -> Scene:
-    """The scene from its nudged start."""
-    start = nudged(initial_state(scene), scene.mechanism.size, variant.nudge)
-    return replace(scene, initial_state=start)
+def _shares(samples: Samples) -> tuple[float, float]:
+    """Round-off of accelerations and of reactions, relative, see `comparison.accelerations`."""
+    masses, noise = samples.states.mass_condition, samples.states.noise
+    return round_off(samples.condition * masses, noise), round_off(samples.condition**2 * masses, noise)
 
 
-def _short(scene: Scene, plan: Plan, variant: Variant, steps: int) -> Scene:
-    """A few steps from the moving state; from the start where motions are prescribed from there."""
-    start = initial_state(scene) if scene.motions else plan.state.state()
-    duration = steps * plan.step
-    short = replace(scene, duration=duration, output_period=duration, initial_state=start)
-    return _moved(short, variant)
-
-
-def _at_both_states(scene: Scene, system: System, plan: Plan, variant: Variant) -> Iterator[Value]:
-    stored = (("start", 0.0, initial_state(scene)), ("moving", plan.time, plan.state.state()))
-    for label, time, state in stored:
-        now = at_time(system, time)
-        found = now.evaluate(*now.coordinates(nudged(state, scene.mechanism.size, variant.nudge)))
-        yield from equations(scene, label, found)
-
-
-def _open(scene: Scene, formulation: str, plan: Plan, variant: Variant) -> Value:
-    """Accelerations where joints are open and opening, under Baumgarte's gains."""
-    system = at_time(formulate(scene, formulation, PAPER_ALPHA), plan.time)
-    q, v = system.coordinates(nudged(plan.state.state(), scene.mechanism.size, variant.nudge))
-    step = OPEN * system.velocity_units * np.cos(1.0 + np.arange(system.nv))
-    acceleration = system.acceleration(system.retract(q, step), v + step) / system.velocity_units
-    columns = tuple(str(k) for k in range(system.nv))
-    scale = float(np.max(np.abs(acceleration)))
-    return Value("open joints: acceleration", "1/s^2", ("",), columns, acceleration[None], scale)
-
-
-def _formulation(scene: Scene, plan: Plan, variant: Variant, formulation: str) -> Iterator[Value]:
-    system = formulate(scene, formulation)
-    yield from _at_both_states(scene, system, plan, variant)
-    yield _open(scene, formulation, plan, variant)
-    compiled = compile_scene(part(_moved(scene, variant), formulation, plan.step), formulation)
+def _formulation(here: Measurement) -> Iterator[StoredFigure]:
+    formulation, plan = here.group, here.plan
+    yield from here.equations(formulate(here.scene, formulation))
+    yield here.open_joints(formulation)
+    compiled = compile_scene(part(here.scene, formulation, plan.step), formulation)
     for name, operations in compiled.operations.items():
-        yield count(f"operations of {name}", operations)
-    rtol = plan.rtol[formulation] * variant.tighten
-    run = compiled.simulate(rtol=rtol, atol=0.01 * rtol)
-    if formulation == "relative":
-        yield from poses_over_time(scene, run)
-    yield from end_of_run(scene, "DOP853", run)
-    yield from balance(scene, "DOP853", run)
-    yield from _counts(compiled, "DOP853")
+        yield here.count(f"operations of {name}", operations)
+    run = compiled.simulate(rtol=plan.rtol[formulation], atol=0.01 * plan.rtol[formulation])
+    if formulation == MAIN:
+        yield from here.over_time(run)
+    yield from here.end_of_run("DOP853", run, formulation)
+    found = energy_balance(here.scene, run)
+    assert found is not None
+    error = float(np.max(np.abs(found.residual))) / (found.exchanged or 1.0)
+    yield here.single("DOP853: energy error", "relative", error, here.share[formulation])
+    yield from here.counts(compiled, "DOP853")
 
 
-def _steppers(scene: Scene, plan: Plan, variant: Variant) -> Iterator[Value]:
-    short = _short(scene, plan, variant, STEPS["newton_euler"])
+def _integrators(here: Measurement) -> Iterator[StoredFigure]:
+    step, short = here.plan.step, here.short(STEPS["newton_euler"])
     compiled = compile_scene(short)
     for integrator in ("RK4", "Euler"):
-        yield from end_of_run(scene, integrator, compiled.simulate(integrator, step=plan.step))
+        yield from here.end_of_run(integrator, compiled.simulate(integrator, step=step))
     small = compiled.operations["derivative"] <= MOST_OPERATIONS
     for formulation in FORMULATIONS if small else (MAIN,):
-        gains = compile_scene(short, formulation, "baumgarte").simulate("RK4", step=plan.step)
-        yield from end_of_run(scene, f"RK4, {formulation}, Baumgarte", gains)
+        gains = compile_scene(short, formulation, "baumgarte").simulate("RK4", step=step)
+        yield from here.end_of_run(f"RK4, {formulation}, Baumgarte", gains, formulation)
     if small:
-        rtol = RADAU_RTOL * variant.tighten
-        radau = compiled.simulate("Radau", rtol=rtol, atol=0.01 * rtol)
-        yield from end_of_run(scene, "Radau", radau)
-        yield from _counts(compiled, "Radau")
+        rtol = here.plan.rtol[RADAU]
+        yield from here.end_of_run(RADAU, compiled.simulate(RADAU, rtol=rtol, atol=0.01 * rtol))
+        yield from here.counts(compiled, RADAU)
 
 
-def _counts(compiled: CompiledScene, integrator: str) -> Iterator[Value]:
-    """Steps and evaluations of a run at `COUNT_RTOL`."""
-    run = compiled.simulate(integrator, rtol=COUNT_RTOL, atol=0.01 * COUNT_RTOL)
-    yield from counts(f"{integrator}, rtol {COUNT_RTOL:g}", run)
-
-
-def _engine(scene: Scene, plan: Plan, variant: Variant, name: str) -> Iterator[Value]:
-    engine = ENGINES[name]
-    (system,) = engine.systems(scene)
-    yield from _at_both_states(scene, system, plan, variant)
+def _engine(here: Measurement) -> Iterator[StoredFigure]:
+    engine, short = ENGINES[here.group], here.short(STEPS[here.group])
+    (system,) = engine.systems(here.scene)
+    yield from here.equations(system)
     if engine.soft_start is not None:
-        yield from equations(scene, "soft constraints", engine.soft_start(_moved(scene, variant)))
-    short = _short(scene, plan, variant, STEPS[name])
-    yield from end_of_run(scene, "RK4", _fixed_run(name, short, plan.step))
+        samples = here.samples(system, 0.0, initial_state(here.scene))
+        soft = SOFT * samples.condition**2
+        yield from here.evaluation("soft constraints", samples, engine.soft_start(here.scene), soft, soft)
+    yield from here.end_of_run("RK4", _fixed_run(here.group, short, here.plan.step))
 
 
 def _fixed_run(engine: str, scene: Scene, step: float) -> Trajectory:
@@ -226,22 +364,14 @@ def _fixed_run(engine: str, scene: Scene, step: float) -> Trajectory:
     return urdf.simulate(scene, "RK4", step=step)
 
 
-def _of_formulation(formulation: str) -> Group:
-    return lambda scene, plan, variant: _formulation(scene, plan, variant, formulation)
-
-
-def _of_engine(name: str) -> Group:
-    return lambda scene, plan, variant: _engine(scene, plan, variant, name)
-
-
 MAIN: GroupName = "relative"
 """The formulation and group whose run is stored over time."""
 
-GROUPS: dict[GroupName, Group] = {
-    "relative": _of_formulation("relative"),
-    "cartesian": _of_formulation("cartesian"),
-    "integrators": _steppers,
-    "mujoco": _of_engine("mujoco"),
-    "pinocchio": _of_engine("pinocchio"),
+GROUPS: dict[GroupName, Callable[[Measurement], Iterator[StoredFigure]]] = {
+    "relative": _formulation,
+    "cartesian": _formulation,
+    "integrators": _integrators,
+    "mujoco": _engine,
+    "pinocchio": _engine,
 }
 """Measurements of figures, by name."""

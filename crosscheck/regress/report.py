@@ -13,7 +13,7 @@ from crosscheck.results import digest
 MOST_LINES = 15
 """Figures of a scene in tables of what moved; the table of all figures has the rest."""
 
-COLUMNS = [*texts("figure", "where"), *figures("was", "now", "moved by", "bands")]
+COLUMNS = [*texts("figure", "where"), *figures("was", "now", "moved by", "tolerances")]
 
 
 def tables(found: Sequence[Comparison]) -> Iterator[Table]:
@@ -22,25 +22,25 @@ def tables(found: Sequence[Comparison]) -> Iterator[Table]:
         moved = comparison.moved
         if moved:
             rest = [f"and {len(moved) - MOST_LINES} more"] if len(moved) > MOST_LINES else []
-            rows = [_row(figure, f"{figure.group}: ") for figure in moved[:MOST_LINES]]
+            rows = [_row(figure, f"{figure.level}: ") for figure in moved[:MOST_LINES]]
             yield Table(f"{comparison.scene}: what moved", COLUMNS, [*rows, *rest])
 
 
 def _row(figure: Checked, group: str = "") -> list[str | Cell]:
     """Cells of `COLUMNS`."""
     unit = f", {figure.unit}" if figure.unit else ""
-    name = f"{group}{figure.name}{unit}"
+    name = f"{group}{figure.quantity}{unit}"
     if figure.was is None or figure.now is None:
         return [name, Cell(figure.problem, "fails"), "", "", "", ""]
-    bands = Cell(f"{figure.bands:.3g}", "fails" if figure.moved else "holds")
+    bands = Cell(f"{figure.tolerances:.3g}", "fails" if figure.moved else "holds")
     change = f"{figure.now - figure.was:+.2e}"
     return [name, figure.where, f"{figure.was:.9g}", f"{figure.now:.9g}", change, bands]
 
 
 def _all_figures(comparison: Comparison) -> Table:
     rows: Rows = []
-    for group in dict.fromkeys(figure.group for figure in comparison.checked):
-        rows += [group, *(_row(figure) for figure in comparison.checked if figure.group == group)]
+    for group in dict.fromkeys(figure.level for figure in comparison.checked):
+        rows += [group, *(_row(figure) for figure in comparison.checked if figure.level == group)]
     return Table(comparison.scene, COLUMNS, rows, folded=True)
 
 

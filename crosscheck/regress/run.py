@@ -12,12 +12,14 @@ from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_no_source, check_writable
-from crosscheck.regress import bands, recording
-from crosscheck.regress.baseline import Baseline, read
-from crosscheck.regress.compare import Comparison, compare
+from crosscheck.regress import recording
+from crosscheck.regress.baseline import Baseline, GroupName, Record, StoredFigure, read
+from crosscheck.regress.compare import Comparison, compare, unsimulated
+from crosscheck.regress.measure import GROUPS, MAIN, make_plan, regress_scene, with_own_errors
 from crosscheck.regress.report import as_json, junit, markdown
 from crosscheck.scenes import SCENES
 from crosscheck.workers import tidied_up
+from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import atomic_file
 from newton_euler.verification.import_report import ImportReport
@@ -84,6 +86,53 @@ def usual_path(source: str) -> Path:
     return Path(source).with_suffix(".baseline.json")
 
 
+def make(
+    scene: Scene,
+    options: dict[str, str],
+    reason: str,
+    history: list[Record],
+    progress: Progress,
+    mapping: ImportReport | None = None,
+) -> Baseline:
+    """Measure a scene's figures and their tolerances.
+
+    Args:
+        scene: as loaded.
+        options: of the scene, as they were set.
+        reason: why, for the history.
+        history: of the baseline that this one replaces.
+        progress: is told each stage.
+        mapping: what became of the elements of a model file; None for a scene of this package's own.
+
+    Raises:
+        CrosscheckError: for a scene that newton_euler cannot run at any tolerance.
+    """
+    scene = regress_scene(scene)
+    try:
+        plan = make_plan(scene)
+    except NewtonEulerError as error:
+        raise CrosscheckError(f"scene {scene.name!r} cannot be run: {error}") from error
+    figures, left_out = list[StoredFigure](), dict[GroupName, str]()
+    for group in GROUPS:
+        progress(f"{scene.name}: {group}")
+        found = with_own_errors(group, scene, plan)
+        if isinstance(found, str):
+            left_out[group] = found
+        else:
+            figures.extend(found)
+    if MAIN in left_out:
+        raise CrosscheckError(f"scene {scene.name!r} has no figures: {left_out[MAIN]}")
+    return Baseline(
+        scene=scene.name,
+        options=options,
+        unsimulated=None if mapping is None else unsimulated(mapping),
+        history=[*history, Record.now(reason)],
+        plan=plan,
+        left_out=left_out,
+        figures=figures,
+    )
+
+
 def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[Baseline]:
     """Make baselines anew and write them, all of them or none; what they were stays in the history.
 
@@ -98,7 +147,7 @@ def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[
     made = []
     for each in guarded:
         history = each.baseline().history if each.path.exists() else []
-        made.append(bands.make(each.scene, each.options, reason, history, progress, each.mapping))
+        made.append(make(each.scene, each.options, reason, history, progress, each.mapping))
     with tidied_up(), ExitStack() as stack:
         for each, baseline in zip(guarded, made, strict=True):
             try:

@@ -12,65 +12,76 @@ import pytest
 import yaml
 from command_line import run
 
-from crosscheck.regress import bands, measure
+from crosscheck.comparison.rows import OWN_ERROR
+from crosscheck.regress import measure
 from crosscheck.regress import run as regress
-from crosscheck.regress.baseline import Figure, Record
+from crosscheck.regress.baseline import Record, StoredFigure
 from crosscheck.regress.compare import MODEL_FILE, Comparison, check, check_unsimulated, compare, divergence
 from crosscheck.regress.report import as_json, junit, markdown
-from crosscheck.regress.values import Value, count
 from crosscheck.scenes import load
-from newton_euler.assemble import initial_state
 
 ROOT = Path(__file__).parents[2]
 
 
-def value(array, name="position", **other):
+def figure(array, tolerance=(1e-9,), name="position"):
     array = np.atleast_2d(np.asarray(array, dtype=float))
-    rows, columns = tuple(f"row {k}" for k in range(len(array))), tuple("xyz"[: array.shape[1]])
-    return Value(name, "m", rows, columns, array, 1.0, **other)
+    rows, columns = [f"row {k}" for k in range(len(array))], list("xyz"[: array.shape[1]])
+    return StoredFigure.model_construct(
+        group="relative", name=name, unit="m", rows=rows, columns=columns, value=array.tolist(),
+        tolerance=[*tolerance] * (len(rows) // len(tolerance)),
+    )  # fmt: skip
 
 
-def figure(array, band, name="position"):
-    found = value(array, name)
-    return Figure(group="relative", name=name, unit="m", rows=list(found.rows), columns=list(found.columns),
-                  value=found.array.tolist(), band=list(band))  # fmt: skip
+# Tolerances and figures
 
 
-# Bands and figures
+def tolerances(monkeypatch, measured, plain, tighter):
+    """The tolerances of one figure that is another with tighter error control."""
+    found = {measured.plan.rtol["relative"]: plain, 0.1 * measured.plan.rtol["relative"]: tighter}
+    monkeypatch.setitem(measure.GROUPS, "relative", lambda here: [found[here.plan.rtol["relative"]]])
+    (figure,) = measure.with_own_errors("relative", load("pendulum"), measured.plan)
+    return figure.tolerance
 
 
-def test_a_band_is_ten_times_the_error_and_round_off():
-    plain, nudged, tighter = (value([[1.0, 2.0], [3.0, 4.0]]), value([[1.0, 2.0 + 1e-9], [3.0, 4.0]]),
-                              value([[1.0, 2.0], [3.0, 4.0 - 3e-9]]))  # fmt: skip
-    # 10 times 3e-9, and 1e-13 of the scale 1; differences of numbers of 4 have 9e-16 of round-off
-    assert bands.band(plain, [nudged, tighter]) == pytest.approx([3.00001e-8] * 2, rel=1e-6)
-
-
-def test_bands_over_time_grow_and_never_shrink():
-    plain = value([[0.0], [0.0], [0.0]], over_time=True)
-    sibling = value([[0.0], [2e-9], [1e-9]], over_time=True)
-    assert bands.band(plain, [sibling]) == pytest.approx([1e-13, 2e-8 + 1e-13, 2e-8 + 1e-13], rel=1e-12)
-
-
-def test_a_count_may_move_by_two_percent_and_what_a_nudge_changes():
-    # 2 % of 101 rounded up, and 10 times one; the second sibling has the tolerance of the plain one
-    assert bands.band(count("steps", 101), [count("steps", 102), count("steps", 150)]) == pytest.approx(
-        [13.0]
+def test_a_tolerance_is_that_of_the_level_and_the_own_error(monkeypatch, measured):
+    plain, tighter = figure([[1.0, 2.0], [3.0, 4.0]]), figure([[1.0, 2.0], [3.0, 4.0 - 3e-9]])
+    # differences of numbers of 4 have 9e-16 of round-off
+    assert tolerances(monkeypatch, measured, plain, tighter) == pytest.approx(
+        [1e-9 + OWN_ERROR * 3e-9] * 2, rel=1e-6
     )
 
 
+def test_tolerances_over_time_grow_and_never_shrink(monkeypatch, measured):
+    plain = figure([[0.0], [0.0], [0.0]], name="position over time")
+    tighter = figure([[0.0], [2e-9], [1e-9]], name="position over time")
+    grown = 1e-9 + OWN_ERROR * 2e-9
+    assert tolerances(monkeypatch, measured, plain, tighter) == pytest.approx([1e-9, grown, grown], rel=1e-12)
+
+
+def test_a_group_with_a_figure_that_is_not_finite_is_left_out(monkeypatch, measured):
+    wrong = figure([[float("nan")]])
+    monkeypatch.setitem(measure.GROUPS, "relative", lambda here: [wrong])
+    found = measure.with_own_errors("relative", load("pendulum"), measured.plan)
+    assert found == "position is not finite"
+
+
+def test_a_count_may_move_by_two_percent(swing, measured):
+    count = measure.Measurement("relative", swing, measured.plan).count("steps", 101)
+    assert count.tolerance == [3.0]  # 2 % rounded up
+
+
 @pytest.mark.parametrize("moved", [0.9, -0.9, 1.1, -1.1])
-def test_a_figure_moves_where_it_leaves_its_band(moved):
+def test_a_figure_moves_where_it_leaves_its_tolerance(moved):
     stored = figure([[1.0, 2.0], [3.0, 4.0]], [1e-6, 1e-9])
-    (found,) = check([stored], [value([[1.0, 2.0], [3.0, 4.0 + moved * 1e-9]])])
+    (found,) = check([stored], [figure([[1.0, 2.0], [3.0, 4.0 + moved * 1e-9]])])
     assert found.moved == (abs(moved) > 1.0)
     assert found.where == "row 1, y"
-    assert found.bands == pytest.approx(abs(moved), rel=1e-5)  # 4 has 4e-16 of round-off, a band 1e-9
+    assert found.tolerances == pytest.approx(abs(moved), rel=1e-5)  # 4 has 4e-16 of round-off
 
 
 @pytest.mark.parametrize("now", [float("nan"), float("inf")])
 def test_what_is_not_finite_has_moved(now):
-    (found,) = check([figure([[1.0]], [1e300])], [value([[now]])])
+    (found,) = check([figure([[1.0]], [1e300])], [figure([[now]])])
     assert found.moved
 
 
@@ -78,28 +89,18 @@ def test_what_is_not_measured_any_more_has_moved():
     stored = figure([[1.0]], [1.0])
     for measured, problem in (
         ("SingularityError: no", "SingularityError: no"),
-        ([value([[1.0]], "other")], "no longer measured"),
-        ([value([[1.0], [2.0]])], "is of other bodies, joints or times"),
+        ([figure([[1.0]], name="other")], "no longer measured"),
+        ([figure([[1.0], [2.0]])], "is of other bodies, joints or times"),
     ):
         (found,) = check([stored], measured)
         assert (found.moved, found.problem) == (True, problem)
 
 
-def test_divergence_is_at_the_first_time_out_of_a_band():
-    stored = figure([[0.0], [0.0], [0.0]], [1e-9, 1e-9, 1e-9])
-    times = np.array([0.0, 0.5, 1.0])
-    assert divergence([stored], [value([[0.0], [1e-8], [1.0]], over_time=True)], times) == 0.5
-    assert divergence([stored], [value([[0.0], [1e-10], [0.0]], over_time=True)], times) is None
-
-
-def test_a_nudged_state_is_off_by_its_share():
-    scene = load("tracker")
-    moved = measure.nudged(initial_state(scene), scene.mechanism.size, 1e-9)
-    off = np.abs(moved.position - initial_state(scene).position)
-    assert np.all(off[0] == 0.0)
-    # the largest of 18 cosines is near 1; positions of 0.1 m hold 1e-17
-    assert np.max(off) == pytest.approx(1e-9 * scene.mechanism.size, rel=0.05)
-    assert np.linalg.norm(moved.quaternion, axis=1) == pytest.approx(1.0, abs=1e-15)
+def test_divergence_is_at_the_first_time_out_of_a_tolerance():
+    name, times = "position over time", np.array([0.0, 0.5, 1.0])
+    stored = figure([[0.0], [0.0], [0.0]], name=name)
+    assert divergence([stored], [figure([[0.0], [1e-8], [1.0]], name=name)], times) == 0.5
+    assert divergence([stored], [figure([[0.0], [1e-10], [0.0]], name=name)], times) is None
 
 
 # A scene against its baseline
@@ -113,7 +114,7 @@ def swing():
 @pytest.fixture(scope="module")
 def measured(swing):
     """The baseline of a second of the pendulum."""
-    return bands.make(swing, {}, "first", [], lambda _: None)
+    return regress.make(swing, {}, "first", [], lambda _: None)
 
 
 def no_clock():
@@ -123,7 +124,7 @@ def no_clock():
 def test_every_group_measures_the_pendulum(measured):
     assert measured.left_out == {}
     assert measured.groups == list(measure.GROUPS)
-    assert measured.plan.rtol == {"relative": 1e-12, "cartesian": 1e-12}
+    assert measured.plan.rtol == {"relative": 1e-12, "cartesian": 1e-12, "Radau": 1e-10}
 
 
 def test_figures_of_the_pendulum_are_those_of_mechanics(swing, measured):
@@ -149,24 +150,10 @@ def test_an_unchanged_scene_is_quiet(swing, measured):
 def test_a_millionth_of_gravity_is_seen_in_every_engine(swing, measured):
     heavier = replace(swing, gravity=swing.gravity * (1.0 + 1e-6))
     found = compare(heavier, measured, lambda _: None, no_clock)
-    assert {figure.group for figure in found.moved} == set(measure.GROUPS)
+    assert {figure.level for figure in found.moved} == set(measure.GROUPS)
     assert found.diverges is not None
     assert 0.0 < found.diverges <= swing.duration
     assert "MOVED" in found.verdict
-
-
-def test_steps_are_counted_where_none_follows_round_off(swing, measured):
-    """A start moved by what processors differ in takes the very same steps, by both adaptive integrators."""
-    groups = {"relative": "DOP853", "cartesian": "DOP853", "integrators": "Radau"}
-    other = {
-        group: measure.measure_group(group, measure.regress_scene(swing), measured.plan, bands.NUDGED)
-        for group in groups
-    }
-    for group, integrator in groups.items():
-        for what in ("steps", "evaluations"):
-            name = f"{integrator}, rtol 1e-06: {what}"
-            (found,) = (each.array for each in other[group] if each.name == name)
-            assert found == measured.figure(group, name).array
 
 
 def test_versions_that_changed_are_named():
@@ -295,7 +282,7 @@ def test_a_recording_opens_where_poses_part(tmp_path, swing, measured, monkeypat
     assert recording.write(tmp_path / "x.rrd", heavier, measured, 0.2, "verdict")
     assert seen["opens_at"] == 0.2
     now, before = seen["runs"]["newton_euler"], seen["runs"]["baseline"]
-    # the baseline's own scene gives the baseline's poses, to what its band says
+    # the baseline's own scene gives the baseline's poses, to what its tolerance says
     (swing_now,) = [measure.main_run(measure.regress_scene(swing), 1e-12)]
     assert before.position == pytest.approx(swing_now.position, abs=1e-11)
     assert np.max(np.abs(now.position - before.position)) > 1e-3  # 1 % more gravity, for a second
@@ -310,8 +297,8 @@ def test_no_recording_of_what_has_other_bodies(tmp_path, measured):
 
 def test_reports_hold_any_names():
     odd = "a|b <c> & \x00 `d`"
-    stored = figure([[1.0]], [1e-9], odd)
-    checked = tuple(check([stored], [value([[2.0]], odd)]))
+    stored = figure([[1.0]], name=odd)
+    checked = tuple(check([stored], [figure([[2.0]], name=odd)]))
     found = [Comparison("scene", checked, Record.now("<why> | \x01"), {}, 0.5, 0.1)]
     root = ElementTree.fromstring(junit(found))
     (case,) = root.iter("testcase")
@@ -335,8 +322,8 @@ def test_reports_hold_any_names():
 )
 def test_what_is_in_no_figure_moves_where_its_line_does(found, moved):
     checked = check_unsimulated(["a", "b"], found)
-    assert {each.group for each in checked} == {MODEL_FILE}
-    assert [(each.name, each.problem) for each in checked if each.moved] == moved
+    assert {each.level for each in checked} == {MODEL_FILE}
+    assert [(each.quantity, each.problem) for each in checked if each.moved] == moved
 
 
 def test_a_model_file_is_guarded_with_what_is_in_no_figure(capsys, tmp_path, monkeypatch):

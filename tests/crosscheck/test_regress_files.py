@@ -13,7 +13,7 @@ from command_line import run
 from crosscheck.cli.shared import cli
 from crosscheck.regress import measure
 from crosscheck.regress import run as regress
-from crosscheck.regress.baseline import Baseline, Figure, Plan, Record, StoredState, read
+from crosscheck.regress.baseline import Baseline, Plan, Record, StoredFigure, StoredState, read
 from crosscheck.scenes import SCENES
 from newton_euler.model.state import State
 
@@ -29,9 +29,9 @@ def small_baseline():
         scene="tracker", options={}, history=[Record.now("first")], left_out={},
         plan=Plan(rtol={"relative": 1e-9}, step=0.1, time=0.0, state=state),
         figures=[
-            Figure(
+            StoredFigure(
                 group="relative", name="position", unit="m", rows=["bar"], columns=["x"],
-                value=[[1.0 / 3.0]], band=[1e-9],
+                value=[[1.0 / 3.0]], tolerance=[1e-9],
             )
         ],
     )  # fmt: skip
@@ -52,12 +52,12 @@ def test_a_baseline_survives_its_file(tmp_path):
     ("change", "field"),
     [
         (lambda c: c.pop("plan"), "plan: Field required"),
-        (lambda c: c.update(format=2), "format"),
+        (lambda c: c.update(format=1), "format"),
         (lambda c: c.update(history=[]), "history"),
         (lambda c: c["history"][0].update(reason=""), "history.0.reason"),
-        (lambda c: c["figures"][0].update(band=[-1.0]), "figures.0.band.0"),
+        (lambda c: c["figures"][0].update(tolerance=[-1.0]), "figures.0.tolerance.0"),
         (lambda c: c["figures"][0].update(group="speed"), "figures.0.group: Input should be 'relative', "),
-        (lambda c: c["figures"][0].update(band=[1.0, 1.0]), "figures.0: band has 2 numbers"),
+        (lambda c: c["figures"][0].update(tolerance=[1.0, 1.0]), "figures.0: tolerance has 2 numbers"),
         (
             lambda c: c["figures"][0].update(value=[[1.0, 2.0]]),
             "figures.0: value is not a table",
