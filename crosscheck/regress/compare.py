@@ -160,7 +160,7 @@ def unsimulated(mapping: ImportReport) -> list[str]:
 def check_unsimulated(stored: Sequence[str], found: Sequence[str]) -> list[Checked]:
     """Lines on what of a model file is in no figure, against those of the baseline."""
     gone, new = Counter(stored) - Counter(found), Counter(found) - Counter(stored)
-    same = [Checked(MODEL_FILE, line, BETWEEN, 0.0, 0.0, "") for line in stored if line not in gone]
+    same = [_same(MODEL_FILE, line) for line in stored if line not in gone]
     moved = [
         Checked(MODEL_FILE, line, BETWEEN, np.inf, 0.0, "", problem=problem)
         for lines, problem in ((gone, "no longer so"), (new, "new"))
@@ -180,6 +180,11 @@ def check(figures: Iterable[StoredFigure], found: list[StoredFigure] | str) -> l
     ]
 
 
+def _same(group: str, name: str) -> Checked:
+    """Of what holds no number."""
+    return Checked(group, name, BETWEEN, 0.0, 0.0, "", was=0.0, now=0.0)
+
+
 def _missing(figure: StoredFigure, problem: str) -> Checked:
     return Checked(figure.group, figure.name, BETWEEN, np.inf, 0.0, "", unit=figure.unit, problem=problem)
 
@@ -188,7 +193,7 @@ def _check(stored: StoredFigure, now: StoredFigure) -> Checked:
     if (stored.rows, stored.columns) != (now.rows, now.columns):
         return _missing(stored, "is of other bodies, joints or times")
     if stored.array.size == 0:
-        return Checked(stored.group, stored.name, BETWEEN, 0.0, 0.0, "", unit=stored.unit, was=0.0, now=0.0)
+        return _same(stored.group, stored.name)
     row, column = np.unravel_index(int(np.argmax(_tolerances(stored, now))), stored.array.shape)
     was, found = float(stored.array[row, column]), float(now.array[row, column])
     return Checked(
