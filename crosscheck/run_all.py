@@ -119,7 +119,7 @@ def _outcome(name: str, result: Crosscheck, wall_time: float) -> Outcome:
         tuple(result.runs),
         result.left_out,
         _worst(Worst(row.value, row.tolerance) for row in pairs),
-        _worst(Worst(found.difference, found.allowed) for found in result.measured),
+        _worst(Worst(row.value, row.tolerance) for row in result.measured),
         _worst(Worst(row.value, row.tolerance) for row in of("drift")),
         _worst(Worst(row.value, row.tolerance) for row in of("energy")),
     )

@@ -13,14 +13,14 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from crosscheck.comparison.known_figures import Measured
-from crosscheck.comparison.rows import FILE, LEVELS, Row
+from crosscheck.comparison.rows import FILE, LEVELS, REFERENCE, Row
 from newton_euler.integrators.compiled import FORMULATIONS
 
 SYSTEMS = tuple(FORMULATIONS)
 """Formulations of `OWNER`; its runs are those of the first."""
 
-READING, REFERENCE = LEVELS[0], "reference"
-"""Levels before and after those of engines: what a file says, and figures that are known from elsewhere."""
+READING = LEVELS[0]
+"""The level before those of engines: what a file says."""
 
 ORDER = (*LEVELS, REFERENCE)
 
@@ -348,10 +348,7 @@ def _against_reference(names: Sequence[str], rows: Sequence[Row], measured: Sequ
     at_fault = _ordered(names, (known.engine for known in failed))
     others = [name for name in names if name not in at_fault and name != FILE]
     odd = at_fault[0] if len(at_fault) == 1 and others else ""
-    first = failed[0]
-    row = Row(REFERENCE, first.known.quantity, (first.engine,), first.difference, first.allowed, "")
-    row = replace(row, where=f"{first.engine} at {first.known.time:g} s")
-    found = _diagnosis(odd, at_fault, others, row, rows, "reference" if odd else "")
+    found = _diagnosis(odd, at_fault, others, failed[0], rows, "reference" if odd else "")
     return replace(found, fault="integration" if odd else "")
 
 

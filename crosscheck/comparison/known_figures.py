@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
-from crosscheck.comparison.rows import OWN_ERROR, UNRESOLVED
+from crosscheck.comparison.rows import OWN_ERROR, REFERENCE, UNRESOLVED, Row
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.references import Known, known_figures
@@ -28,38 +28,31 @@ Run = Callable[[Scene], Trajectory]
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A known figure as one engine gives it.
+class Measured(Row):
+    """A known figure as one engine gives it: how far it is off, and may be.
 
     Attributes:
-        engine: its name.
         known: the figure.
-        value: of the engine's most exact run.
-        own_error: what that run may be off.
+        result: of the engine's most exact run.
     """
 
-    engine: str
-    known: Known
-    value: float
-    own_error: float
+    known: Known = field(kw_only=True)
+    result: float = field(kw_only=True)
+
+    @classmethod
+    def of(cls, engine: str, known: Known, result: float, own_error: float) -> Measured:
+        """A result of an engine that may be off by an error of its own."""
+        allowed, where = known.uncertainty + own_error, f"{engine} at {known.time:g} s"
+        off = abs(result - known.value)
+        return cls(REFERENCE, known.quantity, (engine,), off, allowed, where, known=known, result=result)
 
     @property
-    def difference(self) -> float:
-        return abs(self.value - self.known.value)
-
-    @property
-    def allowed(self) -> float:
-        """The known figure's uncertainty and the run's own error."""
-        return self.known.uncertainty + self.own_error
-
-    @property
-    def agrees(self) -> bool:
-        """NaN does not agree with anything."""
-        return bool(self.difference <= self.allowed)
+    def engine(self) -> str:
+        return self.between[0]
 
     def summary(self) -> dict[str, Any]:
         """For JSON."""
-        measured = {"value": self.value, "difference": self.difference, "allowed": self.allowed}
+        measured = {"value": self.result, "difference": self.value, "allowed": self.tolerance}
         known = {"reference" if key == "value" else key: x for key, x in asdict(self.known).items()}
         return {"engine": self.engine} | known | measured | {"agrees": self.agrees}
 
@@ -105,7 +98,7 @@ def measure(
         change = float(np.max(np.abs(values - _values(figure, coarse)[: n + 1])))
         scale = float(np.max(np.abs(values)))
         own_error = min(OWN_ERROR * change, UNRESOLVED * scale) + ROUND_OFF * scale
-        yield Measured(engine.name, entry, float(values[n]), own_error)
+        yield Measured.of(engine.name, entry, float(values[n]), own_error)
 
 
 def _values(figure: Figure, run: Trajectory) -> Array:

@@ -21,6 +21,9 @@ LEVELS = (
     "energy",
 )
 
+REFERENCE = "reference"
+"""The level after all others: figures that are known from elsewhere."""
+
 FILE = "file"
 """What engines are compared with at the level "reading", see `newton_euler.verification.verify`."""
 

@@ -129,12 +129,9 @@ def _measured_table(measured: Sequence[Measured]) -> Table:
             [
                 f"{first.known.quantity}, {first.known.unit}",
                 f"{first.known.time:g}",
-                f"{first.value:.12g}",
+                f"{first.result:.12g}",
                 f"{first.known.value:.12g}",
-                *(
-                    judged(cells[name].difference, cells[name].allowed, cells[name].agrees)
-                    for name in columns
-                ),
+                *(judged(cells[name].value, cells[name].tolerance, cells[name].agrees) for name in columns),
             ]
         )
     heads = [Column("time", "s", True), Column(f"value, {columns[0]}", numeric=True), *figures("reference")]

@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 
-from crosscheck.comparison.diagnosis import diagnose
+from crosscheck.comparison.diagnosis import Diagnosis, diagnose
 from crosscheck.comparison.levels import EQUATION_LEVELS, Level, compare_pair
 from crosscheck.comparison.rows import Row
 from crosscheck.comparison.samples import Samples, States
@@ -38,23 +38,21 @@ REFUSED = "refused"
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """The first figure that shows a fault.
+class Sighting(Row):
+    """The first figure that shows a fault; of one at the level `REFUSED` the quantity is the error's text.
 
     Attributes:
-        level: of the comparison, or `REFUSED`.
-        quantity: the figure that fails; the error's text if refused.
-        value, tolerance: of the figure; NaN if refused.
-        where: what is blamed.
         odd: the engine that the diagnosis blames; "" if nothing settles which.
     """
 
-    level: str
-    quantity: str
-    value: float
-    tolerance: float
-    where: str
-    odd: str
+    odd: str = ""
+
+    @classmethod
+    def of(cls, figure: Row | Diagnosis, odd: str = "") -> Sighting:
+        """A figure that fails, or the one that a diagnosis is about."""
+        between = figure.between if isinstance(figure, Row) else figure.parting
+        place = figure.value, figure.tolerance, figure.where
+        return cls(figure.level, figure.quantity, between, *place, odd=odd)
 
 
 @dataclass(frozen=True)
@@ -212,7 +210,7 @@ class Sound:
         except NewtonEulerError as error:
             return _refusal(error, name)
         for found in diagnose(tuple(samples), rows)[:1]:
-            return Sighting(found.level, found.quantity, found.value, found.tolerance, found.where, found.odd)
+            return Sighting.of(found, found.odd)
         return None
 
 
@@ -241,7 +239,7 @@ def _first_failing(one: Samples, other: Samples, levels: Sequence[Level]) -> Sig
     try:
         for row in compare_pair(("one", "other"), [one], [other], levels):
             if not row.agrees:
-                return Sighting(row.level, row.quantity, row.value, row.tolerance, row.where, "")
+                return Sighting.of(row)
     except NewtonEulerError as error:
         return _refusal(error, "")
     return None
@@ -251,7 +249,8 @@ def _refusal(error: NewtonEulerError, engine: str) -> Sighting:
     """The error of an engine as a sighting; where is the joint or body that it is about."""
     element = getattr(error, "joint", getattr(error, "element", ""))
     named = re.search(r"'(.*)'", element)
-    return Sighting(REFUSED, str(error), np.nan, np.nan, named[1] if named else element, engine)
+    where = named[1] if named else element
+    return Sighting(REFUSED, str(error), (engine,), np.nan, np.nan, where, odd=engine)
 
 
 def _planted(fault: Fault, engine: Engine, scene: Scene) -> System:

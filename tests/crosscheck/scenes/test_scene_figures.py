@@ -81,8 +81,8 @@ def test_a_run_is_judged_by_its_uncertainty_and_its_own_error(swing):
     for each in found:
         figure = FIGURES["pendulum"][each.known.quantity]
         change = abs(figure(fine) - figure(coarse)).max()
-        assert each.value == figure(fine)[-1]
-        assert each.allowed == pytest.approx(
+        assert each.result == figure(fine)[-1]
+        assert each.tolerance == pytest.approx(
             each.known.uncertainty + OWN_ERROR * change + ROUND_OFF * abs(figure(fine)).max(), rel=1e-12
         )
         assert each.agrees
@@ -101,7 +101,8 @@ def test_a_coarse_run_excuses_no_more_than_a_hundredth(swing):
     engine = own(exact=lambda _: fine, refined=lambda _: elsewhere)
     for each in measure("pendulum", swing, engine, fine, half_second()):
         largest = abs(FIGURES["pendulum"][each.known.quantity](fine)).max()
-        assert each.own_error == pytest.approx((UNRESOLVED + ROUND_OFF) * largest, rel=1e-12)
+        own_error = (UNRESOLVED + ROUND_OFF) * largest
+        assert each.tolerance == pytest.approx(each.known.uncertainty + own_error, rel=1e-12)
 
 
 def test_an_engine_that_cannot_be_more_exact_is_judged_by_what_it_can(swing):
@@ -111,8 +112,8 @@ def test_an_engine_that_cannot_be_more_exact_is_judged_by_what_it_can(swing):
     runs = {"refined": newton_euler.simulate(swing, rtol=1e-11), "usual": newton_euler.simulate(swing)}
     engine = own(exact=fails, refined=lambda _: runs["refined"])
     (found, *_) = measure("pendulum", swing, engine, runs["usual"], half_second())
-    assert found.value == FIGURES["pendulum"]["x"](runs["refined"])[-1]
-    assert found.own_error > ROUND_OFF
+    assert found.result == FIGURES["pendulum"]["x"](runs["refined"])[-1]
+    assert found.tolerance - found.known.uncertainty > ROUND_OFF
 
 
 @pytest.mark.parametrize("exact", [False, True])
@@ -132,10 +133,9 @@ def test_an_exact_run_without_a_finer_one_is_judged_by_the_usual(swing):
     exact, usual = newton_euler.simulate(swing, rtol=1e-12, atol=1e-14), newton_euler.simulate(swing)
     (found, *_) = measure("pendulum", swing, own(exact=lambda _: exact, refined=fails), usual, half_second())
     figure = FIGURES["pendulum"]["x"]
-    assert found.value == figure(exact)[-1]
-    assert found.own_error == pytest.approx(
-        OWN_ERROR * abs(figure(exact) - figure(usual)).max() + ROUND_OFF * abs(figure(exact)).max(), rel=1e-12
-    )
+    assert found.result == figure(exact)[-1]
+    own_error = OWN_ERROR * abs(figure(exact) - figure(usual)).max() + ROUND_OFF * abs(figure(exact)).max()
+    assert found.tolerance == pytest.approx(found.known.uncertainty + own_error, rel=1e-12)
 
 
 def test_a_figure_between_outputs_is_refused(swing):

@@ -185,14 +185,14 @@ def refusal(fault, scene):
 
 def a_fault(size=1e-4, **values):
     fault = Fault("mass", "bar", "", size, lambda scene: scene, frozenset({"bar"}))
-    sighting = Sighting("model", "mass, rel", 1e-4, 1e-12, "bar", "mujoco")
+    sighting = Sighting("model", "mass, rel", (), 1e-4, 1e-12, "bar", odd="mujoco")
     return Found(fault, "mujoco", **{"seen": sighting, "moves": sighting, "observable": True} | values)
 
 
 def test_shares_count_what_can_be_found():
     unseen = a_fault(seen=None, moves=None)
-    in_another = a_fault(seen=Sighting("model", "mass, rel", 1e-4, 1e-12, "bar", "pinocchio"))
-    elsewhere = a_fault(seen=Sighting("model", "mass, rel", 1e-4, 1e-12, "other", "mujoco"))
+    in_another = a_fault(seen=Sighting("model", "mass, rel", (), 1e-4, 1e-12, "bar", odd="pinocchio"))
+    elsewhere = a_fault(seen=Sighting("model", "mass, rel", (), 1e-4, 1e-12, "other", odd="mujoco"))
     nothing = a_fault(seen=None, moves=None, observable=False)
     assert in_all([a_fault(), unseen, elsewhere, nothing]) == Count(3, 2, 1)
     assert in_all([a_fault(), in_another]) == Count(2, 2, 1)
@@ -216,7 +216,7 @@ def test_misses_are_listed():
 
 
 def test_what_an_engine_does_not_hold_is_said():
-    lost = a_fault(seen=None, moves=None, lost=Sighting("model", "inertia, rel", 1e-6, 1e-12, "bar", ""))
+    lost = a_fault(seen=None, moves=None, lost=Sighting("model", "inertia, rel", (), 1e-6, 1e-12, "bar"))
     (line,) = lines(pendulum(), [lost])
     assert line.startswith("missed: mass of bar by 0.0001, in mujoco: mujoco's own model does not hold it")
 
