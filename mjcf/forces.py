@@ -64,7 +64,7 @@ def joint_attributes(scene: Scene) -> dict[str, dict[str, str]]:
 
 
 def _motion_name(mechanism: Mechanism, on: JointSpring | BallSpring | Armature | BallArmature) -> str:
-    joint = mechanism.joints[mechanism.joint_index(on.joint)]
+    joint = mechanism.joint(on.joint)
     if isinstance(on, JointSpring | Armature):
         return coordinate_name(joint, on.coordinate)
     return ball_name(joint)
@@ -145,7 +145,7 @@ def add_wrenches(actuators: ET.Element, scene: Scene) -> None:
     """Motors on the sites of wrenches."""
     mechanism = scene.mechanism
     for wrench in wrenches(scene):
-        pose = mechanism.bodies[mechanism.body_index(wrench.body)].pose
+        pose = mechanism.body(wrench.body).pose
         parts = [wrench.force, wrench.torque]
         if wrench.frame == "body":
             parts = [pose.vector_to_body(part) for part in parts]

@@ -347,7 +347,7 @@ def _add_coupling(equality: ET.Element, scene: Scene, coupling: Coupling) -> Non
 
 def _coordinate(scene: Scene, key: Key) -> str:
     mechanism = scene.mechanism
-    return coordinate_name(mechanism.joints[mechanism.joint_index(key[0])], key[1])
+    return coordinate_name(mechanism.joint(key[0]), key[1])
 
 
 def _add_cuts(equality: ET.Element, welded: WeldedMechanism) -> None:
@@ -367,7 +367,7 @@ def _add_cuts(equality: ET.Element, welded: WeldedMechanism) -> None:
             (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
             if body is mechanism.bodies[0]
             else (body.center_of_mass, body.quaternion)
-            for body in (mechanism.bodies[mechanism.body_index(n)] for n in (joint.first, joint.second))
+            for body in (mechanism.body(n) for n in (joint.first, joint.second))
         )
         if isinstance(joint, Spherical):
             anchor = rotation(q1).T @ (joint.point - p1)
@@ -384,7 +384,7 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
     actuator = ET.Element("actuator")
     mechanism = scene.mechanism
     for law in scene.control:
-        name = coordinate_name(mechanism.joints[mechanism.joint_index(law.joint)], law.coordinate)
+        name = coordinate_name(mechanism.joint(law.joint), law.coordinate)
         if isinstance(law, Sampled):
             ET.SubElement(actuator, "motor", name=name, joint=name)
             continue

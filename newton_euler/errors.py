@@ -92,14 +92,15 @@ def set_numbers(thing: object, element: str, names: Iterable[str], least: float 
         object.__setattr__(thing, name, float(value))
 
 
-def elements_of(where: str, field: str, given: Iterable[T], kind: type[T]) -> tuple[T, ...]:
-    """Elements of a kind as a tuple; raises `MechanismError` for anything else."""
+def elements_of(where: str, field: str, given: Iterable[T], *kinds: type[T]) -> tuple[T, ...]:
+    """Return elements of some kinds as a tuple; raises `MechanismError` for anything else."""
+    needed = f"a tuple of {' or '.join(kind.__name__ for kind in kinds)}"
     if not isinstance(given, Iterable):
-        raise MechanismError(where, f"{field} is {given!r:.200}", f"a tuple of {kind.__name__}")
+        raise MechanismError(where, f"{field} is {given!r:.200}", needed)
     elements = tuple(given)
     for element in elements:
-        if not isinstance(element, kind):
-            raise MechanismError(where, f"{field} holds {element!r:.200}", f"a tuple of {kind.__name__}")
+        if not isinstance(element, kinds):
+            raise MechanismError(where, f"{field} holds {element!r:.200}", needed)
     return elements
 
 

@@ -156,7 +156,7 @@ def _at(scene: Scene, key: Key) -> tuple[float, float, float]:
 
 def _reach(scene: Scene, key: Key) -> float:
     """How far a joint coordinate is to move, m or rad."""
-    joint = scene.mechanism.joints[scene.mechanism.joint_index(key[0])]
+    joint = scene.mechanism.joint(key[0])
     return SHIFT * scene.mechanism.size if joint.coordinate_kinds[key[1]] == "slide" else SWING
 
 

@@ -153,7 +153,7 @@ def closures(welded: WeldedMechanism) -> list[list[tuple[str, int, Array]]]:
 
 def _coordinate_name(scene: Scene, joint: str, coordinate: int) -> str:
     """Name of the URDF joint of one of a joint's coordinates, which count its hinges and slides from 0."""
-    found = scene.mechanism.joints[scene.mechanism.joint_index(joint)]
+    found = scene.mechanism.joint(joint)
     names = zip(motion_names(found), found.motions, strict=True)
     return [name for name, motion in names if motion.kind != "ball"][coordinate]
 

@@ -74,7 +74,7 @@ class Aligned:
     def joint_pair(self, name: str) -> tuple[Joint, Joint]:
         """A joint of the first model and its partner."""
         a, b = (scene.mechanism for scene in self.both)
-        return a.joints[a.joint_index(name)], b.joints[b.joint_index(self.joints[name])]
+        return a.joint(name), b.joint(self.joints[name])
 
 
 def align(first: Scene, second: Scene) -> Aligned:
@@ -174,7 +174,7 @@ def pair_joints(first: Mechanism, second: Mechanism) -> dict[str, str]:
 
 
 def _joint(scene: Scene, name: str) -> Joint:
-    return scene.mechanism.joints[scene.mechanism.joint_index(name)]
+    return scene.mechanism.joint(name)
 
 
 def _ends(joint: Joint) -> frozenset[str]:
@@ -185,7 +185,7 @@ def _pair_coordinates(first: Mechanism, second: Mechanism, joints: Mapping[str, 
     """Pair the hinges and slides of joints that both have by their axes."""
     found: dict[Key, Partner] = {}
     for name, other in joints.items():
-        a, b = first.joints[first.joint_index(name)], second.joints[second.joint_index(other)]
+        a, b = first.joint(name), second.joint(other)
         swapped = -1.0 if a.first == b.second else 1.0
         free = dict(enumerate(_axes(second, b, a)))
         for k, (kind, axes) in enumerate(_axes(first, a, a)):
@@ -204,7 +204,7 @@ def _pair_coordinates(first: Mechanism, second: Mechanism, joints: Mapping[str, 
 
 def _axes(mechanism: Mechanism, joint: Joint, like: Joint) -> Iterator[tuple[str, Array]]:
     """Kind of each coordinate of a joint, and its axis (2, 3) in the two bodies of another joint."""
-    poses = [mechanism.bodies[mechanism.body_index(name)].pose for name in (like.first, like.second)]
+    poses = [mechanism.body(name).pose for name in (like.first, like.second)]
     for motion in joint.motions:
         if motion.kind != "ball":
             yield motion.kind, np.array([pose.vector_to_body(motion.axis) for pose in poses])
@@ -257,7 +257,7 @@ def _joint_notes(
 ) -> Iterator[str]:
     """Joints of another name or kind, those that count the other way, and those that one model has alone."""
     for name, other in joints.items():
-        a, b = first.joints[first.joint_index(name)], second.joints[second.joint_index(other)]
+        a, b = first.joint(name), second.joint(other)
         if name != other:
             yield f"joint {name} is {other} there, the only one left between {a.first} and {a.second}"
         if a.kind != b.kind:

@@ -214,7 +214,7 @@ def features(scene: Scene, number: int, joints: Sequence[str]) -> Features:
     """Features of a body with the joints of these names."""
     mechanism, start = scene.mechanism, initial_state(scene)
     body = mechanism.bodies[number]
-    found = tuple(carried(body, mechanism.joints[mechanism.joint_index(name)]) for name in joints)
+    found = tuple(carried(body, mechanism.joint(name)) for name in joints)
     return Features(body.inertia, found, start.position[number], rotation(start.quaternion[number]))
 
 

@@ -281,7 +281,7 @@ def _at_joints(
     """
     found = dict[Key, Array]()
     for element in acting:
-        equations = scene.mechanism.equations[scene.mechanism.joint_index(element.joint)]
+        equations = scene.mechanism.joint_equations(element.joint)
         bodies = [(state.frames()[equations.first], state.frames()[equations.second]) for state in states]
         if isinstance(element, BallSpring | BallArmature):
             key, unit = (element.joint, BALL), size

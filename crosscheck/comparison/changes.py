@@ -224,7 +224,7 @@ def _uncoupled(
     for time, frames in moments:
         allowed = 0.0
         for (joint, coordinate), factor in coupled[index].factors.items():
-            ends = mechanism.equations[mechanism.joint_index(joint)]
+            ends = mechanism.joint_equations(joint)
             jacobian = ends.coordinates[coordinate].jacobian(frames[ends.first], frames[ends.second])
             allowed += abs(factor) * float(_allowed(ends, jacobian, length, angle)[0])
         phi, _ = residuals(mechanism, coupled, frames, time)

@@ -153,7 +153,7 @@ def _joint_plots(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> I
 
 def _control_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
     for k, law in enumerate(scene.control):
-        joint = scene.mechanism.joints[scene.mechanism.joint_index(law.joint)]
+        joint = scene.mechanism.joint(law.joint)
         name, motion = _axes(joint)[law.coordinate]
         quantity = "force [N]" if motion.kind == "slide" else "torque [N m]"
         lines = _present(

@@ -60,7 +60,7 @@ def check_functions(
     """
     terms = cycles = 0.0
     for motion in motions:
-        joint = mechanism.joints[mechanism.joint_index(motion.joint)]
+        joint = mechanism.joint(motion.joint)
         kinds = joint.coordinate_kinds
         per_cycle = (
             2.0 * math.pi if kinds[motion.coordinate : motion.coordinate + 1] == ("hinge",) else math.inf

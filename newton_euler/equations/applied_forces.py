@@ -157,7 +157,7 @@ def pulls(
     size = scene.mechanism.size
     found: dict[str, float] = {}
     for law in scene.joint_forces:
-        joint = scene.mechanism.joints[scene.mechanism.joint_index(law.joint)]
+        joint = scene.mechanism.joint(law.joint)
         turns = joint.coordinate_kinds[law.coordinate] == "hinge"
         x, rate = measured[law.joint, law.coordinate][:2]
         found[law.element] = abs(law.force(x, rate, time)) / (size if turns else 1.0)

@@ -30,7 +30,7 @@ SPIN = Jacobian(np.zeros((3, 3)), -np.eye(3), np.zeros((3, 3)), np.eye(3))
 
 def ends(mechanism: Mechanism, joint: str) -> tuple[int, int]:
     """Numbers of the two bodies of a joint."""
-    equations = mechanism.equations[mechanism.joint_index(joint)]
+    equations = mechanism.joint_equations(joint)
     return equations.first, equations.second
 
 

@@ -124,7 +124,7 @@ def wanted(scene: Scene, couplings: Sequence[Coupling]) -> list[Key]:
 
 
 def _kind(mechanism: Mechanism, joint: str, coordinate: int) -> str:
-    return mechanism.joints[mechanism.joint_index(joint)].coordinate_kinds[coordinate]
+    return mechanism.joint(joint).coordinate_kinds[coordinate]
 
 
 def row_units(equations: Sequence[JointEquations], couplings: Sequence[Coupling], size: float) -> Array:
@@ -214,7 +214,7 @@ def residuals(
     x, rates = dict[Key, float](), dict[Key, float]()
     angles = set()
     for key in {key for coupling in couplings for key in coupling.factors}:
-        equations = mechanism.equations[mechanism.joint_index(key[0])]
+        equations = mechanism.joint_equations(key[0])
         coordinate = equations.coordinates[key[1]]
         first, second = frames[equations.first], frames[equations.second]
         x[key] = float(coordinate.phi(first, second)[0])
@@ -250,7 +250,7 @@ class TreeCouplings:
                 assert place is not None
                 self._on_q[key], on_v = place
                 row[on_v] = factor
-                joint = scene.mechanism.joints[scene.mechanism.joint_index(key[0])]
+                joint = scene.mechanism.joint(key[0])
                 if joint.coordinate_kinds[key[1]] == "hinge":
                     self._angles.add(key)
         size = scene.mechanism.size

@@ -67,7 +67,7 @@ class JointSpring:
     def check(self, mechanism: Mechanism) -> None:
         """Raise `MechanismError` unless the mechanism has its joint coordinate."""
         check_known(self.element, "acts on an unknown joint", self.joint, mechanism.joint_names)
-        joint = mechanism.joints[mechanism.joint_index(self.joint)]
+        joint = mechanism.joint(self.joint)
         check_coordinate(self.element, joint, self.coordinate)
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
@@ -254,7 +254,7 @@ def check_known(element: str, problem: str, name: str, known: Sequence[str]) -> 
 def check_ball(element: str, joint: str, mechanism: Mechanism) -> None:
     """Raise `MechanismError` unless the mechanism has a joint of that name, and that a ball."""
     check_known(element, "is on an unknown joint", joint, mechanism.joint_names)
-    found = mechanism.joints[mechanism.joint_index(joint)]
+    found = mechanism.joint(joint)
     if not any(motion.kind == "ball" for motion in found.motions):
         needed = "a joint with a ball: spherical, free, or compound with one"
         raise MechanismError(element, f"is on a {found.kind} joint", needed)
@@ -417,7 +417,7 @@ def check_armatures(armatures: Sequence[Armature | BallArmature], mechanism: Mec
             check_ball(armature.element, armature.joint, mechanism)
         else:
             check_known(armature.element, "is on an unknown joint", armature.joint, mechanism.joint_names)
-            joint = mechanism.joints[mechanism.joint_index(armature.joint)]
+            joint = mechanism.joint(armature.joint)
             check_coordinate(armature.element, joint, armature.coordinate)
     for element, count in Counter(map(_rotor_identity, armatures)).items():
         if count > 1:

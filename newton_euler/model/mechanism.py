@@ -191,7 +191,7 @@ class Mechanism:
                 raise MechanismError(where, f"{names[coupling.name]} of that name", "unique names")
             for joint, coordinate in coupling.factors():
                 on_joint = f"{where} on joint {joint!r}"
-                check_coordinate(on_joint, self.joints[self.joint_index(joint)], coordinate)
+                check_coordinate(on_joint, self.joint(joint), coordinate)
 
     def _check_connected(self) -> None:
         reached, ahead = {0}, [0]
@@ -264,6 +264,18 @@ class Mechanism:
         """Index of a joint; raises `UnknownNameError`."""
         check_choice("joint", name, self.joint_names)
         return self._joint_indices[name]
+
+    def body(self, name: str) -> Body:
+        """Return a body by its name; raises `UnknownNameError`."""
+        return self.bodies[self.body_index(name)]
+
+    def joint(self, name: str) -> Joint:
+        """Return a joint by its name; raises `UnknownNameError`."""
+        return self.joints[self.joint_index(name)]
+
+    def joint_equations(self, name: str) -> JointEquations:
+        """Return the equations of a joint by its name; raises `UnknownNameError`."""
+        return self.equations[self.joint_index(name)]
 
     @cached_property
     def joints_at(self) -> tuple[tuple[int, ...], ...]:

@@ -7,10 +7,11 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_choice, is_finite_number, set_arrays
+from newton_euler.errors import MechanismError, check_choice, elements_of, is_finite_number, set_arrays
 from newton_euler.model.control import Law, Sampled
 from newton_euler.model.forces import (
     Armature,
@@ -29,6 +30,14 @@ from newton_euler.scalars import Array
 
 OUTPUTS = ("velocities", "reactions", "actuation", "violation", "energy")
 """What may be asked for beside the poses."""
+
+PARTS: dict[str, tuple[type, ...]] = {
+    "control": get_args(Law),
+    "motions": (PrescribedMotion,),
+    "forces": get_args(Force),
+    "armatures": (Armature, BallArmature),
+}
+"""Elements of a scene, and their kinds."""
 
 MAXIMUM_OUTPUTS = 1_000_000
 
@@ -112,12 +121,14 @@ class Scene:
         for output in self.outputs:
             check_choice("output", output, OUTPUTS)
         object.__setattr__(self, "outputs", frozenset(self.outputs))
+        for field, kinds in PARTS.items():
+            object.__setattr__(self, field, elements_of(where, field, getattr(self, field), *kinds))
         self._check_control()
         self._check_motions()
         if self.initial_state is not None:
             self._check_state(self.initial_state)
-        self._check_forces()
-        self._check_armatures()
+        check_forces(self.forces, self.mechanism)
+        check_armatures(self.armatures, self.mechanism)
 
     def _check_texts(self) -> None:
         name, description = self.name, self.description
@@ -130,14 +141,10 @@ class Scene:
             )
 
     def _check_control(self) -> None:
-        laws = self.control
-        if not isinstance(laws, Iterable) or not all(isinstance(law, Law) for law in laws):
-            raise MechanismError(f"scene {self.name!r}", f"control is {laws!r}", "a tuple of control laws")
-        object.__setattr__(self, "control", tuple(laws))
         driven = Counter((law.joint, law.coordinate) for law in self.control)
         for law in self.control:
             where = f"control of joint {law.joint!r}"
-            joint = self.mechanism.joints[self.mechanism.joint_index(law.joint)]
+            joint = self.mechanism.joint(law.joint)
             if not joint.actuated:
                 raise MechanismError(where, "the joint is not actuated", "an actuated joint")
             if driven[law.joint, law.coordinate] > 1:
@@ -145,37 +152,14 @@ class Scene:
             check_coordinate(where, joint, law.coordinate)
 
     def _check_motions(self) -> None:
-        given = self.motions
-        if not isinstance(given, Iterable) or not all(isinstance(m, PrescribedMotion) for m in given):
-            needed = "a tuple of prescribed motions"
-            raise MechanismError(f"scene {self.name!r}", f"motions is {given!r:.200}", needed)
-        object.__setattr__(self, "motions", tuple(given))
         driven = Counter((motion.joint, motion.coordinate) for motion in self.motions)
         for motion in self.motions:
             where = f"motion of joint {motion.joint!r}"
-            joint = self.mechanism.joints[self.mechanism.joint_index(motion.joint)]
+            joint = self.mechanism.joint(motion.joint)
             check_coordinate(where, joint, motion.coordinate)
             if driven[motion.joint, motion.coordinate] > 1:
                 problem = "has several functions for one coordinate"
                 raise MechanismError(where, problem, "one motion a coordinate")
-
-    def _check_forces(self) -> None:
-        forces = tuple(self.forces) if isinstance(self.forces, Iterable) else (self.forces,)
-        for force in forces:
-            if not isinstance(force, Force):
-                needed = "JointSpring, BallSpring, PointSpring or Wrench"
-                raise MechanismError(f"scene {self.name!r}", f"forces holds {force!r:.200}", needed)
-        object.__setattr__(self, "forces", forces)
-        check_forces(self.forces, self.mechanism)
-
-    def _check_armatures(self) -> None:
-        given = self.armatures
-        if not isinstance(given, Iterable) or not all(isinstance(a, Armature | BallArmature) for a in given):
-            raise MechanismError(
-                f"scene {self.name!r}", f"armatures is {given!r:.200}", "a tuple of armatures"
-            )
-        object.__setattr__(self, "armatures", tuple(given))
-        check_armatures(self.armatures, self.mechanism)
 
     @np.errstate(all="ignore")  # a norm may overflow
     def check_numbers(self, state: object, where: str) -> None:

@@ -46,7 +46,7 @@ class Course:
         """A joint coordinate (n,), m or rad from the initial pose, turns counted, and its rate (n,)."""
         if key not in self._found:
             mechanism = self.scene.mechanism
-            equations = mechanism.equations[mechanism.joint_index(key[0])]
+            equations = mechanism.joint_equations(key[0])
             measure = equations.coordinates[key[1]]
             x, rate = np.zeros((2, len(self.time)))
             for n, frames in enumerate(self.frames):

@@ -180,7 +180,7 @@ def _wrenches(scene: Scene, state: State) -> tuple[Array, Array]:
     total = np.array(body_wrenches(scene, [body.pose for body in mechanism.bodies], frames))
     magnitude = np.abs(total)
     for law in scene.joint_forces:
-        equations = mechanism.equations[mechanism.joint_index(law.joint)]
+        equations = mechanism.joint_equations(law.joint)
         coordinate = equations.coordinates[law.coordinate]
         first, second = frames[equations.first], frames[equations.second]
         rows = coordinate.jacobian(first, second)
@@ -205,7 +205,7 @@ def _spins(placed: Placed, place: Place) -> Array:
             rows = SPIN
         else:
             joint, coordinate = armature.key
-            equations = mechanism.equations[mechanism.joint_index(joint)]
+            equations = mechanism.joint_equations(joint)
             first, second = equations.first, equations.second
             rows = equations.coordinates[coordinate].jacobian(frames[first], frames[second])
         row = np.zeros((len(rows.r_first), len(frames), 6))

@@ -135,7 +135,7 @@ def _sized(scene: Scene, size: float) -> Iterator[Fault]:
                     yield Fault(kind, force.joint, detail, size, other, right)
     for index, rotor in enumerate(scene.armatures):
         other = plant.entry("armatures", index, inertia=(1.0 + size) * rotor.inertia)
-        joint = scene.mechanism.joints[scene.mechanism.joint_index(rotor.joint)]
+        joint = scene.mechanism.joint(rotor.joint)
         right = bodies_at(joint) | {rotor.joint}  # what turns there is as heavy to turn as with more inertia
         detail = "of its ball" if isinstance(rotor, BallArmature) else ""
         yield Fault("armature", rotor.joint, detail, size, other, right)
@@ -152,7 +152,7 @@ def _of_law(scene: Scene, index: int, law: PD, size: float) -> Iterator[Fault]:
 
 def _unit(scene: Scene, law: PD) -> float:
     """Unit of a target of 0: the mechanism's size, or 1 rad."""
-    joint = scene.mechanism.joints[scene.mechanism.joint_index(law.joint)]
+    joint = scene.mechanism.joint(law.joint)
     return scene.mechanism.size if joint.coordinate_kinds[law.coordinate] == "slide" else 1.0
 
 

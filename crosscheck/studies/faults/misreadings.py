@@ -255,14 +255,14 @@ def _of_value(field: str, index: int, force: Law | Force, name: str, what: str, 
 
 def _is_length(scene: Scene, force: Law | Force) -> bool:
     if isinstance(force, PD | JointSpring):
-        joint = scene.mechanism.joints[scene.mechanism.joint_index(force.joint)]
+        joint = scene.mechanism.joint(force.joint)
         return joint.coordinate_kinds[force.coordinate] == "slide"
     return not isinstance(force, BallSpring)
 
 
 def _others(scene: Scene, joint: str, coordinate: int) -> Iterator[int]:
     """Coordinates of a joint beside one."""
-    kinds = scene.mechanism.joints[scene.mechanism.joint_index(joint)].coordinate_kinds
+    kinds = scene.mechanism.joint(joint).coordinate_kinds
     yield from (k for k in range(len(kinds)) if k != coordinate)
 
 

@@ -170,7 +170,7 @@ def _explanation(scene: Scene, found: Found, sighting: Sighting | None) -> str:
         return "nothing: its loop cannot move at all, and all joints are closed where it stays"
     if found.fault.element not in mechanism.body_names or sighting.where not in mechanism.joint_names:
         return ""
-    joint = mechanism.joints[mechanism.joint_index(sighting.where)]
+    joint = mechanism.joint(sighting.where)
     if found.fault.element not in (joint.first, joint.second):
         return ""
     if sighting.level == "kinematics":

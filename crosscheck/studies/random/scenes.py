@@ -311,7 +311,7 @@ def _motion(rng: np.random.Generator, scene: Scene) -> Scene:
     before = _rank_at(system, system.coordinates(state)[0])
     for k in rng.permutation(len(keys)):
         joint, coordinate = keys[k]
-        equations = scene.mechanism.equations[scene.mechanism.joint_index(joint.name)]
+        equations = scene.mechanism.joint_equations(joint.name)
         first, second = frames[equations.first], frames[equations.second]
         measured = equations.coordinates[coordinate]
         x = float(measured.phi(first, second)[0])

@@ -198,7 +198,7 @@ def test_powers_and_rates_are_derivatives(name: str) -> None:
     # 1e-8: `retract` follows the motion to second order, differences of order 6 on energies of some 100 J
     assert derivative(energy) == pytest.approx(power, abs=1e-8 * abs(energy(0.0)))
     joint = next(iter(scene.loaded_balls))
-    equations = scene.mechanism.equations[scene.mechanism.joint_index(joint)]
+    equations = scene.mechanism.joint_equations(joint)
     bodies = equations.first, equations.second
 
     def seen(t: float) -> np.ndarray:

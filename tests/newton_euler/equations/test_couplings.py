@@ -289,5 +289,5 @@ def test_gears_and_motions_name_what_is_wrong():
         replace(scene, motions=(PrescribedMotion("shaft_1", Polynomial([0.0]), 1),))
     with pytest.raises(MechanismError, match="several functions"):
         replace(scene, motions=(motion, motion))
-    with pytest.raises(MechanismError, match="a tuple of prescribed motions"):
+    with pytest.raises(MechanismError, match="a tuple of PrescribedMotion"):
         replace(scene, motions=(1.0,))

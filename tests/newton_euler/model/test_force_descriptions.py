@@ -108,7 +108,10 @@ STRETCHED = PointSpring("s", *ENDS, stiffness=1.0, rest_length=1.0)
 @pytest.mark.parametrize(
     ("forces", "message"),
     [
-        (3, "scene 'mass': forces holds 3; needed: JointSpring, BallSpring, PointSpring or Wrench"),
+        (
+            3,
+            "'mass': forces is 3; needed: a tuple of JointSpring or BallSpring or PointSpring or Wrench",
+        ),
         ([PD("rail", 1.0, 1.0, 0.0)], "forces holds PD("),
         (
             [JointSpring("axle")],

@@ -30,7 +30,7 @@ from newton_euler.model.trajectory import atomic_file
         ("gravity", "down", "gravity is 'down'"),
         ("gravity", (0.0, 1.0), "gravity is"),
         ("control", None, "control is None"),
-        ("control", (3,), "control is"),
+        ("control", (3,), "control holds"),
         ("initial_state", 3, "is 3; needed: a State"),
         ("outputs", "energy", "outputs is 'energy'"),
         ("outputs", None, "outputs is None"),
