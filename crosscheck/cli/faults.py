@@ -18,6 +18,7 @@ from crosscheck.cli.shared import (
     without_exercise,
 )
 from crosscheck.errors import CrosscheckError
+from crosscheck.report.render import as_json, terminal
 from crosscheck.studies.faults import PLANTED_IN
 
 
@@ -51,7 +52,6 @@ def faults_command(
     import time
 
     from crosscheck.files import check_no_source, check_writable, write_files
-    from crosscheck.report.render import as_json, terminal
     from crosscheck.studies.faults.find import find_faults
     from crosscheck.studies.faults.report import data, holds, report
 

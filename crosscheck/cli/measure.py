@@ -16,6 +16,7 @@ from crosscheck.cli.shared import (
     setting_options,
 )
 from crosscheck.errors import CrosscheckError
+from crosscheck.report.render import terminal
 
 BENCH_WIDTH = 200
 """Columns that the tables of a benchmark are laid out for."""
@@ -26,7 +27,6 @@ BENCH_WIDTH = 200
 @setting_options
 def explain_command(scene: str, settings: tuple[str, ...], loops: str | None) -> int:
     """Say what the compiler keeps of SCENE, what it leaves out, and what each feature costs."""
-    from crosscheck.report.render import terminal
     from crosscheck.studies.explain import explain
 
     loaded = load_and_tell(scene, scene_options(scene, settings, loops))
@@ -79,7 +79,6 @@ def bench_command(
     output: Path | None,
 ) -> int:
     """Measure run time against error on SCENE, for every engine and setting."""
-    from crosscheck.report.render import terminal
     from crosscheck.studies.benchmark import run
 
     options = exercised(scene, scene_options(scene, settings, loops))
@@ -116,7 +115,6 @@ def stress_command(full: bool, output: Path, letters: str) -> int:
     """Push every engine until something breaks, and report where."""
     import time
 
-    from crosscheck.report.render import terminal
     from crosscheck.studies.stress.report import check_folder, report, write
     from crosscheck.studies.stress.topics import stress
 

@@ -19,6 +19,7 @@ from crosscheck.cli.shared import (
     tell,
 )
 from crosscheck.errors import CrosscheckError
+from crosscheck.report.render import terminal
 
 if TYPE_CHECKING:
     from crosscheck.regress.run import Guarded
@@ -61,7 +62,6 @@ def regress_command(
     """
     from crosscheck.regress.report import tables, verdict
     from crosscheck.regress.run import check, update, write_reports
-    from crosscheck.report.render import terminal
 
     if len(sources) != 1 and (settings or loops or baseline):
         raise CrosscheckError("--set, --loops and --baseline are of one SCENE; name it")

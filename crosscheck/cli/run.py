@@ -25,6 +25,7 @@ from crosscheck.cli.shared import (
 )
 from crosscheck.errors import CrosscheckError
 from crosscheck.recording.destination import Destination
+from crosscheck.report.render import terminal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -100,7 +101,6 @@ def run_command(
 
 def _run_all(engines: list[str], output: Path | None) -> int:
     from crosscheck.report.output import check_own
-    from crosscheck.report.render import terminal
     from crosscheck.run_all import outcome_lines, outcomes_table, run_all
     from crosscheck.scenes import SCENES
 
@@ -202,7 +202,6 @@ def _carry_out(
     from crosscheck.against.compare import Against
     from crosscheck.files import check_writable
     from crosscheck.report.output import write
-    from crosscheck.report.render import terminal
     from crosscheck.report.run import report
 
     recording = (destination.save or folder / f"{name}.rrd") if destination.to_file else None

@@ -11,6 +11,7 @@ import shutil
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -90,22 +91,21 @@ def only(file: str, content: bytes) -> Prepare:
 
 
 def json_cases() -> Iterator[Refused]:
-    """Every kind of results, damaged in every way."""
-    dice = random.Random(SEED)
-    for file in RESULTS:
-        for name, text in damaged(json.dumps(CONTENT), dice):
-            yield Refused(f"{file} {name}", ("report", "results"), f"{file}: ", only(file, text))
-        for name, make in PLACES.items():
-            prepare = only(file, b"")
+    """Results of every kind, which all have a report of one form, damaged in turn in every way."""
+    files, dice = cycle(RESULTS), random.Random(SEED)
+    for name, text in damaged(json.dumps(CONTENT), dice):
+        file = next(files)
+        yield Refused(f"{file} {name}", ("report", "results"), f"{file}: ", only(file, text))
+    for name, make in PLACES.items():
+        file = next(files)
+        prepare = only(file, b"")
 
-            def replaced(folder: Path, prepare=prepare, make=make, file=file) -> None:
-                prepare(folder)
-                (folder / "results" / file).unlink()
-                make(folder / "results" / file)
+        def replaced(folder: Path, prepare=prepare, make=make, file=file) -> None:
+            prepare(folder)
+            (folder / "results" / file).unlink()
+            make(folder / "results" / file)
 
-            yield Refused(
-                f"{file} {name}", ("report", "results"), "nothing of crosscheck's in results", replaced
-            )
+        yield Refused(f"{file} {name}", ("report", "results"), "nothing of crosscheck's in results", replaced)
 
 
 PLACES: dict[str, Callable[[Path], None]] = {
