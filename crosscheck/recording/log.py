@@ -23,18 +23,20 @@ from __future__ import annotations
 import os
 import uuid
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
 
+from crosscheck.files import write_files
 from crosscheck.recording.blueprint import blueprint
 from crosscheck.recording.plots import Plot, panel, plots, rotated
 from crosscheck.recording.shapes import Style, log_shapes, xyzw
 from newton_euler.model.geometry import Box
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import Trajectory, atomic_file
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 COLORS = ((230, 159, 0), (86, 180, 233), (204, 121, 167), (0, 158, 115))
@@ -154,12 +156,11 @@ def write_recording(
         title: the scene's name if None.
 
     Raises:
-        OSError: if the file cannot be written to its end.
+        CrosscheckError: if the file cannot be written to its end.
     """
     # in memory first: Rerun's own writer would wait for ever on a disk that is full
     content = recorded(scene, trajectories, verdict, title or scene.name, opens_at)
-    with atomic_file(path) as temporary:
-        temporary.write_bytes(content)
+    write_files({Path(path): content})
 
 
 def _styles(engines: list[str], size: float) -> dict[str, Style]:

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from crosscheck.errors import CrosscheckError
 from crosscheck.regress.baseline import Baseline
 from crosscheck.regress.measure import MAIN, main_run, regress_scene
-from crosscheck.workers import tidied_up
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -39,11 +37,7 @@ def write(path: Path, scene: Scene, baseline: Baseline, diverges: float | None, 
         runs = {"newton_euler": main_run(scene, baseline.plan.rtol[MAIN]), "baseline": stored}
     except NewtonEulerError:
         return False
-    try:
-        with tidied_up():
-            write_recording(path, scene, runs, verdict, f"{scene.name} against its baseline", diverges)
-    except OSError as error:
-        raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
+    write_recording(path, scene, runs, verdict, f"{scene.name} against its baseline", diverges)
     return True
 
 

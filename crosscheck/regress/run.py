@@ -6,22 +6,19 @@ import os
 import shlex
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.files import check_no_source, check_writable
+from crosscheck.files import check_no_source, check_writable, write_files
 from crosscheck.regress import recording
 from crosscheck.regress.baseline import Baseline, GroupName, Record, StoredFigure, read
 from crosscheck.regress.compare import Comparison, compare, unsimulated
 from crosscheck.regress.measure import GROUPS, MAIN, make_plan, regress_scene, with_own_errors
 from crosscheck.regress.report import as_json, junit, markdown
 from crosscheck.scenes import SCENES
-from crosscheck.workers import tidied_up
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
-from newton_euler.model.trajectory import atomic_file
 from newton_euler.verification.import_report import ImportReport
 
 STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
@@ -148,13 +145,7 @@ def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[
     for each in guarded:
         history = each.baseline().history if each.path.exists() else []
         made.append(make(each.scene, each.options, reason, history, progress, each.mapping))
-    with tidied_up(), ExitStack() as stack:
-        for each, baseline in zip(guarded, made, strict=True):
-            try:
-                temporary = stack.enter_context(atomic_file(each.path))
-                temporary.write_text(baseline.text(), encoding="utf-8")
-            except OSError as error:
-                raise CrosscheckError(f"cannot write {each.path}: {error.strerror}") from error
+    write_files({each.path: baseline.text().encode() for each, baseline in zip(guarded, made, strict=True)})
     return made
 
 
@@ -208,15 +199,8 @@ def write_reports(
     """
     summary = markdown(found, recordings)
     wanted = ((junit_path, junit(found)), (json_path, as_json(found, recordings)), (markdown_path, summary))
-    written = []
-    for path, text in wanted:
-        if path is not None:
-            try:
-                with tidied_up(), atomic_file(path) as temporary:
-                    temporary.write_text(text, encoding="utf-8")
-            except OSError as error:
-                raise CrosscheckError(f"cannot write {path}: {error.strerror}") from error
-            written.append(path)
+    files = {path: text.encode() for path, text in wanted if path is not None}
+    write_files(files)
     step = os.environ.get(STEP_SUMMARY)
     if step:
         try:
@@ -224,4 +208,4 @@ def write_reports(
                 stream.write(summary)
         except OSError as error:
             raise CrosscheckError(f"cannot write {STEP_SUMMARY} {step}: {error.strerror}") from error
-    return written
+    return list(files)
