@@ -16,9 +16,8 @@ import numpy as np
 from newton_euler.assemble import VELOCITY_TOLERANCE, initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.errors import MechanismError
-from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import conjugate, product
-from newton_euler.model.forces import PointSpring
+from newton_euler.model.forces import PointSpring, line_of
 from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import Scene
@@ -239,17 +238,9 @@ def _consistent(scene: Scene, states: Sequence[State]) -> Array:
             rates = np.abs(_floats(equations.jacobian(i, j).rate(i, j), count))
             allowed = VELOCITY_TOLERANCE * speed[:, None] * np.where(equations.is_length, 1.0, 1.0 / size)
             sure &= np.all(rates <= SURE * allowed, axis=1)
+        poses = [body.pose for body in mechanism.bodies]
         for force in scene.forces:
             if isinstance(force, PointSpring) and force.has_direction:
-                sure &= _distance(scene, force, frames, count) > CLOSURE_TOLERANCE / SURE
+                d = _floats(line_of(force, mechanism, poses, frames).d, count)
+                sure &= np.linalg.norm(d, axis=1) > CLOSURE_TOLERANCE / SURE
         return np.asarray(sure & np.all(np.concatenate(shares, axis=1) <= SURE, axis=1))
-
-
-def _distance(scene: Scene, spring: PointSpring, frames: list[Frame], count: int) -> Array:
-    """Measure the distance (n,), m, between the ends of a spring."""
-    bodies = scene.mechanism.bodies
-    ends = []
-    for name, point in ((spring.first, spring.point_on_first), (spring.second, spring.point_on_second)):
-        k = scene.mechanism.body_index(name)
-        ends.append(frames[k].position + frames[k].rotation @ bodies[k].pose.point_to_body(point))
-    return np.asarray(np.linalg.norm(_floats(ends[1] - ends[0], count), axis=1))

@@ -124,7 +124,7 @@ def reach(motions: Sequence[Array], levers: Sequence[float], velocities: Array) 
     """How far one velocity moves what two bodies share, and turns it, at most: m and rad.
 
     Of each body by itself, so that a loop in which both cancel is seen to be stiff but for noise; see
-    `newton_euler.equations.relative_terms.RelativeTerms.row_scales`.
+    `newton_euler.equations.kinematics.TreeKinematics.row_scales`.
 
     Args:
         motions: (6, nv) of each body, velocity of its mass center and angular velocity.
