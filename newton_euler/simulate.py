@@ -152,12 +152,9 @@ class CompiledScene(Code):
 
     def _try(self, options: Options, choices: int) -> Trajectory:
         """Run the scene, again with other constraint rows where those in use degenerate on the way."""
-
         load(self, options.integrator)
         x = self.start.copy()
-        start = time.perf_counter()
-        arrays, counts, stopped = integrate_sampled(self, x, options)
-        wall_time = time.perf_counter() - start
+        arrays, counts, stopped, wall_time = integrate_sampled(self, x, options)
         settings: dict[str, Any] = {"formulation": self.formulation, "stabilization": self.stabilization}
         if self.stabilization == "baumgarte":
             settings["alpha"] = self.alpha
@@ -201,10 +198,11 @@ def _by_joint(scene: Scene, phi: Array) -> Array:
     mechanism = scene.mechanism
     owners = [k for k, equations in enumerate(mechanism.equations) for _ in range(equations.count)]
     owners += [mechanism.joint_index(coupling.joint) for coupling in couplings(scene)]
-    violation = np.zeros((len(phi), len(mechanism.joints)))
-    for owner, residual in zip(owners, np.abs(phi).reshape(len(phi), len(owners)).T, strict=True):
-        violation[:, owner] = np.maximum(violation[:, owner], residual)
-    return violation
+    residuals = np.ascontiguousarray(np.abs(phi).reshape(len(phi), len(owners)).T)
+    violation = np.zeros((len(mechanism.joints), len(phi)))
+    for owner, residual in zip(owners, residuals, strict=True):
+        np.maximum(violation[owner], residual, out=violation[owner])
+    return violation.T.copy()
 
 
 def run(system: System, engine: str, options: Options, settings: dict[str, Any]) -> Trajectory:

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import fields
 from functools import cached_property
+from struct import Struct
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
@@ -43,23 +43,23 @@ class Record:
     kinds: ClassVar[dict[str, str]]
     """LLVM type of each field, in order."""
 
+    layout: ClassVar[Struct]
+    """The fields in memory, 8 bytes each: a double, an integer or an address."""
+
     def __init_subclass__(cls) -> None:
         cls.kinds = {name: TYPES[hint] for name, hint in cls.__annotations__.items()}
+        cls.layout = Struct("".join("d" if kind == "double" else "q" for kind in cls.kinds.values()))
 
     @cached_property
-    def _packed(self) -> Array:
-        """(fields,) 8 bytes each: a double, an integer or an address."""
-        words = np.zeros(len(self.kinds))
-        integers = words.view(np.int64)
-        for place, (field, kind) in enumerate(zip(fields(self), self.kinds.values(), strict=True)):  # type: ignore[arg-type]
-            value = address_of(getattr(self, field.name))
-            (words if kind == "double" else integers)[place] = value or 0
-        return words
+    def _packed(self) -> Any:
+        """The fields in memory, alive as long as this object is."""
+        values = (address_of(getattr(self, name)) or 0 for name in self.kinds)
+        return ctypes.create_string_buffer(self.layout.pack(*values), self.layout.size)
 
     @property
     def address(self) -> int:
         """Address of the fields, valid as long as this object lives."""
-        return int(self._packed.ctypes.data)
+        return ctypes.addressof(self._packed)
 
 
 def address_of(argument: Any) -> Any:

@@ -39,6 +39,9 @@ COUNTED = 2**53
 MOST_FIXED_STEPS = 1e10
 """Of a run; an hour at least."""
 
+CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
+"""C's type of a callback f(x, y)."""
+
 METHODS: dict[str, Callable[..., int]] = {
     "DOP853": integrate_dop853,
     "Radau": integrate_radau,
@@ -100,11 +103,10 @@ class Fallback:
         self._code, self._stopped = code, stopped
         self._interrupted = False
         self.error: Exception | None = None
-        kind = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
         # alive as long as this object
-        self._callbacks = (kind(self._derivative), kind(self._closing), kind(self._pause))
+        self._callbacks = tuple(map(CALLBACK, (self._derivative, self._closing, self._pause)))
         self.derivative, self.closing, self.pause = (
-            ctypes.cast(callback, ctypes.c_void_p).value for callback in self._callbacks
+            ctypes.c_void_p.from_buffer(callback).value for callback in self._callbacks
         )
 
     def _derivative(self, x: int, y: int) -> None:

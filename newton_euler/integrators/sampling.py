@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple, Protocol, TypeVar
@@ -117,20 +118,24 @@ class NativeRun(NamedTuple):
     Attributes:
         arrays: what the scene asks for at the output times that were reached; none if none was.
         counts: of steps and evaluations, by name.
-        stopped: what ended the run before the last output; None if nothing did.
+        stopped: the error that ended the run before the last output; None if none did.
+        wall_time: s, of the run itself, without making its integrator.
     """
 
     arrays: dict[str, Array]
     counts: dict[str, int]
     stopped: IntegrationError | None
+    wall_time: float
 
 
 def integrate_sampled(code: Code, x: Array, options: Options) -> NativeRun:
     """Run a scene from x (inputs,), which is changed."""
     if not code.scene.sampled:
         integrator = Integrator(code, code.scene.times, options)
+        start = time.perf_counter()
         arrays, stopped = integrator.attempt(x)
-        return NativeRun(arrays, integrator.counted, stopped)
+        return NativeRun(arrays, integrator.counted, stopped, time.perf_counter() - start)
+    start = time.perf_counter()
     parts: list[dict[str, Array]] = []
     total: Counter[str] = Counter()
     for interval in intervals(code.scene):
@@ -152,4 +157,4 @@ def integrate_sampled(code: Code, x: Array, options: Options) -> NativeRun:
         x[:] = integrator.x
     names = parts[0] if parts else {}
     arrays = {name: np.concatenate([part[name] for part in parts]) for name in names}
-    return NativeRun(arrays, dict(total), stopped)
+    return NativeRun(arrays, dict(total), stopped, time.perf_counter() - start)

@@ -1,6 +1,6 @@
 """newton_euler for benchmarks: both formulations, every integrator and stabilisation.
 
-The time of a run is `Trajectory.wall_time`: the march and the poses of all bodies at all outputs.
+The time of a run is `Trajectory.wall_time`: the integration and the poses of all bodies at all outputs.
 """
 
 from __future__ import annotations
