@@ -9,6 +9,7 @@ The loop file has the keys of Gepetto's example-parallel-robots, see `urdf.loops
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import tempfile
@@ -35,11 +36,8 @@ from newton_euler.verification.import_report import (
     CONTACTS,
     FRICTION,
     LIMITS,
-    RANGE,
     ImportReport,
-    Part,
     unique_name,
-    value,
 )
 from newton_euler.verification.verify import check
 from urdf.errors import UrdfError
@@ -47,7 +45,6 @@ from urdf.loops import Loops
 from urdf.model import BASES, ClosedLoopModel, build
 from urdf.original import UrdfOriginal
 from urdf.reading.bodies import Tree
-from urdf.reading.held import Held
 from urdf.reading.source import SourceError, check_inertias, parsed, read_loops, read_text
 from urdf.reading.start import Mimic, Start
 from urdf.reading.visuals import dressed
@@ -197,9 +194,8 @@ def _scene(
     joints = [*tree.joints, *_closing(closed, loops, tree, report)]
     gears = list(_gears(start, loops, tree, mimics, [joint.name for joint in joints], report))
     name = unique_name(root.get("name", "") or Path(path).stem, "robot", ())[:100].strip(".") or "robot"
-    held = Held(start, tree)
-    springs = tuple(_springs(root, tree, held, report))
-    _report_leftovers(root, held, report)
+    springs = tuple(_springs(root, tree, report))
+    _report_leftovers(start, root, tree, report)
     return Scene(
         name,
         unweld_loops(Mechanism(tree.bodies, joints, gears)),
@@ -247,8 +243,7 @@ def _gears(
             follower, driver = tree.keys[mimic.follower], tree.keys[mimic.driver]
             pairs.append((element, follower, driver, mimic.multiplier))
         else:
-            told = {"multiplier": value(mimic.multiplier), "offset": value(mimic.offset)}
-            report.left_out(element, "one of its joints moves nothing", Part(element, told))
+            report.left_out(element, "one of its joints moves nothing")
     for coupling in loops.coupled:
         terms = [(tree.keys[name], c) for name, c in coupling.items() if c and name in tree.keys]
         element = f"coupled {', '.join(coupling)}"
@@ -258,8 +253,7 @@ def _gears(
             report.exactly(element, f"coupling {name!r} of {len(terms)} joint coordinates")
             continue
         if len(terms) != 2:
-            told = {name: value(factor) for name, factor in coupling.items()}
-            report.left_out(element, f"couples {len(terms)} joints that move", Part(element, told))
+            report.left_out(element, f"couples {len(terms)} joints that move")
             continue
         (follower, own), (driver, other) = terms
         pairs.append((element, follower, driver, -other / own))
@@ -270,7 +264,7 @@ def _gears(
     yield from sums
 
 
-def _springs(root: ET.Element, tree: Tree, held: Held, report: ImportReport) -> Iterator[JointSpring]:
+def _springs(root: ET.Element, tree: Tree, report: ImportReport) -> Iterator[JointSpring]:
     """The dampers of joints."""
     for joint in root.findall("joint"):
         name, dynamics = str(joint.get("name")), joint.find("dynamics")
@@ -280,51 +274,47 @@ def _springs(root: ET.Element, tree: Tree, held: Held, report: ImportReport) -> 
             yield JointSpring(key[0], damping=damping, coordinate=key[1])
             report.exactly(f"joint {name!r}", f"its damping {damping:g} as a damper")
         elif damping:
-            part = held.joint(joint, "dynamics", "damping")
             why = f"its damping {damping:g}: it is no hinge or slide that moves"
-            report.left_out(part.element, why, part, topic="damping")
+            report.left_out(f"joint {name!r}", why, topic="damping")
 
 
-def _limits(joint: ET.Element, part: Part) -> list[Watch]:
+def _limits(start: Start, joint: ET.Element, key: Key) -> list[Watch]:
     """Watches how far a joint goes and how fast; what it may be driven with limits nothing: nothing does."""
-    if not part.joints:
-        return []
-    low, high = (float(x) for x in part.values[RANGE])
-    (speed,) = part.values["velocity"]
-    terms, unit = ((part.joints[0], 1.0),), "m" if joint.get("type") == "prismatic" else "rad"
-    found: list[Watch] = [Bounds(terms, low, high, unit)]
-    if isinstance(speed, float):
+    limit, at = joint.find("limit"), start.displacement(str(joint.get("name")))
+    assert limit is not None
+    low, high, speed = (float(limit.get(name, 0.0)) for name in ("lower", "upper", "velocity"))
+    terms, unit = ((key, 1.0),), "m" if joint.get("type") == "prismatic" else "rad"
+    found: list[Watch] = [Bounds(terms, low - at, high - at, unit)]
+    if math.isfinite(speed):
         found.append(Bounds(terms, -speed, speed, f"{unit}/s", by_value=0.0, by_rate=1.0))
     return found
 
 
-def _report_leftovers(root: ET.Element, held: Held, report: ImportReport) -> None:
+def _report_leftovers(start: Start, root: ET.Element, tree: Tree, report: ImportReport) -> None:
     """Tell of everything that is no rigid body and no bilateral constraint."""
     for joint in root.findall("joint"):
         element, dynamics = f"joint {joint.get('name')!r}", joint.find("dynamics")
+        key, limit = tree.keys.get(str(joint.get("name"))), joint.find("limit")
         friction = 0.0 if dynamics is None else float(dynamics.get("friction", 0.0))
         if friction:
             why = f"its dry friction {friction:g}"
-            keys = held.keys(str(joint.get("name")))
-            watches = [Rest(keys)] if keys else []
-            report.left_out(element, why, held.friction(joint), topic=FRICTION, watches=watches)
-        if joint.find("limit") is not None and joint.get("type") in ("revolute", "prismatic"):
-            why = "its limits: limits are no bilateral constraints"
-            part = held.limits(joint)
-            report.left_out(element, why, part, topic=LIMITS, watches=_limits(joint, part))
+            resting = [Rest((key,))] if key else []
+            report.left_out(element, why, topic=FRICTION, watches=resting)
+        if limit is not None and joint.get("type") in ("revolute", "prismatic"):
+            low, high = (float(limit.get(name, 0.0)) for name in ("lower", "upper"))
+            why = f"its limits {low:.4g} to {high:.4g}: limits are no bilateral constraints"
+            watches = _limits(start, joint, key) if key else []
+            report.left_out(element, why, topic=LIMITS, watches=watches)
         if joint.find("safety_controller") is not None:
-            part = held.joint(joint, "safety_controller")
-            report.left_out(element, "its safety controller", part, topic="safety controller")
+            report.left_out(element, "its safety controller", topic="safety controller")
     for tag, known in PARTS.items():
         parts = Counter(part.tag for element in root.findall(tag) for part in element)
         for inner, count in parts.items():
             if inner not in known:
                 report.left_out(f"{count} <{inner}> of {tag}s", "no part of a URDF's mechanics", inert=True)
-    links = [(link, link.findall("collision")) for link in root.findall("link")]
-    touching = [held.collision(link, k, each) for link, own in links for k, each in enumerate(own)]
-    if touching:
+    if touching := root.findall("link/collision"):
         why = "contacts are no bilateral constraints"
-        report.left_out(f"{len(touching)} collision elements", why, *touching, topic=CONTACTS)
+        report.left_out(f"{len(touching)} collision elements", why, topic=CONTACTS)
     for tag in dict.fromkeys(child.tag for child in root if child.tag not in ("link", "joint", "material")):
         element = f"{len(root.findall(tag))} <{tag}>"
         report.left_out(element, "no part of a URDF's mechanics", inert=True)

@@ -23,7 +23,6 @@ import numpy as np
 
 from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.forces import Forces, reduced_inertia
-from mjcf.reading.held import Held
 from mjcf.reading.joints import FREE, Joints
 from mjcf.reading.laws import Acting, Affine, Drive, control_for, swinging
 from mjcf.reading.loops import fixed
@@ -84,7 +83,7 @@ class Actuators:
         """`swings` are what controls of actuators, by number, swing by about those of the start."""
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._ties = bodies, joints, ties
-        self._forces, self._report, self._held = forces, report, Held(start, bodies, joints)
+        self._forces, self._report = forces, report
         self._swings = swings
         self._acting: dict[Key, Acting] = {}
         self.armatures: dict[Key, float] = {}
@@ -98,24 +97,25 @@ class Actuators:
         stuck = {self._joints.keys[joint] for joint in held}
         self.drives = {k: drive for k, drive in self.drives.items() if not stuck & drive.gains.keys()}
         for actuator, how, became, limit, driven in self._told:
-            part = self._held.actuator(actuator)
+            element = self._element(actuator)
             limits = [limit, *(f"the limit of {joints.element(k)} holds it" for k in driven if k in held)]
             if any(limits):
-                report.approximated(
-                    part.element, "; ".join([how, *filter(None, limits)]), part, became=became
-                )
+                report.approximated(element, "; ".join([how, *filter(None, limits)]), became=became)
             else:
                 silent = self._control(actuator) == 0.0 and actuator not in self._swings
-                report.exactly(part.element, how, became, part if silent else None)
+                report.exactly(element, how, became, inert=silent)
 
     @property
     def laws(self) -> tuple[PD, ...]:
         """One for each joint coordinate."""
         return tuple(acting.law(key) for key, acting in self._acting.items())
 
+    def _element(self, actuator: int) -> str:
+        return f"actuator {self._model.actuator(actuator).name or actuator!r}"
+
     def _add(self, actuator: int) -> None:
         model = self._model
-        element = f"actuator {model.actuator(actuator).name or actuator!r}"
+        element = self._element(actuator)
         kind = TRANSMISSION(model.actuator_trntype[actuator])
         moments = self._moments(actuator, kind)
         if why := self._disabled(actuator):
@@ -217,7 +217,7 @@ class Actuators:
         self._told.append((actuator, how, became, limit, driven))
 
     def _leave(self, actuator: int, element: str, why: str) -> None:
-        self._report.left_out(element, why, self._held.actuator(actuator))
+        self._report.left_out(element, why)
 
     def _limited(
         self, actuator: int, element: str, law: Affine, moments: dict[int, float] | None
@@ -230,7 +230,6 @@ class Actuators:
             low, high = (float(x) for x in model.actuator_forcerange[actuator])
             held = min(max(force, low), high)
             if held == force:
-                part = self._held.actuator(actuator, "forcerange gear")
                 why = f"its limit of the force, {low:g} to {high:g}"
                 terms = tuple((self._joints.keys[k], moment) for k, moment in (moments or {}).items())
                 constant = law.constant + law.by_length * length
@@ -239,7 +238,7 @@ class Actuators:
                 watch = Bounds(terms, low, high, "N or N m", moving, law.by_length, law.by_rate)
                 known = moments is not None or not (law.by_length or law.by_rate)
                 watches = [watch] if known else []
-                self._report.left_out(element, why, part, topic="limit of the force", watches=watches)
+                self._report.left_out(element, why, topic="limit of the force", watches=watches)
         held = self._limited_by_tendon(actuator, element, held)
         if held == force:
             return law, ""
@@ -257,8 +256,7 @@ class Actuators:
         total = self._pull(tendon)
         if not np.any(np.isclose(total, [low, high], rtol=AT_LIMIT, atol=0.0)):
             why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
-            part = self._held.tendon(tendon, "actfrcrange")
-            self._report.left_out(element, why, part, topic="limit of its tendon")
+            self._report.left_out(element, why, topic="limit of its tendon")
             return force
         return float(data.actuator_force[model.actuator_outadr[actuator]])
 
@@ -279,28 +277,25 @@ class Actuators:
         held = min(max(force, low), high)
         if key is None or law is None or held == force:
             if law is not None or data.qfrc_actuator[dof]:
-                part = self._held.joint(joint, "actfrcrange")
                 why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
                 watches = []
                 if key is not None and law is not None:
                     gains = -law.stiffness, -law.damping
                     moving = swinging(law.constant, law.swings)
                     watches.append(Bounds(((key, 1.0),), low, high, "N or N m", moving, *gains))
-                self._report.left_out(element, why, part, topic=topic, watches=watches)
+                self._report.left_out(element, why, topic=topic, watches=watches)
             return False
         self._acting[key] = Acting(constant=held)
         why = (
             f"its actuators' force would be {force:.4g} at the start and is held at its limit there, {held:g}"
         )
-        part = self._held.joint(joint, "actfrcrange")
-        self._report.approximated(element, why, part, became=CONTROL, topic="limit of actuator forces")
+        self._report.approximated(element, why, became=CONTROL, topic="limit of actuator forces")
         return True
 
     def _report_damping(self, actuator: int, element: str) -> None:
         model = self._model
         if np.any(model.actuator_damping[actuator]) or np.any(model.actuator_dampingpoly[actuator]):
-            part = self._held.actuator(actuator, "damping dampingpoly gear")
-            self._report.left_out(element, "damping of its own", part, topic="damping")
+            self._report.left_out(element, "damping of its own", topic="damping")
 
     def _add_to_joints(
         self, actuator: int, element: str, law: Affine, limited: str, moments: dict[int, float]

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 
 from mjcf.reading.bodies import GROUND, Bodies
-from mjcf.reading.held import SPRING, Held
 from mjcf.reading.joints import BALL, FREE, Joints
 from mjcf.reading.loops import fixed, straight
 from mjcf.reading.start import Start
@@ -17,7 +16,7 @@ from mjcf.reading.ties import Ties
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Key
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import FORCE, ROTOR, ImportReport, Part, unique_name
+from newton_euler.verification.import_report import FORCE, ROTOR, ImportReport, unique_name
 
 NOT_LINEAR = "the part of its stiffness or damping that is not linear"
 
@@ -34,7 +33,6 @@ class Forces:
     ) -> None:
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._ties, self._report = bodies, joints, ties, report
-        self._held = Held(start, bodies, joints)
         self.forces: list[Force] = []
         self._springs, self._dampers = not start.disabled("SPRING"), not start.disabled("DAMPER")
         for number in range(self._model.njnt):
@@ -56,7 +54,7 @@ class Forces:
         damping = float(model.dof_damping[dof]) if self._dampers else 0.0
         bent = self._springs and np.any(model.jnt_stiffnesspoly[number])
         if bent or (self._dampers and np.any(model.dof_dampingpoly[dof])):
-            self._report.left_out(element, NOT_LINEAR, self._held.spring(number), topic="not linear")
+            self._report.left_out(element, NOT_LINEAR, topic="not linear")
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
@@ -97,12 +95,12 @@ class Forces:
             return np.asarray(model.qpos_spring[place : place + size])
         limit = float(model.jnt_springyield[number])
         if limit < np.pi or model.jnt_type[number] != BALL:
-            self._report_yield(self._held.spring(number), limit)
+            self._report_yield(self._joints.element(number), limit)
         return np.asarray(self._data.plastic[plastic : plastic + size])
 
-    def _report_yield(self, part: Part, limit: float) -> None:
+    def _report_yield(self, element: str, limit: float) -> None:
         why = f"that its spring yields beyond {limit:g}: springs here are elastic"
-        self._report.left_out(part.element, why, part, topic="yield")
+        self._report.left_out(element, why, topic="yield")
 
     def _rest(self, number: int, place: int) -> Array:
         """(3,) where the spring of a ball rests, as of `BallSpring`; its quaternion is at `place` of qpos."""
@@ -121,8 +119,7 @@ class Forces:
         damping = float(model.tendon_damping[tendon]) if self._dampers else 0.0
         bent = self._springs and np.any(model.tendon_stiffnesspoly[tendon])
         if bent or (self._dampers and np.any(model.tendon_dampingpoly[tendon])):
-            part = self._held.tendon(tendon, SPRING)
-            self._report.left_out(element, NOT_LINEAR, part, topic="not linear")
+            self._report.left_out(element, NOT_LINEAR, topic="not linear")
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
@@ -130,7 +127,7 @@ class Forces:
         plastic = int(model.tendon_plasticadr[tendon])
         if plastic >= 0:
             low, high = (float(x) for x in self._data.plastic[plastic : plastic + 2])
-            self._report_yield(self._held.tendon(tendon, SPRING), float(model.tendon_springyield[tendon]))
+            self._report_yield(element, float(model.tendon_springyield[tendon]))
         ends = straight(self._start, tendon)
         weights = fixed(self._start, tendon)
         if low != high and stiffness:
@@ -143,7 +140,7 @@ class Forces:
             self._add_straight(tendon, element, what, ends, (stiffness, damping, max(low, 0.0)))
 
     def _leave_tendon(self, tendon: int, element: str, why: str) -> None:
-        self._report.left_out(element, why, self._held.tendon(tendon, SPRING))
+        self._report.left_out(element, why)
 
     def _add_sum(
         self, tendon: int, element: str, what: str, weights: dict[int, float], along: JointSpring
@@ -228,9 +225,8 @@ def armatures(
         weights = fixed(start, int(tendon)) or {}
         rotor = reduced_inertia(start, joints, ties, weights, inertia)
         if rotor is None:
-            part = Held(start, bodies, joints).tendon(int(tendon), "armature")
             why = f"its armature {inertia:g}: no single joint coordinate tells its length"
-            report.left_out(element, why, part, topic="armature")
+            report.left_out(element, why, topic="armature")
             continue
         key, reduced = rotor
         found[key] = found.get(key, 0.0) + reduced

@@ -6,13 +6,12 @@ import mujoco
 import numpy as np
 
 from mjcf.reading.bodies import Bodies
-from mjcf.reading.held import Held, summed
 from mjcf.reading.joints import Joints
 from mjcf.reading.loops import fixed
 from mjcf.reading.poses import Poses, Stretched, Touching
 from mjcf.reading.start import Start
 from newton_euler.verification.activity import Bounds, Rest, Watch
-from newton_euler.verification.import_report import CONTACTS, FRICTION, LIMITS, ImportReport, Part, value
+from newton_euler.verification.import_report import CONTACTS, FRICTION, LIMITS, ImportReport
 
 UNSEEN = {
     "sensor": "sensors",
@@ -28,57 +27,43 @@ UNSEEN = {
 
 NO_CONTACTS = "contacts are no bilateral constraints"
 
-FLEX = (
-    "stiffness bending edgestiffness damping edgedamping yield vert0 node0 radius size margin gap friction "
-    "solref solimp solmix contype conaffinity condim"
-)
-"""Arrays of flexes, all of them together."""
-
 
 def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
     """Tell of everything else in the model."""
-    model, held = start.model, Held(start, bodies, joints)
+    model = start.model
     poses = Poses(start, bodies)
-    _report_contacts(start, held, poses, report)
+    _report_contacts(start, poses, report)
     meshes = int(np.sum(model.geom_dataid >= 0))
     if meshes:
         report.exactly(f"{meshes} geoms of meshes", "drawn where visible; their masses are in the bodies")
     for number in range(model.njnt):
-        _report_joint(start, joints, held, number, report)
+        _report_joint(start, joints, number, report)
     for tendon in range(model.ntendon):
         element = f"tendon {model.tendon(tendon).name or tendon!r}"
         if model.tendon_limited[tendon]:
-            part = held.tendon(tendon, "range margin solref_lim solimp_lim")
             why, off = "its limits: limits are no bilateral constraints", start.disabled("LIMIT")
             watches = [_of_tendon(start, joints, poses, tendon)]
-            report.left_out(element, why, part, topic=LIMITS, inert=off, watches=watches)
+            report.left_out(element, why, topic=LIMITS, inert=off, watches=watches)
         if model.tendon_frictionloss[tendon]:
-            part = held.tendon(tendon, "frictionloss solref_fri solimp_fri")
             why, off = (
                 f"its dry friction {model.tendon_frictionloss[tendon]:g}",
                 start.disabled("FRICTIONLOSS"),
             )
             keys = [joints.keys.get(joint) for joint in fixed(start, tendon) or {-1: 0.0}]
             watches_of = [Rest(tuple(key for key in keys if key))] if all(keys) else []
-            report.left_out(element, why, part, topic=FRICTION, inert=off, watches=watches_of)
+            report.left_out(element, why, topic=FRICTION, inert=off, watches=watches_of)
     option = model.opt
-    shapes = [held.geom(int(k), "fluid") for k in np.flatnonzero(model.geom_fluid[:, 0])]
     for name, number in (("density", option.density), ("viscosity", option.viscosity)):
         if number:
-            part, why = Part(f"option {name}", {name: value(number)}), "nothing here moves in a fluid"
-            report.left_out(part.element, f"{number:g}: {why}", part, *shapes, topic=name)
+            why = f"{number:g}: nothing here moves in a fluid"
+            report.left_out(f"option {name}", why, topic=name)
     if np.any(option.wind):
-        part = Part("option wind", {"wind": value(option.wind)})
-        report.left_out("option wind", "nothing here moves in a fluid", part)
+        report.left_out("option wind", "nothing here moves in a fluid")
     if model.nflex:
         why = "bodies are rigid: what holds their points together is missing"
-        part = Part("flexes", {})
-        for name in FLEX.split():
-            part.values.update(summed(name, getattr(model, f"flex_{name}")))
-        report.left_out(f"{model.nflex} flexes", why, part)
+        report.left_out(f"{model.nflex} flexes", why)
     if model.nplugin:
-        part = Part("plugins", {f"plugin {k}": held.plugin(k) for k in range(model.nplugin)})
-        report.left_out(f"{model.nplugin} plugins", "what they do is not known", part)
+        report.left_out(f"{model.nplugin} plugins", "what they do is not known")
     if model.nkey > 1:
         names = ", ".join(repr(model.key(k).name or str(k)) for k in range(model.nkey))
         why = f"one is the start; --set key=NAME for another of {names}"
@@ -101,28 +86,20 @@ def _of_tendon(start: Start, joints: Joints, poses: Poses, tendon: int) -> Watch
     return Bounds(terms, low + margin, high - margin, "m or rad", length)
 
 
-def _report_contacts(start: Start, held: Held, poses: Poses, report: ImportReport) -> None:
+def _report_contacts(start: Start, poses: Poses, report: ImportReport) -> None:
     model, off = start.model, start.disabled("CONTACT")
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    options = Part("option", {"cone": value(model.opt.cone), "impratio": value(model.opt.impratio)})
-    if model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_OVERRIDE):
-        for name in ("o_margin", "o_solref", "o_solimp", "o_friction"):
-            options.values[name] = value(getattr(model.opt, name))
     if np.any(touching):
-        parts = [held.geom(int(k)) for k in np.flatnonzero(touching)]
-        parts += [held.exclude(k) for k in range(model.nexclude)]
-        element = f"{len(parts) - model.nexclude} geoms that can touch"
+        element = f"{np.sum(touching)} geoms that can touch"
         watches = [Touching(poses)]
-        report.left_out(element, NO_CONTACTS, options, *parts, topic=CONTACTS, inert=off, watches=watches)
+        report.left_out(element, NO_CONTACTS, topic=CONTACTS, inert=off, watches=watches)
     if model.npair:
-        paired = {int(k) for k in (*model.pair_geom1, *model.pair_geom2) if not touching[k]}
-        parts = [held.pair(k) for k in range(model.npair)] + [held.geom(k) for k in sorted(paired)]
         element = f"{model.npair} contact pairs"
         watches = [Touching(poses)]
-        report.left_out(element, NO_CONTACTS, options, *parts, topic=CONTACTS, inert=off, watches=watches)
+        report.left_out(element, NO_CONTACTS, topic=CONTACTS, inert=off, watches=watches)
 
 
-def _report_joint(start: Start, joints: Joints, held: Held, number: int, report: ImportReport) -> None:
+def _report_joint(start: Start, joints: Joints, number: int, report: ImportReport) -> None:
     model, element = start.model, joints.element(number)
     if model.jnt_limited[number]:
         low, high = model.jnt_range[number]
@@ -134,11 +111,11 @@ def _report_joint(start: Start, joints: Joints, held: Held, number: int, report:
             margin = float(model.jnt_margin[number])
             watches.append(Bounds(((joints.keys[number], 1.0),), low + margin, high - margin, unit, x))
         why = f"its limits {low:.4g} to {high:.4g}{where}: limits are no bilateral constraints"
-        part, off = held.limits(number), start.disabled("LIMIT")
-        report.left_out(element, why, part, topic=LIMITS, inert=off, watches=watches)
+        off = start.disabled("LIMIT")
+        report.left_out(element, why, topic=LIMITS, inert=off, watches=watches)
     dof = int(model.jnt_dofadr[number])
     if friction := float(model.dof_frictionloss[dof]):
-        part, off = held.friction(number), start.disabled("FRICTIONLOSS")
+        off = start.disabled("FRICTIONLOSS")
         why, key = f"its dry friction {friction:g}", joints.keys.get(number)
         resting = [Rest((key,))] if key else []
-        report.left_out(element, why, part, topic=FRICTION, inert=off, watches=resting)
+        report.left_out(element, why, topic=FRICTION, inert=off, watches=resting)

@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 
 from mjcf.reading.bodies import Bodies, site_point
-from mjcf.reading.held import Held
 from mjcf.reading.joints import Joints
 from mjcf.reading.start import TORQUE_SCALE, Start
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
@@ -31,7 +30,6 @@ class Loops:
     def __init__(self, start: Start, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
         self._start, self._model, self._data = start, start.model, start.data
         self._bodies, self._joints, self._report = bodies, joints, report
-        self._held = Held(start, bodies, joints)
         self.joints: list[Joint] = []
         self.gears: list[JointCoupling] = []
         self.held: list[PrescribedMotion] = []
@@ -50,7 +48,7 @@ class Loops:
         return name
 
     def _leave(self, index: int, why: str, inert: bool = False) -> None:
-        self._report.left_out(self._start.equality(index), why, self._held.equality(index), inert=inert)
+        self._report.left_out(self._start.equality(index), why, inert=inert)
 
     def _add(self, index: int) -> None:
         match mujoco.mjtEq(self._model.eq_type[index]):
@@ -111,7 +109,7 @@ class Loops:
         if exactly:
             self._report.exactly(self._start.equality(index), told)
         else:
-            self._report.approximated(self._start.equality(index), told, self._held.equality(index))
+            self._report.approximated(self._start.equality(index), told)
 
     def _add_tendon(self, index: int) -> None:
         """A rod, if it is straight and keeps its length; a gear or coupling, if a sum of coordinates."""

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
-import numpy as np
-
-from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.verification.activity import Course, Watch, judged
 from newton_euler.verification.original import Original
@@ -22,44 +18,11 @@ FATES: tuple[Fate, ...] = ("exactly", "approximated", "inactive", "left out")
 CONTACTS, LIMITS, FRICTION = "contacts", "limits", "dry friction"
 """Topics of what files of several formats hold."""
 
-RANGE = "range from the start"
-"""Of limits: how far (m or rad) a joint coordinate may go down and up from where it starts, (2,)."""
-
 CONTROL, FORCE, ROTOR = "control law", "force", "rotor"
 """What elements became that not every format has; all have dampers along hinges and slides."""
 
 ACTING = (("equality", "equalities"), ("actuator", "actuators"), ("tendon", "tendons"))
 """First words of elements that act wherever a model is."""
-
-CLOSE, TINY = 1e-9, 1e-12
-"""Relative to the largest number of a value, and SI: round-off of a file's digits, degrees and frames."""
-
-Value = tuple[float | str, ...]
-
-
-def value(of: Any) -> Value:
-    """The numbers of an array in one row, or a text; infinities as texts, which JSON has none of."""
-    if isinstance(of, str):
-        return (of,)
-    numbers = (float(x) for x in np.ravel(of))
-    return tuple(x if math.isfinite(x) else str(x) for x in numbers)
-
-
-@dataclass(frozen=True)
-class Part:
-    """What a file says of something that a scene does not hold as it is.
-
-    Attributes:
-        element: its kind and name, such as "geom 'floor'".
-        values: by the names that the file's format has for them, poses in the world at the start; SI.
-        joints: the scene's joint coordinates that it acts on; of a ball or a free joint the first.
-        bodies: the scene's bodies that it acts on or is a part of.
-    """
-
-    element: str
-    values: dict[str, Value]
-    joints: tuple[Key, ...] = ()
-    bodies: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -74,7 +37,6 @@ class ImportedElement:
         became: `CONTROL`, `FORCE`, `ROTOR`, or "" for anything else.
         topic: which of the things that a file can say of the element it is about, "" for all that it says.
         inert: whether nothing would move otherwise with the element as the file has it.
-        parts: what the file says, of what was not carried over exactly or moves nothing.
     """
 
     element: str
@@ -83,7 +45,6 @@ class ImportedElement:
     became: str = ""
     topic: str = ""
     inert: bool = False
-    parts: tuple[Part, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.element}: {self.fate}: {self.how}"
@@ -106,19 +67,17 @@ class ImportReport:
         self.originals: list[tuple[Original, Scene]] = []
         self.watches: dict[int, Sequence[Watch]] = {}
 
-    def exactly(self, element: str, how: str, became: str = "", unseen: Part | None = None) -> None:
-        """`unseen` is what the file says that moves nothing as it is, such as the gear of an idle motor."""
-        parts, inert = () if unseen is None else (unseen,), unseen is not None
-        self.entries.append(ImportedElement(element, "exactly", how, became, inert=inert, parts=parts))
+    def exactly(self, element: str, how: str, became: str = "", inert: bool = False) -> None:
+        """`inert` is what moves nothing as the file has it, such as an idle motor."""
+        self.entries.append(ImportedElement(element, "exactly", how, became, inert=inert))
 
-    def approximated(self, element: str, how: str, *parts: Part, became: str = "", topic: str = "") -> None:
-        self.entries.append(ImportedElement(element, "approximated", how, became, topic, parts=parts))
+    def approximated(self, element: str, how: str, became: str = "", topic: str = "") -> None:
+        self.entries.append(ImportedElement(element, "approximated", how, became, topic))
 
     def left_out(
         self,
         element: str,
         why: str,
-        *parts: Part,
         topic: str = "",
         inert: bool = False,
         watches: Sequence[Watch] = (),
@@ -126,7 +85,7 @@ class ImportReport:
         """`watches` tell of a limit and the like whether it is active; all of it has to be watched."""
         if watches and not inert:
             self.watches[len(self.entries)] = watches
-        self.entries.append(ImportedElement(element, "left out", why, "", topic, inert, parts))
+        self.entries.append(ImportedElement(element, "left out", why, "", topic, inert))
 
     def after(self, course: Course) -> ImportReport:
         """The report with what a run shows of what was left out."""
@@ -174,30 +133,6 @@ def left_out(report: ImportReport) -> dict[str, set[str]]:
 def approximated(report: ImportReport) -> set[str]:
     """Elements that a report says were approximated."""
     return {entry.element for entry in report.of("approximated")}
-
-
-def differing(one: dict[str, Value], two: dict[str, Value], close: float = CLOSE) -> Iterator[str]:
-    """Names of values that are not the same to `close` of each, or that only one of two has."""
-    for name in {**one, **two}:
-        if name not in one or name not in two or not _close(one[name], two[name], close):
-            yield name
-
-
-def room(one: Value, two: Value, close: float = CLOSE) -> float:
-    """By how much two numbers of these values may differ and be the same."""
-    return TINY + close * max((abs(x) for x in (*one, *two) if isinstance(x, float)), default=0.0)
-
-
-def _close(one: Value, two: Value, close: float) -> bool:
-    if one == two:
-        return True
-    if len(one) != len(two):
-        return False
-    allowed = room(one, two, close)
-    return all(
-        abs(x - y) <= allowed if isinstance(x, float) and isinstance(y, float) else x == y
-        for x, y in zip(one, two, strict=True)
-    )
 
 
 def unique_name(wanted: str, fallback: str, taken: Iterable[str]) -> str:

@@ -104,6 +104,12 @@ class Start:
         joint = self.model.joints[self.model.getJointId(name)]
         return int(joint.idx_v) if joint.nv == 1 else None
 
+    def displacement(self, name: str) -> float:
+        """How far a hinge or slide starts from zero, rad or m; 0 if there is no such joint."""
+        place = self.place(name)
+        moved = pin.difference(self.model, pin.neutral(self.model), self.q)
+        return 0.0 if place is None else float(moved[place])
+
     def _row(self, path: str, mimic: Mimic) -> Array:
         row = np.zeros(self.model.nv)
         for name, factor in ((mimic.follower, 1.0), (mimic.driver, -mimic.multiplier)):

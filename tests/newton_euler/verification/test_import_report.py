@@ -1,41 +1,13 @@
-"""Mapping reports: what of a model file a scene does not hold, in numbers, and how much of it there is."""
+"""Import reports: how much of a model file a scene does not hold."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
-import pytest
 from command_line import run
 
-from newton_euler.verification.import_report import CLOSE, TINY, ImportReport, differing, value
-
-
-@pytest.mark.parametrize(
-    ("one", "two", "same"),
-    [
-        ((1.0, 2e3), (1.0 + 0.9 * CLOSE * 2e3, 2e3), True),
-        ((1.0, 2e3), (1.0 + 1.1 * CLOSE * 2e3, 2e3), False),
-        ((0.0,), (0.9 * TINY,), True),
-        ((0.0,), (1.1 * TINY,), False),
-        ((1.0,), (1.0, 0.0), False),
-        (("box", 1.0), ("box", 1.0), True),
-        (("box", 1.0), ("sphere", 1.0), False),
-        (("1",), (1.0,), False),
-    ],
-)
-def test_values_are_the_same_to_round_off(one, two, same) -> None:
-    found = list(differing({"size": one, "pos": (1.0,)}, {"size": two, "pos": (1.0,)}))
-    assert found == ([] if same else ["size"])
-
-
-def test_values_that_only_one_has_differ() -> None:
-    assert list(differing({"a": (1.0,)}, {"b": (1.0,)})) == ["a", "b"]
-
-
-def test_values_are_what_json_can_hold() -> None:
-    assert value([[1, 2], [3, float("inf")]]) == (1.0, 2.0, 3.0, "inf")
-    assert json.loads(json.dumps(value(float("nan")), allow_nan=False)) == ["nan"]
+from newton_euler.verification.import_report import ImportReport
 
 
 def test_elements_that_move_something_are_counted_once() -> None:
