@@ -13,12 +13,15 @@ there is no memory for the table, all results are NaN, whose pivot ratio no call
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from newton_euler.codegen.emit import Instructions
 from newton_euler.codegen.expression import Program, operands
 from newton_euler.codegen.trigonometry import literal
+from newton_euler.scalars import Array
 
 WINDOW = 8
 """Number of operations that decide on a cut of the program after them."""
@@ -28,6 +31,9 @@ SHORTEST = 48
 
 REACH = 32
 """A cut has the least checksum of so many operations before and after it."""
+
+BASE, PRIME = 131, 1_000_003
+"""Of checksums, whose products fit into 64 bits."""
 
 COMMON = 0.002
 """A constant with this share of all operands is part of the code; a rarer one is data."""
@@ -72,23 +78,36 @@ class Piece:
 def cut(program: Program) -> list[list[int]]:
     """Cut the operations of a program into pieces."""
     operations = [k for k, node in enumerate(program.nodes) if operands(node)]
-    words = [program.nodes[k].op for k in operations]
-    sums = [_checksum(words[max(0, n + 1 - WINDOW) : n + 1]) for n in range(len(words))]
+    if not operations:
+        return []
+    sums = _checksums([program.nodes[k].op for k in operations])
+    around = np.pad(sums, REACH, constant_values=PRIME)
+    least = np.lib.stride_tricks.sliding_window_view(around, 2 * REACH + 1).min(axis=1)
     pieces: list[list[int]] = []
     start = 0
-    for n, checksum in enumerate(sums):
-        if n + 1 - start >= SHORTEST and checksum == min(sums[max(0, n - REACH) : n + REACH + 1]):
+    for n in np.flatnonzero(sums == least).tolist():
+        if n + 1 - start >= SHORTEST:
             pieces.append(operations[start : n + 1])
             start = n + 1
     return [*pieces, operations[start:]] if start < len(operations) else pieces
 
 
-def _checksum(words: Iterable[str]) -> int:
-    """A number that depends on the words and their order (and, unlike hash(), on nothing else)."""
-    total = 0
-    for word in words:
-        for letter in word:
-            total = (total * 131 + ord(letter)) % 1_000_003
+def _checksums(words: Sequence[str]) -> Array:
+    """Compute numbers (n,) that depend on the letters of each word and the `WINDOW` - 1 before it.
+
+    They are those letters as a number of base `BASE`, modulo `PRIME`: the same in every process, unlike hash().
+    """
+    kinds = sorted(set(words))
+    number = {word: k for k, word in enumerate(kinds)}
+    digits = [[*word.encode()] for word in kinds]
+    values = [sum(d * BASE ** (len(each) - 1 - k) for k, d in enumerate(each)) % PRIME for each in digits]
+    shifts = [BASE ** len(each) % PRIME for each in digits]
+    told = np.array([number[word] for word in words])
+    value, shift = np.array(values)[told], np.array(shifts)[told]
+    total = np.zeros(len(words), dtype=np.int64)
+    for back in range(min(WINDOW, len(words)) - 1, -1, -1):
+        at = slice(0, len(words) - back)
+        total[back:] = (total[back:] * shift[at] + value[at]) % PRIME
     return total
 
 

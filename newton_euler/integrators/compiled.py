@@ -359,12 +359,16 @@ class Code:
 
     def _trace_output(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace the arrays that the scene asks for; the layout has their places and shapes."""
-        e, pivot_ratio = system.sparse_evaluation(q, v, self.rows)
         wanted = self.scene.outputs
-        arrays: dict[str, Any] = {"position": e.state.position, "quaternion": e.state.quaternion}
+        if wanted.isdisjoint(("reactions", "actuation", "energy")):  # nothing has to be solved for
+            state = system.state(q, v)
+        else:
+            e, pivot_ratio = system.sparse_evaluation(q, v, self.rows)
+            state = e.state
+        arrays: dict[str, Any] = {"position": state.position, "quaternion": state.quaternion}
         if "velocities" in wanted:
-            arrays["linear_velocity"] = e.state.linear_velocity
-            arrays["angular_velocity"] = e.state.angular_velocity
+            arrays["linear_velocity"] = state.linear_velocity
+            arrays["angular_velocity"] = state.angular_velocity
         if "reactions" in wanted:
             arrays["reaction_force"], arrays["reaction_torque"] = e.reaction_force, e.reaction_torque
         if "actuation" in wanted:
@@ -373,7 +377,7 @@ class Code:
             arrays["kinetic_energy"] = np.array(e.kinetic_energy)
             arrays["potential_energy"] = np.array(e.potential_energy)
         if self.scene.tracks_work:
-            arrays["work"] = np.array(e.work)
+            arrays["work"] = np.array(q[system.work][0])
         if "violation" in wanted or self.stabilization != "projection":
             arrays["phi"] = system.joint_phi(q)
         if "reactions" in wanted:
