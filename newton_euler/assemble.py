@@ -62,6 +62,11 @@ def initial_state(scene: Scene) -> State:
     return CHECKED[scene]
 
 
+def inherit_initial_state(scene: Scene, of: Scene) -> None:
+    """Give a scene the state that another one of the same geometry and the same given state starts from."""
+    CHECKED[scene] = initial_state(of)
+
+
 def _check_joints(scene: Scene, state: State) -> None:
     """Raise `MechanismError` for a joint that is open, or opens, by more than noise."""
     try:

@@ -11,9 +11,9 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from newton_euler.assemble import initial_state
+from newton_euler.assemble import inherit_initial_state, initial_state
 from newton_euler.equations.couplings import couplings
-from newton_euler.equations.redundancy import mobility, other_rows
+from newton_euler.equations.redundancy import inherit_mobility, mobility, other_rows
 from newton_euler.equations.system import Evaluation, System, at_time
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, check_choice
 from newton_euler.integrators.compiled import FORMULATIONS, PAPER_ALPHA, Code, baumgarte_alpha
@@ -113,6 +113,8 @@ class CompiledScene(Code):
         other = copy.copy(self)
         other.scene = scene
         if scene.initial_state is self.scene.initial_state:
+            inherit_mobility(scene, self.scene)
+            inherit_initial_state(scene, self.scene)
             q, v = self.start[: self.system.nq], self.start[self.system.nq : self.size]
         else:
             q, v = self.system.coordinates(initial_state(scene))

@@ -95,7 +95,7 @@ def cut(program: Program) -> list[list[int]]:
 def _checksums(words: Sequence[str]) -> Array:
     """Compute numbers (n,) that depend on the letters of each word and the `WINDOW` - 1 before it.
 
-    They are those letters as a number of base `BASE`, modulo `PRIME`: the same in every process, unlike hash().
+    They are those letters as a number of base `BASE`, modulo `PRIME`; hash() differs from process to process.
     """
     kinds = sorted(set(words))
     number = {word: k for k, word in enumerate(kinds)}
