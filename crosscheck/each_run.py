@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crosscheck.comparison.rows import Row
+from crosscheck.comparison.figure import Figure
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, limited
@@ -66,7 +66,7 @@ def as_far_as_it_goes(what: str, stops: list[Stop]) -> Iterator[None]:
         stops.append(Stop(what, reason_of(error).removeprefix(f"{what}: ")))
 
 
-def finite(rows: Iterable[Row]) -> Iterator[Row]:
+def finite(rows: Iterable[Figure]) -> Iterator[Figure]:
     """The rows that are finite; then raises `CrosscheckError` for the first that is not."""
     wrong = []
     for row in rows:

@@ -13,9 +13,9 @@ from typing import Any
 from crosscheck.advice import Advice, Found, advise
 from crosscheck.comparison.coverage import Coverage, coverage
 from crosscheck.comparison.diagnosis import Diagnosis, diagnose
+from crosscheck.comparison.figure import Figure, not_judged
 from crosscheck.comparison.known_figures import Measured, known_of, measure
 from crosscheck.comparison.levels import in_order, stages
-from crosscheck.comparison.rows import Row, not_judged
 from crosscheck.comparison.runs import rests
 from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite
 from crosscheck.engines import Engine
@@ -66,7 +66,7 @@ class Crosscheck:
     engines: tuple[Engine, ...]
     left_out: dict[str, str]
     runs: dict[str, Trajectory]
-    rows: tuple[Row, ...]
+    rows: tuple[Figure, ...]
     measured: tuple[Measured, ...]
     wall_time: float
     mapping: ImportReport | None = None
@@ -231,7 +231,7 @@ def crosscheck(
     able, left_out = _able(scene, engines)
     runs, stops = each_run(scene, able, progress)
     stopped = {stop.what for stop in stops}
-    rows: list[Row] = []
+    rows: list[Figure] = []
     for what, stage in stages(scene, able, runs, _random_states(scene), mapping).items():
         with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
             for row in finite(stage(tuple(rows))):

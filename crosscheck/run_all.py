@@ -11,7 +11,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from crosscheck.comparison.levels import Row
+from crosscheck.comparison.levels import Figure
 from crosscheck.engines import choose
 from crosscheck.errors import reason_of
 from crosscheck.files import check_writable
@@ -107,7 +107,7 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
 
 
 def _outcome(name: str, result: Crosscheck, wall_time: float) -> Outcome:
-    def of(*levels: str) -> list[Row]:
+    def of(*levels: str) -> list[Figure]:
         return [row for row in result.rows if len(row.between) == 1 and row.level in levels]
 
     pairs = [row for row in result.rows if len(row.between) > 1 and not row.informs]

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from crosscheck.comparison.levels import Row
+from crosscheck.comparison.levels import Figure
 from crosscheck.engines import Engine
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.euler_parameters import angle_between
@@ -55,7 +55,7 @@ class Found:
     source: str
     engines: Sequence[Engine]
     runs: Mapping[str, Trajectory]
-    rows: Sequence[Row]
+    rows: Sequence[Figure]
     options: Mapping[str, str] = field(default_factory=dict)
     mapping: ImportReport | None = None
 

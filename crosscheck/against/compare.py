@@ -15,8 +15,8 @@ import numpy as np
 from crosscheck.against.align import Aligned, align
 from crosscheck.against.levels import SharedStates, bodies_row, differences, motions, numbers
 from crosscheck.comparison.diagnosis import Diagnosis
+from crosscheck.comparison.figure import Figure, not_judged
 from crosscheck.comparison.levels import Level, compare_pair
-from crosscheck.comparison.rows import Row, not_judged
 from crosscheck.comparison.runs import compare_runs
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.each_run import as_far_as_it_goes, each_run, finite
@@ -308,7 +308,7 @@ def _in_first(run: Trajectory, aligned: Aligned) -> Trajectory:
 
 def _equations_compared(
     pair: tuple[str, str], engines: Sequence[Engine], aligned: Aligned
-) -> tuple[list[Row], list[str], float | None]:
+) -> tuple[list[Figure], list[str], float | None]:
     """Figures of equations up to the first level that disagrees, and what there is to say about them.
 
     And if all agree the energy that those of runs are relative to at least, J.
@@ -317,7 +317,7 @@ def _equations_compared(
         return [bodies_row(pair, aligned)], [], None
     scene = aligned.first
 
-    def compared(levels: Sequence[Level], *more: State) -> Iterator[Row]:
+    def compared(levels: Sequence[Level], *more: State) -> Iterator[Figure]:
         states = SharedStates(scene, (initial_state(scene), *more), aligned)
         one, two = (Samples(engine.systems(scene)[0], states) for engine in engines)
         return finite(compare_pair(pair, [one], [two], levels))
@@ -339,7 +339,7 @@ def _equations_compared(
     return rows, notes, energy
 
 
-def _listed(rows: Sequence[Row]) -> str:
+def _listed(rows: Sequence[Figure]) -> str:
     return "; ".join(f"{row.quantity}: {row.value:.1e} at {row.where}" for row in rows)
 
 

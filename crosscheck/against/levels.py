@@ -17,10 +17,10 @@ from crosscheck.against.bodies import axes_apart, carried, inertia_apart, points
 from crosscheck.comparison.accelerations import acceleration_rows
 from crosscheck.comparison.blame import kinematic_cause
 from crosscheck.comparison.dynamics import motion_rows
+from crosscheck.comparison.figure import ROUND_OFF, START, Figure, reach, round_off, worst_figure
 from crosscheck.comparison.kinematics import kinematics_rows
 from crosscheck.comparison.levels import Level
 from crosscheck.comparison.reactions import undetermined_in_both
-from crosscheck.comparison.rows import ROUND_OFF, START, Row, reach, round_off, worst_row
 from crosscheck.comparison.samples import Samples, Scales, States
 from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import body_wrenches, turned
@@ -83,10 +83,10 @@ def motions(aligned: Aligned) -> tuple[Level, ...]:
     return partial(_kinematics, aligned), partial(_dynamics, aligned), acceleration_rows
 
 
-def bodies_row(pair: Pair, aligned: Aligned) -> Row:
+def bodies_row(pair: Pair, aligned: Aligned) -> Figure:
     """Count the bodies that have no partner."""
     alone = [name for names in aligned.alone for name in names]
-    return Row("model", "bodies without partner", pair, float(len(alone)), 0.5, ", ".join(alone))
+    return Figure("model", "bodies without partner", pair, float(len(alone)), 0.5, ", ".join(alone))
 
 
 class Difference(NamedTuple):
@@ -129,14 +129,16 @@ def differences(aligned: Aligned) -> Iterator[Difference]:
         yield Difference("couplings, rel", np.array(list(coupled.values())), ROUND_OFF, tuple(coupled))
 
 
-def _model(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Row]:
+def _model(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Figure]:
     """The largest of each of the `differences`, and how many joints are of other kinds, which the levels
     after this have to judge: a ball closes a plane loop as a hinge does."""
     yield bodies_row(pair, aligned)
     other = [name for name in aligned.joints if not _same_kind(aligned, name)]
-    yield Row("model", "joints of another kind", pair, float(len(other)), 0.5, ", ".join(other), informs=True)
+    yield Figure(
+        "model", "joints of another kind", pair, float(len(other)), 0.5, ", ".join(other), informs=True
+    )
     for quantity, gap, tolerance, names in differences(aligned):
-        yield worst_row("model", quantity, pair, gap, tolerance, names)
+        yield worst_figure("model", quantity, pair, gap, tolerance, names)
 
 
 def _joint_apart(aligned: Aligned, name: str) -> tuple[float, float]:
@@ -188,7 +190,7 @@ def functions_apart(scene: Scene, one: Coupling, two: Coupling, scale: float) ->
     return float(np.max(np.abs(scale * b - a)) / max(float(np.max(np.abs(a))), 1e-12))
 
 
-def _start(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Row]:
+def _start(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Figure]:
     """Where the bodies start and how fast they move then; tolerances are round-off times the condition of
     the constraints, which starts are assembled by."""
     scene, share = aligned.first, round_off(first.condition)
@@ -208,10 +210,10 @@ def _start(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Ite
         ("velocities, rel", np.linalg.norm(velocity, axis=1) / unit, share),
         ("angular velocities, rel", np.linalg.norm(spin, axis=1) * length / unit, share),
     ):
-        yield worst_row(START, quantity, pair, gap, tolerance, scene.mechanism.body_names)
+        yield worst_figure(START, quantity, pair, gap, tolerance, scene.mechanism.body_names)
 
 
-def _kinematics(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Row]:
+def _kinematics(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Figure]:
     """As between engines; what fails is blamed on the joint of either model that the other opens, if it can
     be on one of another kind or that one model has alone.
 
@@ -238,14 +240,14 @@ def _kinematics(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -
         yield row
 
 
-def _dynamics(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Row]:
+def _dynamics(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Figure]:
     """Gravity, rotors, what acts at joints and on bodies, each blamed on itself; energies, effective inertia
     and force after them. Tolerances are round-off times the condition of the constraints."""
     share = round_off(max(first.condition, second.condition), first.states.noise)
     scales, states, failed = Scales(first), first.states.all, list[str]()
 
-    def noted(quantity: str, gaps: Mapping[str, float]) -> Row:
-        found = worst_row("dynamics", quantity, pair, np.array(list(gaps.values())), share, tuple(gaps))
+    def noted(quantity: str, gaps: Mapping[str, float]) -> Figure:
+        found = worst_figure("dynamics", quantity, pair, np.array(list(gaps.values())), share, tuple(gaps))
         failed.extend([] if found.agrees else [found.where])
         return found
 

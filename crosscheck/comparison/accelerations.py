@@ -12,8 +12,8 @@ from functools import cache
 import numpy as np
 
 from crosscheck.comparison.blame import SHARE, dynamic_cause
+from crosscheck.comparison.figure import EPSILON, Figure, round_off
 from crosscheck.comparison.reactions import determined
-from crosscheck.comparison.rows import EPSILON, Row, round_off
 from crosscheck.comparison.samples import Samples, Scales
 from newton_euler.equations.system import Evaluation
 from newton_euler.scalars import Array
@@ -26,7 +26,7 @@ order of 0.1 % however small the step, and by more where a mechanism is ill-cond
 shown beside the rigid ones."""
 
 
-def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Row]:
+def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
     """Accelerations of bodies and reactions of joints.
 
     Tolerances are round-off magnified by the condition of the constraints and of the mass matrix; reactions
@@ -35,7 +35,7 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
     """
     states = first.states
     constraints, masses = max(first.condition, second.condition), states.mass_condition
-    yield Row(LEVEL, "condition of masses", pair, masses, 1.0 / EPSILON, "", informs=True)
+    yield Figure(LEVEL, "condition of masses", pair, masses, 1.0 / EPSILON, "", informs=True)
     tolerance, looser = (
         round_off(condition * masses, states.noise) for condition in (constraints, constraints**2)
     )
@@ -45,11 +45,11 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
     def cause() -> str | None:
         return dynamic_cause(first, second)
 
-    def row(quantity: str, gap: Array, tolerance: float, names: Sequence[str], moved: bool = False) -> Row:
+    def row(quantity: str, gap: Array, tolerance: float, names: Sequence[str], moved: bool = False) -> Figure:
         value, where = float(gap.max()), names[int(np.argmax(gap.max(axis=0)))]
         if not value <= tolerance and not moved:
             where = cause() or where
-        return Row(LEVEL, quantity, pair, value, tolerance, where)
+        return Figure(LEVEL, quantity, pair, value, tolerance, where)
 
     def apart(name: str) -> Array:
         return np.asarray(np.linalg.norm(first.stack(name) - second.stack(name), axis=-1))
@@ -80,14 +80,14 @@ def _is_another_point(torque: Array, force: Array) -> bool:
     return bool(np.all(along <= SHARE * largest[joint] * np.linalg.norm(force[:, joint], axis=1)))
 
 
-def softness_row(name: str, soft: Evaluation, rigid: Samples) -> Row:
+def softness_row(name: str, soft: Evaluation, rigid: Samples) -> Figure:
     """What soft constraints of an engine do to its reaction forces at the start."""
     states = rigid.states
     force = rigid.evaluations[0].reaction_force
     floor = states.energy / states.scene.mechanism.size
     gap = np.linalg.norm(soft.reaction_force - force, axis=1)
     gap = gap / max(floor, float(np.linalg.norm(force, axis=1).max()))
-    return Row(
+    return Figure(
         LEVEL,
         "reaction force, rel",
         (f"{name} soft", f"{name} rigid"),

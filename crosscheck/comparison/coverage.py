@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.comparison.changes import Element, Moments, elements
-from crosscheck.comparison.rows import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Row, reach
+from crosscheck.comparison.figure import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Figure, reach
 from crosscheck.comparison.runs import orientations_apart, positions_apart
 from crosscheck.engines import NATIVE_STEPS, adaptive
 from newton_euler.equations.relative import Relative
@@ -88,7 +88,7 @@ class Coverage:
         return f"motion covers {tested} of {len(self.elements)} elements"
 
 
-def coverage(scene: Scene, runs: Mapping[str, Trajectory], rows: Sequence[Row]) -> Coverage | None:
+def coverage(scene: Scene, runs: Mapping[str, Trajectory], rows: Sequence[Figure]) -> Coverage | None:
     """Work out what compared runs cover, until the shortest ends, to the least tolerance of trajectories.
 
     None where no trajectories were compared.

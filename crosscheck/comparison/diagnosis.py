@@ -12,8 +12,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from crosscheck.comparison.figure import FILE, LEVELS, REFERENCE, Figure
 from crosscheck.comparison.known_figures import Measured
-from crosscheck.comparison.rows import FILE, LEVELS, REFERENCE, Row
 from newton_euler.integrators.compiled import FORMULATIONS
 
 SYSTEMS = tuple(FORMULATIONS)
@@ -142,7 +142,7 @@ def _listed(participants: Sequence[str]) -> str:
 
 
 def diagnose(
-    engines: Sequence[str], rows: Iterable[Row], measured: Sequence[Measured] = ()
+    engines: Sequence[str], rows: Iterable[Figure], measured: Sequence[Measured] = ()
 ) -> tuple[Diagnosis, ...]:
     """The first level at which any participant parts, then that of the rest without the odd one, and so on.
 
@@ -165,7 +165,7 @@ def diagnose(
     return tuple(found)
 
 
-def _without(odd: str, names: Sequence[str], rows: Iterable[Row]) -> tuple[list[str], list[Row]]:
+def _without(odd: str, names: Sequence[str], rows: Iterable[Figure]) -> tuple[list[str], list[Figure]]:
     """Participants and figures without one; without a formulation the other stands for `OWNER`."""
     if odd in SYSTEMS:
         kept = [row for row in rows if odd not in row.between and _holds_of_systems(row)]
@@ -174,22 +174,22 @@ def _without(odd: str, names: Sequence[str], rows: Iterable[Row]) -> tuple[list[
     return [name for name in names if name != odd], [row for row in rows if not gone & set(row.between)]
 
 
-def _by_system(names: Sequence[str], rows: Iterable[Row]) -> tuple[list[str], list[Row]]:
+def _by_system(names: Sequence[str], rows: Iterable[Figure]) -> tuple[list[str], list[Figure]]:
     """Participants and figures where the formulations stand for `OWNER`."""
     systems = [n for name in names for n in (SYSTEMS if name == OWNER else (name,))]
     return systems, [_renamed(row, {OWNER: SYSTEMS[0]}) for row in rows if _holds_of_systems(row)]
 
 
-def _holds_of_systems(row: Row) -> bool:
+def _holds_of_systems(row: Figure) -> bool:
     """True unless a figure is one of the worse of the formulations under the name of `OWNER`."""
     return OWNER not in row.between or row.level in (READING, *RUNS)
 
 
-def _renamed(row: Row, others: Mapping[str, str]) -> Row:
+def _renamed(row: Figure, others: Mapping[str, str]) -> Figure:
     return replace(row, between=tuple(others.get(name, name) for name in row.between))
 
 
-def _first(names: Sequence[str], rows: Sequence[Row], wrong: Collection[str]) -> Diagnosis | None:
+def _first(names: Sequence[str], rows: Sequence[Figure], wrong: Collection[str]) -> Diagnosis | None:
     """Who differs at the first level at which any of the participants does."""
     known = {*names, *(SYSTEMS if OWNER in names else ())}
     rows = [row for row in rows if set(row.between) <= known]
@@ -214,7 +214,7 @@ def _first(names: Sequence[str], rows: Sequence[Row], wrong: Collection[str]) ->
     return _diagnosis(odd, at_fault, others, at_level[0], rows, at_level[0].quantity if odd else "own")
 
 
-def _of_reading(names: Sequence[str], rows: Sequence[Row]) -> Diagnosis | None:
+def _of_reading(names: Sequence[str], rows: Sequence[Figure]) -> Diagnosis | None:
     """Blame the reading of the file, or an engine that alone differs from the file.
 
     None if the engines have to be told apart first. The reading is to blame if all engines' models agree
@@ -238,7 +238,7 @@ def _of_reading(names: Sequence[str], rows: Sequence[Row]) -> Diagnosis | None:
 
 
 def _of_pairs(
-    names: Sequence[str], rows: Sequence[Row], parted: Sequence[Row], wrong: Collection[str]
+    names: Sequence[str], rows: Sequence[Figure], parted: Sequence[Figure], wrong: Collection[str]
 ) -> Diagnosis:
     """Who differs at a level at which pairs part."""
     level = parted[0].level
@@ -269,15 +269,15 @@ def _odd(
     odd: str,
     parting: Sequence[str],
     others: Sequence[str],
-    rows: Sequence[Row],
-    parted: Sequence[Row],
+    rows: Sequence[Figure],
+    parted: Sequence[Figure],
     by: str,
 ) -> Diagnosis:
     row = next(row for row in parted if odd in row.between)
     return _diagnosis(odd, parting, others, row, rows, by)
 
 
-def _is_nearer(near: str, far: str, third: str, row: Row, rows: Sequence[Row]) -> bool:
+def _is_nearer(near: str, far: str, third: str, row: Figure, rows: Sequence[Figure]) -> bool:
     """True if one of two that part is much nearer to a third than the other, in the figure they part in."""
     values = {
         frozenset(other.between): other.value
@@ -289,7 +289,7 @@ def _is_nearer(near: str, far: str, third: str, row: Row, rows: Sequence[Row]) -
 
 
 def _settled(
-    names: Sequence[str], rows: Sequence[Row], level: str, wrong: Collection[str]
+    names: Sequence[str], rows: Sequence[Figure], level: str, wrong: Collection[str]
 ) -> tuple[str, str] | None:
     """The one of some that part that alone fails by itself, and the figure that does.
 
@@ -310,7 +310,7 @@ def _settled(
 
 
 def _diagnosis(
-    odd: str, parting: Sequence[str], agree: Sequence[str], row: Row, rows: Sequence[Row], by: str = ""
+    odd: str, parting: Sequence[str], agree: Sequence[str], row: Figure, rows: Sequence[Figure], by: str = ""
 ) -> Diagnosis:
     """With how well those that are not odd agree, if they do."""
     among = [other for other in rows if set(other.between) <= set(agree)]
@@ -342,7 +342,9 @@ def _diagnosis(
     )
 
 
-def _against_reference(names: Sequence[str], rows: Sequence[Row], measured: Sequence[Measured]) -> Diagnosis:
+def _against_reference(
+    names: Sequence[str], rows: Sequence[Figure], measured: Sequence[Measured]
+) -> Diagnosis:
     """Of engines that agree with each other in what they were compared by."""
     failed = [known for known in measured if not known.agrees]
     at_fault = _ordered(names, (known.engine for known in failed))

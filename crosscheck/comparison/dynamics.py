@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from crosscheck.comparison.blame import dynamic_cause
-from crosscheck.comparison.rows import Row, round_off
+from crosscheck.comparison.figure import Figure, round_off
 from crosscheck.comparison.samples import Samples, Scales, States
 from newton_euler.scalars import Array
 
@@ -16,7 +16,7 @@ Cause = Callable[[bool], str | None]
 """What is to blame, forces in question or not."""
 
 
-def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Row]:
+def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
     """Actuator forces, energies, and the free motion's inertia and force; its basis is the states'.
 
     Tolerances are round-off magnified by the condition of the constraints, which independent velocities
@@ -39,7 +39,7 @@ def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Ite
     yield from motion_rows(pair, first, second, cause)
 
 
-def motion_rows(pair: tuple[str, str], first: Samples, second: Samples, cause: Cause) -> Iterator[Row]:
+def motion_rows(pair: tuple[str, str], first: Samples, second: Samples, cause: Cause) -> Iterator[Figure]:
     """Energies, and the free motion's inertia and force, of two systems with the same bodies."""
     states = first.states
     condition = max(first.condition, second.condition)
@@ -65,7 +65,7 @@ def _row(
     unit: float,
     tolerance: float,
     cause: Cause,
-) -> Row:
+) -> Figure:
     """`gap` has a first axis of states; the cause is asked for where it fails."""
     worst = gap.reshape(len(states.all), -1).max(axis=1)
     value = float(worst.max()) / unit
@@ -73,7 +73,7 @@ def _row(
     if not value <= tolerance:
         by_force = quantity not in ("kinetic energy, rel", "effective inertia, rel")
         where = cause(by_force) or where
-    return Row("dynamics", quantity, pair, value, tolerance, where)
+    return Figure("dynamics", quantity, pair, value, tolerance, where)
 
 
 def _apart(one: list[Array], two: list[Array], floor: float) -> tuple[Array, float]:

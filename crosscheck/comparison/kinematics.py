@@ -8,13 +8,13 @@ from functools import cache
 import numpy as np
 
 from crosscheck.comparison.blame import kinematic_cause
-from crosscheck.comparison.rows import EPSILON, Row, reach, round_off
+from crosscheck.comparison.figure import EPSILON, Figure, reach, round_off
 from crosscheck.comparison.samples import Samples, Scales
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 
 
-def kinematics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Row]:
+def kinematics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
     """Poses, closures, velocities and constraint Jacobians; what fails is blamed on the joint that it opens.
 
     Tolerances are round-off magnified by the condition of the constraints, which velocities and the
@@ -29,22 +29,22 @@ def kinematics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> I
     def cause() -> str | None:
         return kinematic_cause(first, second)
 
-    def row(quantity: str, gap: Array, tolerance: float = share) -> Row:
+    def row(quantity: str, gap: Array, tolerance: float = share) -> Figure:
         value, worst = float(gap.max()), bodies[int(np.argmax(gap.max(axis=0)))]
         if not value <= tolerance:
             worst = cause() or worst
-        return Row("kinematics", quantity, pair, value, tolerance, worst)
+        return Figure("kinematics", quantity, pair, value, tolerance, worst)
 
     def apart(name: str) -> Array:
         return np.asarray(np.linalg.norm(first.stack(name) - second.stack(name), axis=-1))
 
-    yield Row("kinematics", "condition of constraints", pair, condition, 1.0 / EPSILON, "", informs=True)
+    yield Figure("kinematics", "condition of constraints", pair, condition, 1.0 / EPSILON, "", informs=True)
     yield row("positions, m", apart("position"), share * reach(scene, first.stack("position")))
     yield row("orientations, rad", angle_between(first.stack("quaternion"), second.stack("quaternion")))
     if first.closes or second.closes:
         opening, allowed = max(first.opening, second.opening), share + condition * first.states.opening
         where = "" if opening <= allowed else cause() or ""
-        yield Row("kinematics", "open loops, rel", pair, opening, allowed, where)
+        yield Figure("kinematics", "open loops, rel", pair, opening, allowed, where)
     projector = np.array([a @ a.T - b @ b.T for a, b in zip(first.bases, second.bases, strict=True)])
     yield row("constraint Jacobian", np.abs(projector).max(axis=2).reshape(-1, len(bodies), 6).max(axis=2))
     scales = Scales(first)

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.comparison.rows import OWN_ERROR, REFERENCE, UNRESOLVED, Row
+from crosscheck.comparison.figure import OWN_ERROR, REFERENCE, UNRESOLVED, Figure
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.references import Known, known_figures
 from crosscheck.scenes import FIGURES, SCENES
-from crosscheck.scenes.measure import Figure
+from crosscheck.scenes.measure import Quantity
 from crosscheck.scenes.options import options_of
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
@@ -28,7 +28,7 @@ Run = Callable[[Scene], Trajectory]
 
 
 @dataclass(frozen=True)
-class Measured(Row):
+class Measured(Figure):
     """A known figure as one engine gives it: how far it is off, and may be.
 
     Attributes:
@@ -101,7 +101,7 @@ def measure(
         yield Measured.of(engine.name, entry, float(values[n]), own_error)
 
 
-def _values(figure: Figure, run: Trajectory) -> Array:
+def _values(figure: Quantity, run: Trajectory) -> Array:
     values = figure(run)
     assert values.shape == run.time.shape
     return values

@@ -1,6 +1,6 @@
 """Comparison of engines, level by level, from the model itself to whole runs.
 
-Each `Row` is one figure for one pair of engines (or one engine), with the tolerance it is held to
+Each `Figure` is one figure for one pair of engines (or one engine), with the tolerance it is held to
 and the body, joint, term or time where it is worst. Levels 1 to 4 use each engine's rigid equations of
 motion at consistent states, so that a difference is one of the models; the later levels use runs.
 Relative figures are relative to what the mechanism does at all of the states together, never to what
@@ -17,11 +17,11 @@ from itertools import combinations, product
 
 from crosscheck.comparison.accelerations import acceleration_rows, softness_row
 from crosscheck.comparison.dynamics import dynamics_rows
+from crosscheck.comparison.figure import LEVELS, Figure, in_full, not_compared
 from crosscheck.comparison.kinematics import kinematics_rows
 from crosscheck.comparison.model import model_rows
 from crosscheck.comparison.momentum import momentum_row
 from crosscheck.comparison.reading import reading_rows
-from crosscheck.comparison.rows import LEVELS, Row, in_full, not_compared
 from crosscheck.comparison.runs import Runs, compare_runs
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import Engine
@@ -31,9 +31,9 @@ from newton_euler.exercise import random_states
 from newton_euler.model.scene import Scene
 from newton_euler.verification.import_report import ImportReport
 
-__all__ = ["LEVELS", "Row", "compare", "compare_equations", "in_order", "not_compared", "stages"]
+__all__ = ["LEVELS", "Figure", "compare", "compare_equations", "in_order", "not_compared", "stages"]
 
-Level = Callable[[tuple[str, str], Samples, Samples], Iterator[Row]]
+Level = Callable[[tuple[str, str], Samples, Samples], Iterator[Figure]]
 
 EQUATION_LEVELS: tuple[Level, ...] = (model_rows, kinematics_rows, dynamics_rows, acceleration_rows)
 """Those before runs, in their order."""
@@ -47,14 +47,14 @@ def compare_pair(
     first: Sequence[Samples],
     second: Sequence[Samples],
     levels: Sequence[Level] = EQUATION_LEVELS,
-) -> Iterator[Row]:
+) -> Iterator[Figure]:
     """Levels 1 to 4 of two engines, up to the first that disagrees.
 
     An engine with several rigid systems (formulations) enters with the one that is worst for
     its tolerance.
     """
     for level in levels:
-        found: dict[str, Row] = {}
+        found: dict[str, Figure] = {}
         for x, y in product(first, second):
             for row in level(pair, x, y):
                 known = found.setdefault(row.quantity, row)
@@ -65,7 +65,7 @@ def compare_pair(
             return
 
 
-def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Row]:
+def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Figure]:
     """Levels 1 to 4 of every pair of engines and of the systems of each engine.
 
     Systems of one engine that part are compared with every other engine too, and have momentum balances of
@@ -78,7 +78,7 @@ def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iter
     return in_full([*pairs, *(_within(engine, engines, samples) for engine in engines)])
 
 
-def _within(engine: Engine, engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Row]:
+def _within(engine: Engine, engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Figure]:
     """The systems of one engine against each other, and what tells more of them if they part."""
     parted = False
     for one, two in combinations(samples[engine.name], 2):
@@ -100,9 +100,9 @@ def sampled(engines: Sequence[Engine], states: States) -> EngineSamples:
     return {e.name: [Samples(system, states) for system in e.systems(states.scene)] for e in engines}
 
 
-def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) -> list[Row]:
+def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) -> list[Figure]:
     """All levels in their order; arguments as of `stages`."""
-    rows: list[Row] = []
+    rows: list[Figure] = []
     for stage in stages(scene, engines, runs, states).values():
         rows += stage(rows)
     return in_order(rows)
@@ -110,7 +110,7 @@ def compare(scene: Scene, engines: Sequence[Engine], runs: Runs, states: int) ->
 
 def stages(
     scene: Scene, engines: Sequence[Engine], runs: Runs, states: int, report: ImportReport | None = None
-) -> dict[str, Callable[[Sequence[Row]], Iterator[Row]]]:
+) -> dict[str, Callable[[Sequence[Figure]], Iterator[Figure]]]:
     """Parts of the comparison by what they do, one after the other; each is given the rows of those before.
 
     Args:
@@ -126,10 +126,10 @@ def stages(
     def samples() -> EngineSamples:
         return sampled(engines, States(scene, (*start.all, *random_states(scene, states))))
 
-    def equations(_: Sequence[Row]) -> Iterator[Row]:
+    def equations(_: Sequence[Figure]) -> Iterator[Figure]:
         yield from compare_equations(engines, samples())
 
-    def trajectories(rows: Sequence[Row]) -> Iterator[Row]:
+    def trajectories(rows: Sequence[Figure]) -> Iterator[Figure]:
         ran = [engine for engine in engines if engine.name in runs]
         try:
             energy = samples()[engines[0].name][0].states.energy
@@ -137,7 +137,7 @@ def stages(
             energy = start.energy  # runs may be compared where random states cannot be had
         yield from compare_runs(scene, ran, runs, energy, {row.between for row in rows if not row.agrees})
 
-    def momentum(_: Sequence[Row]) -> Iterator[Row]:
+    def momentum(_: Sequence[Figure]) -> Iterator[Figure]:
         yield from (momentum_row(engine.name, samples()[engine.name][0]) for engine in engines)
 
     return {
@@ -148,6 +148,6 @@ def stages(
     }
 
 
-def in_order(rows: Iterable[Row]) -> list[Row]:
+def in_order(rows: Iterable[Figure]) -> list[Figure]:
     """Rows by their levels."""
     return sorted(rows, key=lambda row: LEVELS.index(row.level))

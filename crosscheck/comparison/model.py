@@ -6,22 +6,22 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from crosscheck.comparison.rows import ROUND_OFF, Row, reach
+from crosscheck.comparison.figure import ROUND_OFF, Figure, reach
 from crosscheck.comparison.samples import Samples
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.joint_geometry import JointGeometry
 from newton_euler.scalars import Array
 
 
-def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Row]:
+def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
     """Masses, centres of mass, inertias and frames of bodies; kinds, axes and points of joints."""
     scene = first.states.scene
     a, b = first.mass_properties, second.mass_properties
     names = scene.mechanism.body_names[1:]
 
-    def row(quantity: str, gap: Array, tolerance: float, names: Sequence[str]) -> Row:
+    def row(quantity: str, gap: Array, tolerance: float, names: Sequence[str]) -> Figure:
         worst = int(np.argmax(gap))
-        return Row("model", quantity, pair, float(gap[worst]), tolerance, names[worst])
+        return Figure("model", quantity, pair, float(gap[worst]), tolerance, names[worst])
 
     mass = np.abs(a.mass - b.mass)[1:] / np.abs(a.mass[1:])
     inertia = np.abs(a.inertia - b.inertia)[1:].max(axis=(1, 2)) / np.abs(a.inertia[1:]).max(axis=(1, 2))

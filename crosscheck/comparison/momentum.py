@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.comparison.rows import Row, round_off
+from crosscheck.comparison.figure import Figure, round_off
 from crosscheck.comparison.samples import Samples, Scales
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.sparse import to_array
@@ -17,7 +17,7 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array, cross
 
 
-def momentum_row(name: str, samples: Samples) -> Row:
+def momentum_row(name: str, samples: Samples) -> Figure:
     """The largest rate of momentum that no force accounts for, at any state; where is the body.
 
     Relative to the largest force, and as exact as reactions are.
@@ -28,7 +28,7 @@ def momentum_row(name: str, samples: Samples) -> Row:
     states = samples.states
     tolerance = round_off(samples.condition**2 * states.mass_condition, states.noise)
     body = samples.states.scene.mechanism.body_names[1 + worst]
-    return Row("energy", "momentum balance, rel", (name,), value, tolerance, body)
+    return Figure("energy", "momentum balance, rel", (name,), value, tolerance, body)
 
 
 def momentum_residuals(samples: Samples) -> Array:

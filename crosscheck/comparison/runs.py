@@ -12,7 +12,16 @@ from itertools import combinations
 import numpy as np
 
 from crosscheck.comparison.energy import energy_balance
-from crosscheck.comparison.rows import NOISE, OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Row, in_full, reach
+from crosscheck.comparison.figure import (
+    NOISE,
+    OWN_ERROR,
+    POSES,
+    ROUND_OFF,
+    UNRESOLVED,
+    Figure,
+    in_full,
+    reach,
+)
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError
 from newton_euler.equations.redundancy import mobility
@@ -96,7 +105,7 @@ def compare_runs(
     runs: Runs,
     energy: float,
     parted: Collection[tuple[str, ...]] = (),
-) -> Iterator[Row]:
+) -> Iterator[Figure]:
     """Levels 5 to 7, those of pairs that part at an earlier level or have `parted` left out.
 
     Runs that stopped are compared as far as they came, with finer ones as far as those come.
@@ -171,7 +180,7 @@ def compare_runs(
         fixed: float,
         unit: float,
         shown: float = 1.0,
-    ) -> Row:
+    ) -> Figure:
         """The largest of a gap and what it may be: `fixed` shares of the unit, and own errors while it
         exceeds that, quickest engine first; shown in multiples of `shown`."""
         gaps = gap(runs)
@@ -184,7 +193,7 @@ def compare_runs(
         excused = fixed * unit < value <= tolerance
         name = restless(between, gap, apart, max(fixed, ROUND_OFF) * unit) if excused else ""
         names = tuple(engine.name for engine in between)
-        return Row(
+        return Figure(
             level,
             quantity,
             names,
@@ -204,7 +213,7 @@ def compare_runs(
     def between_two(a: Engine, b: Engine, apart: Gap) -> Callable[[Runs], Array]:
         return lambda of: apart(of[a.name], of[b.name])
 
-    def trajectories(a: Engine, b: Engine) -> Iterator[Row]:
+    def trajectories(a: Engine, b: Engine) -> Iterator[Figure]:
         fixed = a.trajectory_error + b.trajectory_error + noise
         for quantity, apart, unit in (
             (POSES[0], positions_apart, length((a, b))),
@@ -215,14 +224,14 @@ def compare_runs(
                 away.add((a.name, b.name))
             yield found
 
-    def drift(engine: Engine) -> Iterator[Row]:
+    def drift(engine: Engine) -> Iterator[Figure]:
         if runs[engine.name].constraint_violation is not None:
             violation, unit = partial(_violation, engine.name), length((engine,))
             quantity = "open joints, m or rad"
             fixed = engine.drift + noise
             yield row("drift", quantity, (engine,), violation, _violations_apart, fixed, unit)
 
-    def kinetic_energy(a: Engine, b: Engine) -> Iterator[Row]:
+    def kinetic_energy(a: Engine, b: Engine) -> Iterator[Figure]:
         kinetic = runs[a.name].kinetic_energy
         if kinetic is not None and (a.name, b.name) not in away:
             unit = max(energy, float(np.max(kinetic[: len(runs[b.name].time)])))
@@ -230,7 +239,7 @@ def compare_runs(
             quantity = "kinetic energy, rel"
             yield row("energy", quantity, (a, b), gap, _kinetic_energies_apart, fixed, unit, unit)
 
-    def energy_less_work(engine: Engine) -> Iterator[Row]:
+    def energy_less_work(engine: Engine) -> Iterator[Figure]:
         balance = energy_balance(scene, runs[engine.name])
         if balance is not None:
             unit, apart = max(energy, balance.exchanged), _residuals_apart(scene)

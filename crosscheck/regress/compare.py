@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.comparison.rows import Row
+from crosscheck.comparison.figure import Figure
 from crosscheck.regress.baseline import Baseline, Record, StoredFigure, versions
 from crosscheck.regress.measure import MAIN, measure_group, regress_scene
 from newton_euler.model.scene import Scene
@@ -25,7 +25,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Checked(Row):
+class Checked(Figure):
     """One stored figure against what it is now, where it moved most.
 
     Its level is the group of figures, its value the difference; infinite where there is nothing to compare.

@@ -19,8 +19,8 @@ from functools import cached_property
 import numpy as np
 
 from crosscheck.comparison.energy import energy_balance
+from crosscheck.comparison.figure import OWN_ERROR, reach, round_off
 from crosscheck.comparison.reactions import determined
-from crosscheck.comparison.rows import OWN_ERROR, reach, round_off
 from crosscheck.comparison.samples import Samples, Scales, States, admissible_basis
 from crosscheck.engines import ENGINES
 from crosscheck.regress.baseline import GroupName, Plan, StoredFigure, StoredState

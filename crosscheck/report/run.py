@@ -8,10 +8,10 @@ import numpy as np
 
 from crosscheck.advice.measured import distance
 from crosscheck.against.compare import Against, Model
+from crosscheck.comparison.figure import FILE, NOT_NEARER
 from crosscheck.comparison.known_figures import Measured
-from crosscheck.comparison.levels import Row, not_compared
+from crosscheck.comparison.levels import Figure, not_compared
 from crosscheck.comparison.reactions import undetermined_joints
-from crosscheck.comparison.rows import FILE, NOT_NEARER
 from crosscheck.comparison.runs import displacements
 from crosscheck.comparison.samples import admissible_basis, body_units
 from crosscheck.model_files.read import report_lines
@@ -87,7 +87,7 @@ def tables(result: Crosscheck) -> Iterator[Table]:
         )
 
 
-def _part(row: Row, engines: set[str]) -> str:
+def _part(row: Figure, engines: set[str]) -> str:
     if len(row.between) == 1:
         return "single"
     if FILE in row.between:
@@ -95,7 +95,7 @@ def _part(row: Row, engines: set[str]) -> str:
     return "pairs" if set(row.between) <= engines else "within"
 
 
-def _table(title: str, rows: list[Row]) -> Table:
+def _table(title: str, rows: list[Figure]) -> Table:
     """A row per quantity, a column per pair or engine, a section per level."""
     columns = list(dict.fromkeys(row.between for row in rows))
     lines: Rows = []
@@ -109,7 +109,7 @@ def _table(title: str, rows: list[Row]) -> Table:
     return Table(title, [Column(""), *heads], lines)
 
 
-def _cell(row: Row) -> Cell:
+def _cell(row: Figure) -> Cell:
     about = f"worst at {row.where}"
     if row.unsettled:
         return Cell(f"{row.value:.1e} not judged", "", f"{row.unsettled} is {NOT_NEARER}; {about}")

@@ -20,7 +20,7 @@ from crosscheck.scenes import (
     stewart,
     tracker,
 )
-from crosscheck.scenes.measure import Figures
+from crosscheck.scenes.measure import Quantities
 from crosscheck.scenes.options import options_of
 from newton_euler.model.scene import Scene
 
@@ -41,7 +41,7 @@ SCENES: dict[str, Callable[..., Scene]] = {
 }
 """Functions that make a scene, by the scene's name. Their arguments are the scene's options."""
 
-FIGURES: dict[str, Figures] = {
+FIGURES: dict[str, Quantities] = {
     "pendulum": pendulum.FIGURES,
     "free_top": free_top.FIGURES,
     "heavy_top": heavy_top.FIGURES,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.scenes.measure import Figure, angle, angular_velocity, components, position
+from crosscheck.scenes.measure import Quantity, angle, angular_velocity, components, position
 from newton_euler.model.forces import PointSpring, Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Revolute, Spherical
@@ -122,11 +122,11 @@ ANGLES: dict[str, tuple[float, str, str]] = {
 """Initial value, rad, the body that has turned and the one that it is seen from."""
 
 
-def _angle(initial: float, body: str, against: str) -> Figure:
+def _angle(initial: float, body: str, against: str) -> Quantity:
     return lambda run: initial + angle(run, body, Z) - angle(run, against, Z)
 
 
-def _rate(body: str, against: str) -> Figure:
+def _rate(body: str, against: str) -> Quantity:
     return lambda run: (angular_velocity(run, body) - angular_velocity(run, against)) @ Z
 
 
@@ -134,7 +134,7 @@ def _crank_pin(run: Trajectory) -> Array:
     return position(run, "crank", F - _along(BETA, 0.00092))
 
 
-FIGURES: dict[str, Figure] = {
+FIGURES: dict[str, Quantity] = {
     **{name: _angle(*entry) for name, entry in ANGLES.items()},
     **{f"{name}_dot": _rate(*entry[1:]) for name, entry in ANGLES.items()},
     **components(("F_x", "F_y"), _crank_pin),

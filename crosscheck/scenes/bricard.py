@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.scenes.measure import Figure, angle, angular_velocity, components, position, velocity
+from crosscheck.scenes.measure import Quantity, angle, angular_velocity, components, position, velocity
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -70,7 +70,7 @@ def _bar(name: str, start: np.ndarray, end: np.ndarray) -> Body:
 P3 = 0.5 * (POINTS[2] - POINTS[1])
 """In the frame of bar_2, m."""
 
-FIGURES: dict[str, Figure] = {
+FIGURES: dict[str, Quantity] = {
     **components(("P3_x", "P3_y", "P3_z"), lambda run: position(run, "bar_2", P3)),
     **components(("P3_vx", "P3_vy", "P3_vz"), lambda run: velocity(run, "bar_2", P3)),
     "q1": lambda run: angle(run, "bar_1", Y),

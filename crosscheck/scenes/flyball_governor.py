@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.scenes.measure import Figure, angle, angular_velocity, position, velocity
+from crosscheck.scenes.measure import Quantity, angle, angular_velocity, position, velocity
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.forces import PointSpring
 from newton_euler.model.joint_kinds import Prismatic, Revolute
@@ -124,7 +124,7 @@ def _energy_dissipated(run: Trajectory) -> Array:
 ARM = np.cos(ALPHA) * X - np.sin(ALPHA) * Z
 CENTER = np.zeros(3)
 
-FIGURES: dict[str, Figure] = {
+FIGURES: dict[str, Quantity] = {
     "s": lambda run: position(run, "slider", CENTER)[:, 2],
     "s_dot": lambda run: velocity(run, "slider", CENTER)[:, 2],
     "alpha": _alpha,

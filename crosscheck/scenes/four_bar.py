@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from crosscheck.scenes.measure import Figure, angular_velocity, components, position, velocity
+from crosscheck.scenes.measure import Quantity, angular_velocity, components, position, velocity
 from crosscheck.scenes.options import Range
 from crosscheck.scenes.rod import LENGTH, rod
 from newton_euler.model.joint import Joint
@@ -71,7 +71,7 @@ def _swinging(mechanism: Mechanism, bars: int) -> State:
 TOP = 0.5 * LENGTH * Y
 """Of a bar in its own frame, m."""
 
-FIGURES: dict[str, Figure] = {
+FIGURES: dict[str, Quantity] = {
     **components(("B0_x", "B0_y"), lambda run: position(run, "bar_0", TOP)),
     **components(("B0_vx", "B0_vy"), lambda run: velocity(run, "bar_0", TOP)),
     "bar_omega_cw": lambda run: -angular_velocity(run, "bar_0") @ Z,

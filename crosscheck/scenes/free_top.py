@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from crosscheck.scenes.measure import Figure, components, quaternion, spin
+from crosscheck.scenes.measure import Quantity, components, quaternion, spin
 from newton_euler.model.joint_kinds import Free
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -47,7 +47,7 @@ def free_top(case: Literal["general", "dzhanibekov", "hairer"] = "general") -> S
     )
 
 
-FIGURES: dict[str, Figure] = {
+FIGURES: dict[str, Quantity] = {
     **components(("omega_x", "omega_y", "omega_z"), lambda run: spin(run, "top")),
     **components(("q0", "q1", "q2", "q3"), lambda run: quaternion(run, "top")),
 }

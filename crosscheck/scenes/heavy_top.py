@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.scenes.measure import Figure, components, position, quaternion, spin
+from crosscheck.scenes.measure import Quantity, components, position, quaternion, spin
 from newton_euler.model.joint_kinds import Spherical
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -47,7 +47,7 @@ def heavy_top() -> Scene:
     )
 
 
-FIGURES: dict[str, Figure] = {
+FIGURES: dict[str, Quantity] = {
     **components(("com_x", "com_y", "com_z"), lambda run: position(run, "top", np.zeros(3))),
     **components(("omega_x", "omega_y", "omega_z"), lambda run: spin(run, "top")),
     **components(("q0", "q1", "q2", "q3"), lambda run: quaternion(run, "top")),

@@ -10,11 +10,11 @@ from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
-Figure = Callable[[Trajectory], Array]
+Quantity = Callable[[Trajectory], Array]
 """A measured quantity (n,) at the output times of a run; SI."""
 
-Figures = Mapping[str, Figure]
-"""Figures by the names that reference files give them."""
+Quantities = Mapping[str, Quantity]
+"""Quantities by the names that reference files give them."""
 
 
 def position(run: Trajectory, body: str, offset: Array) -> Array:
@@ -59,10 +59,10 @@ def angle(run: Trajectory, body: str, axis: Array) -> Array:
     return np.asarray(2.0 * np.unwrap(np.arctan2(p[:, 1:] @ axis, p[:, 0])))
 
 
-def components(names: tuple[str, ...], vector: Figure) -> dict[str, Figure]:
+def components(names: tuple[str, ...], vector: Quantity) -> dict[str, Quantity]:
     """One figure for each component of a measured (n, len(names)) array."""
 
-    def component(k: int) -> Figure:
+    def component(k: int) -> Quantity:
         return lambda run: vector(run)[:, k]
 
     return {name: component(k) for k, name in enumerate(names)}

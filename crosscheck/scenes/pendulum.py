@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.scenes.measure import Figure, components, position, velocity
+from crosscheck.scenes.measure import Quantity, components, position, velocity
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -66,7 +66,7 @@ def _bar_tension(run: Trajectory) -> Array:
     return np.asarray(-np.sum(force * _point(run), axis=1) / LENGTH)
 
 
-FIGURES: dict[str, Figure] = {
+FIGURES: dict[str, Quantity] = {
     **components(("x", "y"), _point),
     **components(("vx", "vy"), lambda run: velocity(run, "dumbbell", POINT)),
     "bar_tension": _bar_tension,

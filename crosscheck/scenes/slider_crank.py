@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from crosscheck.scenes.measure import Figure, angle, angular_velocity, position, velocity
+from crosscheck.scenes.measure import Quantity, angle, angular_velocity, position, velocity
 from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -89,7 +89,7 @@ def _turning(mechanism: Mechanism) -> State:
 
 CENTER: Array = np.zeros(3)
 
-FIGURES: dict[str, Figure] = {
+FIGURES: dict[str, Quantity] = {
     "crank_angle": lambda run: angle(run, "crank", X),
     "crank_omega": lambda run: angular_velocity(run, "crank") @ X,
     "slider_x": lambda run: position(run, "slider", CENTER)[:, 0],

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.scenes.measure import Figure, angular_velocity, components, position, quaternion, velocity
+from crosscheck.scenes.measure import Quantity, angular_velocity, components, position, quaternion, velocity
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Cylindrical, Universal
@@ -101,14 +101,14 @@ def _part(name: str, end: Array, along: Array, radii: tuple[float, float]) -> Bo
 CENTER = np.zeros(3)
 
 
-def _leg_length(k: int) -> Figure:
+def _leg_length(k: int) -> Quantity:
     def length(run: Trajectory) -> Array:
         return np.asarray(np.linalg.norm(position(run, "platform", PLATFORM[k] - HOME) - BASE[k], axis=1))
 
     return length
 
 
-FIGURES: dict[str, Figure] = {
+FIGURES: dict[str, Quantity] = {
     **components(("x", "y", "z"), lambda run: position(run, "platform", CENTER)),
     **components(("vx", "vy", "vz"), lambda run: velocity(run, "platform", CENTER)),
     **components(("q0", "q1", "q2", "q3"), lambda run: quaternion(run, "platform")),

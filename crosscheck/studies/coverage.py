@@ -21,7 +21,7 @@ import click
 import numpy as np
 
 from crosscheck.comparison.coverage import Coverage, coverage
-from crosscheck.comparison.rows import Row
+from crosscheck.comparison.figure import Figure
 from crosscheck.comparison.runs import compare_runs
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.errors import CrosscheckError
@@ -80,7 +80,7 @@ def check(scene: Scene, engine: str = "pinocchio") -> Checked:
     return Checked(said, (*wrong, *(f"{name} was not changed" for name in tested)))
 
 
-def _trajectories(scene: Scene, own: Engine, other: Engine, planted: Scene) -> Iterator[Row]:
+def _trajectories(scene: Scene, own: Engine, other: Engine, planted: Scene) -> Iterator[Figure]:
     """The level of trajectories between two engines, the other one of which has another scene."""
     name = "changed"
     engines = [

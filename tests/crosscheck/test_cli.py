@@ -12,7 +12,7 @@ from dataclasses import replace
 import pytest
 from command_line import check_refused, command, run, scene_file
 
-from crosscheck.comparison.levels import LEVELS, Row
+from crosscheck.comparison.levels import LEVELS, Figure
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from newton_euler.model.trajectory import load_arrays
@@ -249,7 +249,7 @@ def test_what_nobody_foresaw_is_one_line_and_what_there_is_is_kept(tmp_path, cap
 
 
 def test_a_figure_that_is_not_a_number_is_none(tmp_path, capsys, good, monkeypatch):
-    row = Row("drift", "open joints", ("mujoco",), float("nan"), 1.0, "elbow")
+    row = Figure("drift", "open joints", ("mujoco",), float("nan"), 1.0, "elbow")
     monkeypatch.setattr(
         "crosscheck.run.stages", lambda *_: {"comparing": lambda _: [row, replace(row, value=0.5)]}
     )
@@ -281,7 +281,7 @@ def test_one_engine_alone_agrees_with_nobody(tmp_path, capsys, good):
 
 
 def test_one_engine_alone_can_fail(tmp_path, capsys, good, monkeypatch):
-    row = Row("drift", "open joints, m or rad", ("mujoco",), 2.0, 1.0, "elbow at 0 s")
+    row = Figure("drift", "open joints, m or rad", ("mujoco",), 2.0, 1.0, "elbow at 0 s")
     monkeypatch.setattr("crosscheck.run.stages", lambda *_: {"comparing": lambda _: [row]})
     path = scene_file(tmp_path, good)
     status, out, _ = run(capsys, "run", path, "--engines", "mujoco", "--output", tmp_path / "out")

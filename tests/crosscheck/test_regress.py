@@ -12,7 +12,7 @@ import pytest
 import yaml
 from command_line import run
 
-from crosscheck.comparison.rows import OWN_ERROR
+from crosscheck.comparison.figure import OWN_ERROR
 from crosscheck.regress import measure
 from crosscheck.regress import run as regress
 from crosscheck.regress.baseline import Record, StoredFigure

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from crosscheck.comparison.figure import Figure
 from crosscheck.comparison.levels import compare
-from crosscheck.comparison.rows import Row
 from crosscheck.engines import ENGINES, Engine
 from newton_euler.model.scene import Scene
 
 ALL = tuple(ENGINES.values())
 
 
-def verdicts(scene: Scene, engines: Sequence[Engine] = ALL, states: int = 3) -> list[Row]:
+def verdicts(scene: Scene, engines: Sequence[Engine] = ALL, states: int = 3) -> list[Figure]:
     """All figures of the engines' runs and of their equations at some random states."""
     return compare(scene, engines, {engine.name: engine.simulate(scene) for engine in engines}, states)
 
 
-def figure(rows: Iterable[Row], level: str, quantity: str, *between: str) -> Row:
+def figure(rows: Iterable[Figure], level: str, quantity: str, *between: str) -> Figure:
     """The one figure of that name."""
     (row,) = (row for row in rows if (row.level, row.quantity, row.between) == (level, quantity, between))
     return row

@@ -10,8 +10,8 @@ from itertools import combinations
 import numpy as np
 
 from crosscheck.comparison.diagnosis import Diagnosis, diagnose
+from crosscheck.comparison.figure import Figure
 from crosscheck.comparison.levels import EQUATION_LEVELS, Level, compare_pair
-from crosscheck.comparison.rows import Row
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.errors import CrosscheckError
@@ -38,7 +38,7 @@ REFUSED = "refused"
 
 
 @dataclass(frozen=True)
-class Sighting(Row):
+class Sighting(Figure):
     """The first figure that shows a fault; of one at the level `REFUSED` the quantity is the error's text.
 
     Attributes:
@@ -48,9 +48,9 @@ class Sighting(Row):
     odd: str = ""
 
     @classmethod
-    def of(cls, figure: Row | Diagnosis, odd: str = "") -> Sighting:
+    def of(cls, figure: Figure | Diagnosis, odd: str = "") -> Sighting:
         """A figure that fails, or the one that a diagnosis is about."""
-        between = figure.between if isinstance(figure, Row) else figure.parting
+        between = figure.between if isinstance(figure, Figure) else figure.parting
         place = figure.value, figure.tolerance, figure.where
         return cls(figure.level, figure.quantity, between, *place, odd=odd)
 
@@ -197,13 +197,13 @@ class Sound:
 
     def _compared(
         self, pair: tuple[str, str], samples: dict[str, Samples], levels: Sequence[Level]
-    ) -> Iterator[Row]:
+    ) -> Iterator[Figure]:
         return compare_pair(pair, [samples[pair[0]]], [samples[pair[1]]], levels)
 
     def diagnosed(self, name: str, faulty: Samples, levels: Sequence[Level]) -> Sighting | None:
         """Diagnose all engines, one of them with other samples; None if they agree."""
         samples = self._samples | {name: faulty}
-        rows: list[Row] = []
+        rows: list[Figure] = []
         try:
             for pair, known in self._rows.items():
                 rows += self._compared(pair, samples, levels) if name in pair else known

@@ -23,7 +23,7 @@ from crosscheck.advice.measured import distance
 from crosscheck.advice.redundancy import redundancy_advice
 from crosscheck.advice.scope import scope_advice
 from crosscheck.advice.soft import fitting, soft_advice
-from crosscheck.comparison.levels import Row
+from crosscheck.comparison.levels import Figure
 from crosscheck.comparison.reactions import undetermined_joints
 from crosscheck.comparison.runs import rests
 from crosscheck.engines import ENGINES, choose
@@ -41,9 +41,9 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.verification.import_report import ImportReport
 
-AGREED = Row("model", "mass, rel", ("newton_euler", "mujoco"), 0.0, 1e-12, "bar")
+AGREED = Figure("model", "mass, rel", ("newton_euler", "mujoco"), 0.0, 1e-12, "bar")
 MODEL_APART = replace(AGREED, value=1.0)
-RUNS_APART = Row("trajectories", "positions, m", ("newton_euler", "mujoco"), 1.0, 1e-9, "bar at 1 s")
+RUNS_APART = Figure("trajectories", "positions, m", ("newton_euler", "mujoco"), 1.0, 1e-9, "bar at 1 s")
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def runs(loop: Scene) -> dict[str, Trajectory]:
     return {engine.name: engine.simulate(loop) for engine in choose(["newton_euler", "mujoco"])}
 
 
-def found(scene: Scene, runs: dict[str, Trajectory], *rows: Row) -> Found:
+def found(scene: Scene, runs: dict[str, Trajectory], *rows: Figure) -> Found:
     return Found(scene, "a_scene", [ENGINES[name] for name in runs], runs, rows or (AGREED,))
 
 

@@ -19,8 +19,8 @@ from crosscheck.against import compare
 from crosscheck.against.bodies import merge_fixed
 from crosscheck.against.compare import Against, Model, against
 from crosscheck.against.levels import functions_apart
+from crosscheck.comparison.figure import LEVELS, START
 from crosscheck.comparison.reactions import undetermined, undetermined_in_both
-from crosscheck.comparison.rows import LEVELS, START
 from crosscheck.scenes.write_file import write_scene
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant

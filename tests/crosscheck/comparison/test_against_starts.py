@@ -12,7 +12,7 @@ from test_against import FAULT, ROUND_OFF, compared, first_failing
 from test_two_ways import DURATION, PERIOD, states_of, whole
 
 import mjcf.read
-from crosscheck.comparison.rows import START
+from crosscheck.comparison.figure import START
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
 from newton_euler import Mechanism, Scene

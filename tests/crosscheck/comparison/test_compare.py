@@ -14,7 +14,7 @@ from verdicts import ALL, figure, verdicts
 import crosscheck.comparison.samples
 import mjcf
 import mjcf.read
-from crosscheck.comparison.levels import LEVELS, Row, compare, compare_equations, not_compared, sampled
+from crosscheck.comparison.levels import LEVELS, Figure, compare, compare_equations, not_compared, sampled
 from crosscheck.comparison.momentum import momentum_row
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import ENGINES
@@ -327,7 +327,7 @@ def test_a_mass_matrix_without_a_condition_is_named(monkeypatch):
 
 
 def test_a_figure_that_informs_is_not_judged():
-    row = Row("drift", "open joints, m or rad", ("mujoco",), 0.5, 1e-2, "pin")
+    row = Figure("drift", "open joints, m or rad", ("mujoco",), 0.5, 1e-2, "pin")
     assert not row.agrees
     assert replace(row, informs=True).agrees
     assert not replace(row, value=float("nan")).agrees

@@ -15,8 +15,8 @@ import mjcf.read
 import newton_euler
 import urdf
 from crosscheck.comparison.diagnosis import FILE, READING, diagnose
+from crosscheck.comparison.figure import LEVELS, Figure
 from crosscheck.comparison.levels import compare_equations
-from crosscheck.comparison.rows import LEVELS, Row
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.each_run import as_far_as_it_goes
 from crosscheck.engines import ENGINES
@@ -42,7 +42,7 @@ RIGID = [replace(engine, soft_start=None) for engine in ENGINES.values()]
 
 
 def row(level, between, value, tolerance=1.0, quantity="a"):
-    return Row(level, quantity, tuple(between), value, tolerance, "bar")
+    return Figure(level, quantity, tuple(between), value, tolerance, "bar")
 
 
 def pairs(level, *values, quantity="a"):

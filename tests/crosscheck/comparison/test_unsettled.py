@@ -10,7 +10,7 @@ import pytest
 from mechanisms import pendulum
 from verdicts import figure, verdicts
 
-from crosscheck.comparison.rows import not_judged
+from crosscheck.comparison.figure import not_judged
 from crosscheck.engines import ENGINES
 from crosscheck.report.output import write
 from crosscheck.report.page import write_report

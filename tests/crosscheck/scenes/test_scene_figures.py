@@ -11,8 +11,8 @@ from command_line import command, run
 
 import newton_euler
 from crosscheck import engines, run_all
+from crosscheck.comparison.figure import OWN_ERROR, UNRESOLVED
 from crosscheck.comparison.known_figures import ROUND_OFF, known_of, measure
-from crosscheck.comparison.rows import OWN_ERROR, UNRESOLVED
 from crosscheck.errors import CrosscheckError
 from crosscheck.run_all import Outcome, Worst, outcome, outcome_lines, outcomes_table
 from crosscheck.scenes import FIGURES, load

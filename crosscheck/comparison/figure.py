@@ -1,4 +1,4 @@
-"""What a comparison yields: rows of figures, each at one of the levels."""
+"""Figures that a comparison yields, each with its tolerance, at one of the levels."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def round_off(condition: float, noise: float = 0.0) -> float:
 
 
 @dataclass(frozen=True)
-class Row:
-    """One compared figure.
+class Figure:
+    """A compared value, its tolerance, and where it is worst.
 
     Attributes:
         level: one of `LEVELS`, or `START`.
@@ -95,16 +95,16 @@ class Row:
         return self.informs or bool(self.value <= self.tolerance)
 
 
-def worst_row(
+def worst_figure(
     level: str, quantity: str, between: tuple[str, ...], gap: Array, tolerance: float, names: Sequence[str]
-) -> Row:
+) -> Figure:
     """The largest of gaps (n,), or (m, n) at m states, of what goes by n names."""
     each = gap.max(axis=0) if gap.ndim == 2 else gap
     where = int(np.argmax(each))
-    return Row(level, quantity, between, float(each[where]), tolerance, names[where])
+    return Figure(level, quantity, between, float(each[where]), tolerance, names[where])
 
 
-def in_full(parts: Iterable[Iterator[Row]]) -> Iterator[Row]:
+def in_full(parts: Iterable[Iterator[Figure]]) -> Iterator[Figure]:
     """The rows of all parts, each as far as it goes; then raises the first error that ended one."""
     errors = []
     for part in parts:
@@ -116,7 +116,7 @@ def in_full(parts: Iterable[Iterator[Row]]) -> Iterator[Row]:
         raise errors[0]
 
 
-def not_judged(rows: Sequence[Row]) -> str:
+def not_judged(rows: Sequence[Figure]) -> str:
     """What a verdict says of figures that are not judged; empty if there are none."""
     found = [row.unsettled for row in rows if row.unsettled]
     names = list(dict.fromkeys(found))
@@ -125,7 +125,7 @@ def not_judged(rows: Sequence[Row]) -> str:
     return f"; {count} not judged: {' and '.join(names)} {are} {NOT_NEARER}" if found else ""
 
 
-def not_compared(rows: Sequence[Row]) -> Iterator[str]:
+def not_compared(rows: Sequence[Figure]) -> Iterator[str]:
     """A line for each pair that parts: at which level, and that those after it were not compared."""
     levels = (*LEVELS[:2], START, *LEVELS[2:])
     pairs = (row.between for row in rows if len(row.between) == 2 and FILE not in row.between)
