@@ -80,9 +80,9 @@ class MjcfOriginal(Original):
         self._group(scene)
         self._measure(scene)
         self.unaccounted = tuple(unaccounted(self._model, self._roots, report))
-        self.start = self.aligned(self.closed(self.stated[0])[0], scene)
+        self.begin(scene)
         self._leave_out(report)
-        self.start = self.aligned(self.closed(self.start)[0], scene)
+        self.keep_offsets()
 
     def _place(self, key: str | None) -> None:
         model, names = self._model, [self._model.key(k).name or f"{k}" for k in range(self._model.nkey)]
@@ -111,13 +111,14 @@ class MjcfOriginal(Original):
         hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
         self.size = scene.mechanism.size
         self.motions = tuple(name_of(self._model, "joint", int(k)) for k in model.dof_jntid)
-        self.units = np.where(slides[model.dof_jntid], self.size, 1.0)
+        self.lengths = slides[model.dof_jntid]
         self.ranges = np.full(model.nv, 3.0)
         for dof, joint in enumerate(model.dof_jntid.tolist()):
             if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and dof < model.jnt_dofadr[joint] + 3:
-                self.units[dof] = self.size
+                self.lengths[dof] = True
             if np.sum(hinges & (model.jnt_bodyid == model.jnt_bodyid[joint])) > 1:
                 self.ranges[dof] = SEVERAL_HINGES
+        self.units = np.where(self.lengths, self.size, 1.0)
 
     def _leave_out(self, report: ImportReport) -> None:
         """Switch off or replace what a report says is not in the scene as it is, at the start."""
@@ -193,6 +194,11 @@ class MjcfOriginal(Original):
         step = np.zeros(self._model.nv)
         mujoco.mj_differentiatePos(self._model, step, 1.0, q, other)
         return step
+
+    def points(self, q: Array) -> Array:
+        """(k, 3) centers of mass and places of joints of all that moves, m."""
+        self._go(q, np.zeros(self._model.nv))
+        return np.concatenate([self._data.xipos[self._model.body_weldid != 0], self._data.xanchor])
 
     def mass_properties(self) -> MassProperties:
         """Of the rigid groups at the start."""
@@ -277,6 +283,45 @@ class MjcfOriginal(Original):
                 sums = model.wrap_type[model.tendon_adr[first]] == mujoco.mjtWrap.mjWRAP_JOINT
                 return np.ones(1) if sums else np.full(1, size)
         return np.ones(0)  # flexes have no joints
+
+    def keep_offsets(self) -> None:
+        """Let each equality be closed where it is at the start, its second end put to the first."""
+        model, data, residuals = self._model, self._data, self.constraints(self.start).residual
+        residuals = residuals * self._row_units
+        for k in np.flatnonzero(self._active).tolist():
+            kind, values = mujoco.mjtEq(model.eq_type[k]), model.eq_data[k]
+            if kind in (mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON):
+                values[0] += residuals[self._row_owners == k][0]
+            elif kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
+                point = self._first_end(k)
+                ends = self._bodies_of(k)
+                first, second = (data.xmat[body].reshape(3, 3).T @ (point - data.xpos[body]) for body in ends)
+                model.eq_objtype[k] = mujoco.mjtObj.mjOBJ_BODY
+                model.eq_obj1id[k], model.eq_obj2id[k] = ends
+                if kind == mujoco.mjtEq.mjEQ_CONNECT:
+                    values[:6] = [*first, *second]
+                    continue
+                back, turn = np.zeros(4), np.zeros(4)
+                mujoco.mju_negQuat(back, data.xquat[ends[0]])
+                mujoco.mju_mulQuat(turn, back, data.xquat[ends[1]])
+                values[:TORQUE_SCALE] = [*second, *first, *turn]
+
+    def _bodies_of(self, equality: int) -> tuple[int, int]:
+        """MuJoCo's bodies of a connect or weld."""
+        model = self._model
+        ends = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
+        if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
+            return int(model.site_bodyid[ends[0]]), int(model.site_bodyid[ends[1]])
+        return ends
+
+    def _first_end(self, equality: int) -> Array:
+        """(3,) the point of a connect or weld on its first body, world frame."""
+        model, data, first = self._model, self._data, int(self._model.eq_obj1id[equality])
+        if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
+            return np.array(data.site_xpos[first])
+        place = 0 if model.eq_type[equality] == mujoco.mjtEq.mjEQ_CONNECT else 3
+        arm = model.eq_data[equality, place : place + 3]
+        return np.asarray(data.xpos[first] + data.xmat[first].reshape(3, 3) @ arm)
 
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
         """(nv, nv) of the bodies, and of the rotors."""

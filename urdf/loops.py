@@ -52,6 +52,10 @@ class Loops:
     coupled: tuple[dict[str, float], ...]
 
 
+NO_LOOPS = Loops("", (), (), (), (), (), ())
+"""Of a URDF without a loop file."""
+
+
 def parse_loops(text: str, source: str) -> Loops:
     """Read the text of a loop file named `source`.
 

@@ -25,7 +25,7 @@ from newton_euler.verification.import_report import (
     unique_name,
 )
 from newton_euler.verification.original import Constraints, Forces, Kinematics, Original, Sample, wholes
-from urdf.loops import UNIVERSAL, Loops
+from urdf.loops import NO_LOOPS, UNIVERSAL, Loops, parse_loops
 
 SEVERAL_HINGES = 1.2
 """rad, that hinges in a row without a mass between them are moved from the start, see `mjcf.original`."""
@@ -36,38 +36,45 @@ HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 class UrdfOriginal(Original):
     """A URDF and its loop file."""
 
-    def __init__(self, text: str, loops: Loops, base: str, report: ImportReport, scene: Scene) -> None:
-        """Parse.
+    def __init__(
+        self,
+        text: str,
+        loops: str | None,
+        base: str,
+        gravity: Sequence[float],
+        report: ImportReport,
+        scene: Scene,
+    ) -> None:
+        """Parse both files.
 
         Args:
             text: of the URDF.
-            loops: what the loop file says.
-            base: as of `urdf.read.read`.
+            loops: text of the loop file; None if there is none.
+            base, gravity: as of `urdf.read.read`.
             report: of the reading.
-            scene: what was read; its initial pose is the start, and its gravity the file's, which has none.
+            scene: what was read; its initial pose says which of the closed ones is the start.
         """
-        self._root, self._loops = ET.fromstring(text), loops
-        self._model, self._of = _built(text, loops, base)
-        self._data: Any = self._model.createData()
-        self._model.gravity.linear = np.array(scene.gravity)
+        self._root = ET.fromstring(text)
+        self._loops = parse_loops(loops, "loop file") if loops is not None else NO_LOOPS
+        self._model, self._of = _built(text, self._loops, base)
+        self._model.gravity.linear = np.array(gravity)
         self._without = left_out(report)
         self._damping = self._dampers()
         self._name(scene)
         self._lengths: list[float] = []
         self.unaccounted = tuple(self._unaccounted(report))
+        self._pairs = self._ends()
+        self._data: Any = self._model.createData()
         self._couple()
         guess = np.zeros(self._model.nv)
         for _ in self._followers:  # of followers of followers too
             for follower, driver, multiplier, offset in self._followers:
                 guess[follower] = multiplier * guess[driver] + offset
-        neutral = pin.neutral(self._model)
-        self.start = self.aligned(self.moved(neutral, guess), scene)
-        self._lengths = [float(np.linalg.norm(d)) for d in self._rods(self.start)[0]]
-        # angles of continuous joints are known within a turn
-        at = self._rows @ pin.difference(self._model, neutral, self.start) - self._offsets
-        turn = 2.0 * np.pi * np.abs(self._turns)
-        self._open = at - turn * np.round(at / np.where(turn > 0.0, turn, np.inf))
-        self.start = self.closed(self.start)[0]
+        self._from = self.moved(pin.neutral(self._model), guess)
+        self._open = self._rows @ guess - self._offsets
+        self.stated = self._from, np.zeros(self._model.nv)
+        self.begin(scene)
+        self.keep_offsets()
 
     def _name(self, scene: Scene) -> None:
         model, self.size = self._model, scene.mechanism.size
@@ -78,17 +85,18 @@ class UrdfOriginal(Original):
             taken.append(unique_name(str(next(bodies, model.frames[0]).name), f"body_{k}", taken))
         self.names = wholes(taken[1:], scene.mechanism.body_names)
         massless = {k for k in range(1, model.njoints) if k not in self._joints}
-        self.units, self.ranges = np.ones(model.nv), np.full(model.nv, 3.0)
+        self.ranges = np.full(model.nv, 3.0)
         names = [""] * model.nv
         data, neutral = model.createData(), pin.neutral(model)
         columns = np.reshape(pin.computeJointJacobians(model, data, neutral), (6, model.nv))
         for k in range(1, model.njoints):
             place = slice(model.joints[k].idx_v, model.joints[k].idx_v + model.joints[k].nv)
             names[place] = [f"joint {self._of[k]!r}"] * model.joints[k].nv
-            self.units[place] = np.where(np.any(columns[3:, place] != 0.0, axis=0), 1.0, self.size)
             if k in massless or model.parents[k] in massless:
                 self.ranges[place] = SEVERAL_HINGES
         self.motions = tuple(names)
+        self.lengths = ~np.any(columns[3:] != 0.0, axis=0)
+        self.units = np.where(self.lengths, self.size, 1.0)
 
     def _dampers(self) -> Array:
         """(nv,) of the URDF's joints that have one motion."""
@@ -134,10 +142,6 @@ class UrdfOriginal(Original):
         self._rows, self._owners = np.reshape(rows, (-1, model.nv)), owners
         scale = np.max(np.abs(self._rows * self.units), axis=1, initial=0.0)
         self._rows, self._offsets = self._rows / scale[:, None], np.array(offsets) / scale
-        first = [int(np.flatnonzero(row)[0]) for row in self._rows]
-        angles = [bool(k == 1.0) for k in self.units[first]]
-        self._turns = np.where(angles, self._rows[np.arange(len(first)), first], 0.0)
-        self._open = np.zeros(len(first))
 
     def _unaccounted(self, report: ImportReport) -> Iterator[str]:
         """Elements that a report says nothing of, or not what is outside of rigid dynamics."""
@@ -172,6 +176,14 @@ class UrdfOriginal(Original):
     def difference(self, q: Array, other: Array) -> Array:
         """(nv,) the step from one configuration to another."""
         return np.asarray(pin.difference(self._model, q, other))
+
+    def points(self, q: Array) -> Array:
+        """(k, 3) centers of mass and places of joints of all that moves, m."""
+        model, data = self._model, self._data
+        pin.forwardKinematics(model, data, q)
+        placed = list(zip(list(data.oMi)[1:], list(model.inertias)[1:], strict=True))
+        centers = [pose.act(inertia.lever) for pose, inertia in placed]
+        return np.array([*centers, *(pose.translation for pose, _ in placed)])
 
     def mass_properties(self) -> MassProperties:
         """Of the links of each joint at the start."""
@@ -209,10 +221,9 @@ class UrdfOriginal(Original):
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacements(model, data)
         residuals, rows, owners = [np.zeros(0)], [np.zeros((0, model.nv))], list[str]()
-        for pair, kind in zip(self._loops.closed_loop, self._loops.type, strict=True):
+        for pair, kind, (first, second) in self._closures():
             if kind == "rod":
                 continue
-            first, second = (self._frame(name) for name in pair)
             a, b = data.oMf[first], data.oMf[second]
             apart = self._moving(first) - self._moving(second)
             residuals.append((a.translation - b.translation) / self.size)
@@ -223,30 +234,53 @@ class UrdfOriginal(Original):
                 rows.append(-pin.Jlog3(turn) @ b.rotation.T @ apart[3:])
             owners += [f"closed_loop {' and '.join(pair)}"] * (6 if kind == "6d" else 3)
         lines, across, names = self._rods(q)
-        for d, row, length, name in zip(lines, across, self._lengths, names, strict=True):
+        # rods have no lengths before the start is found
+        for length, d, row, name in zip(self._lengths, lines, across, names, strict=False):
             residuals.append(np.array([np.linalg.norm(d) - length]) / self.size)
             rows.append((d / np.linalg.norm(d) @ row)[None] / self.size)
             owners.append(name)
-        residuals.append(self._rows @ pin.difference(model, self.start, q) + self._open)
+        residuals.append(self._rows @ pin.difference(model, self._from, q) + self._open)
         jacobian = np.concatenate([*rows, self._rows]) * self.units
         return Constraints(np.concatenate(residuals), jacobian, [*owners, *self._owners])
 
     def _rods(self, q: Array) -> tuple[list[Array], list[Array], list[str]]:
-        """Lines (3,) of the rods, their rates (3, nv), and their names; none before they have lengths."""
+        """Lines (3,) of the rods, their rates (3, nv), and their names."""
         model, data = self._model, self._data
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacements(model, data)
         lines, rows, names = list[Array](), list[Array](), list[str]()
-        for pair, kind in zip(self._loops.closed_loop, self._loops.type, strict=True):
+        for pair, kind, (first, second) in self._closures():
             if kind == "rod":
-                first, second = (self._frame(name) for name in pair)
                 lines.append(data.oMf[second].translation - data.oMf[first].translation)
                 rows.append((self._moving(second) - self._moving(first))[:3])
                 names.append(f"closed_loop {' and '.join(pair)}")
         return lines, rows, names
 
-    def _frame(self, name: str) -> int:
-        return next(k for k, frame in enumerate(self._model.frames) if frame.name == name)
+    def keep_offsets(self) -> None:
+        """Let each constraint be closed where it is at the start, its second frame put to the first."""
+        model, data = self._model, self._data
+        self._lengths = [float(np.linalg.norm(d)) for d in self._rods(self.start)[0]]
+        for _, kind, (first, second) in self._closures():
+            if kind != "rod":
+                joint = data.oMi[model.frames[second].parentJoint]
+                wanted = data.oMf[first] if kind == "6d" else pin.SE3(np.eye(3), data.oMf[first].translation)
+                model.frames[second].placement = joint.actInv(wanted)
+        self._from, self._open = self.start, np.zeros(len(self._open))
+        self._data = model.createData()
+
+    def _ends(self) -> list[tuple[int, int]]:
+        """Frames of each closure; the second is its own."""
+        frames = {frame.name: k for k, frame in reversed(list(enumerate(self._model.frames)))}
+        found = []
+        for number, (first, second) in enumerate(self._loops.closed_loop):
+            copied = pin.Frame(self._model.frames[frames[second]])
+            copied.name, copied.inertia = f"end of closed_loop {number}", pin.Inertia.Zero()
+            found.append((frames[first], int(self._model.addFrame(copied, False))))
+        return found
+
+    def _closures(self) -> Iterator[tuple[tuple[str, str], str, tuple[int, int]]]:
+        """Names of the frames of each closure, its type, and its frames."""
+        return zip(self._loops.closed_loop, self._loops.type, self._pairs, strict=True)
 
     def _moving(self, frame: int) -> Array:
         """(6, nv) velocity of a frame's origin, and angular, in the world."""

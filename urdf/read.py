@@ -41,11 +41,11 @@ from newton_euler.verification.import_report import (
 )
 from newton_euler.verification.verify import check
 from urdf.errors import UrdfError
-from urdf.loops import Loops
+from urdf.loops import NO_LOOPS, Loops
 from urdf.model import BASES, ClosedLoopModel, build
 from urdf.original import UrdfOriginal
 from urdf.reading.bodies import Tree
-from urdf.reading.source import SourceError, check_inertias, parsed, read_loops, read_text
+from urdf.reading.source import SourceError, check_inertias, parsed, read_loop_text, read_loops, read_text
 from urdf.reading.start import Mimic, Start
 from urdf.reading.visuals import dressed
 
@@ -109,9 +109,10 @@ def read(
     text = read_text(where)
     root = parsed(where, text)
     text = _without_declaration(text)
-    closing = Loops("", (), (), (), (), (), ())
+    closing, loop_text = NO_LOOPS, None
     if loops is not None:
-        closing = read_loops(os.fspath(loops))
+        loop_text = read_loop_text(os.fspath(loops))
+        closing = read_loops(os.fspath(loops), loop_text)
     words: list[str] = []
     try:
         with _overheard(words):
@@ -129,7 +130,8 @@ def read(
         )
         scene = replace(scene, redundancy_tolerance=redundancy_tolerance)
         with np.errstate(all="ignore"):  # what overflows is refused
-            report.originals.append((UrdfOriginal(text, closing, base, report, scene), scene))
+            original = UrdfOriginal(text, loop_text, base, gravity, report, scene)
+            report.originals.append((original, scene))
         if verified:
             report.start.append(check(report))
         if exercise:

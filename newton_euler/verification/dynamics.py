@@ -94,7 +94,8 @@ def _acceleration_figures(placed: Placed, found: Sequence[Evaluation]) -> Iterat
     doubts = [sample.freedom.doubt for sample in original.samples if sample.freedom.doubt > FREE]
     spread = max((np.finfo(float).eps / (ROUND_OFF * doubt) for doubt in doubts), default=0.0)
     scale = (LOSS + spread) * largest(original, scales)
-    yield row_figure(original, "accelerations, as forces, rel", left, scale, of_motion=True)
+    limits = [sample.tolerance_of_motion for sample in original.samples]
+    yield row_figure(original, "accelerations, as forces, rel", left, scale, limits)
 
 
 def _own_acceleration(placed: Placed, place: Place, accelerations: Array) -> tuple[Array, Figure]:

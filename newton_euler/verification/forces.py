@@ -62,7 +62,8 @@ def _force_figure(
             ways = ([unit] * len(moved), springs, dampers)
             yield name, [_reduced(original, forces) for forces in ways]
 
-    return row_figure(original, f"{KINDS[kind]}, rel", left, largest(original, scales), alone, at_joints)
+    scale = largest(original, scales)
+    return row_figure(original, f"{KINDS[kind]}, rel", left, scale, placed.limits, alone, at_joints)
 
 
 def _armature_figure(placed: Placed) -> Figure:
@@ -84,8 +85,15 @@ def _armature_figure(placed: Placed) -> Figure:
         for name, each in original.rotors(original.samples):
             yield name, [relative(_reduced(original, each))]
 
+    def at_other_joints() -> Alone:
+        """Armatures that went to another joint."""
+        units = [np.diag(unit) for unit in np.eye(len(original.motions))]
+        others = [relative(_reduced(original, [unit] * len(original.samples))) for unit in units]
+        for name, (own,) in alone():
+            yield from ((name, [own, other]) for other in others)
+
     left = relative([one - two for one, two in zip(found, wanted, strict=True)])
-    return row_figure(original, "armatures, rel", left, scale, alone)
+    return row_figure(original, "armatures, rel", left, scale, placed.limits, alone, at_other_joints)
 
 
 def _reduced(original: Original, of_velocities: Sequence[Array]) -> list[Array]:
@@ -111,23 +119,21 @@ def row_figure(
     quantity: str,
     left: Sequence[Array],
     scale: Array,
+    limits: Sequence[float],
     *alone: Callable[[], Alone],
-    of_motion: bool = False,
 ) -> Figure:
-    """Differences at each sample, (d,) or (d, d), relative to (nv,) the largest there is.
+    """Differences at each sample, (d,) or (d, d), relative to (nv,) the largest there is, and their limits.
 
     If they are not round-off the element is named that explains most of them, of the first of the kinds
     `alone` that has any.
     """
     found, weights = [], []
-    for gap, sample in zip(left, original.samples, strict=True):
+    for gap, sample, limit in zip(left, original.samples, limits, strict=True):
         weights.append(1.0 / positive(scale[sample.freedom.rows]))
         shares = (np.abs(gap).T * weights[-1]).T
         shares = shares.max(axis=1, initial=0.0) if shares.ndim == 2 else shares
         names = [original.motions[k] for k in sample.freedom.rows]
-        found.append(
-            figure(quantity, shares, sample.tolerance_of_motion if of_motion else sample.tolerance, names)
-        )
+        found.append(figure(quantity, shares, limit, names))
     most = worst(found)
     named = (_most_alike(left, weights, elements()) for elements in alone)
     return most if most.agrees else most._replace(where=next(filter(None, named), most.where))

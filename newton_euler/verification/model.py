@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import couplings, residuals
 from newton_euler.equations.dense import least_squares, singular_values
 from newton_euler.equations.system import MassProperties, dimensionless_jacobian
@@ -16,9 +15,6 @@ from newton_euler.verification.original import FREE, ROUND_OFF
 from newton_euler.verification.placed import Place, Placed, shifted
 
 PLACES = "center of mass at the start, m"
-
-ENOUGH = 10.0
-"""Times as far as the verification moves a start to close loops, that a reader may."""
 
 ARMS = 1e3
 """Times as large as round-off an inertia's may be that is a difference of places in the world."""
@@ -33,31 +29,13 @@ def body_figures(placed: Placed) -> Iterator[Figure]:
     reach = original.size + float(np.max(np.abs(wanted.center_of_mass)))
     yield figure("mass, rel", np.abs(found.mass / wanted.mass - 1.0), ROUND_OFF, names)
     gaps = np.linalg.norm(found.center_of_mass - wanted.center_of_mass, axis=1)
-    yield figure(PLACES, gaps, reach * (ROUND_OFF + 10.0 * original.samples[0].opening), names)
+    kept = np.max(np.abs(original.open[1].residual), initial=0.0) if placed.halved else 0.0
+    yield figure(PLACES, gaps, reach * (ROUND_OFF + 10.0 * kept), names)
     largest = np.linalg.norm(wanted.inertia, ord=2, axis=(1, 2))
     gaps = np.linalg.norm(found.inertia - wanted.inertia, ord=2, axis=(1, 2)) / largest
     arms = np.clip(wanted.mass * original.size * reach / largest, 1.0, ARMS)
     yield figure("inertia, rel", gaps, ROUND_OFF * arms, names)
     yield _mass_matrix_figure(placed, stated)
-
-
-def start_figures(placed: Placed) -> Iterator[Figure]:
-    """Pose and velocities of the start against those of the file, as far as these fit its loops."""
-    original, place = placed.original, placed.places[0]
-    if original.stated is None:
-        return
-    (q, v), sample = original.stated, place.sample
-    closing = np.abs(original.difference(q, original.closed(q)[0])) / original.units
-    away = np.abs(original.difference(q, original.start)) / original.units
-    limit = sample.tolerance_of_motion + ENOUGH * float(np.max(closing, initial=0.0))
-    yield figure("start, sizes or rad", away, limit, original.motions)
-    state, v = initial_state(placed.scene), v / original.units
-    reached = placed.of_parts(np.hstack([state.linear_velocity, state.angular_velocity]).ravel())
-    own = least_squares(place.of_parts / placed.part_units[:, None] * original.units, reached)
-    scale = max(1.0, float(np.max(np.abs(v), initial=0.0)))
-    opening = float(np.max(np.abs(sample.constraints.jacobian @ v), initial=0.0)) / scale
-    limit = sample.tolerance_of_motion + ENOUGH * sample.freedom.condition * opening
-    yield figure("velocities at the start, rel", np.abs(own - v) / scale, limit, original.motions)
 
 
 def _moving(properties: MassProperties) -> MassProperties:
@@ -85,8 +63,7 @@ def _mass_matrix_figure(placed: Placed, stated: MassProperties) -> Figure:
     """
     original, (centers, turns) = placed.original, placed.first
     found, quantity = [], "mass matrix, loops open, rel"
-    whole = len(placed.parts) == len(placed.bodies)
-    for sample in original.far if whole else original.samples:
+    for sample in original.samples if placed.halved else original.far:
         basis, chosen = sample.freedom.basis, sample.freedom.rows
         if not len(chosen):
             continue

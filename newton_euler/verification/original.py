@@ -50,7 +50,7 @@ CLOSED = 1e-12
 
 NEWTON_STEPS = 40
 
-LONGEST_STEP = 0.3
+LONGEST_STEP = 0.2
 """rad or sizes, of one step of closing."""
 
 AMPLITUDES = (0.2, 0.6, 2.5)
@@ -166,22 +166,27 @@ class Original(ABC):
         names: rigid groups of bodies that move, by the names that a scene has for them; halves of a body that
             a loop was cut through have one name.
         motions: (nv,) what reports call the joint of each velocity.
+        lengths: (nv,) true for velocities of slides and free translations.
         units: (nv,) of velocities: the model's size for lengths, 1 for angles.
         ranges: (nv,) how far coordinates may be moved from the start, rad or sizes.
         size: m.
-        start: q where the scene starts.
-        stated: q and velocities (nv,) that the file itself starts from, loops open or not; None where it says
-            nothing of that.
+        stated: q and velocities (nv,) that the file itself starts from, loops open or not.
+        closest: q next to that where the file's own loops are closed as well as can be.
+        start: q where the scene starts, by its bodies.
+        open: constraints as the file has them at `closest` and at `start`.
         unaccounted: elements that neither the scene nor its report can be held to.
     """
 
     names: tuple[str, ...]
     motions: tuple[str, ...]
+    lengths: Array
     units: Array
     ranges: Array
     size: float
+    stated: tuple[Array, Array]
+    closest: Array
     start: Array
-    stated: tuple[Array, Array] | None = None
+    open: tuple[Constraints, Constraints]
     unaccounted: tuple[str, ...] = ()
 
     @abstractmethod
@@ -224,8 +229,36 @@ class Original(ABC):
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
         """Mass matrix (nv, nv) of each element's armature alone at each sample, by the element's name."""
 
-    def closed(self, q: Array) -> tuple[Array, float]:
-        """The configuration next to one where loops are closed as well as can be, and how well that is."""
+    @abstractmethod
+    def keep_offsets(self) -> None:
+        """Let each constraint be closed where it is at the start, its second end put to the first.
+
+        Digits of a file may not close its loops; the offset that is left at the start is the loop's, and a
+        scene keeps it.
+        """
+
+    def begin(self, scene: Scene) -> None:
+        """Find where the file's loops close next to what it states, and where the scene starts.
+
+        Readers close loops in the same metric: lengths count in the spread of centers of mass and joints.
+        """
+        q, _ = self.stated
+        points = self.points(q)
+        length = float(np.max(np.linalg.norm(points - np.mean(points, axis=0), axis=1))) or 1.0
+        self.closest = self.closed(q, np.where(self.lengths, length, 1.0))[0]
+        self.start = self.aligned(self.closest, scene)
+        self.open = self.constraints(self.closest), self.constraints(self.start)
+
+    @abstractmethod
+    def points(self, q: Array) -> Array:
+        """(k, 3) centers of mass and places of joints of all that moves, m."""
+
+    def closed(self, q: Array, metric: Array | None = None) -> tuple[Array, float]:
+        """The configuration next to one where loops are closed as well as can be, and how well that is.
+
+        Distances are in units (nv,) of a metric, those of velocities if None.
+        """
+        metric = self.units if metric is None else metric
         best, least = q, np.inf
         for _ in range(NEWTON_STEPS):
             residual, rows, _ = self.constraints(q)
@@ -236,9 +269,9 @@ class Original(ABC):
                 break
             if least <= 0.1 * CLOSED:
                 break
-            step = least_squares(rows, residual, DOUBT)
+            step = least_squares(rows * (metric / self.units), residual, DOUBT)
             step *= min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step))), CLOSED))
-            q = self.moved(q, -step * self.units)
+            q = self.moved(q, -step * metric)
         return best, least
 
     def aligned(self, q: Array, scene: Scene) -> Array:
@@ -333,7 +366,7 @@ class Sample:
     Attributes:
         original: the model.
         q, v: configuration, and velocities (nv,), SI.
-        opening: of the constraints there, in sizes or rad.
+        opening: of the constraints there, in sizes or rad, beyond the offsets that they keep.
         freedom: motions that these do not hold.
     """
 
@@ -345,16 +378,19 @@ class Sample:
 
     @property
     def tolerance(self) -> float:
-        """Relative, of forces and velocities there: round-off and what is open, times the condition."""
-        return (ROUND_OFF + 10.0 * self.opening) * self.freedom.condition
+        """Relative, of forces along independent velocities: round-off, times the condition of these.
+
+        Both sides have bodies where the file has them, however far loops are open.
+        """
+        return ROUND_OFF * self.freedom.condition
 
     @property
     def tolerance_of_motion(self) -> float:
-        """The same of motions, which are known to ten times the singular value that is in doubt.
+        """The same of motions, which are known to ten times what is open and the singular value in doubt.
 
         Each form of the equations omits another combination of the rows.
         """
-        return self.tolerance + 10.0 * self.freedom.doubt * self.freedom.condition
+        return self.tolerance + 10.0 * (self.opening + self.freedom.doubt) * self.freedom.condition
 
     @property
     def tells(self) -> bool:

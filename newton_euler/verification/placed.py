@@ -51,6 +51,22 @@ class Placed:
         found = original.samples[0].kinematics
         self.first = found.position, found.rotation
 
+    @property
+    def halved(self) -> bool:
+        """True if the file has halves of bodies, each posed by the first of them alone."""
+        return len(self.parts) < len(self.bodies)
+
+    @property
+    def limits(self) -> list[float]:
+        """Tolerances of forces at the samples.
+
+        Halves, and springs and rotors that a scene has at the other end of a gear, see what is open.
+        """
+        sees = self.halved or self.mechanism.couplings
+        return [
+            sample.tolerance + (10.0 * sample.opening if sees else 0.0) for sample in self.original.samples
+        ]
+
     def of_parts(self, values: Array) -> Array:
         """(6 g, ...) dimensionless velocities or accelerations of groups, of (6 b, ...) of bodies."""
         rows = np.arange(len(values)).reshape(-1, 6)[self.bodies].ravel()

@@ -38,9 +38,14 @@ def read_text(path: str) -> str:
     return source_file.read_text(path, "file_size", SourceError)
 
 
-def read_loops(path: str) -> Loops:
-    """A loop file of reasonable size; raises `SourceError` and `LoopFileError`."""
-    loops = parse_loops(source_file.read_text(path, "scene_size", SourceError), path)
+def read_loop_text(path: str) -> str:
+    """The text of a loop file of reasonable size; raises `SourceError`."""
+    return source_file.read_text(path, "scene_size", SourceError)
+
+
+def read_loops(path: str, text: str) -> Loops:
+    """What the text of a loop file says; raises `LoopFileError`."""
+    loops = parse_loops(text, path)
     for key in ("closed_loop", "coupled"):
         if problem := exceeded("closures", len(getattr(loops, key))):
             raise LoopFileError(path, key, problem)

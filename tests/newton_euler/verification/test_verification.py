@@ -13,6 +13,7 @@ from command_line import run
 from mjcf_models import model, reading
 from urdf_files import joint, link, robot
 
+import urdf
 from crosscheck.engines import ENGINES
 from crosscheck.studies.faults.misreadings import misreadings
 from crosscheck.studies.faults.reading import find_in_reading
@@ -29,7 +30,11 @@ from newton_euler.model.mechanism import Body
 from newton_euler.verification.import_report import ImportReport
 from newton_euler.verification.verify import check, verify
 from urdf.errors import UrdfError
+from urdf.read import _scene as urdf_scene
 from urdf.read import read as read_urdf
+from urdf.reading.source import read_loops
+from urdf.reading.start import Mimic
+from urdf.reading.start import Start as UrdfStart
 
 BOX = '<geom type="box" size="0.1 0.2 0.05" pos="{0}"/>'
 
@@ -101,7 +106,7 @@ def test_every_fault_that_moves_something_is_found_and_named(tmp_path: Path) -> 
 def test_every_engine_has_what_the_file_says(name: str, tmp_path: Path) -> None:
     for original, scene in reading(tmp_path, ZOO).report.originals:
         figures = list(verify(original, ENGINES[name].systems(scene)[0]))
-        assert len(figures) == 23
+        assert len(figures) == 24
         assert not [figure for figure in figures if not figure.agrees]
 
 
@@ -163,6 +168,41 @@ def test_a_start_that_is_not_that_of_the_file_is_refused(
     monkeypatch.setattr(Start, "_place", other_key)
     with pytest.raises(MjcfError, match=f"the scene is not what the file says: {figure}"):
         reading(tmp_path, STARTS, key=key)
+
+
+APART = model(
+    f'<body name="crank"><joint name="a" axis="0 1 0"/>{BOX.format("0 0 0.1")}'
+    f'<body name="coupler" pos="0 0 0.2"><joint name="b" axis="0 1 0"/>{BOX.format("0.25 0 0.05")}'
+    f'</body></body><body name="rocker" pos="0.5 0 0"><joint name="c" axis="0 1 0"/>{BOX.format("0 0 0.15")}'
+    f'</body><body name="pendulum" pos="2 0 0"><joint name="p" axis="0 1 0"/>{BOX.format("0.1 0 0")}</body>',
+    '<equality><connect name="loop" body1="coupler" body2="rocker" anchor="0.5 0 0.1"/></equality>'
+    '<keyframe><key name="open" qpos="0.3 0 0 0.2" qvel="1 1 1 3"/></keyframe>',
+)
+"""A pendulum, and a four-bar far from closed with velocities that its loop does not let be."""
+
+
+@pytest.mark.parametrize(
+    ("which", "element", "shift", "figure"),
+    [
+        ("qpos", 3, 1e-9, "joint 'p': .*start, sizes or rad"),
+        ("qpos", 0, 1e-6, "joint '.': .*start, sizes or rad"),
+        ("qvel", 3, 1e-9, "joint 'p': .*velocities at the start"),
+        ("qvel", 0, 1e-6, "joint '.': .*velocities at the start"),
+    ],
+)
+def test_loops_that_a_start_closes_hide_no_fault_of_it(
+    which: str, element: int, shift: float, figure: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert any(line.startswith("verified") for line in reading(tmp_path, APART).report.start)
+
+    def moved(self: Any, key: str | None, place: Any = Start._place) -> str:
+        found: str = place(self, key)
+        getattr(self.data, which)[element] += shift
+        return found
+
+    monkeypatch.setattr(Start, "_place", moved)
+    with pytest.raises(MjcfError, match=figure):
+        reading(tmp_path, APART)
 
 
 def test_what_drives_an_exercised_reading_is_that_of_the_file(
@@ -231,6 +271,37 @@ def test_nearly_redundant_rows_pass_whatever_is_decided_of_them(tilt: str, tmp_p
     assert (failing.quantity, failing.where) == ("dampers, rel", "joint 'a': damping")
 
 
+def offset(gap: float) -> str:
+    """A planar four-bar whose connect is out of the plane by a gap, m."""
+    return model(
+        '<body name="crank"><joint name="a" axis="0 1 0" damping="1" armature="0.01"/>'
+        f'{BOX.format("0 0 0.1")}<body name="coupler" pos="0 0 0.2"><joint name="b" axis="0 1 0"/>'
+        f"{BOX.format('0.25 0 0.05')}"
+        '<site name="p" pos="0.5 0 0.1"/></body></body>'
+        f'<body name="rocker" pos="0.5 0 0"><joint name="c" axis="0 1 0"/>{BOX.format("0 0 0.15")}'
+        f'<site name="q" pos="0 {gap} 0.3"/></body>',
+        '<equality><connect name="loop" site1="p" site2="q"/></equality>'
+        '<actuator><position name="servo" joint="a" kp="20" kv="2"/></actuator>',
+    )
+
+
+@pytest.mark.parametrize("gap", [1e-6, 1e-5, 1e-4, 4e-4])
+def test_offsets_that_loops_keep_hide_no_fault(gap: float, tmp_path: Path) -> None:
+    """Faults of a millionth are seen, in the same figures, as they are with the loop closed."""
+    seen = []
+    for each in (0.0, gap):
+        report = reading(tmp_path, offset(each)).report
+        (line,) = (line for line in report.start if line.startswith("verified"))
+        faults = [
+            f for f in misreadings(report.originals[-1][1]) if "1e-6" in f.detail or "1e-06" in f.detail
+        ]
+        found = find_in_reading(report, lambda _: None, faults)
+        seen.append([(outcome.fault.name, outcome.figure) for outcome in found if outcome.figure])
+        assert float(line.split(" to ")[1].split()[0]) < 1e-10
+    assert len(seen[0]) > 30
+    assert seen[0] == seen[1]
+
+
 def stretched(gap: float) -> str:
     """Three links of 1 m across 3 m less a gap, the middle one level: they move by the root of the gap."""
     run = 0.5 * (2.0 - gap)
@@ -256,7 +327,7 @@ TRUSS = model(
         (stretched(1e-4), " at 4 moving states in ", ""),
         (
             stretched(1e-7),
-            " at 0 moving states in ",
+            " but for motions, which no state tells to better than ",
             "at 4 more, next to singular configurations or with noise in loops, little shows",
         ),
         (TRUSS, " at 1 state in ", "nothing can move"),
@@ -331,6 +402,63 @@ def test_a_urdf_that_is_not_read_right_is_refused(tmp_path: Path, monkeypatch: p
     path.write_text(GEARED)
     with pytest.raises(UrdfError, match="the scene is not what the file says: dampers, rel: 1 > "):
         read_urdf(path)
+
+
+def started(self: Any, mimics: Any, mimicked: Any = UrdfStart._mimicked) -> Any:
+    moved = mimicked(self, mimics)
+    moved[-1] += 2.0
+    return moved
+
+
+def shifted(self: Any, joint: Any, mimic: Any, init: Any = Mimic.__init__) -> None:
+    init(self, joint, mimic)
+    self.offset += 0.1
+
+
+@pytest.mark.parametrize(
+    ("where", "fault", "named"),
+    [
+        ("urdf.reading.start.Start._mimicked", started, "joint 'three': .*start, sizes or rad"),
+        ("urdf.read.Mimic.__init__", shifted, "mimic of joint 'two': .*loops open at the start"),
+    ],
+    ids=["a joint elsewhere", "another offset"],
+)
+def test_the_start_of_a_urdf_is_that_of_the_file(
+    where: str, fault: Any, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "robot.urdf"
+    path.write_text(GEARED)
+    read_urdf(path)
+    monkeypatch.setattr(where, fault)
+    with pytest.raises(UrdfError, match=named):
+        read_urdf(path)
+
+
+def fewer(path: str, text: str) -> Any:
+    loops = read_loops(path, text)
+    return replace(loops, closed_loop=loops.closed_loop[:-1], type=loops.type[:-1])
+
+
+def lighter(*args: Any) -> Any:
+    *others, gravity = args
+    return urdf_scene(*others, [0.5 * x for x in gravity])
+
+
+@pytest.mark.parametrize(
+    ("where", "fault", "named"),
+    [
+        ("urdf.read.read_loops", fewer, "closed_loop .*: elements unaccounted for"),
+        ("urdf.read._scene", lighter, "gravity: .*gravity, rel"),
+    ],
+    ids=["one loop fewer", "half of gravity"],
+)
+def test_the_original_of_a_urdf_has_its_own_loops_and_gravity(
+    where: str, fault: Any, named: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = Path(urdf.__file__).parent / "tracker.urdf"
+    monkeypatch.setattr(where, fault)
+    with pytest.raises(UrdfError, match=named):
+        read_urdf(path, path.with_name("tracker.loops.yaml"))
 
 
 def test_an_error_keeps_its_values(tmp_path: Path) -> None:
