@@ -45,6 +45,7 @@ from newton_euler.model.forces import Armature, BallArmature
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Sine
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
+from newton_euler.model.source_file import path_text
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
@@ -112,7 +113,7 @@ def read(
     Raises:
         MjcfError: naming the file and the element at fault, one that was not read right among them.
     """
-    where = os.fspath(path)
+    where = path_text(path, SourceError)
     with heard_warnings() as warnings:
         model = compiled(where, root)
         found = _reading(where, copy.copy(model), key, None, duration, output_period, redundancy_tolerance)

@@ -17,7 +17,7 @@ from mjcf.write import SOLIMP, TIMESTEP
 from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import strongest_force
 from newton_euler.equations.system import blamed, fastest_joint
-from newton_euler.errors import OptionError, UnknownNameError
+from newton_euler.errors import OptionError, UnknownNameError, check_type
 from newton_euler.integrators.sampling import Interval, holding, intervals, sample
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory
@@ -59,6 +59,7 @@ def simulate(
         NewtonEulerError: for an unknown name, an impossible option or a controller that fails;
             `MjcfError` for a scene that MuJoCo refuses, or a run that diverges.
     """
+    check_type("scene", scene, Scene)
     wanted = _step(scene, timestep)
     plan = [
         (interval, [_fitting(float(length), wanted) for length in np.diff(interval.times)])

@@ -33,6 +33,7 @@ from mjcf.layout import Layout, coordinate_name
 from mjcf.text import number, numbers
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
+from newton_euler.errors import check_type
 from newton_euler.model.control import Law, Sampled
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
 from newton_euler.model.geometry import Box, Capsule, Shape
@@ -89,6 +90,7 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
 
 def to_xml(scene: Scene) -> str:
     """The scene as an MJCF document; numbers keep all their digits. Raises `MjcfError`."""
+    check_type("scene", scene, Scene)
     return welded_to_xml(scene, weld_loops(scene.mechanism, keep_bodies=True, loaded=scene.loaded_balls))
 
 

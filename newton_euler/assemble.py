@@ -9,7 +9,7 @@ import numpy as np
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.couplings import couplings, residuals
 from newton_euler.equations.redundancy import mobility
-from newton_euler.errors import AssemblyError, MechanismError
+from newton_euler.errors import AssemblyError, MechanismError, check_type
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.forces import PointSpring
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
@@ -31,6 +31,7 @@ def assemble(scene: Scene, guess: State) -> State:
         AssemblyError: with the joint that stays open.
         MechanismError: for a guess that is no state of the scene's bodies.
     """
+    check_type("scene", scene, Scene)
     scene.check_numbers(guess, f"guess for scene {scene.name!r}")
     system = Cartesian(scene)
     q, v = system.coordinates(guess)
@@ -46,6 +47,7 @@ def initial_state(scene: Scene) -> State:
         MechanismError: naming the joint, gear, motion or force that the given state does not meet.
         AssemblyError: for prescribed motions that no state near the initial pose follows.
     """
+    check_type("scene", scene, Scene)
     if scene not in CHECKED:
         state = scene.initial_state
         if state is None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from newton_euler.conversion import check, coordinates
 from newton_euler.equations.parameters import checked
-from newton_euler.errors import OptionError, UnknownNameError, is_count
+from newton_euler.errors import OptionError, UnknownNameError, check_type, is_count
 from newton_euler.integrators.compiled import PAPER_ALPHA
 from newton_euler.integrators.options import Options, StepControl
 from newton_euler.integrators.outputs import named
@@ -104,6 +104,7 @@ def simulate_batch(
         NewtonEulerError: for an unknown name, an impossible option, state or value; a run that
             cannot go on is in `Batch.errors`.
     """
+    check_type("scene", scene, Scene)
     options = Options(integrator, **control)
     if not isinstance(parameters, Mapping | None):
         raise OptionError("parameters", _short(parameters), "values, one per run, by name")

@@ -130,6 +130,12 @@ class OptionError(NewtonEulerError):
         super().__init__(f"{option} is {value!r}; needed: {needed}")
 
 
+def check_type(option: str, value: object, kind: type) -> None:
+    """Raise `OptionError` for a value that is not of a kind."""
+    if not isinstance(value, kind):
+        raise OptionError(option, value, f"a {kind.__name__}")
+
+
 class AssemblyError(NewtonEulerError):
     """Positions or velocities that cannot be made to meet the constraints."""
 

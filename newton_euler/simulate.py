@@ -15,7 +15,13 @@ from newton_euler.assemble import inherit_initial_state, initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.redundancy import inherit_mobility, mobility, other_rows
 from newton_euler.equations.system import Evaluation, System, at_time
-from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError, OptionError, check_choice
+from newton_euler.errors import (
+    NearlyRedundantWarning,
+    NewtonEulerError,
+    OptionError,
+    check_choice,
+    check_type,
+)
 from newton_euler.integrators.compiled import FORMULATIONS, PAPER_ALPHA, Code, baumgarte_alpha
 from newton_euler.integrators.interpreted import integrate
 from newton_euler.integrators.options import Options, StepControl
@@ -58,6 +64,7 @@ def simulate(
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
     """
+    check_type("scene", scene, Scene)
     options = Options(integrator, **control)
     check_choice("formulation", formulation, FORMULATIONS)
     baumgarte_alpha(stabilization, alpha)
@@ -85,7 +92,7 @@ def compile_scene(
     Raises:
         NewtonEulerError: for an unknown name or an impossible option.
     """
-
+    check_type("scene", scene, Scene)
     check_choice("formulation", formulation, FORMULATIONS)
     if not isinstance(parameters, list | tuple) or not all(isinstance(name, str) for name in parameters):
         raise OptionError("parameters", parameters, "names of parameters")

@@ -30,6 +30,7 @@ from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
+from newton_euler.model.source_file import path_text
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.verification.activity import Bounds, Rest, Watch
 from newton_euler.verification.import_report import (
@@ -105,14 +106,15 @@ def read(
         UnknownNameError: for another base.
     """
     check_choice("base", base, tuple(BASES))
-    where, report = os.fspath(path), ImportReport()
+    where, report = path_text(path, SourceError), ImportReport()
     text = read_text(where)
     root = parsed(where, text)
     text = _without_declaration(text)
     closing, loop_text = NO_LOOPS, None
     if loops is not None:
-        loop_text = read_loop_text(os.fspath(loops))
-        closing = read_loops(os.fspath(loops), loop_text)
+        loop_path = path_text(loops, SourceError)
+        loop_text = read_loop_text(loop_path)
+        closing = read_loops(loop_path, loop_text)
     words: list[str] = []
     try:
         with _overheard(words):

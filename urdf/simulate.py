@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from newton_euler.errors import check_type
 from newton_euler.integrators.compiled import PAPER_ALPHA, baumgarte_alpha
 from newton_euler.integrators.options import Options
 from newton_euler.model.scene import Scene
@@ -36,6 +37,7 @@ def simulate(
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
         UrdfError: for a mechanism that a URDF cannot hold.
     """
+    check_type("scene", scene, Scene)
     from urdf.dynamics import PinocchioSystem
 
     system = PinocchioSystem(scene, baumgarte_alpha(stabilization, alpha))

@@ -23,6 +23,7 @@ import numpy as np
 import yaml
 
 from newton_euler.equations.couplings import couplings
+from newton_euler.errors import check_type
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Joint, Motion
 from newton_euler.model.joint_kinds import Fixed, Rod
@@ -53,6 +54,7 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
     Raises:
         NameClashError: if the parts of a joint are named as another joint or body is.
     """
+    check_type("scene", scene, Scene)
     welded = weld_loops(scene.mechanism, keep_bodies, scene.loaded_balls)
     mechanism, tree = welded.mechanism, welded.tree
     robot = Element("robot", name=scene.name)
@@ -88,6 +90,7 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
 
 def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
     """The loop file (YAML text) that belongs to `to_urdf(scene, keep_bodies)`."""
+    check_type("scene", scene, Scene)
     welded = weld_loops(scene.mechanism, keep_bodies, scene.loaded_balls)
     joints = welded.mechanism.joints
     balls, motors = [], []

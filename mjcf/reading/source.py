@@ -34,6 +34,9 @@ expands without end is given up after the former. The bytes of the XML add none:
 OUT_OF_MEMORY = ("MemoryError", "llocate", "bad_alloc")
 """Words of errors about memory that is not to be had."""
 
+UNKNOWN = "unknown exception"
+"""Words of MuJoCo for an error of which it says nothing."""
+
 KEPT = 200_000_000
 """Bytes of models compiled last, which are not compiled again while their files stay as they are."""
 
@@ -127,8 +130,8 @@ def _compiled(path: str, asset_bytes: int) -> Any:
         if any(word in reason for word in OUT_OF_MEMORY):
             most = f"{limit('memory'):g} MB of memory"
             raise SourceError(path, f"MuJoCo needs more than {most} to compile it; {too_small('memory')}")
-        if done.returncode < 0:
-            name = signal.Signals(-done.returncode).name
+        if done.returncode < 0 or UNKNOWN in reason:  # as where a count of rows times columns overflows
+            name = signal.Signals(-done.returncode).name if done.returncode < 0 else UNKNOWN
             raise SourceError(path, f"MuJoCo crashes on it ({name}); if for memory, {too_small('memory')}")
         if done.returncode or not result.exists():
             raise SourceError(path, f"MuJoCo refuses it: {reason:.500}")

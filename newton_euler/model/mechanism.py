@@ -25,6 +25,10 @@ from newton_euler.scalars import Array
 CLOSURE_TOLERANCE = 1e-9
 """How far (metres or radians) a joint may be open at an initial pose."""
 
+LEAST = 1e-100
+"""kg and kg m^2, of a mass and a principal moment of inertia, so that products with squares of lengths keep
+their digits."""
+
 REALISABLE_TOLERANCE = 1e-12
 """Relative slack of A + B >= C, for the round-off of an eigenvalue."""
 
@@ -96,8 +100,8 @@ class Body:
     def check(self) -> None:
         """Raise `MechanismError` unless a moving rigid body can have these values."""
         where = f"body {self.name!r}"
-        if self.mass <= 0.0:
-            raise MechanismError(where, f"mass is {self.mass:g} kg", "a positive mass")
+        if self.mass < LEAST:
+            raise MechanismError(where, f"mass is {self.mass:g} kg", f"a positive mass, {LEAST:g} kg or more")
         scale = float(np.max(np.abs(self.inertia)))
         asymmetry = float(np.max(np.abs(self.inertia - self.inertia.T)))
         if asymmetry > 1e-12 * scale:
@@ -106,8 +110,9 @@ class Body:
             )
         a, b, c = (float(x) for x in np.linalg.eigvalsh(self.inertia))
         moments = f"principal moments are {a:.6g}, {b:.6g}, {c:.6g} kg m^2"
-        if a <= 0.0:
-            raise MechanismError(where, moments, "a positive definite inertia")
+        if a < LEAST:
+            needed = f"a positive definite inertia, of {LEAST:g} kg m^2 or more"
+            raise MechanismError(where, moments, needed)
         if a + b < c * (1.0 - REALISABLE_TOLERANCE) and not self.allow_unrealisable_inertia:
             raise MechanismError(
                 where, moments, "a realisable inertia, the two smaller adding up to the largest at least"

@@ -27,6 +27,14 @@ def shortened(problem: str) -> str:
     return problem if len(problem) <= LONGEST_PROBLEM else f"{problem[: LONGEST_PROBLEM - 4]} ..."
 
 
+def path_text(path: object, error: type[SourceError] = SourceError) -> str:
+    """Return a path as text; raises `SourceError`, of the class `error`, for what is none."""
+    where = os.fspath(path) if isinstance(path, os.PathLike) else path
+    if not isinstance(where, str) or "\0" in where:
+        raise error(f"{where!r:.200}", "cannot be read; needed: a path of a file")
+    return where
+
+
 def read_content(
     path: str | os.PathLike[str], limit: str, error: type[SourceError] = SourceError, before: int = 0
 ) -> bytes:
@@ -40,7 +48,7 @@ def read_content(
     Raises:
         SourceError: of the class `error`.
     """
-    where = os.fspath(path)
+    where = path_text(path, error)
     try:
         status = Path(where).stat()
         if not stat.S_ISREG(status.st_mode):  # a pipe would keep its reader waiting
@@ -51,8 +59,6 @@ def read_content(
             return stream.read(size_in_bytes(limit) + 1)  # it may grow
     except OSError as failure:
         raise error(where, f"cannot be read: {failure.strerror}") from failure
-    except ValueError as failure:  # a null in the path
-        raise error(repr(where), f"cannot be read: {failure}") from failure
 
 
 def read_text(

@@ -198,6 +198,7 @@ HOSTILE = {
     "bomb.urdf": (f"{BOMB}<robot name='&b;'/>", "a document type declaration, refused"),
     "nan.urdf": (CHAIN.replace('value="2.0"', 'value="nan"'), "link 'b': <mass> has value='nan'"),
     "huge.urdf": (CHAIN.replace("0.1 0.02 -0.2", "1e300 0 0"), "link 'a': <origin> has xyz='1e300 0 0'"),
+    "least.urdf": (CHAIN.replace('value="0.3"', 'value="1e-320"'), "'d': mass is 9.99989e-321 kg; needed: a"),
     "short.urdf": (CHAIN.replace("0.1 0.02 -0.2", "1 0"), "has xyz='1 0'; needed: 3 numbers"),
     "twice.urdf": (CHAIN.replace('name="b"', 'name="a"'), "link 'a': 2 of that name"),
     "nowhere.urdf": (CHAIN.replace('child link="d"', 'child link="x"'), "'third': child link 'x' does not"),

@@ -10,12 +10,15 @@ from typing import Any
 import pytest
 from mjcf_models import PAIR, model, reading
 
+import mjcf.read
 import mjcf.reading.source as source
+import urdf.read
 from crosscheck.advice import Found
 from crosscheck.advice.own_file import own_file_advice
 from mjcf.errors import MjcfError
 from mjcf.reading.source import compiled
 from newton_euler.limits import VARIABLE
+from newton_euler.model.source_file import SourceError
 
 INCLUDED = model(PAIR, '<include file="more.xml"/>')
 CONNECT = '<mujoco><equality><connect body1="one" body2="two" anchor="0.5 0 0"/></equality></mujoco>'
@@ -125,3 +128,10 @@ def test_a_file_with_assets_may_take_longer(
     path.write_text(model(PAIR))
     compiled(str(path))
     assert int(commands[-1][-2]) == 2
+
+
+@pytest.mark.parametrize("path", [None, 3, b"model.xml", "a\0b.xml"])
+@pytest.mark.parametrize("read", [mjcf.read.read, urdf.read.read])
+def test_what_is_no_path_is_refused(path: Any, read: Any) -> None:
+    with pytest.raises(SourceError, match=r"cannot be read; needed: a path of a file$"):
+        read(path)

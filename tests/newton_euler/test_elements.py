@@ -24,6 +24,7 @@ from mjcf.soft import SoftMuJoCo
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation, System, at_time, opening
+from newton_euler.errors import OptionError
 from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import Wrench
@@ -46,6 +47,27 @@ REACTIONS = 1e-9
 
 REDUNDANT = ("motion of a loop, redundant",)
 """Whose reactions across the plane are not determined."""
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        newton_euler.simulate,
+        newton_euler.compile_scene,
+        newton_euler.simulate_batch,
+        newton_euler.initial_state,
+        lambda scene: newton_euler.assemble(scene, None),
+        mjcf.simulate,
+        mjcf.to_xml,
+        urdf.simulate,
+        urdf.to_urdf,
+        urdf.to_loops,
+    ],
+)
+@pytest.mark.parametrize("scene", [None, [], "pendulum"])
+def test_what_is_no_scene_is_refused(function, scene) -> None:
+    with pytest.raises(OptionError, match=r"^scene is .*; needed: a Scene$"):
+        function(scene)
 
 
 @cache

@@ -177,6 +177,11 @@ MJCF_EDITS: dict[str, tuple[str, str, str] | tuple[str, str, str, Prepare]] = {
         MESH + '<texture name="t" type="2d" builtin="flat" width="100000" height="100000"/>',
         "MuJoCo needs more than 900 MB of memory to compile it; to allow more: --set memory=3600",
     ),
+    "height field without end": (
+        MESH,
+        MESH + '<hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/>',
+        "MuJoCo crashes on it (unknown exception); if for memory, to allow more: --set memory=3600",
+    ),
     "an unknown mesh": ('mesh="wedge"', 'mesh="other"', "other"),
     "an unknown joint": ('joint="motor"', 'joint="engine"', "engine"),
     "an unknown site": ('site2="end"', 'site2="nowhere"', "nowhere"),
