@@ -70,8 +70,8 @@ MISTAKES = {
     ),
     "a missing gyroscopic torque in the paper's form": (
         "newton_euler/equations/cartesian.py",
-        "gyroscopic = cross(omega, momentum)",
-        "gyroscopic = 0.0 * cross(omega, momentum)",
+        "return cross(omega, momentum)",
+        "return 0.0 * cross(omega, momentum)",
         "newton_euler/equations/test_formulations.py",
     ),
     "inertia left in the body's frame": (
@@ -124,8 +124,8 @@ MISTAKES = {
     ),
     "Euler parameters left to drift, erratum 11": (
         "newton_euler/equations/cartesian.py",
-        "self.stabilized(-c, norm_rates, norms),  # erratum 11",
-        "-c,",
+        "-self.c(qdot) - self.K_D * (P @ qdot) - self.K_P * self.norms(q)",
+        "-self.c(qdot)",
         "newton_euler/equations/test_formulations.py",
     ),
     "reactions on the first body": (

@@ -23,7 +23,7 @@ from crosscheck.comparison.levels import Level
 from crosscheck.comparison.reactions import undetermined_in_both
 from crosscheck.comparison.samples import Samples, Scales, States
 from newton_euler.assemble import initial_state
-from newton_euler.equations.applied_forces import body_wrenches, turned
+from newton_euler.equations.applied_forces import ball_motion, body_wrenches
 from newton_euler.equations.balls import ends, spin
 from newton_euler.equations.couplings import Coupling, couplings
 from newton_euler.model.constraints import Frame
@@ -306,7 +306,7 @@ def _about_ball(scene: Scene, element: BallSpring | BallArmature, frames: list[F
         i, j = ends(scene.mechanism, element.joint)
         return element.inertia * spin(frames[i], frames[j])
     poses = [body.pose for body in scene.mechanism.bodies]
-    return element.torque(*turned(scene, element, poses, frames)[1:])
+    return element.torque(*ball_motion(scene, element, poses, frames)[1:])
 
 
 def _in_first(aligned: Aligned, found: Mapping[Key, Array]) -> dict[Key, Array]:

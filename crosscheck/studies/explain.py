@@ -242,7 +242,7 @@ def left_out(compiled: Code) -> Iterator[str]:
     mass, _ = system.sparse_mass_and_force(trace.q, trace.v)
     yield f"mass matrix: {system.nv**2 - len(_entries(mass)):,} of {system.nv**2:,} entries are zero"
     if system.row_owners:
-        jacobian = system.loops(trace.q, trace.v)[1]
+        jacobian = system.phi_and_jacobian(trace.q)[1]
         idle = len(jacobian) - len(compiled.rows.numbers)
         size = len(jacobian) * system.nv
         yield f"constraint Jacobian: {size - len(_entries(jacobian)):,} of {size:,} entries are zero"

@@ -1,7 +1,7 @@
-"""What the forces of a scene do to its bodies all together, their energies and their power.
+"""Applied forces of a scene: their wrenches on the bodies, their energies and their power.
 
-Once for all formulations, over generic scalars. Forces on joint coordinates act through those, see
-`newton_euler.equations.joint_coordinates`; here are their energies only.
+The same for all formulations, over generic scalars. Forces on joint coordinates act through these coordinates
+(`newton_euler.equations.joint_coordinates`); only their energies and power are here.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
 Measurements = Mapping[Key, tuple[Scalar, ...]]
-"""Joint coordinates (m or rad), their rates, and what else may follow."""
+"""Joint coordinates (m or rad), their rates, and further values that are not used here."""
 
 Surroundings = tuple[list[Pose], list[Frame], Measurements, Scalar]
-"""What forces depend on: reference poses and frames of all bodies, joint coordinates, and the time, s."""
+"""Arguments of forces: reference poses and frames of all bodies, joint coordinates, and the time, s."""
 
 
-def turned(
+def ball_motion(
     scene: Scene, spring: BallSpring, poses: Sequence[Pose], frames: Sequence[Frame]
 ) -> tuple[tuple[int, int], Array, Array]:
-    """The two bodies of a spring of a ball, and theta and omega, (3,) rad and rad/s, world frame."""
+    """Find the bodies of a spring of a ball; compute theta and omega, (3,) rad and rad/s, world frame."""
     i, j = balls.ends(scene.mechanism, spring.joint)
     between = frames[i], frames[j]
-    return (i, j), balls.turn(poses[i], poses[j], spring.rest, between), balls.spin(*between)
+    return (i, j), balls.rotation_between(poses[i], poses[j], spring.rest, between), balls.spin(*between)
 
 
 def body_wrenches(scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame]) -> list[Array]:
-    """What springs of balls, springs between points and wrenches do to each body (ground first), (6,).
+    """Compute the wrenches (6,) of springs of balls, springs between points and wrenches on each body.
 
-    N and N m, force and torque about the centre of mass, world frame. `poses` are the reference poses of the
-    frames at the initial pose.
+    Force and torque about the center of mass, N and N m, world frame, ground first. `poses` are the reference
+    poses of the frames at the initial pose.
     """
     total: list[Array] = [np.zeros(6) for _ in frames]
     for force in scene.forces:
@@ -61,16 +61,16 @@ def body_wrenches(scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame]) 
             push, torque, arm = wrench_at(force, k, poses, frames)
             total[k] = total[k] + np.concatenate([push, torque + cross(arm, push)])
         elif isinstance(force, BallSpring):
-            (i, j), theta, omega = turned(scene, force, poses, frames)
+            (i, j), theta, omega = ball_motion(scene, force, poses, frames)
             couple = np.concatenate([np.zeros(3), force.torque(theta, omega)])
             total[i], total[j] = total[i] - couple, total[j] + couple
     return total
 
 
 def energies(scene: Scene, frames: list[Frame], inertias: list[Array]) -> tuple[Scalar, Scalar]:
-    """Kinetic energy and the potential energy of gravity (zero at the world origin), J.
+    """Compute the kinetic energy and the potential energy of gravity (zero at the world origin), J.
 
-    `inertias` are in the bodies' frames that `frames` give the rotations of.
+    `inertias` are in the body frames that `frames` give the rotations of.
     """
     kinetic: Scalar = 0.0
     potential: Scalar = 0.0
@@ -86,7 +86,7 @@ def energies(scene: Scene, frames: list[Frame], inertias: list[Array]) -> tuple[
 def springs_energy(
     scene: Scene, poses: Sequence[Pose], frames: Sequence[Frame], measured: Measurements
 ) -> Scalar:
-    """Energy of all springs, J."""
+    """Compute the energy of all springs, J."""
     energy: Scalar = 0.0
     for spring in scene.forces:
         if isinstance(spring, JointSpring):
@@ -97,12 +97,12 @@ def springs_energy(
             stretch = length - spring.rest_length
             energy = energy + 0.5 * spring.stiffness * (stretch * stretch)
         elif isinstance(spring, BallSpring):
-            energy = energy + spring.energy(turned(scene, spring, poses, frames)[1])
+            energy = energy + spring.energy(ball_motion(scene, spring, poses, frames)[1])
     return energy
 
 
 def rotors_energy(scene: Scene, frames: Sequence[Frame], measured: Measurements) -> Scalar:
-    """Kinetic energy of the armatures, J."""
+    """Compute the kinetic energy of the armatures, J."""
     energy: Scalar = 0.0
     for armature in scene.armatures:
         if isinstance(armature, BallArmature):
@@ -123,7 +123,7 @@ def power(
     measured: Measurements,
     time: Scalar,
 ) -> Scalar:
-    """Power, W, of what has no energy of its own: control laws, dampers and wrenches."""
+    """Compute the power, W, of control laws, dampers and wrenches, which have no potential energy."""
     power: Scalar = 0.0
     for law in scene.joint_forces:
         x, rate = measured[law.joint, law.coordinate][:2]
@@ -145,15 +145,14 @@ def power(
     return power
 
 
-def pulls(
+def magnitudes(
     scene: Scene,
     poses: Sequence[Pose],
     frames: Sequence[Frame],
     measured: Measurements,
     time: Scalar,
 ) -> dict[str, float]:
-    """N, how strong each of a scene's forces is, by what errors call it; a torque as a force at the
-    mechanism's size."""
+    """Compute the magnitude, N, of each force, by the name that errors use; torques over the size."""
     size = scene.mechanism.size
     found: dict[str, float] = {}
     for law in scene.joint_forces:
@@ -168,7 +167,7 @@ def pulls(
         elif isinstance(force, Wrench):
             found[force.element] = float(np.max(np.abs([force.force, force.torque / size])))
         elif isinstance(force, BallSpring):
-            torque = force.torque(*turned(scene, force, poses, frames)[1:])
+            torque = force.torque(*ball_motion(scene, force, poses, frames)[1:])
             found[force.element] = float(np.max(np.abs(torque))) / size
     return found
 
@@ -192,7 +191,7 @@ def strongest_force(scene: Scene, state: State, time: float) -> str | None:
 def strongest(scene: Scene, seen: Surroundings) -> str | None:
     """Find the largest of a scene's forces in known surroundings; None for a scene without forces."""
     with np.errstate(all="ignore"):
-        found = pulls(scene, *seen)
+        found = magnitudes(scene, *seen)
     if not found:
         return None
     return max(found, key=lambda element: np.nan_to_num(found[element], nan=np.inf))

@@ -1,10 +1,10 @@
-"""How far the ball of a joint has turned, and how fast: what springs, dampers and rotors of balls see.
+"""Relative rotation of the two bodies of a ball joint, for springs, dampers and rotors on balls.
 
-Joints with a ball have no hinge beside it, so that the two bodies tell all of it. With theta the rotation
-vector of the second body against the first, from where it rests, and omega = omega_2 - omega_1, the rate of
-|theta|^2 / 2 is theta . omega (theta is its own image under the rotation that it stands for), so that
-k |theta|^2 / 2 is the potential of the torque -k theta on the second body. Both springs and rotors are the
-same about all axes, and so no frame is preferred.
+Joints with a ball have no hinge beside it, so that the two bodies determine its rotation. With theta the
+rotation vector of the second body against the first, from the rest position, and omega = omega_2 - omega_1,
+the rate of |theta|^2 / 2 is theta . omega (theta is its own image under the rotation that it stands for), so
+that k |theta|^2 / 2 is the potential of the torque -k theta on the second body. Both springs and rotors are
+the same about all axes, and so no frame is preferred.
 
 All over generic scalars (J. Diebel, Representing Attitude, 2006, sections 5.6 and 7, for rotation vectors).
 """
@@ -22,20 +22,20 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array, arctan2, cos, cross, sin, sqrt
 
 TINY = 1e-300
-"""Added to squares so that no angle is zero: quotients by it and their derivatives stay right there."""
+"""Added to squares so that no angle is zero; quotients by it and their derivatives stay right."""
 
 SPIN = Jacobian(np.zeros((3, 3)), -np.eye(3), np.zeros((3, 3)), np.eye(3))
-"""Of omega, world frame."""
+"""Jacobian of omega, world frame."""
 
 
 def ends(mechanism: Mechanism, joint: str) -> tuple[int, int]:
-    """Numbers of the two bodies of a joint."""
+    """Find the numbers of the two bodies of a joint."""
     equations = mechanism.joint_equations(joint)
     return equations.first, equations.second
 
 
-def turn(first: Pose, second: Pose, rest: Array, frames: tuple[Frame, Frame]) -> Array:
-    """theta (3,) rad, world frame; right below half a turn, where it jumps to the other side.
+def rotation_between(first: Pose, second: Pose, rest: Array, frames: tuple[Frame, Frame]) -> Array:
+    """Compute theta (3,) rad, world frame; right below half a revolution, where it jumps to the other side.
 
     Args:
         first, second: reference poses of the frames at the initial pose.
@@ -49,25 +49,25 @@ def turn(first: Pose, second: Pose, rest: Array, frames: tuple[Frame, Frame]) ->
 
 
 def spin(first: Frame, second: Frame) -> Array:
-    """omega (3,) rad/s, world frame."""
+    """Compute omega (3,) rad/s, world frame."""
     return np.asarray(second.angular_velocity - first.angular_velocity)
 
 
 def spin_gamma(first: Frame, second: Frame) -> Array:
-    """(3,) with d omega/dt = `SPIN` . accelerations - gamma, as either of the bodies sees its change."""
+    """Compute gamma (3,) of d omega/dt = `SPIN` . accelerations - gamma, relative to either body."""
     return cross(first.angular_velocity, second.angular_velocity)
 
 
 def spin_rate(frames: Sequence[Frame], angular: Array, bodies: tuple[int, int]) -> Array:
-    """(3,) d omega/dt as either body sees it, world frame, from angular accelerations (b, 3)."""
+    """Compute d omega/dt (3,) relative to either body, world frame, from angular accelerations (b, 3)."""
     i, j = bodies
     return np.asarray(angular[j] - angular[i] - spin_gamma(frames[i], frames[j]))
 
 
 def rotation_vector(matrix: Array) -> Array:
-    """(3,) rad of a rotation matrix (3, 3) below half a turn, with the right derivative at none.
+    """Compute the rotation vector (3,), rad, of a rotation matrix (3, 3), with the right derivative at zero.
 
-    Near half a turn the axis is known to round-off over what is missing.
+    The angle is below half a revolution; near that the axis loses digits in proportion to the distance.
     """
     (_, b, c), (d, _, f), (g, h, _) = matrix
     sines = 0.5 * np.array([h - f, c - g, d - b])
@@ -77,7 +77,7 @@ def rotation_vector(matrix: Array) -> Array:
 
 
 def rotation_by(vector: Array) -> Array:
-    """The rotation matrix (3, 3) of a rotation vector (3,), rad, of any angle."""
+    """Compute the rotation matrix (3, 3) of a rotation vector (3,), rad, of any angle."""
     angle = sqrt(vector @ vector + TINY)
     half = 0.5 * angle
     return rotation(np.array([cos(half), *((sin(half) / angle) * vector)]))

@@ -34,6 +34,7 @@ from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.euler_parameters import matrix_g, matrix_l, rotation
 from newton_euler.model.forces import BallArmature
 from newton_euler.model.joint import Key
+from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
@@ -91,11 +92,13 @@ class Cartesian(Formulation):
             frames.append(Frame(r, rotation(p), rdot, 2.0 * matrix_g(p) @ pdot))
         return frames
 
-    def p_terms(self, q: Array, qdot: Array) -> tuple[Array, Array, Array]:
-        """Compute 1/2 (p^T p - 1), eq. (1), its rate P qdot, and c = pdot^T pdot, eq. (2), (n,) each."""
-        parts = [(p, pdot) for (_, p), (_, pdot) in zip(self.split(q), self.split(qdot), strict=True)]
-        norms = np.array([0.5 * (p @ p - 1.0) for p, _ in parts])
-        return norms, np.array([p @ pdot for p, pdot in parts]), np.array([pdot @ pdot for _, pdot in parts])
+    def norms(self, q: Array) -> Array:
+        """Compute 1/2 (p^T p - 1) of each body, (n,), eq. (1)."""
+        return np.array([0.5 * (p @ p - 1.0) for _, p in self.split(q)])
+
+    def c(self, qdot: Array) -> Array:
+        """Compute c = pdot^T pdot of each body, (n,), eqs (2) and (20)."""
+        return np.array([pdot @ pdot for _, pdot in self.split(qdot)])
 
     def P(self, q: Array) -> Rows:
         """Compute the nonzeros of P (n, 7 n), eqs (15) and (20): p_i^T of each body."""
@@ -125,7 +128,7 @@ class Cartesian(Formulation):
         B = [Phi_r, 1/2 Phi_p L^T] equal to [Phi_r, Phi_theta R], with no product to work out,
         because G L^T = R.
         """
-        frames, measured = self.frames(q, qdot), self.measured(q, qdot)
+        frames = self.frames(q, qdot)
         phi_q: Rows = []
         b: Rows = []
         for e in self.equations:
@@ -133,6 +136,7 @@ class Cartesian(Formulation):
             on_q, on_b = self._rows(q, frames, e.first, e.second, blocks)
             phi_q.extend(on_q)
             b.extend(on_b)
+        measured = self.measured(q, qdot)
         for coupling in self.couplings:
             totals: Rows = [{}, {}]
             for key, factor in coupling.factors.items():
@@ -144,6 +148,13 @@ class Cartesian(Formulation):
             phi_q.append(totals[0])
             b.append(totals[1])
         return phi_q, b
+
+    def right_side(self, q: Array, qdot: Array) -> Array:
+        """Compute gamma - K_D (Phi_q qdot) - K_P Phi(q), eq. (9)."""
+        gamma = self.gamma(q, qdot)
+        if not (self.K_D or self.K_P):
+            return gamma
+        return gamma - self.K_D * self.phi_rate(q, qdot) - self.K_P * self.Phi(q, qdot)
 
     def _rows(
         self, q: Array, frames: list[Frame], first: int, second: int, blocks: Jacobian
@@ -172,28 +183,32 @@ class Cartesian(Formulation):
         return mass
 
     def b(self, q: Array, qdot: Array) -> Array:
-        """Compute b (6 n,), eq. (20): 0 and L_i H_i pdot_i with H = 4 Ldot^T J' L, eq. (13).
+        """Compute b (6 n,), eq. (20): 0 and L_i H_i pdot_i of each body, eq. (14)."""
+        terms = [np.zeros(0)]
+        for body, (_, p), (_, pdot) in zip(self.bodies, self.split(q), self.split(qdot), strict=True):
+            terms += [np.zeros(3), self.l_h_pdot(body, p, pdot)]
+        return np.concatenate(terms)
+
+    def l_h_pdot(self, body: Body, p: Array, pdot: Array) -> Array:
+        """Compute L H pdot (3,) of a body with H = 4 Ldot^T J' L, eq. (13).
 
         With omega' = 2 L pdot, eq. (11), L H pdot = omega' x J' omega' + 2 (p^T pdot) J' omega'. The last
         term is zero where eq. (1) holds, and eq. (12) leaves it out.
         """
-        terms = [np.zeros(0)]
-        for body, (_, p), (_, pdot) in zip(self.bodies, self.split(q), self.split(qdot), strict=True):
-            omega = 2.0 * matrix_l(p) @ pdot
-            momentum = body.inertia @ omega
-            gyroscopic = cross(omega, momentum) + 2.0 * (p @ pdot) * momentum
-            terms += [np.zeros(3), gyroscopic]
-        return np.concatenate(terms)
+        omega = 2.0 * matrix_l(p) @ pdot
+        momentum = body.inertia @ omega
+        return cross(omega, momentum) + 2.0 * (p @ pdot) * momentum
 
     def g(self, q: Array, qdot: Array) -> Array:
         """Compute g (6 n,), eqs (20) and (24): applied f_i in the world and n'_i in the body."""
-        frames, measured = self.frames(q, qdot), self.measured(q, qdot)
+        frames = self.frames(q, qdot)
         wrenches = [
             wrench + np.concatenate([body.mass * self.scene.gravity, np.zeros(3)])
             for body, wrench in zip(
                 self.mechanism.bodies, body_wrenches(self.scene, self.poses, frames), strict=True
             )
         ]
+        measured = self.measured(q, qdot)
         for law, u in zip(self.scene.joint_forces, self.joint_forces(measured), strict=True):
             key = law.joint, law.coordinate
             (r_i, theta_i, r_j, theta_j), driven = measured[key].jacobian, self.between[key]
@@ -237,7 +252,6 @@ class Cartesian(Formulation):
             push = inertia * to_array([on_b], n6)[0]  # -a (Phi_q qddot - gamma) on the coordinate
             M = M + np.outer(push, to_array([on_q], n7)[0])
             force = force + gamma * push
-        norms, norm_rates, c = self.p_terms(q, qdot)
         matrix = np.block(
             [
                 [M, B.T],
@@ -247,8 +261,8 @@ class Cartesian(Formulation):
         )
         right = [
             force,
-            self.stabilized(-c, norm_rates, norms),  # erratum 11
-            self.stabilized(self.gamma(q, qdot), self.phi_rate(q, qdot), self.Phi(q, qdot)),  # eq. (9)
+            -self.c(qdot) - self.K_D * (P @ qdot) - self.K_P * self.norms(q),  # erratum 11
+            self.right_side(q, qdot),
         ]
         return matrix, np.concatenate(right)
 
@@ -280,10 +294,7 @@ class Cartesian(Formulation):
         """Find the joint with the largest share in the dependent combination of constraint rows."""
         rows = self.Phi_q_and_B(q, np.zeros(self.nv))[1]
         left = dense.singular_values(to_array(rows, 6 * len(self.bodies)))[0][:, -1]
-        weights: dict[str, float] = {}
-        for owner, share in zip(self.row_owners, left**2, strict=False):  # the norms are not among them
-            weights[owner] = weights.get(owner, 0.0) + share
-        return max(weights, key=lambda owner: weights[owner])
+        return dense.largest_share(self.row_owners[: self.rows], left)
 
     # Equation (21), solved by sparse elimination
 
@@ -295,16 +306,24 @@ class Cartesian(Formulation):
         With qddot eliminated from equation (21), M is block diagonal and B M^-1 B^T as sparse as the
         joints: omegadot' = 2 L pddot, eq. (11), and Phi_p pddot = Phi_theta R omegadot' / (p^T p).
         """
-        mass: Rows = [{} for _ in range(6 * len(self.bodies))]
-        for k, body in enumerate(self.bodies):
-            spread(mass[6 * k : 6 * k + 3], 6 * k, body.mass * np.eye(3))  # N_i
-            spread(mass[6 * k + 3 : 6 * k + 6], 6 * k + 3, body.inertia)  # J'_i
+        _, B = self.Phi_q_and_B(q, v)
+        right = self.right_side(q, v)
+        force = self.g(q, v)
+        mass: Rows = [{} for _ in force]
+        scales = []
+        for k, (body, (_, p), (_, pdot)) in enumerate(
+            zip(self.bodies, self.split(q), self.split(v), strict=True)
+        ):
+            linear, angular = slice(6 * k, 6 * k + 3), slice(6 * k + 3, 6 * k + 6)
+            term = self.l_h_pdot(body, p, pdot)
+            scales.append(p @ p)
+            force[angular] = force[angular] - term  # g - b
+            spread(mass[linear], linear.start, body.mass * np.eye(3))  # N_i
+            spread(mass[angular], angular.start, body.inertia)  # J'_i
         factor = sparse.factorise(mass, range(len(mass)))
-        for k, (_, p) in enumerate(self.split(q)):
-            scale = p @ p
+        for k, scale in enumerate(scales):
             for i in range(6 * k + 3, 6 * k + 6):
                 factor.inverse_pivots[i] = factor.inverse_pivots[i] / scale
-        right = self.stabilized(self.gamma(q, v), self.phi_rate(q, v), self.Phi(q, v))  # eq. (9)
         # the rows of the norms of p are met by construction
         count = sum(number < self.rows for number in rows.numbers)
         # a rotor is a constraint that gives way: x'' + lambda / a = 0
@@ -313,8 +332,8 @@ class Cartesian(Formulation):
         used = RowsInUse([*rows.numbers[:count], *soft], rows.scales and rows.scales[: count + len(soft)])
         return sparse.solve_constrained(
             factor,
-            sparse.sparse_vector(self.g(q, v) - self.b(q, v)),
-            [*self.Phi_q_and_B(q, v)[1], *of_rotors],
+            sparse.sparse_vector(force),
+            [*B, *of_rotors],
             np.concatenate([right, gammas]),
             used,
             refine=True,
@@ -324,12 +343,11 @@ class Cartesian(Formulation):
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
         """Compute qddot (7 n,) from a sparse solution: 2 L pddot = omegadot' and p^T pddot = -c, eq. (2)."""
         qddot = []
-        norms, norm_rates, c = self.p_terms(q, v)
-        along = self.stabilized(-c, norm_rates, norms)
-        for k, (_, p) in enumerate(self.split(q)):
+        for k, ((_, p), (_, pdot)) in enumerate(zip(self.split(q), self.split(v), strict=True)):
             rddot = [solution.acceleration.get(6 * k + i, 0.0) for i in range(3)]
             spin = np.array([solution.acceleration.get(6 * k + 3 + i, 0.0) for i in range(3)])
-            qddot.extend([*rddot, *(0.5 * matrix_l(p).T @ spin + p * (along[k] / (p @ p)))])
+            minus_c = -(pdot @ pdot) - self.K_D * (p @ pdot) - self.K_P * (0.5 * (p @ p - 1.0))
+            qddot.extend([*rddot, *(0.5 * matrix_l(p).T @ spin + p * (minus_c / (p @ p)))])
         return np.array(qddot)
 
     def mass_rows(self, q: Array) -> Rows:
@@ -383,8 +401,8 @@ class Cartesian(Formulation):
     def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
         """Compute Phi(q) and 1/2 (p^T p - 1), and the nonzeros of their Jacobian."""
         rest = np.zeros(self.nv)
-        phi = np.concatenate([self.Phi(q, rest), self.p_terms(q, rest)[0]])
-        return phi, [*self.Phi_q_and_B(q, rest)[0], *self.P(q)]
+        jacobian = [*self.Phi_q_and_B(q, rest)[0], *self.P(q)]
+        return np.concatenate([self.Phi(q, rest), self.norms(q)]), jacobian
 
     def rows_of(self, relative: Collection[int]) -> list[int]:
         """Select rows of `phi`: these of the joint-coordinate form, and all of joints that its tree keeps."""

@@ -26,16 +26,16 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar
 
-MOST_TURNS = 1000
-"""Of the slowest of angles that are coupled only to each other, where a state begins."""
+MOST_REVOLUTIONS = 1000
+"""Most revolutions, in an initial state, of the slowest of angles that are coupled only to each other."""
 
 SAME_POSE = 1e-6
-"""rad, by which angles may miss a pose that they are to agree with: far more than states are off, and so
-little that other numbers of turns hardly ever agree by chance."""
+"""rad, tolerance of angles that shall agree with a pose: far above the errors of states, and so small that
+other numbers of revolutions hardly ever agree by chance."""
 
 
 class Seen(Protocol):
-    """A joint coordinate at a state, as formulations measure it."""
+    """A joint coordinate at a state."""
 
     @property
     def x(self) -> Scalar:
@@ -47,7 +47,7 @@ class Seen(Protocol):
 
     @property
     def gamma(self) -> Scalar:
-        """What d2x/dt2 lacks of its Jacobian times accelerations."""
+        """Jacobian times accelerations less d2x/dt2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Coupling:
     Attributes:
         what: "motion of joint", "joint", "gear" or "coupling".
         name: of the joint, gear or coupling that it belongs to.
-        joint: name of the joint that it opens when violated.
+        joint: name of the joint that errors blame for its residual.
         factors: of the joint coordinates.
         function: f; None for 0.
         is_length: True for an equation in metres, False for one in radians.
@@ -71,32 +71,32 @@ class Coupling:
     is_length: bool
 
     def phi(self, seen: Mapping[Key, Seen], time: Scalar) -> Scalar:
-        """The residual, m or rad."""
+        """Compute the residual, m or rad."""
         return self.combine({key: seen[key].x for key in self.factors}) - (
             self.function.value(time) if self.function else 0.0
         )
 
     def phi_t(self, time: Scalar) -> Scalar:
-        """Partial derivative of the residual by time, m/s or rad/s."""
+        """Compute the partial derivative of the residual by time, m/s or rad/s."""
         return -self.function.rate(time) if self.function else 0.0
 
     def rate(self, seen: Mapping[Key, Seen], time: Scalar) -> Scalar:
-        """How fast it opens, m/s or rad/s."""
+        """Compute the rate of the residual, m/s or rad/s."""
         return self.combine({key: seen[key].rate for key in self.factors}) + self.phi_t(time)
 
     def gamma(self, seen: Mapping[Key, Seen], time: Scalar) -> Scalar:
-        """The right side of Phi_q qddot = gamma."""
+        """Compute the right side of Phi_q qddot = gamma."""
         return self.combine({key: seen[key].gamma for key in self.factors}) + (
             self.function.acceleration(time) if self.function else 0.0
         )
 
     def combine(self, parts: Mapping[Key, Scalar]) -> Scalar:
-        """The sum of factor * part."""
+        """Compute the sum of factor * part."""
         return sum(factor * parts[key] for key, factor in self.factors.items())
 
 
 def couplings(scene: Scene) -> tuple[Coupling, ...]:
-    """All couplings of a scene: motions, screws, gears and other linear ones."""
+    """List all couplings of a scene: motions, screws, gears and other linear ones."""
     mechanism = scene.mechanism
     found = []
     for motion in scene.motions:
@@ -116,8 +116,8 @@ def couplings(scene: Scene) -> tuple[Coupling, ...]:
     return tuple(found)
 
 
-def wanted(scene: Scene, couplings: Sequence[Coupling]) -> list[Key]:
-    """The coordinates whose values matter in a scene with these couplings, each once."""
+def needed_coordinates(scene: Scene, couplings: Sequence[Coupling]) -> list[Key]:
+    """List the joint coordinates that forces and couplings of a scene depend on, each once."""
     forces = [(force.joint, force.coordinate) for force in scene.joint_forces]
     coupled = [key for coupling in couplings for key in coupling.factors]
     return list(dict.fromkeys([*forces, *coupled]))
@@ -128,29 +128,29 @@ def _kind(mechanism: Mechanism, joint: str, coordinate: int) -> str:
 
 
 def row_units(equations: Sequence[JointEquations], couplings: Sequence[Coupling], size: float) -> Array:
-    """(k,) what makes rows of joints, then couplings, dimensionless: `size` (m) for lengths, else 1."""
+    """Compute units (k,) of the rows of joints, then couplings: `size` (m) for lengths, else 1."""
     coupled = np.array([size if coupling.is_length else 1.0 for coupling in couplings])
     return np.concatenate([np.zeros(0), *(e.units(size) for e in equations), coupled])
 
 
 def row_owners(equations: Sequence[JointEquations], couplings: Sequence[Coupling]) -> tuple[str, ...]:
-    """Names of the joint or gear that each row of joints, then couplings, belongs to."""
+    """List the names of the joints, then couplings, that rows belong to."""
     joints = [e.joint.name for e in equations for _ in range(e.count)]
     return (*joints, *(coupling.name for coupling in couplings))
 
 
-def turns(
+def revolutions(
     couplings: Sequence[Coupling], x: Mapping[Key, float], angles: Collection[Key], time: float
 ) -> dict[Key, float]:
-    """What to add to angles, multiples of 2 pi, so that they are in the turn their couplings ask for.
+    """Compute multiples of 2 pi to add to angles so that their couplings hold.
 
-    Poses tell angles within half a turn only. Motions tell the rest of theirs, slides know what they are,
-    and both tell the angles that they are coupled to. Of angles that are only coupled to each other, the
-    fewest turns are taken that agree with all poses. The order of the couplings does not matter.
+    Poses determine angles within half a revolution only. Prescribed motions and slides determine the rest,
+    directly or through couplings. Angles that are only coupled to each other get the fewest revolutions that
+    agree with all poses. The order of the couplings does not matter.
 
     Args:
         couplings: those of several coordinates without a function of time.
-        x: the coordinates as poses tell them, m or rad.
+        x: the coordinates that poses give, m or rad.
         angles: which of them are angles.
         time: s.
     """
@@ -167,7 +167,7 @@ def turns(
     while coupled - wanted.keys():
         ratios = {min(coupled - wanted.keys()): 1.0}
         _follow(linked, ratios)
-        wanted |= _fewest_turns(ratios, x)
+        wanted |= _fewest_revolutions(ratios, x)
     return {
         key: 2.0 * np.pi * float(np.round((wanted[key] - x[key]) / (2.0 * np.pi)))
         for key in coupled
@@ -176,7 +176,7 @@ def turns(
 
 
 def _follow(couplings: Sequence[Coupling], wanted: dict[Key, float]) -> None:
-    """Add to what coordinates are wanted to be all that follows from it by couplings."""
+    """Add the coordinates that follow from the wanted ones by couplings."""
     before = -1
     while before < len(wanted):
         before = len(wanted)
@@ -187,14 +187,14 @@ def _follow(couplings: Sequence[Coupling], wanted: dict[Key, float]) -> None:
                 wanted[missing[0]] = -known / coupling.factors[missing[0]]
 
 
-def _fewest_turns(ratios: Mapping[Key, float], x: Mapping[Key, float]) -> dict[Key, float]:
-    """Angles of these ratios that agree with their poses x, the smallest of at most `MOST_TURNS` turns.
+def _fewest_revolutions(ratios: Mapping[Key, float], x: Mapping[Key, float]) -> dict[Key, float]:
+    """Find the smallest angles of these ratios that agree with their poses x, up to `MOST_REVOLUTIONS`.
 
-    If there are none, those of the slowest one within half a turn.
+    If there are none, those of the slowest one within half a revolution.
     """
     slowest = min(ratios, key=lambda key: (abs(ratios[key]), key))
     share = np.array([ratios[key] / ratios[slowest] for key in ratios])
-    count = np.arange(MOST_TURNS + 1)
+    count = np.arange(MOST_REVOLUTIONS + 1)
     count = np.stack([count, -count], axis=1).ravel()
     angle = (
         x[slowest] + 2.0 * np.pi * count[np.argsort(np.abs(x[slowest] + 2.0 * np.pi * count), kind="stable")]
@@ -207,9 +207,9 @@ def _fewest_turns(ratios: Mapping[Key, float], x: Mapping[Key, float]) -> dict[K
 def residuals(
     mechanism: Mechanism, couplings: Sequence[Coupling], frames: Sequence[Frame], time: float
 ) -> tuple[Array, Array]:
-    """Residuals (c,) of couplings where bodies have these frames, and how fast they open.
+    """Compute residuals (c,) of couplings where bodies have these frames, and their rates.
 
-    The frames are those of the bodies of the mechanism. Angles are in the turn of `turns`.
+    The frames are those of the bodies of the mechanism. Angles are in the revolution of `revolutions`.
     """
     x, rates = dict[Key, float](), dict[Key, float]()
     angles = set()
@@ -221,8 +221,8 @@ def residuals(
         rates[key] = float(coordinate.jacobian(first, second).rate(first, second)[0])
         if not coordinate.is_length:
             angles.add(key)
-    for key, turn in turns(couplings, x, angles, time).items():
-        x[key] += turn
+    for key, angle in revolutions(couplings, x, angles, time).items():
+        x[key] += angle
     phi = [c.combine(x) - (c.function.value(time) if c.function else 0.0) for c in couplings]
     return np.array(phi), np.array([c.combine(rates) + c.phi_t(time) for c in couplings])
 
@@ -236,7 +236,7 @@ class TreeCouplings:
     Attributes:
         couplings: as of `couplings`.
         jacobian: (c, nv).
-        units: (c,) what makes the equations dimensionless: the mechanism's size (m) for lengths, else 1.
+        units: (c,) of the equations: the mechanism's size (m) for lengths, else 1.
     """
 
     def __init__(self, scene: Scene, tree: SpanningTree) -> None:
@@ -257,26 +257,26 @@ class TreeCouplings:
         self.units = np.array([size if coupling.is_length else 1.0 for coupling in self.couplings])
 
     def phi(self, q: Array, time: float) -> Array:
-        """Residuals (c,), m or rad."""
+        """Compute residuals (c,), m or rad."""
         x = {key: q[place] for key, place in self._on_q.items()}
         return np.array([coupling.combine(x) for coupling in self.couplings]) - self.value(time)
 
     def value(self, time: float) -> Array:
-        """(c,) what the combinations of coordinates are to be, m or rad."""
+        """Compute the prescribed values (c,) of the combinations of coordinates, m or rad."""
         return np.array([c.function.value(time) if c.function else 0.0 for c in self.couplings])
 
     def rate(self, time: float) -> Array:
-        """(c,) its first derivative."""
+        """Compute the first derivatives (c,) of `value`."""
         return np.array([c.function.rate(time) if c.function else 0.0 for c in self.couplings])
 
     def acceleration(self, time: float) -> Array:
-        """(c,) its second derivative."""
+        """Compute the second derivatives (c,) of `value`."""
         return np.array([c.function.acceleration(time) if c.function else 0.0 for c in self.couplings])
 
     def turned(self, q: Array, time: float) -> Array:
-        """Coordinates that poses gave, with angles in the turn that the couplings ask for."""
+        """Add revolutions to the angles of coordinates that poses gave, so that couplings hold."""
         x = {key: float(q[place]) for key, place in self._on_q.items()}
         q = q.copy()
-        for key, turn in turns(self.couplings, x, self._angles, time).items():
-            q[self._on_q[key]] += turn
+        for key, angle in revolutions(self.couplings, x, self._angles, time).items():
+            q[self._on_q[key]] += angle
         return q

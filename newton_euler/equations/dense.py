@@ -1,4 +1,4 @@
-"""Dense linear algebra of constrained dynamics, for floats.
+"""Dense linear algebra and dense solvers of the equations of motion, for floats.
 
 Ranks are decided on dimensionless matrices: rows in meters are divided by the mechanism's size and so
 are velocities in m/s. Entries of a constraint Jacobian are then of order 1 whatever the size of the
@@ -9,7 +9,7 @@ configurations.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -21,12 +21,12 @@ RANK_TOLERANCE = 1e-9
 
 
 def largest(residuals: Array) -> float:
-    """The largest of a set of residuals, 0 for none."""
+    """Find the largest magnitude of a set of residuals, 0 for none."""
     return float(np.max(np.abs(residuals), initial=0.0))
 
 
 def singular_values(matrix: Array, full: bool = False) -> tuple[Array, Array, Array]:
-    """U, s and V^T of a matrix, reduced or `full`.
+    """Compute U, s and V^T of a matrix, reduced or `full`.
 
     Raises `numpy.linalg.LinAlgError` for one that is not finite: LAPACK would go on for ever, or print.
     """
@@ -37,12 +37,20 @@ def singular_values(matrix: Array, full: bool = False) -> tuple[Array, Array, Ar
 
 
 def numerical_rank(singular_values: Array) -> int:
-    """Number of singular values of a dimensionless matrix that are not round-off."""
+    """Count the singular values of a dimensionless matrix that are not round-off."""
     return int(np.sum(singular_values > RANK_TOLERANCE * max(1.0, np.max(singular_values, initial=0.0))))
 
 
+def largest_share(owners: Sequence[str], combination: Array) -> str:
+    """Find the owner with the largest share in a combination (k,) of rows."""
+    weights: dict[str, float] = {}
+    for owner, share in zip(owners, combination**2, strict=True):
+        weights[owner] = weights.get(owner, 0.0) + share
+    return max(weights, key=lambda owner: weights[owner])
+
+
 def rank(matrix: Array) -> int:
-    """Numerical rank of a dimensionless matrix."""
+    """Compute the numerical rank of a dimensionless matrix."""
     return numerical_rank(singular_values(matrix)[1]) if matrix.size else 0
 
 
@@ -64,7 +72,7 @@ def minimum_norm(
 
 
 def independent_rows(jacobian: Array, row_units: Array, column_units: Array) -> Array:
-    """(k, r) combinations of the rows of a Jacobian that imply all of them.
+    """Compute combinations (k, r) of the rows of a Jacobian that imply all of them.
 
     With them as C, constraints J a = gamma become C^T J a = C^T gamma, and multipliers mu of those are
     lambda = C mu: of all equivalent multipliers the smallest, in dimensionless terms.
@@ -81,7 +89,7 @@ def solve_constrained(
     row_units: Array,
     column_units: Array,
 ) -> tuple[Array, Array]:
-    """Acceleration a (n,) and multipliers lambda (k,) of M a = f + J^T lambda, J a = gamma.
+    """Solve M a = f + J^T lambda, J a = gamma for a (n,) and lambda (k,).
 
     Redundant constraints are combined into independent ones first. With L the Cholesky factor of M
     and QR = L^-1 J^T, L^T a = L^-1 f + Q (R^-T gamma - Q^T L^-1 f); not squaring J keeps its digits.
@@ -138,13 +146,13 @@ def assemble(blocks: Iterable[Block], force: Array) -> tuple[Array, Array]:
 
 
 def orthonormal_range(matrix: Array) -> Array:
-    """Orthonormal columns that span the range of a dimensionless matrix."""
+    """Compute orthonormal columns that span the range of a dimensionless matrix."""
     u, s, _ = singular_values(matrix)
     return np.asarray(u[:, : numerical_rank(s)])
 
 
 def orthonormal_null(matrix: Array, rank: int | None = None) -> Array:
-    """Orthonormal columns that span the null space of a dimensionless matrix; of its own rank if None."""
+    """Compute orthonormal columns that span the null space of a dimensionless matrix of a given rank."""
     if not matrix.size:
         return np.eye(matrix.shape[1])
     _, s, vt = singular_values(matrix, full=True)
@@ -152,7 +160,7 @@ def orthonormal_null(matrix: Array, rank: int | None = None) -> Array:
 
 
 def least_squares(matrix: Array, right: Array, rank_tolerance: float | None = None) -> Array:
-    """The shortest of the least-squares solutions.
+    """Compute the shortest of the least-squares solutions.
 
     Raises `numpy.linalg.LinAlgError` for what is not finite: LAPACK might go on for ever.
     """

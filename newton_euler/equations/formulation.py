@@ -7,13 +7,13 @@ Extensions of the paper, the same in both forms: couplings and prescribed motion
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 
 from newton_euler.equations.applied_forces import Surroundings, energies, power, rotors_energy, springs_energy
-from newton_euler.equations.couplings import couplings, row_owners, row_units, turns, wanted
+from newton_euler.equations.couplings import couplings, needed_coordinates, revolutions, row_owners, row_units
 from newton_euler.equations.joint_coordinates import (
     Measured,
     carried_angles,
@@ -82,7 +82,7 @@ class Formulation:
         self.rows = sum(e.count for e in constrained) + len(self.couplings)
         self.phi_units = row_units(constrained, self.couplings, self.mechanism.size)
         self.row_owners = row_owners(constrained, self.couplings)
-        counted = wanted(scene, self.couplings)
+        counted = needed_coordinates(scene, self.couplings)
         rotors = (armature.key for armature in scene.armatures if isinstance(armature, Armature))
         self.places = {key: self.place(key) for key in [*counted, *rotors]}
         cut = {
@@ -193,8 +193,8 @@ class Formulation:
         q = np.concatenate([q, np.zeros(self.nq - len(q))])
         q[self.carried] = carried_angles(self.between, self.frames(q, v))
         x = {key: seen.x for key, seen in self.measured(q, v).items()}
-        for key, turn in turns(self.couplings, x, self.angles, self.time).items():
-            q[self.angles[key]] += turn
+        for key, angle in revolutions(self.couplings, x, self.angles, self.time).items():
+            q[self.angles[key]] += angle
         return q, v
 
     def rate(self, q: Array, v: Array) -> Array:
@@ -251,10 +251,6 @@ class Formulation:
             rates.append(e.jacobian(first, second).rate(first, second))
         return np.concatenate([*rates, [c.rate(measured, self.time) for c in self.couplings]])
 
-    def stabilized(self, gamma: Array, rate: Array, phi: Array) -> Array:
-        """Add Baumgarte's terms: gamma - K_D (Phi_q qdot) - K_P Phi, eq. (9)."""
-        return gamma - self.K_D * rate - self.K_P * phi
-
     # Forces on joint coordinates, and the power
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
@@ -262,11 +258,10 @@ class Formulation:
         measured = self.measured(q, v)
         return [measured[law.joint, law.coordinate][:2] for law in self.scene.control]
 
-    def joint_forces(self, measured: Mapping[Key, Measured]) -> list[Scalar]:
+    def joint_forces(self, measured: Mapping[Key, Measured]) -> Iterator[Scalar]:
         """Compute the forces of control laws and of springs on joint coordinates, N or N m."""
-        return [
-            law.force(*measured[law.joint, law.coordinate][:2], self.time) for law in self.scene.joint_forces
-        ]
+        for law in self.scene.joint_forces:
+            yield law.force(*measured[law.joint, law.coordinate][:2], self.time)
 
     def seen(self, q: Array, v: Array) -> Surroundings:
         """Compute what the forces depend on."""
@@ -277,11 +272,10 @@ class Formulation:
         total = power(self.scene, *self.seen(q, v))
         if not self.scene.motions:
             return total
-        rates = self.phi_t()[: self.rows]
         if self.in_use is None:
-            return total - rates @ self.solve(q, v)[1]
+            return total - self.phi_t()[: self.rows] @ self.solve(q, v)[1]
         multipliers = self.sparse_solution(q, v, self.in_use).multipliers
-        return total - sum(rate * multipliers.get(k, 0.0) for k, rate in enumerate(rates))
+        return total - sum(rate * multipliers.get(k, 0.0) for k, rate in enumerate(self.phi_t()))
 
     # Solutions
 
@@ -315,7 +309,7 @@ class Formulation:
             *bodies,
             forces,
             torques,
-            np.array(self.joint_forces(measured)[: len(self.scene.control)]),
+            np.array(list(self.joint_forces(measured))[: len(self.scene.control)]),
             kinetic + rotors_energy(self.scene, frames, measured),
             potential + springs_energy(self.scene, self.poses, frames, measured),
             q[self.work][0] if self.scene.tracks_work else None,

@@ -1,7 +1,8 @@
-"""Independent rows of a dimensionless matrix: the one decision that every form, engine and reader shares.
+"""Independent rows of a dimensionless matrix: one decision for all formulations, engines and readers.
 
-A row counts as dependent where what it adds to the others is smaller than a tolerance and a gap sets it apart
-from what the weakest independent row adds. Everything is sparse: there may be thousands of rows.
+A row adds its component orthogonal to the others. It counts as dependent where the length of that is smaller
+than a tolerance and several times smaller than that of the weakest independent row. Everything is sparse:
+there may be thousands of rows.
 """
 
 from __future__ import annotations
@@ -26,18 +27,18 @@ ROUND_OFF = 1e-10
 """Independent part of a row below which it is round-off, whatever the tolerance."""
 
 NAMED = 1e-13
-"""What a row adds to the others above which it is not exactly redundant."""
+"""Independent part of a row above which it is not exactly redundant."""
 
 CERTAIN = 1e-4
 """Pivot of the Gram matrix above which its row is independent: a pivot is the square of what the row adds to
 those before it, so that smaller ones leave doubt."""
 
-GAP = 10.0
-"""Least ratio of what the weakest independent row adds to what the strongest redundant one does."""
+LEAST_RATIO = 10.0
+"""Least ratio of the parts that the weakest independent row and the strongest redundant one add."""
 
 
 class Independent(NamedTuple):
-    """A choice of rows that imply all others, but for noise."""
+    """A selection of rows that imply all others, but for noise."""
 
     factor: Factor
     """Of the Gram matrix of these rows."""
@@ -55,30 +56,30 @@ class Independent(NamedTuple):
 
 
 def independent(rows: Rows, tolerance: float) -> Independent:
-    """Choose independent rows of a dimensionless matrix.
+    """Select independent rows of a dimensionless matrix.
 
-    Rows are added by what is new in them, the most first, until less than `tolerance` is new and a gap
-    separates it; where there is none, until the rest is round-off.
+    Rows are added in the order of their independent parts, the largest first, until these are smaller than
+    `tolerance` and than the last one over `LEAST_RATIO`; without such a step, until the rest is round-off.
     """
     lengths = [length(row) for row in rows]
     noise = max((each for each in lengths if each <= ROUND_OFF), default=0.0)
     rows = [row if each > ROUND_OFF else {} for row, each in zip(rows, lengths, strict=True)]
     products = gram(rows, rows)
     order = [i for i in pattern_order(products) if rows[i]]
-    certain = max(CERTAIN, (GAP * tolerance) ** 2)
+    certain = max(CERTAIN, (LEAST_RATIO * tolerance) ** 2)
     factor = factorise(products, order, scales=[1.0] * len(rows), drop=certain)
     used = set(factor.order)
     doubtful = [i for i in order if i not in used]
     least = float(np.sqrt(min((factor.pivots[i] for i in factor.order), default=1.0)))
     weak, strong = dict[int, float](), least
     while doubtful and (new := _together(rows, factor, doubtful)) > NAMED:
-        if new <= ROUND_OFF or GAP * new <= min(tolerance, least / GAP):
+        if new <= ROUND_OFF or LEAST_RATIO * new <= min(tolerance, least / LEAST_RATIO):
             noise = max(noise, new)
             break
         shares = {i: remainder(rows, factor, rows[i]) for i in doubtful}
         found = max(shares, key=lambda i: shares[i])
         share = shares[found]
-        if share <= ROUND_OFF or (share <= tolerance and GAP * share <= least):
+        if share <= ROUND_OFF or (share <= tolerance and LEAST_RATIO * share <= least):
             noise = max(noise, share)
             break
         least = min(least, share)
@@ -92,13 +93,15 @@ def independent(rows: Rows, tolerance: float) -> Independent:
 
 
 def length(row: dict[int, float]) -> float:
-    """Euclidean norm of a sparse vector."""
+    """Compute the Euclidean norm of a sparse vector."""
     return float(np.sqrt(sum(x * x for x in row.values())))
 
 
 def remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
-    """Length of the part of a row that is new to those of a factor; solved twice, for digits that squaring
-    loses."""
+    """Compute the length of the part of a row that is independent of the rows of a factor.
+
+    It is solved twice, for digits that squaring loses.
+    """
     left = dict(row)
     for _ in range(2):
         right = {j: dot(rows[j], left) for j in factor.order}
@@ -109,7 +112,7 @@ def remainder(rows: Rows, factor: Factor, row: dict[int, float]) -> float:
 
 
 def least_step(rows: Rows, factor: Factor, right: Array, columns: int) -> Array:
-    """The shortest x (columns,) with rows @ x = right (k,) for the rows of a factor."""
+    """Compute the shortest x (columns,) with rows @ x = right (k,) for the rows of a factor."""
     used = set(factor.order)
     weights = factor.solve({i: x for i, x in sparse_vector(right).items() if i in used})
     step = np.zeros(columns)
@@ -120,7 +123,7 @@ def least_step(rows: Rows, factor: Factor, right: Array, columns: int) -> Array:
 
 
 def _together(rows: Rows, factor: Factor, doubtful: list[int]) -> float:
-    """Length of what is new in a random combination of rows: round-off only if nothing is new in any."""
+    """Compute the independent part of a random combination of rows: round-off only if that of each row is."""
     weights = np.random.default_rng(1).uniform(1.0, 2.0, len(doubtful))
     together: dict[int, float] = {}
     for i, weight in zip(doubtful, weights, strict=True):

@@ -1,8 +1,8 @@
-"""Joint coordinates that something acts on, each measured once: control laws, springs, couplings.
+"""Joint coordinates that control laws, springs and couplings act on.
 
-A slide is measured from the poses of its two bodies. Of an angle they only tell the part within a
-turn. How many turns it has made is known from the integral of its rate, which is carried along in q
-and starts within half a turn.
+A slide is measured from the poses of its two bodies. They determine an angle only within a
+revolution; the number of revolutions follows from the integral of its rate, which is carried along in q
+and starts within half a revolution.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Coordinate:
     Attributes:
         first, second: the bodies.
         constraint: its residual is the coordinate.
-        carried: where in q its angle is carried; None for a slide, and where its turns do not matter.
+        carried: where in q its angle is carried; None for a slide, and where its revolutions do not matter.
     """
 
     first: int
@@ -45,7 +45,7 @@ class Coordinate:
     carried: int | None
 
     def measure(self, q: Array, frames: Sequence[Frame]) -> Measured:
-        """The coordinate where the bodies have these frames."""
+        """Measure the coordinate where the bodies have these frames."""
         first, second = frames[self.first], frames[self.second]
         jacobian = self.constraint.jacobian(first, second)
         x = self.constraint.phi(first, second)[0]
@@ -59,7 +59,7 @@ class Coordinate:
 def coordinates(
     keys: dict[Key, JointEquations], size: int, counted: Collection[Key]
 ) -> dict[Key, Coordinate]:
-    """Coordinates of these joints; angles whose turns are `counted` are carried from place `size` of q on."""
+    """Describe coordinates of joints; those of `counted` angles are carried from place `size` of q on."""
     found: dict[Key, Coordinate] = {}
     for key, equations in keys.items():
         constraint = equations.coordinates[key[1]]
@@ -70,7 +70,7 @@ def coordinates(
 
 
 def carried_angles(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> Array:
-    """The carried angles within half a turn, rad."""
+    """Compute the carried angles within half a revolution, rad."""
     angles = [
         c.constraint.phi(frames[c.first], frames[c.second])
         for c in measured.values()
@@ -80,7 +80,7 @@ def carried_angles(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> 
 
 
 def carried_rates(measured: dict[Key, Coordinate], frames: Sequence[Frame]) -> Array:
-    """Rates of the carried angles, rad/s."""
+    """Compute the rates of the carried angles, rad/s."""
     rates = [np.zeros(0)]
     for c in measured.values():
         if c.carried is not None:

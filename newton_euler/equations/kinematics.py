@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from newton_euler.equations.couplings import Coupling
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.joint_coordinates import Measured
 from newton_euler.equations.sparse import Rows, add
@@ -46,14 +47,14 @@ class Link:
     orientation: Array
 
 
-def turn(axis: Array, angle: Array) -> Array:
-    """Rotation (3, 3) about a constant unit axis (Rodrigues)."""
+def rotation_about(axis: Array, angle: Array) -> Array:
+    """Compute the rotation (3, 3) about a constant unit axis (Rodrigues)."""
     k = tilde(axis)
     return np.eye(3) + sin(angle) * k + (1.0 - cos(angle)) * (k @ k)
 
 
 def tree_links(mechanism: Mechanism, tree: SpanningTree, q: Array, v: Array) -> list[Link]:
-    """Kinematics of all bodies, ground first, at joint coordinates q (nq,) and velocities v (nv,)."""
+    """Compute the kinematics of all bodies, ground first, at q (nq,) and v (nv,)."""
     ground = mechanism.bodies[0]
     zero = np.zeros(3)
     frame, none = Frame(ground.center_of_mass, np.eye(3), zero, zero), np.zeros((3, 0))
@@ -67,7 +68,7 @@ def tree_links(mechanism: Mechanism, tree: SpanningTree, q: Array, v: Array) -> 
 def _child(
     mechanism: Mechanism, tree: SpanningTree, joint: TreeJoint, parent: Link, q: Array, v: Array
 ) -> Link:
-    """Kinematics of a joint's child, motion by motion from its parent."""
+    """Compute the kinematics of a joint's child, motion by motion from its parent."""
     r, a, velocity, omega = parent.frame
     acceleration, alpha = parent.acceleration, parent.angular_acceleration
     orientation = parent.orientation
@@ -82,7 +83,7 @@ def _child(
 
     here = joint.points[0] if joint.motions else tree.joint(joint.joint).reaction_point
     move(a @ (here - mechanism.bodies[joint.parent].center_of_mass))
-    columns: list[tuple[Array, Array | None]] = []  # an axis, and the point it turns about
+    columns: list[tuple[Array, Array | None]] = []  # an axis, and the point that it passes through
     iq = iv = 0
     for motion, point in zip(joint.motions, joint.points, strict=True):
         if np.any(point != here):
@@ -100,7 +101,7 @@ def _child(
             axis = a @ motion.axis
             alpha = alpha + cross(omega, axis * v[iv])
             omega = omega + axis * v[iv]
-            a = a @ turn(motion.axis, q[iq])
+            a = a @ rotation_about(motion.axis, q[iq])
             half = 0.5 * q[iq]
             orientation = product(orientation, np.array([cos(half), *(sin(half) * motion.axis)]))
             columns.append((axis, r))
@@ -237,28 +238,28 @@ class TreeKinematics(Formulation):
 
     # Constraints
 
-    def loops(self, q: Array, v: Array) -> tuple[Array, Rows]:
+    def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
         """Compute Phi (k,) of loop closures and couplings, and the nonzeros of J (k, nv)."""
-        links, measured = self.links(q, v), self.measured(q, v)
-        phis, rows = [np.zeros(0)], list[dict[int, Any]]()
+        v = np.zeros(self.nv)
+        links, phis, rows = self.links(q, v), [np.zeros(0)], list[dict[int, Any]]()
         for closure in self.constrained:
             first, second = links[closure.first], links[closure.second]
+            blocks = closure.jacobian(first.frame, second.frame)
             phis.append(closure.phi(first.frame, second.frame))
-            rows.extend(self.project(closure.jacobian(first.frame, second.frame), first, second))
-        coupled = [coupling.phi(measured, self.time) for coupling in self.couplings]
-        return np.concatenate([*phis, coupled]), [*rows, *self._coupled_rows(measured)]
+            rows.extend(self.project(blocks, first, second))
+        measured = self.measured(q, v)
+        for coupling in self.couplings:
+            phis.append(np.array([coupling.phi(measured, self.time)]))
+            rows.append(self.coupled_row(coupling, measured))
+        return np.concatenate(phis), rows
 
-    def _coupled_rows(self, measured: Mapping[Key, Measured]) -> Rows:
-        rows: Rows = [{} for _ in self.couplings]
-        for coupling, row in zip(self.couplings, rows, strict=True):
-            for key, factor in coupling.factors.items():
-                for k, entry in measured[key].jacobian.items():
-                    add(row, k, factor * entry)
-        return rows
-
-    def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
-        """Compute the residuals (k,) of loop closures and couplings, and the nonzeros of their Jacobian."""
-        return self.loops(q, np.zeros(self.nv))
+    def coupled_row(self, coupling: Coupling, measured: Mapping[Key, Measured]) -> dict[int, Any]:
+        """Compute the nonzeros of a coupling's row of J."""
+        row: dict[int, Any] = {}
+        for key, factor in coupling.factors.items():
+            for k, entry in measured[key].jacobian.items():
+                add(row, k, factor * entry)
+        return row
 
     def joint_phi(self, q: Array) -> Array:
         """Compute the residuals of all joints, kept ones included, and of the couplings."""
@@ -294,8 +295,9 @@ class TreeKinematics(Formulation):
                 share = np.outer(r, linear) + np.outer(theta, angular)
                 largest = np.maximum(largest, np.max(share, axis=1, initial=0.0))
             scales.extend(largest / closure.units(self.mechanism.size))
-        rows = self._coupled_rows(self.measured(q, np.zeros(self.nv)))
-        for row, unit in zip(rows, self.phi_units[len(scales) :], strict=True):
+        measured = self.measured(q, np.zeros(self.nv))
+        for coupling, unit in zip(self.couplings, self.phi_units[len(scales) :], strict=True):
+            row = self.coupled_row(coupling, measured)
             scales.append(
                 float(np.sqrt(sum((x * self.velocity_units[k] / unit) ** 2 for k, x in row.items())))
             )

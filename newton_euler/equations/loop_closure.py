@@ -41,21 +41,21 @@ SIDES = {
     False: "joints {1} bend the other way than in {0}: a dead centre lies between it and the closed pose",
     None: "{0} or the closed pose is so near to a dead centre that either way of bending is as near",
 }
-"""What to say of two configurations, with a name of the first and the joints in question."""
+"""Sentences on two configurations, with a name of the first and the joints in question."""
 
 MOST_NAMES = 6
 
 
 class Units(NamedTuple):
-    """What makes the equations of a file's loops dimensionless."""
+    """Units of the equations of a file's loops."""
 
     velocities: Array
-    """(nv,) the spread of the mechanism, m, for slides and free translations, 1 for turns."""
+    """(nv,) the spread of the mechanism, m, for slides and free translations, 1 for rotations."""
     rows: Array
     """(k,) m or rad: `reach` of a loop, the length of its own row for a coupling."""
 
     def jacobian(self, jacobian: Array) -> Array:
-        """(k, nv) without units."""
+        """Divide a Jacobian (k, nv) by the units."""
         return np.asarray(jacobian * self.velocities / self.rows[:, None])
 
 
@@ -68,14 +68,14 @@ class Closure(NamedTuple):
     noise: float
     """The largest residual, dimensionless."""
     independent: float
-    """The same of what could be closed and is not."""
+    """The same of the independent constraints."""
     tolerance: float
     """Dimensionless size below which constraints were taken as redundant."""
 
     @property
     def is_closed(self) -> bool:
-        """Whether what is left is no more than rounding of the file explains."""
-        # what no motion closes is rounding however constraints are taken
+        """True if rounding of the file explains the residuals."""
+        # a residual that no motion removes is rounding, whichever constraints count as redundant
         loose = loosely_closed(max(self.tolerance, REDUNDANCY_TOLERANCE))
         return self.independent <= CLOSURE_TOLERANCE and self.noise <= loose
 
@@ -104,11 +104,11 @@ def close(
     best: Closure | None = None
     for _ in range(NEWTON_STEPS + 1):
         phi, jacobian = evaluate(q)
-        gaps, matrix = phi / units.rows, units.jacobian(jacobian)
+        scaled, matrix = phi / units.rows, units.jacobian(jacobian)
         rank = len(independent([sparse_vector(row) for row in matrix], tolerance).rows)
         u, s, vt = singular_values(matrix)
-        shares = u[:, :rank].T @ gaps
-        found = Closure(q, phi, largest(gaps), largest(u[:, :rank] @ shares), tolerance)
+        shares = u[:, :rank].T @ scaled
+        found = Closure(q, phi, largest(scaled), largest(u[:, :rank] @ shares), tolerance)
         if best is None or found.independent < best.independent:
             best = found
         elif best.independent < CLOSURE_TOLERANCE:
@@ -121,33 +121,33 @@ def close(
 
 
 def reach(motions: Sequence[Array], levers: Sequence[float], velocities: Array) -> tuple[float, float]:
-    """How far one velocity moves what two bodies share, and turns it, at most: m and rad.
+    """Compute by how much one velocity moves and rotates a closure of two bodies, at most: m and rad.
 
-    Of each body by itself, so that a loop in which both cancel is seen to be stiff but for noise; see
+    The bodies count separately, so that a loop in which their motions cancel is stiff but for noise; see
     `newton_euler.equations.kinematics.TreeKinematics.row_scales`.
 
     Args:
         motions: (6, nv) of each body, velocity of its mass center and angular velocity.
-        levers: m, from these centers to the point that they share.
+        levers: m, from these centers to the point of the closure.
         velocities: (nv,) units.
     """
-    turns, moves = np.zeros(len(velocities)), np.zeros(len(velocities))
+    rotations, moves = np.zeros(len(velocities)), np.zeros(len(velocities))
     first, second = (np.any(motion != 0.0, axis=0) for motion in motions)
     own = first != second
     for motion, lever in zip(motions, levers, strict=True):
         turning = np.linalg.norm(motion[3:], axis=0) * velocities * own
-        turns = np.maximum(turns, turning)
+        rotations = np.maximum(rotations, turning)
         moves = np.maximum(moves, np.linalg.norm(motion[:3], axis=0) * velocities * own + lever * turning)
-    return float(np.max(moves, initial=0.0)) or 1.0, float(np.max(turns, initial=0.0)) or 1.0
+    return float(np.max(moves, initial=0.0)) or 1.0, float(np.max(rotations, initial=0.0)) or 1.0
 
 
 @dataclass(frozen=True)
 class Branch:
-    """How one configuration lies to another.
+    """Relation of two configurations of a loop.
 
     Attributes:
-        columns: of the velocities that were taken as those that depend on the others.
-        same: whether both lie on the same side of the dead centres of these; None if one is too near to tell.
+        columns: of the velocities that count as dependent on the others.
+        same: True if no dead center lies between them; None if one is too near to a dead center to decide.
     """
 
     columns: tuple[int, ...]
@@ -157,15 +157,15 @@ class Branch:
 def assembled(
     start: str, side: Branch, joints: Sequence[str], closed: Closure, moved: Array, apart: float
 ) -> list[str]:
-    """Lines for a report on a start that was open and is closed.
+    """Write lines of a report on a start that had open loops and is closed.
 
     Args:
-        start: what it is called.
-        side: how it lies to the closed configuration.
+        start: name of the start.
+        side: its relation to the closed configuration.
         joints: names of the joints that the velocities belong to, by number.
         closed: the closed configuration.
-        moved: (nv,) how far coordinates moved, m or rad.
-        apart: m, how far bodies moved at most.
+        moved: (nv,) displacements of coordinates, m or rad.
+        apart: m, largest displacement of a body.
     """
     dof = int(np.argmax(np.abs(moved)))
     bending = ", ".join(dict.fromkeys(repr(joints[k]) for k in side.columns[:MOST_NAMES]))
@@ -185,8 +185,8 @@ def branch(first: Array, second: Array, tolerance: float) -> Branch:
     """Compare two configurations by the dimensionless derivatives (k, nv) of the same constraints in them.
 
     The dependent velocities are those that the second one's derivative determines best, or the first one's
-    where the second is near a dead centre; what is redundant in both but for noise of the size of `tolerance`
-    is left out.
+    where the second is near a dead center; rows that are redundant in both but for noise of the size of
+    `tolerance` are left out.
     """
     from scipy.linalg import qr
 

@@ -101,19 +101,20 @@ def tree_reactions(
     """
     mechanism, tree, need = system.mechanism, system.tree, list(needed)
     found = list(pushes(system, frames, multipliers))
-    applied = []
+    for push in found:
+        need[push.first] = need[push.first] - push.on_first
+        need[push.second] = need[push.second] - push.on_second
+    forces, torques = (list(rows) for rows in at_joint_points(system, frames, found))
     for (name, coordinate), u in joint_forces:
         number = mechanism.joint_index(name)
         e = system.equations[number]
         blocks = e.coordinates[coordinate].jacobian(frames[e.first], frames[e.second])
-        applied.append(_push(number, e.first, e.second, blocks, np.array([u])))
-    for push in [*found, *applied]:
+        push = _push(number, e.first, e.second, blocks, np.array([u]))
         need[push.first] = need[push.first] - push.on_first
         need[push.second] = need[push.second] - push.on_second
     for (first, second), torque in couples:
         couple = np.concatenate([np.zeros(3), torque])
         need[first], need[second] = need[first] + couple, need[second] - couple
-    forces, torques = (list(rows) for rows in at_joint_points(system, frames, found))
     arms = _arms(system, frames)
     for kept in reversed(tree.joints):
         force, torque = need[kept.child][:3], need[kept.child][3:]

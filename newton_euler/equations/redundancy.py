@@ -6,8 +6,8 @@ the others in one configuration only, as in a dead center, is none. So several c
 Files are rarely exact: axes tilted by 1e-12 to 1e-7 rad and points rounded to 1e-6 m leave rows that add
 very little to the others, although the design is plainly redundant. Taken literally they would lock the
 mechanism. Rows whose independent part is smaller than `Scene.redundancy_tolerance` count as redundant
-where a gap sets them apart (`newton_euler.equations.independence`), and are named with their singular
-value (on such models see J. Garcia de Jalon and M. D. Gutierrez-Lopez, Multibody System Dynamics 30,
+where they are set apart from the others (`newton_euler.equations.independence`), and are named with their
+singular value (on such models see J. Garcia de Jalon and M. D. Gutierrez-Lopez, Multibody System Dynamics 30,
 2013). The decision is made in joint coordinates, with each row in units of the motions that it is a
 difference of; all other forms of the equations, dense and sparse, of every engine, take the degrees of
 freedom from it.
@@ -24,7 +24,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from newton_euler.equations.dense import largest, numerical_rank, singular_values
+from newton_euler.equations.dense import largest, largest_share, numerical_rank, singular_values
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.independence import (
     NAMED,
@@ -103,7 +103,7 @@ class NearlyRedundant(NamedTuple):
 
 
 def residual(nearly: Iterable[NearlyRedundant]) -> float:
-    """The largest singular value that is taken as redundant, 0 for none."""
+    """Find the largest singular value that is taken as redundant, 0 for none."""
     return max((weak.singular_value for weak in nearly if weak.taken == "redundant"), default=0.0)
 
 
@@ -151,20 +151,20 @@ _LEFT_OUT: WeakKeyDictionary[Scene, dict[str, list[int]]] = WeakKeyDictionary()
 
 
 def mobility(scene: Scene) -> Mobility:
-    """Decide which constraints of a scene are redundant; asked again for the same scene, the same."""
+    """Decide which constraints of a scene are redundant, once for each scene."""
     if scene not in _KNOWN:
-        with np.errstate(all="ignore"):  # what overflows is reported by a run
+        with np.errstate(all="ignore"):  # a run reports overflows
             _KNOWN[scene] = _mobility(TreeKinematics(scene))
     return _KNOWN[scene]
 
 
 def constraint_rank(system: Equations) -> int:
-    """Number of independent constraints of any form of a scene's equations."""
+    """Compute the number of independent constraints of any form of a scene's equations."""
     return system.nv - mobility(system.scene).degrees_of_freedom
 
 
 def loop_rank(system: Equations, but: Collection[str]) -> int:
-    """Number of independent constraints of any form that close loops, which couplings may follow from.
+    """Compute the number of independent constraints of any form that close loops, couplings left out.
 
     Args:
         but: names of joints whose constraints do not count either.
@@ -178,9 +178,9 @@ def loop_rank(system: Equations, but: Collection[str]) -> int:
 
 
 def rows_left_out(system: System) -> list[int]:
-    """Rows of `phi` that noise keeps from being redundant, left out the same everywhere.
+    """Select the rows of `phi` that are redundant but for noise, to be left out everywhere.
 
-    Of a form that knows the rows of the joint-coordinate form, all but those; of another one those that a
+    A `Formulation` leaves out all rows but those of the joint-coordinate form; another engine those that a
     factorization with pivoting leaves at a configuration where no others are redundant.
     """
     decided, count = mobility(system.scene), len(system.phi_units)
@@ -205,19 +205,19 @@ def rows_left_out(system: System) -> list[int]:
 
 
 def loosely_closed(tolerance: float) -> float:
-    """Residual, sizes or rad, up to which constraints that are redundant but for noise may be open."""
+    """Compute the largest residual, sizes or rad, of closed constraints that are redundant but for noise."""
     return max(LOOSE * tolerance, CLOSURE_TOLERANCE)
 
 
 def without(rows: Array, left_out: Sequence[int]) -> Array:
-    """A copy of an array (k, ...) with some of its rows zero."""
+    """Copy an array (k, ...) with some of its rows zero."""
     changed = np.array(rows)
     changed[list(left_out)] = 0.0
     return changed
 
 
 def inherit_mobility(scene: Scene, of: Scene) -> None:
-    """Give a scene with the same geometry as another one what has been decided of that, if it has been."""
+    """Use the decision on another scene of the same geometry for this one, if it has been made."""
     if of in _KNOWN:
         _KNOWN[scene] = _KNOWN[of]
 
@@ -258,10 +258,10 @@ def _mobility(system: TreeKinematics) -> Mobility:
 
 
 def _nearly(system: TreeKinematics, seen: Sequence[Configuration]) -> Iterator[NearlyRedundant]:
-    """Small singular values on both sides of the rank.
+    """Find small singular values on both sides of the rank.
 
-    Those taken literally where no configuration has larger ones, those of redundant rows where they are
-    largest: in some poses noise does nothing.
+    Those taken literally in the configuration where they are largest, and those of redundant rows where noise
+    is largest: in some poses it has no effect.
     """
     own, _ = system.coordinates(State.initial(system.scene.mechanism))
     exact = [NAMED if np.array_equal(at.q, own) else CLOSED for at in seen]
@@ -281,9 +281,9 @@ def _nearly(system: TreeKinematics, seen: Sequence[Configuration]) -> Iterator[N
 
 
 class Spectrum(NamedTuple):
-    """How much the rows of a configuration say, strongest first: singular values of their Jacobian.
+    """Singular values of the Jacobian of a configuration, the largest first.
 
-    Of one too large for these, what rows add to those before them, and what redundant ones add to all others.
+    Of a Jacobian too large for these, the independent parts of its rows.
     """
 
     values: list[float]
@@ -297,14 +297,7 @@ def _spectrum(system: TreeKinematics, at: Configuration) -> Spectrum:
     rows, chosen, owners = at.rows, at.chosen, system.row_owners
     if len(rows) * system.nv <= DENSE_LIMIT:
         u, s, _ = singular_values(to_array(rows, system.nv))
-
-        def largest_share(k: int) -> str:
-            weights: dict[str, float] = {}
-            for owner, share in zip(owners, u[:, k] ** 2, strict=True):
-                weights[owner] = weights.get(owner, 0.0) + share
-            return max(weights, key=lambda owner: weights[owner])
-
-        return Spectrum(s.tolist(), at.rank, largest_share)
+        return Spectrum(s.tolist(), at.rank, lambda k: largest_share(owners, u[:, k]))
     others = set(range(len(rows))) - set(chosen.factor.order)
     left = {k: remainder(rows, chosen.factor, rows[k]) for k in others}
     redundant = sorted(left, key=lambda k: -left[k])[:MOST_NAMED]
@@ -314,7 +307,7 @@ def _spectrum(system: TreeKinematics, at: Configuration) -> Spectrum:
 
 
 def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
-    """Examine closed configurations; also which rows are not zero in all of them."""
+    """Examine closed configurations; also find the rows that are not zero in all of them."""
     tolerance = system.scene.redundancy_tolerance
     pose = State.initial(system.scene.mechanism)
     q, v = system.coordinates(pose if system.scene.initial_state is None else system.scene.initial_state)
@@ -342,7 +335,7 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
 
 
 def _scaled(system: TreeKinematics, q: Array) -> tuple[Array, Rows]:
-    """Dimensionless residuals and Jacobian rows, each in units of its own motions."""
+    """Compute dimensionless residuals and Jacobian rows, each in units of its own motions."""
     phi, jacobian = system.phi_and_jacobian(q)
     units, scales = system.velocity_units, system.phi_units * system.row_scales(q)
     rows = [
@@ -354,8 +347,8 @@ def _scaled(system: TreeKinematics, q: Array) -> tuple[Array, Rows]:
 def _directions(system: TreeKinematics, v: Array) -> Iterator[Array]:
     """Yield directions to other configurations: the velocity's, then random ones.
 
-    From a singular configuration random steps lead off all of its branches, and what they come back to is too
-    near to it to tell; a velocity is that of a branch.
+    From a singular configuration random steps leave all of its branches, and projection returns to a point
+    too near to it to decide; a velocity is that of a branch.
     """
     speed = np.max(np.abs(v / system.velocity_units), initial=0.0)
     if speed > 0.0:

@@ -107,23 +107,29 @@ class Relative(TreeKinematics):
         yield from self.body_blocks(q, v)
         yield from self.rotor_blocks(q, v)
 
-    # gamma
+    # J, Phi and gamma
 
-    def gamma(self, q: Array, v: Array) -> Array:
-        """Compute gamma (k,): loop closures, then couplings."""
-        links, measured = self.links(q, v), self.measured(q, v)
-        gammas = [np.zeros(0)]
+    def constraints(self, q: Array, v: Array) -> tuple[Rows, Array]:
+        """Compute the nonzeros of J (k, nv), and gamma - K_D (J qdot) - K_P Phi (k,), as in eq. (9)."""
+        links, jacobian = self.links(q, v), list[dict[int, Scalar]]()
+        right = [np.zeros(0)]
         for closure in self.constrained:
             first, second = links[closure.first], links[closure.second]
             blocks = closure.jacobian(first.frame, second.frame)
-            gammas.append(closure.gamma(first.frame, second.frame) - drift(blocks, first, second))
-        coupled = [coupling.gamma(measured, self.time) for coupling in self.couplings]
-        return np.concatenate([*gammas, coupled])
-
-    def constraints(self, q: Array, v: Array) -> tuple[Rows, Array]:
-        """Compute the nonzeros of J (k, nv), and the right side (k,) as in eq. (9)."""
-        phi, jacobian = self.loops(q, v)
-        return jacobian, self.stabilized(self.gamma(q, v), self.phi_rate(q, v), phi)
+            phi = closure.phi(first.frame, second.frame)
+            gamma = closure.gamma(first.frame, second.frame) - drift(blocks, first, second)
+            if self.K_D or self.K_P:
+                gamma = gamma - self.K_D * blocks.rate(first.frame, second.frame) - self.K_P * phi
+            right.append(gamma)
+            jacobian.extend(self.project(blocks, first, second))
+        measured = self.measured(q, v)
+        for coupling in self.couplings:
+            phi, gamma = coupling.phi(measured, self.time), coupling.gamma(measured, self.time)
+            if self.K_D or self.K_P:
+                gamma = gamma - self.K_D * coupling.rate(measured, self.time) - self.K_P * phi
+            right.append(np.array([gamma]))
+            jacobian.append(self.coupled_row(coupling, measured))
+        return jacobian, np.concatenate(right)
 
     # Solutions
 

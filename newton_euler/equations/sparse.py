@@ -1,4 +1,4 @@
-"""Sparse symmetric factorisation over generic scalars, laid out before any number is known.
+"""Sparse symmetric factorization and solver over generic scalars; its structure depends on no number.
 
 A zero of type float is a structural zero: it is not stored, multiplied or added. Run over traced
 scalars, what is left is straight-line code for exactly the nonzeros; run over floats it is the same
@@ -17,20 +17,20 @@ import numpy as np
 from newton_euler.scalars import Array, Scalar, minimum
 
 SINGULAR = 1e-11
-"""A pivot below this share of what it usually is counts as zero."""
+"""Ratio of a pivot to its usual size below which it counts as zero."""
 
 
 def is_zero(scalar: Scalar) -> bool:
-    """Whether a scalar is zero whatever the state."""
+    """Tell if a scalar is zero in all states."""
     return isinstance(scalar, float | int) and scalar == 0.0
 
 
 Rows = list[dict[int, Any]]
-"""A matrix as one dictionary a row: column to scalar."""
+"""A matrix as one dictionary per row: column to scalar."""
 
 
 def to_array(rows: Rows, columns: int) -> Array:
-    """(rows, columns) array of floats."""
+    """Copy a matrix to an array (rows, columns) of floats."""
     matrix = np.zeros((len(rows), columns))
     for i, row in enumerate(rows):
         for j, x in row.items():
@@ -39,12 +39,12 @@ def to_array(rows: Rows, columns: int) -> Array:
 
 
 def sparse_vector(vector: Array) -> dict[int, Any]:
-    """The nonzeros of a vector."""
+    """Return the nonzeros of a vector."""
     return {k: x for k, x in enumerate(vector) if not is_zero(x)}
 
 
 def add(row: dict[int, Any], column: int, scalar: Scalar) -> None:
-    """row[column] += scalar, leaving no structural zero."""
+    """Compute row[column] += scalar, storing no structural zero."""
     if not is_zero(scalar):
         row[column] = row[column] + scalar if column in row else scalar
 
@@ -82,25 +82,25 @@ def assemble(blocks: Iterable[Block], force: Array) -> tuple[Rows, Array]:
 
 
 def minimum_degree(pattern: Sequence[set[int]]) -> list[int]:
-    """An order of elimination with little fill: always the row with fewest neighbours left.
+    """Compute an order of elimination with little fill: always the row with the fewest neighbors left.
 
     `pattern[i]` holds the columns of row i. On the graph of a tree it is leaves first and makes no
     fill at all (George and Liu, SIAM Review 31, 1989).
     """
-    neighbours = [set(columns) - {i} for i, columns in enumerate(pattern)]
-    waiting = [(len(others), i) for i, others in enumerate(neighbours)]
+    neighbors = [set(columns) - {i} for i, columns in enumerate(pattern)]
+    waiting = [(len(others), i) for i, others in enumerate(neighbors)]
     heapq.heapify(waiting)
     order, done = [], set()
     while waiting:
         degree, k = heapq.heappop(waiting)
-        if k in done or degree != len(neighbours[k]):
-            continue  # an entry that has been replaced
+        if k in done or degree != len(neighbors[k]):
+            continue  # a replaced entry
         done.add(k)
         order.append(k)
-        for i in neighbours[k]:
-            neighbours[i] |= neighbours[k]
-            neighbours[i] -= {i, k}
-            heapq.heappush(waiting, (len(neighbours[i]), i))
+        for i in neighbors[k]:
+            neighbors[i] |= neighbors[k]
+            neighbors[i] -= {i, k}
+            heapq.heappush(waiting, (len(neighbors[i]), i))
     return order
 
 
@@ -122,7 +122,7 @@ class Factor:
     pivot_ratio: Scalar
 
     def lower(self, right: dict[int, Any]) -> dict[int, Any]:
-        """L^-1 b for a sparse b."""
+        """Compute L^-1 b for a sparse b."""
         x = dict(right)
         for k in self.order:
             if k in x:
@@ -131,11 +131,11 @@ class Factor:
         return x
 
     def scaled(self, x: dict[int, Any]) -> dict[int, Any]:
-        """D^-1 x."""
+        """Compute D^-1 x."""
         return {k: value * self.inverse_pivots[k] for k, value in x.items()}
 
     def upper(self, right: dict[int, Any]) -> dict[int, Any]:
-        """L^-T b."""
+        """Compute L^-T b."""
         x = dict(right)
         for k in reversed(self.order):
             for i, entry in self.columns[k].items():
@@ -144,7 +144,7 @@ class Factor:
         return x
 
     def solve(self, right: dict[int, Any]) -> dict[int, Any]:
-        """A^-1 b."""
+        """Compute A^-1 b."""
         return self.upper(self.scaled(self.lower(right)))
 
 
@@ -156,9 +156,9 @@ def factorise(
     Args:
         matrix: all nonzeros.
         order: in which to eliminate.
-        scales: what the pivots usually are; the diagonal elements if not given.
-        drop: share of its diagonal element below which a pivot shows that the row depends on those
-            before it, so that it is left out, of `Factor.order` too; only numbers can tell.
+        scales: usual sizes of the pivots; the diagonal elements if not given.
+        drop: ratio of a pivot to its usual size below which the row depends on those before it and is left
+            out, of `Factor.order` too; for numbers only.
     """
     work = [dict(row) for row in matrix]
     usual = [row.get(k, 0.0) for k, row in enumerate(work)] if scales is None else scales
@@ -189,7 +189,7 @@ def factorise(
 
 
 def dot(a: dict[int, Any], b: dict[int, Any]) -> Scalar:
-    """Inner product of two sparse vectors."""
+    """Compute the inner product of two sparse vectors."""
     if len(b) < len(a):
         a, b = b, a
     total: Scalar = 0.0
@@ -200,7 +200,7 @@ def dot(a: dict[int, Any], b: dict[int, Any]) -> Scalar:
 
 
 def gram(rows: Rows, others: Rows) -> Rows:
-    """The inner products of rows with other rows of the same pattern, where those are symmetric."""
+    """Compute the inner products of rows with others of the same pattern, which form a symmetric matrix."""
     touching: dict[int, list[int]] = {}
     for i, row in enumerate(rows):
         for k in row:
@@ -215,7 +215,7 @@ def gram(rows: Rows, others: Rows) -> Rows:
 
 
 def pattern_order(matrix: Rows) -> list[int]:
-    """`minimum_degree` of a matrix."""
+    """Compute `minimum_degree` of a matrix."""
     return minimum_degree([set(row) for row in matrix])
 
 
@@ -223,8 +223,8 @@ class RowsInUse(NamedTuple):
     """Constraint rows that imply all others.
 
     Attributes:
-        numbers: which they are.
-        scales: what the pivots of their Schur complement usually are; None where that is unknown.
+        numbers: of the rows.
+        scales: usual sizes of the pivots of their Schur complement; None where these are unknown.
         mass_scales: the same for the mass matrix.
     """
 
@@ -260,17 +260,17 @@ def solve_constrained(
     refine: bool,
     softness: Mapping[int, Scalar] | None = None,
 ) -> Solution:
-    """M a = f + J^T lambda, J a = gamma, M factorised, by the Schur complement J M^-1 J^T, all sparse.
+    """Solve M a = f + J^T lambda, J a = gamma with M factorized, by the Schur complement J M^-1 J^T.
 
     Args:
         factor: of M.
         force: f.
         jacobian: J.
         gamma: (k,).
-        rows: which rows of both to use; the others must follow from them.
-        refine: whether to solve once more for the remaining J a - gamma, which regains the digits
+        rows: of both to use; the others must follow from them.
+        refine: True to solve once more for the remaining J a - gamma, which regains the digits
             that a badly conditioned complement loses.
-        softness: of rows that give way, J a + softness * lambda = gamma.
+        softness: of compliant rows, J a + softness * lambda = gamma.
     """
     kept, soft = rows.numbers, softness or {}
     total = factor.lower(force)

@@ -1,4 +1,4 @@
-"""What an integrator, a projection and a harness need of equations of motion.
+"""The protocol of equations of motion, for integrators, projection and comparison.
 
 Both formulations of this package are such systems, and so are other engines' models once they are
 asked for accelerations under rigid constraints.
@@ -21,7 +21,7 @@ from newton_euler.scalars import Array, Scalar
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What the equations of motion say at one state; world frame, SI; b bodies, j joints.
+    """Solution of the equations of motion at one state; world frame, SI; b bodies, j joints.
 
     Attributes:
         state: poses and velocities as this engine's own kinematics give them.
@@ -31,7 +31,7 @@ class Evaluation:
         actuator_force: (a,) N or N m along the actuated coordinates.
         kinetic_energy, potential_energy: J; potential energy is that of gravity, zero at the origin, and
             of springs, zero at rest.
-        work: J, done since the start by what is not in the potential energy; None if it is not tracked.
+        work: J, done since the start by forces without potential energy; None if it is not tracked.
     """
 
     state: State
@@ -52,7 +52,7 @@ class MassProperties:
     Attributes:
         mass: (b,) kg.
         center_of_mass: (b, 3) m.
-        inertia: (b, 3, 3) about the centre of mass, kg m^2.
+        inertia: (b, 3, 3) about the center of mass, kg m^2.
     """
 
     mass: Array
@@ -61,7 +61,7 @@ class MassProperties:
 
     @classmethod
     def of(cls, mechanism: Mechanism) -> MassProperties:
-        """Those that the mechanism states."""
+        """Compute those that the mechanism states."""
         turns = [rotation(body.quaternion) for body in mechanism.bodies]
         return cls(
             np.array([body.mass for body in mechanism.bodies]),
@@ -79,54 +79,54 @@ class System(Protocol):
     nq: int
     nv: int
     phi_units: Array
-    """(k,) what makes the rows of `phi` dimensionless: the mechanism's size for metres, 1 for radians."""
+    """(k,) units of the rows of `phi`: the mechanism's size for meters, 1 for radians."""
     velocity_units: Array
-    """(nv,) the same for velocities."""
+    """(nv,) units of velocities."""
 
     def mass_properties(self) -> MassProperties:
-        """What the bodies weigh in this system's own model."""
+        """Return the mass properties of the bodies in this system's own model."""
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
-        """q (nq,) and v (nv,) of a state."""
+        """Compute q (nq,) and v (nv,) of a state."""
 
     def state(self, q: Array, v: Array) -> State:
-        """Body poses and velocities, by this system's own kinematics."""
+        """Compute body poses and velocities by this system's own kinematics."""
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Coordinate (m or rad) and rate of each control law."""
+        """Compute the coordinate (m or rad) and its rate of each control law."""
 
     def rate(self, q: Array, v: Array) -> Array:
-        """qdot (nq,)."""
+        """Compute qdot (nq,)."""
 
     def acceleration(self, q: Array, v: Array) -> Array:
-        """vdot (nv,)."""
+        """Compute vdot (nv,)."""
 
     def phi(self, q: Array) -> Array:
-        """Constraint residuals (k,) that projection has to remove."""
+        """Compute the constraint residuals (k,) that projection removes."""
 
     def joint_phi(self, q: Array) -> Array:
-        """Residuals of all joints' equations, then of all couplings, m or rad."""
+        """Compute residuals of all joints' equations, then of all couplings, m or rad."""
 
     def phi_jacobian(self, q: Array) -> Array:
-        """(k, nv): derivative of `phi` along `retract`, and of its rate by v."""
+        """Compute the derivative (k, nv) of `phi` along `retract`, and of its rate by v."""
 
     def retract(self, q: Array, step: Array) -> Array:
-        """q moved by a small step (nv,)."""
+        """Move q by a small step (nv,)."""
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
-        """Accelerations, reactions and energies."""
+        """Compute accelerations, reactions and energies."""
 
     def velocity_transformation(self, q: Array) -> Array:
-        """(6 b, nv): v and omega of body 0, 1, ... for each velocity."""
+        """Compute v and omega of body 0, 1, ... for each velocity, (6 b, nv)."""
 
 
 class Rheonomic(Protocol):
-    """A system whose constraints may depend on time: what it says of them holds at `time`."""
+    """A system whose constraints may depend on time; its residuals and rates are those at `time`."""
 
     time: Scalar
 
     def phi_t(self) -> Array:
-        """Partial derivative (k,) of `phi` by time."""
+        """Compute the partial derivative (k,) of `phi` by time."""
 
 
 S = TypeVar("S")
@@ -138,7 +138,7 @@ def is_rheonomic(system: object) -> TypeGuard[Rheonomic]:
 
 
 def at_time(system: S, time: float) -> S:
-    """The same system at a time in s."""
+    """Copy a system to a time in s."""
     changed = copy.copy(system)
     if is_rheonomic(changed):
         changed.time = time
@@ -146,12 +146,12 @@ def at_time(system: S, time: float) -> S:
 
 
 def dimensionless_jacobian(system: System, q: Array) -> Array:
-    """(k, nv) `phi_jacobian` in units of the mechanism's size: what ranks and conditions are judged by."""
+    """Compute the dimensionless `phi_jacobian` (k, nv), for ranks and condition numbers."""
     return np.asarray(system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None])
 
 
 def opening(system: System, q: Array, v: Array) -> Array:
-    """dPhi/dt (k,) = Phi_q qdot + Phi_t."""
+    """Compute dPhi/dt (k,) = Phi_q qdot + Phi_t."""
     rate = system.phi_jacobian(q) @ v
     return np.asarray(rate + system.phi_t() if is_rheonomic(system) else rate)
 

@@ -15,7 +15,7 @@ from newton_euler.codegen.native import Record
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.equations.applied_forces import strongest
 from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.dense import singular_values
+from newton_euler.equations.dense import largest_share, singular_values
 from newton_euler.equations.system import blamed, dimensionless_jacobian
 from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.integrators import stepper as m
@@ -381,8 +381,4 @@ def singular_joint(code: Code, x: Array) -> str:
         return system.fastest_joint(x[: system.nq], x[system.nq : code.size])
     jacobian = dimensionless_jacobian(system, x[: system.nq])
     combination = singular_values(jacobian[rows])[0][:, -1]
-    weights: dict[str, float] = {}
-    for row, share in zip(rows, combination, strict=True):
-        owner = system.row_owners[row]
-        weights[owner] = weights.get(owner, 0.0) + share**2
-    return max(weights, key=lambda owner: weights[owner])
+    return largest_share([system.row_owners[row] for row in rows], combination)

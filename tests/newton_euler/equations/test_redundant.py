@@ -78,7 +78,7 @@ def test_redundant_reactions_are_the_smallest(formulation):
         rows, units = system.Phi_q_and_B(q, v)[0], system.phi_units[: system.rows]
         multipliers = system.solve(q, v)[1]
     else:
-        rows, units = system.loops(q, v)[1], system.phi_units
+        rows, units = system.phi_and_jacobian(q)[1], system.phi_units
         multipliers = system.solve(q, v)[1]
     left = (to_array(rows, system.nv) * system.velocity_units / units[:, None]).T
     _, s, vt = np.linalg.svd(left)

@@ -12,7 +12,7 @@ from test_couplings import ORIGIN, X, Y, Z, wheel
 import newton_euler
 from newton_euler import Body, Gear, Mechanism, Polynomial, PrescribedMotion, Scene, State
 from newton_euler.assemble import initial_state
-from newton_euler.equations.couplings import Coupling, turns
+from newton_euler.equations.couplings import Coupling, revolutions
 from newton_euler.errors import MechanismError
 from newton_euler.integrators.compiled import formulate
 from newton_euler.model.euler_parameters import from_rotation_vector
@@ -132,5 +132,5 @@ def test_a_slide_tells_the_turns_of_all_that_it_drives():
 def test_poses_that_nothing_agrees_with_stay_within_half_a_turn():
     """A guess, which assembly moves; the slowest wheel stays where it is."""
     gear = Coupling("gear", "mesh", "b", {("b", 0): 1.0, ("a", 0): -np.sqrt(2.0)}, None, False)
-    found = turns([gear], {("a", 0): 3.0, ("b", 0): 0.2}, {("a", 0), ("b", 0)}, 0.0)
+    found = revolutions([gear], {("a", 0): 3.0, ("b", 0): 0.2}, {("a", 0), ("b", 0)}, 0.0)
     assert found == {("a", 0): 0.0, ("b", 0): pytest.approx(2.0 * np.pi)}  # 4.24 is nearest to 6.48
