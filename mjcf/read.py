@@ -32,7 +32,6 @@ from mjcf.reading.joints import Joints
 from mjcf.reading.laws import Drive
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
-from mjcf.reading.sag import sag_line
 from mjcf.reading.source import SourceError, compiled
 from mjcf.reading.start import Start
 from mjcf.reading.ties import Ties
@@ -119,7 +118,6 @@ def read(
         found = _reading(where, copy.copy(model), key, None, duration, output_period, redundancy_tolerance)
         try:
             originals = [_original(copy.copy(model), key, found)]
-            sags = sag_line(found.start, duration)
             if exercise:
                 found, other = _exercised(where, model, key, found)
                 originals.append(other)
@@ -127,7 +125,6 @@ def read(
                 originals.append(_driven(where, model, key, found.scene))
             report = found.report
             report.originals.extend(originals)
-            report.start.extend([sags] if sags else [])
             if verified:
                 report.start.append(check(report))
         except SourceError:

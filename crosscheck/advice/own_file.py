@@ -25,10 +25,9 @@ def own_file_advice(found: Found) -> Iterator[Advice]:
     """For an MJCF with equalities: how far they open in it as it is, and as it is made stiffer."""
     if not is_model(found.source) or is_urdf(found.source):
         return
-    from mjcf.reading.sag import looked_at, sag
     from mjcf.reading.source import SourceError, compiled
     from mjcf.reading.start import Start
-    from mjcf.reading.stiffer import CHANGES, stiffen, words
+    from mjcf.sag import CHANGES, looked_at, sag, stiffen, words
     from mjcf.silence import heard_warnings
 
     try:

@@ -1,17 +1,28 @@
-"""Openings of the equalities of a file when MuJoCo runs it as it stands, with its own solref and solimp."""
+"""Openings of the equalities of a file when MuJoCo runs it, and changes of the model that lessen them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from mjcf.reading.start import TORQUE_SCALE, Start
+from mjcf.write import SOLIMP
 from newton_euler.scalars import Array
 
 MOST_STEPS = 1_000
 """Of the file's own step; longer runs are looked at so far."""
+
+CHANGES = ("solref", "solimp", "integrator", "timestep")
+"""In the order in which they are to be made, until the gap is small: the cheapest first."""
+
+MARGIN = 0.9
+"""Share of the step that the gap asks for, with the square of which it does not fall exactly."""
+
+SHORTEST = 0.02
+"""Share of the file's own step; with shorter ones a run would take longer than all else."""
 
 
 class Sag(NamedTuple):
@@ -78,23 +89,6 @@ def sag(start: Start, model: Any, duration: float) -> Sag | str:
     return worst
 
 
-def sag_line(start: Start, duration: float) -> str | None:
-    """A line on the file's own run; None if it has no equalities."""
-    model = start.model
-    if not start.gaps():
-        return None
-    integrator = mujoco.mjtIntegrator(model.opt.integrator).name.removeprefix("mjINT_")
-    how = f"MuJoCo's own run of the file, {integrator} at {float(model.opt.timestep):g} s"
-    found = sag(start, model, duration)
-    if isinstance(found, str):
-        return f"{how}, goes astray {found}"
-    solref = " ".join(f"{x:g}" for x in model.eq_solref[found.equality])
-    return (
-        f"{how}, opens its equalities by at most {found.gap:.1e} (m or rad){looked_at(start, duration)}: "
-        f"{start.equality(found.equality)} at {found.time:.3g} s, of solref {solref}; here they are rigid"
-    )
-
-
 def _gaps(model: Any, data: Any) -> Array:
     """(neq,) distances, m, or angles, rad, of all equalities; of a weld the larger."""
     rows = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
@@ -105,3 +99,30 @@ def _gaps(model: Any, data: Any) -> Array:
     welds = (model.eq_type == mujoco.mjtEq.mjEQ_WELD) & (scale > 0.0)
     half = np.arcsin(np.minimum(1.0, np.sqrt(sums[1]) / np.where(welds, scale, 1.0)))
     return np.maximum(np.sqrt(sums[0]), np.where(welds, 2.0 * half, 0.0))
+
+
+def stiffen(model: Any, change: str, gap: float, wanted: float) -> str:
+    """Make one of the `CHANGES` in a model whose equalities open by a gap, to become `wanted` (m or rad).
+
+    Returns:
+        What was changed, as the file would have it.
+    """
+    step = float(model.opt.timestep)
+    match change:
+        case "solref":
+            model.eq_solref[:] = (2.0 * step, 1.0)
+            return f"solref {words(model.eq_solref[0])}, the stiffest at its timestep of {step:g} s"
+        case "solimp":
+            model.eq_solimp[:] = SOLIMP
+            return f"solimp {words(SOLIMP)}"
+        case "integrator":
+            model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+            return "integrator RK4"
+    model.opt.timestep = float(f"{step * max(SHORTEST, MARGIN * np.sqrt(wanted / gap)):.1e}")
+    model.eq_solref[:] = (2.0 * model.opt.timestep, 1.0)
+    return f"timestep {model.opt.timestep:g} s and solref {words(model.eq_solref[0])}"
+
+
+def words(numbers: Sequence[float]) -> str:
+    """As an attribute has them."""
+    return '"' + " ".join(f"{x:g}" for x in numbers) + '"'
