@@ -26,14 +26,14 @@ _ZERO = np.zeros((1, 3))
 
 
 class Frame(NamedTuple):
-    """Where a body is and how it moves; all world-frame, in m, rad and s."""
+    """Pose and velocity of a body; world frame, in m, rad and s."""
 
     position: Array
-    """(3,) centre of mass r."""
+    """(3,) center of mass r."""
     rotation: Array
     """(3, 3) rotation matrix A, body to world."""
     velocity: Array
-    """(3,) velocity of the centre of mass."""
+    """(3,) velocity of the center of mass."""
     angular_velocity: Array
     """(3,) angular velocity omega."""
 
@@ -47,7 +47,7 @@ class Jacobian(NamedTuple):
     theta_second: Array
 
     def rate(self, first: Frame, second: Frame) -> Array:
-        """Phi_q qdot (k,): how fast the constraints open at the velocities of the two frames."""
+        """Compute Phi_q qdot (k,), eq. (5), the rate of the residuals at the velocities of two frames."""
         return (
             self.r_first @ first.velocity
             + self.theta_first @ first.angular_velocity
@@ -61,24 +61,24 @@ class Constraint(Protocol):
 
     @property
     def is_length(self) -> bool:
-        """True for equations in metres, False for equations in radians (sines of small angles)."""
+        """True for equations in meters, False for equations in radians (sines of small angles)."""
 
     @property
     def count(self) -> int:
         """k."""
 
     def phi(self, first: Frame, second: Frame) -> Array:
-        """The residual Phi, (k,)."""
+        """Compute the residual Phi (k,), eq. (4)."""
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
-        """Phi_q, four (k, 3) blocks."""
+        """Compute Phi_q, four blocks (k, 3)."""
 
     def gamma(self, first: Frame, second: Frame) -> Array:
-        """The right side of Phi_q qddot = gamma, (k,)."""
+        """Compute the right side (k,) of Phi_q qddot = gamma, eq. (5)."""
 
 
 def _centripetal(omega: Array, s: Array) -> Array:
-    """omega x (omega x s): acceleration of a body-fixed vector that turns steadily."""
+    """Compute omega x (omega x s), the acceleration of a body-fixed vector at constant omega."""
     return cross(omega, cross(omega, s))
 
 
@@ -181,7 +181,7 @@ class Displacement:
 class Distance:
     """(d . d - L^2) / (2 L), d from point s_first of body i to point s_second of body j: |d| stays L.
 
-    To first order it is the rod's elongation in metres, and its multiplier the force along the rod
+    To first order it is the rod's elongation in meters, and its multiplier the force along the rod
     (Nikravesh, section 7.2, there without the 2 L).
     """
 
@@ -214,11 +214,11 @@ class Distance:
 
 @dataclass(frozen=True, eq=False)
 class Angle:
-    """The angle, in (-pi, pi], by which body j is turned against body i about an axis of body i.
+    """The angle, in (-pi, pi], by which body j is rotated against body i about an axis of body i.
 
     The pointer is a vector of body j; u and w of body i complete the axis to a right-handed
     orthonormal triad (u, w, axis) and the angle is that of the pointer in the plane of u and w.
-    Its gradient is the axis itself wherever j can turn against i about that axis and, at most,
+    Its gradient is the axis itself wherever j can rotate against i about that axis and, at most,
     about the pointer: revolute, cylindrical, planar and universal joints.
     """
 

@@ -1,4 +1,4 @@
-"""Two or three hinges in a row between two bodies: their angles, and how they hold the bodies together.
+"""Two or three hinges in a row between two bodies: their angles and their constraints.
 
 The first axis is fixed in body i, the last one in body j. Of three, the middle one keeps its angles to
 both, and the side of their plane it is on: it is known as long as the three do not come to lie in one
@@ -37,7 +37,7 @@ RIGHT_ANGLE = 1e-14
 
 
 def dual_axes(axes: Array) -> Array:
-    """(n, 3) vectors d_k in the span of n independent axes (n, 3) with d_k . a_m = 1 for m = k, else 0."""
+    """Compute d_k (n, 3) in the span of n independent axes (n, 3) with d_k . a_m = 1 for m = k, else 0."""
     return np.asarray(np.linalg.pinv(axes).T)
 
 
@@ -57,7 +57,7 @@ class Axis(NamedTuple):
 
 
 def _carried(axis: Array, omega: Array, on_first: bool) -> Axis:
-    """An axis that is fixed in the first body, or else in the second, of angular velocity omega."""
+    """Describe an axis fixed in the first body, or else in the second, of angular velocity omega."""
     rate, turn, none = cross(omega, axis), -tilde(axis), np.zeros((3, 3))
     turns = (turn, none) if on_first else (none, turn)
     return Axis(axis, turns[0], turns[1], rate, cross(omega, rate))
@@ -84,7 +84,7 @@ class HingeRow:
     cosine: float = 0.0
 
     def axes(self, first: Frame, second: Frame) -> list[Array]:
-        """The axes, (3,) world frame."""
+        """Compute the axes, (3,) each, world frame."""
         a, c = first.rotation @ self.first_axis, second.rotation @ self.last_axis
         if self.cosines is None:
             return [a, c]
@@ -97,14 +97,14 @@ class HingeRow:
         return [a, on_a * a + on_c * c + across * cross(a, c), c]
 
     def duals(self, axes: list[Array]) -> list[Array]:
-        """(3,) d_k of each axis, those of two in their plane."""
+        """Compute d_k (3,) of each axis; those of two axes lie in their plane."""
         a, b, c = axes if len(axes) == 3 else (*axes, cross(*axes))
         normals = cross(b, c), cross(c, a), cross(a, b)
         volume = a @ normals[0]
         return [normal / volume for normal in normals[: len(axes)]]
 
     def moving(self, first: Frame, second: Frame) -> tuple[list[Axis], list[Array], Array]:
-        """The axes where the bodies move like this, their duals, and (3,) sum_k x_k' da_k/dt."""
+        """Compute the axes, their duals, and sum_k x_k' da_k/dt (3,) at the motion of two frames."""
         values = self.axes(first, second)
         duals = self.duals(values)
         wi, wj = first.angular_velocity, second.angular_velocity
@@ -153,7 +153,7 @@ class HingeAngle:
         return np.array([duals[self.index] @ change])
 
 
-class Gap(NamedTuple):
+class SeparationVector(NamedTuple):
     """D at a state, world frame."""
 
     value: Array
@@ -179,8 +179,8 @@ class Separation:
     s_second: Array
     offsets: Array
 
-    def gap(self, first: Frame, second: Frame) -> Gap:
-        """D where the bodies have these frames."""
+    def vector(self, first: Frame, second: Frame) -> SeparationVector:
+        """Compute D where the bodies have these frames."""
         axes, _, _ = self.row.moving(first, second)
         s_i, s_j = first.rotation @ self.s_first, second.rotation @ self.s_second
         wi, wj = first.angular_velocity, second.angular_velocity
@@ -193,7 +193,7 @@ class Separation:
             theta_i = theta_i + on_a @ a.on_first - on_b @ b.on_first
             theta_j = theta_j + on_a @ a.on_second - on_b @ b.on_second
             drift = drift + on_a @ a.drift - on_b @ b.drift - 2.0 * w * cross(a.rate, b.rate)
-        return Gap(value, Jacobian(-np.eye(3), theta_i, np.eye(3), theta_j), drift)
+        return SeparationVector(value, Jacobian(-np.eye(3), theta_i, np.eye(3), theta_j), drift)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,13 +205,13 @@ class ClosedRow:
     count = 3
 
     def phi(self, first: Frame, second: Frame) -> Array:
-        return -self.separation.gap(first, second).value
+        return -self.separation.vector(first, second).value
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
-        return Jacobian(*(-block for block in self.separation.gap(first, second).jacobian))
+        return Jacobian(*(-block for block in self.separation.vector(first, second).jacobian))
 
     def gamma(self, first: Frame, second: Frame) -> Array:
-        return self.separation.gap(first, second).drift
+        return self.separation.vector(first, second).drift
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,29 +226,34 @@ class RowDisplacement:
 
     def phi(self, first: Frame, second: Frame) -> Array:
         a = first.rotation @ self.a_first
-        return np.array([a @ self.separation.gap(first, second).value - self.offset])
+        return np.array([a @ self.separation.vector(first, second).value - self.offset])
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
-        a, gap = first.rotation @ self.a_first, self.separation.gap(first, second)
-        r_i, theta_i, r_j, theta_j = ((a @ block)[None] for block in gap.jacobian)
-        return Jacobian(r_i, theta_i + cross(a, gap.value)[None], r_j, theta_j)
+        a, d = first.rotation @ self.a_first, self.separation.vector(first, second)
+        r_i, theta_i, r_j, theta_j = ((a @ block)[None] for block in d.jacobian)
+        return Jacobian(r_i, theta_i + cross(a, d.value)[None], r_j, theta_j)
 
     def gamma(self, first: Frame, second: Frame) -> Array:
-        a, gap, wi = first.rotation @ self.a_first, self.separation.gap(first, second), first.angular_velocity
+        a, d, wi = (
+            first.rotation @ self.a_first,
+            self.separation.vector(first, second),
+            first.angular_velocity,
+        )
         turning = cross(wi, a)
-        rate = gap.jacobian.rate(first, second)
-        return -np.array([cross(wi, turning) @ gap.value + 2.0 * (turning @ rate) + a @ gap.drift])
+        rate = d.jacobian.rate(first, second)
+        return -np.array([cross(wi, turning) @ d.value + 2.0 * (turning @ rate) + a @ d.drift])
 
 
 @dataclass(frozen=True, eq=False)
 class RowSlide(RowDisplacement):
-    """The same as a coordinate: of two hinges, what acts on it has no torque along a_1 x a_2, nor do they.
+    """`RowDisplacement` as a coordinate: before two hinges, a force on it has no torque along a_1 x a_2.
 
-    The bodies do not turn that way against each other, so that its rate is that of `RowDisplacement`.
+    The bodies do not rotate about that axis against each other, so that its rate is that of
+    `RowDisplacement`.
     """
 
     def _spare(self, first: Frame, second: Frame) -> Array:
-        """(3,) the part of the Jacobian that meets no motion."""
+        """Compute the part (3,) of the Jacobian along which no motion is possible."""
         a, b = self.separation.row.axes(first, second)
         normal = cross(a, b)
         along, s_j = first.rotation @ self.a_first, second.rotation @ self.separation.s_second
@@ -270,5 +275,5 @@ class RowSlide(RowDisplacement):
 
 
 def _angle(axis: Array, start: Array, end: Array) -> Scalar:
-    """The angle about a unit axis that turns one vector's part across it to another's."""
+    """Compute the angle about a unit axis between the parts of two vectors perpendicular to it."""
     return arctan2(axis @ cross(start, end), start @ end - (axis @ start) * (axis @ end))

@@ -58,7 +58,7 @@ class JointEquations:
     """Constraint equations and coordinates of one joint, tied to its two bodies.
 
     `phi` (k,), `jacobian` (four blocks (k, 3)) and `gamma` (k,) stack the joint's constraints;
-    `is_length` (k,) tells rows in metres from rows in radians.
+    `is_length` (k,) tells rows in meters from rows in radians.
     """
 
     joint: Joint
@@ -76,7 +76,7 @@ class JointEquations:
         return np.concatenate([np.zeros(0, bool), *(np.full(c.count, c.is_length) for c in self.constraints)])
 
     def units(self, size: float) -> Array:
-        """(k,) what makes the equations dimensionless: `size` (m) for lengths, 1 for angles."""
+        """Compute units (k,) of the equations: `size` (m) for lengths, 1 for angles."""
         return np.where(self.is_length, size, 1.0)
 
     def phi(self, first: Frame, second: Frame) -> Array:
@@ -96,7 +96,7 @@ class JointEquations:
 
 
 def perpendicular_pair(axis: Array) -> tuple[Array, Array]:
-    """Unit vectors u and w that make (u, w, axis) right-handed and orthonormal; axis (3,) unit."""
+    """Compute unit vectors u and w that make (u, w, axis) right-handed and orthonormal; axis (3,) unit."""
     helper = np.zeros(3)
     # the first of the smallest components: their last digits, which processors differ in, choose nothing
     helper[int(np.argmin(np.abs(axis).round(6)))] = 1.0
@@ -106,7 +106,7 @@ def perpendicular_pair(axis: Array) -> tuple[Array, Array]:
 
 
 def unit_vector(joint: str, name: str, value: object) -> Array:
-    """A read-only array (3,) of norm 1 along an axis of a joint; raises `MechanismError`."""
+    """Return a read-only array (3,) of norm 1 along an axis of a joint; raises `MechanismError`."""
     vector = finite_array(f"joint {joint!r}", name, value, (3,))
     largest = float(np.max(np.abs(vector)))
     if largest < 1e-12:
@@ -119,12 +119,12 @@ def unit_vector(joint: str, name: str, value: object) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """What all joints share.
+    """A joint: what all kinds have in common.
 
     Attributes:
         name: unique in its mechanism.
         first, second: names of the two bodies; reactions are those acting on the second.
-        point: (3,) joint point in the world at the initial pose, metres.
+        point: (3,) joint point in the world at the initial pose, meters.
         point_on_second: (3,) the second body's own joint point where it is another one; it must
             lie where the joint's constraints allow it. Reactions are reduced to this point.
         actuated: whether a control law may drive the joint.
@@ -167,7 +167,7 @@ class Joint:
 
     @property
     def motion_points(self) -> tuple[Array, ...]:
-        """For each of `motions` (3,) a point on a hinge's axis, a ball's center or where a slide pushes, in
+        """For each of `motions` (3,) a point on a hinge's axis, a ball's center or where a slide acts, in
         the world at the initial pose."""
         return (self.reaction_point,) * len(self.motions)
 
@@ -177,11 +177,11 @@ class Joint:
         return tuple(motion.kind for motion in self.motions if motion.kind != "ball")
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """The joint's constraint equations between bodies with these reference poses."""
+        """Write the joint's constraint equations between bodies with these reference poses."""
         raise NotImplementedError
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """One coordinate for each hinge and slide among `motions`."""
+        """Define a coordinate for each hinge and slide among `motions`."""
         return ()
 
     def attach(self, first: int, first_pose: Pose, second: int, second_pose: Pose) -> JointEquations:
@@ -214,7 +214,7 @@ class Joint:
         return tuple(self._across(a, first, second) for a in perpendicular_pair(axis))
 
     def _across(self, normal: Array, first: Pose, second: Pose) -> Constraint:
-        """The second body's point stays in a plane through the first's, fixed in the first."""
+        """Keep the second body's point in a plane through the first's, fixed in the first."""
         return Displacement(
             first.vector_to_body(normal),
             first.point_to_body(self.point),
@@ -230,7 +230,7 @@ class Joint:
         )
 
     def _turn(self, axis: Array, pointer: Array, first: Pose, second: Pose) -> Constraint:
-        """The angle about `axis`, seen on `pointer`, a vector of the second body across it."""
+        """Define the angle about `axis` of `pointer`, a vector of the second body perpendicular to it."""
         return Angle(
             first.vector_to_body(pointer),
             first.vector_to_body(cross(axis, pointer)),

@@ -156,13 +156,13 @@ class Prismatic(Translational):
 
 @dataclass(frozen=True, eq=False)
 class Screw(Cylindrical):
-    """A nut on a spindle: five equations, those of `Cylindrical` and slide - pitch * turn = 0.
+    """A nut on a spindle: five equations, those of `Cylindrical` and slide - pitch * angle = 0.
 
     Its coordinates are the displacement, then the angle. The fifth equation couples them, see
-    `newton_euler.model.couplings`, and is not among `constraints`.
+    `newton_euler.equations.couplings`, and is not among `constraints`.
 
     Attributes:
-        pitch: metres per radian; positive for a right-handed thread.
+        pitch: meters per radian; positive for a right-handed thread.
     """
 
     pitch: float = field(kw_only=True)
@@ -171,7 +171,7 @@ class Screw(Cylindrical):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not is_finite_number(self.pitch) or self.pitch == 0.0:
-            needed = "a finite number of metres per radian, not 0"
+            needed = "a finite number of meters per radian, not 0"
             raise MechanismError(f"joint {self.name!r}", f"pitch is {self.pitch!r}", needed)
         object.__setattr__(self, "pitch", float(self.pitch))
 
@@ -266,7 +266,7 @@ class Fixed(Joint):
 
 @dataclass(frozen=True, eq=False)
 class Free(Joint):
-    """All motion: no equation. It says that a body floats on purpose."""
+    """All motion: no equation. It marks a body that floats on purpose."""
 
     kind: ClassVar[str] = "free"
 
@@ -324,7 +324,7 @@ class Part(NamedTuple):
 
 
 def common_name(names: Sequence[str]) -> str:
-    """What the names of the parts of one joint, numbered from 1, begin with; none if they do not."""
+    """Find the common beginning of the names of the parts of one joint, numbered from 1; empty if none."""
     bases = {name.rpartition("_")[0] for name in names}
     numbers = sorted(name.rpartition("_")[2] for name in names)
     same = len(bases) == 1 and numbers == [str(k + 1) for k in range(len(names))]
@@ -334,7 +334,7 @@ def common_name(names: Sequence[str]) -> str:
 def combined(
     name: str, parent: str, child: str, parts: Sequence[Part], actuated: bool
 ) -> tuple[Joint, dict[str, int]]:
-    """The joint of these motions in a row from parent to child.
+    """Build the joint of these motions in a row from parent to child.
 
     Returns:
         The joint, and for each hinge and slide, by name, which of its coordinates it is. Coordinates are
@@ -387,7 +387,7 @@ def combined(
 
 
 def _meeting(parts: Sequence[Part]) -> Array | None:
-    """The point that lies on all axes; None if there is none."""
+    """Find the point that lies on all axes; None if there is none."""
     first = parts[0].anchor
     if all(np.linalg.norm(part.anchor - first) <= MEET for part in parts):
         return first

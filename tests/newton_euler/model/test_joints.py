@@ -241,7 +241,7 @@ def test_zero_axis_and_slanted_universal_are_refused():
 
 @pytest.mark.parametrize("pitch", [0.0, float("inf"), "1", True])
 def test_a_screw_needs_a_pitch(pitch):
-    with pytest.raises(MechanismError, match=r"joint 'j': pitch is .*metres per radian"):
+    with pytest.raises(MechanismError, match=r"joint 'j': pitch is .*meters per radian"):
         Screw("j", "a", "b", [0, 0, 0], axis=[0, 0, 1], pitch=pitch)
 
 
