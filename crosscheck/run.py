@@ -22,6 +22,7 @@ from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import SHORTER, limited
 from crosscheck.scenes.options import titled
+from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
@@ -103,7 +104,8 @@ class Crosscheck:
     @cached_property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
         """Who differs, at the first level at which any engine does, and then without it."""
-        return diagnose([engine.name for engine in self.engines], self.rows, self.measured)
+        names, soft = [each.name for each in self.engines], [e.name for e in self.engines if e.soft_start]
+        return diagnose(names, self.rows, self.measured, soft, mobility(self.scene).nearly)
 
     @property
     def verdict(self) -> str:

@@ -63,10 +63,19 @@ class States:
         return [self._system.coordinates(state) for state in self.all]
 
     @cached_property
+    def _admissible(self) -> list[tuple[Array, float]]:
+        with solved(self._system, "independent velocities"):
+            return [admissible_basis(self._system, q, self.units) for q, _ in self._coordinates]
+
+    @property
     def bases(self) -> list[Array]:
         """(6 b, d) for each state, see `admissible_basis`: the independent velocities of level 3."""
-        with solved(self._system, "independent velocities"):
-            return [admissible_basis(self._system, q, self.units)[0] for q, _ in self._coordinates]
+        return [basis for basis, _ in self._admissible]
+
+    @property
+    def condition(self) -> float:
+        """The largest of all states, of the scene's independent constraints."""
+        return max(condition for _, condition in self._admissible)
 
     @cached_property
     def opening(self) -> float:

@@ -16,13 +16,16 @@ import mjcf
 import mjcf.read
 from crosscheck.comparison.levels import LEVELS, Figure, compare, compare_equations, not_compared, sampled
 from crosscheck.comparison.momentum import momentum_row
+from crosscheck.comparison.runs import compare_runs
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
+from crosscheck.studies.stress.noise import sarrus
 from mjcf import inspect, loops
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.assemble import initial_state
+from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.exercise import random_states
 from newton_euler.model.couplings import Gear
@@ -245,6 +248,18 @@ def test_momentum_tells_of_one_engine_alone(mistake, where):
         row = momentum_row(engine.name, wrong)
         assert not row.agrees
         assert row.where == where
+
+
+def test_noise_in_runs_counts_with_the_condition_of_the_constraints():
+    """As at the levels before: two forms that omit other combinations of rows are 10 singular values apart
+    times the condition, here 9."""
+    scene = replace(sarrus(1e-4), duration=0.3)
+    engines = [engine for engine in ALL if engine.soft_start is None]
+    runs = {engine.name: engine.simulate(scene) for engine in engines}
+    rows = list(compare_runs(scene, engines, runs, energy=1.0))
+    assert all(row.agrees for row in rows)
+    (apart,) = (row for row in rows if row.quantity == "orientations, rad")
+    assert apart.value > 10.0 * mobility(scene).residual
 
 
 def test_levels_that_were_not_compared_are_left_out_of_runs():

@@ -28,6 +28,7 @@ from crosscheck.studies.faults.catalogue import catalogue
 from crosscheck.studies.faults.misreadings import misreadings
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.redundancy import NearlyRedundant
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
@@ -76,6 +77,31 @@ def test_who_parts_from_two_that_agree_is_odd(values, odd, agree):
 def test_models_and_integrations_are_told_apart(level, fault):
     (found,) = diagnose(NAMES, pairs(level, 5.0, 0.5, 5.0))
     assert (found.odd, found.fault) == (MJ, fault)
+
+
+WRIST = NearlyRedundant("wrist", 6e-5, "redundant")
+
+
+@pytest.mark.parametrize(
+    ("level", "literal", "nearly", "fault"),
+    [
+        ("trajectories", (MJ,), WRIST, "redundancy"),
+        ("trajectories", (PIN,), WRIST, "integration"),
+        ("trajectories", (MJ,), WRIST._replace(singular_value=1e-9), "integration"),
+        ("dynamics", (MJ,), WRIST, "model"),
+    ],
+    ids=["felt", "by another engine", "too little to feel", "by no run"],
+)
+def test_noise_that_soft_constraints_alone_take_as_it_is_is_no_fault_of_an_engine(
+    level, literal, nearly, fault
+):
+    (found,) = diagnose(NAMES, pairs(level, 5.0, 0.5, 5.0), (), literal, [nearly])
+    assert (found.odd, found.fault) == (MJ, fault)
+    if fault == "redundancy":
+        assert found.blame == (
+            "what each makes of nearly redundant constraints is the difference: "
+            "joint 'wrist': singular value 6.0e-05, taken redundant"
+        )
 
 
 def test_all_that_part_pairwise_are_named():
