@@ -31,7 +31,7 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
 from urdf.closures import Closures, frame_jacobian
 from urdf.errors import UrdfError
-from urdf.forces import PointForces
+from urdf.forces import PointForces, energy_at_joint, force_on_joint, power_on_joint
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia
 from urdf.proximal import SHARE, converged, plain, regularised
@@ -196,7 +196,7 @@ class PinocchioSystem:
     def power(self, q: Array, v: Array) -> float:
         """Power of what is not in the potential energy, W."""
         laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
-        power = float(sum(law.power(*seen, self.time) for law, seen in laws))
+        power = float(sum(power_on_joint(law, *seen, self.time) for law, seen in laws))
         if self._forces:
             self._move(q, v)
             power += self._forces.power(self._data)
@@ -219,7 +219,7 @@ class PinocchioSystem:
     def actuation(self, q: Array, v: Array) -> Array:
         """Forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""
         laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
-        return np.array([law.force(*seen, self.time) for law, seen in laws])
+        return np.array([force_on_joint(law, *seen, self.time) for law, seen in laws])
 
     def _move(self, q: Array, v: Array) -> None:
         """Give Pinocchio's joints and frames a state."""
@@ -480,7 +480,7 @@ class PinocchioSystem:
     def _springs_energy(self, q: Array, v: Array) -> float:
         """Energy of all springs, J."""
         laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
-        turned = sum(law.energy(x) for law, (x, _) in laws if isinstance(law, JointSpring))
+        turned = sum(energy_at_joint(law, x) for law, (x, _) in laws if isinstance(law, JointSpring))
         return float(turned) + self._forces.energy(self._data)
 
     def _fixed_energy(self) -> float:

@@ -1,4 +1,8 @@
-"""Springs of balls, springs between points of bodies and wrenches, by Pinocchio's frames."""
+"""Forces of a scene as Pinocchio's side has them: laws of joint coordinates, and, by Pinocchio's frames,
+springs of balls, springs between points and wrenches.
+
+All are worked out here from their numbers, so that a mistake in newton_euler's own laws is its own alone.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,31 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.equations.balls import ends
-from newton_euler.model.forces import BallSpring, PointSpring, Wrench
+from newton_euler.model.control import PD, Law
+from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.scene import Scene
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, Scalar
+
+
+def force_on_joint(law: Law | JointSpring, x: Scalar, rate: Scalar, time: float) -> Scalar:
+    """Compute the force, N or N m, on a joint coordinate x (m or rad), at its rate and a time in s."""
+    if isinstance(law, JointSpring):
+        return -(law.stiffness * (x - law.rest) + law.damping * rate)
+    if isinstance(law, PD):
+        return law.feedforward_at(time) - (law.stiffness * (x - law.target) + law.damping * rate)
+    return law.held
+
+
+def power_on_joint(law: Law | JointSpring, x: Scalar, rate: Scalar, time: float) -> Scalar:
+    """Compute its power, W; of a spring that of its damper alone."""
+    if isinstance(law, JointSpring):
+        return -law.damping * (rate * rate)
+    return force_on_joint(law, x, rate, time) * rate
+
+
+def energy_at_joint(spring: JointSpring, x: Scalar) -> Scalar:
+    """Compute the energy of a spring, J, at its joint coordinate x (m or rad)."""
+    return 0.5 * spring.stiffness * ((x - spring.rest) * (x - spring.rest))
 
 
 class Push(NamedTuple):
@@ -81,7 +107,8 @@ class PointForces:
     def _ball_pushes(self, data: Any) -> list[Push]:
         found = []
         for spring, (i, j), frames, rest in self._balls:
-            torque = spring.torque(self._turned(data, frames, rest), self._spin(data, frames))
+            turned, spin = self._turned(data, frames, rest), self._spin(data, frames)
+            torque = -(spring.stiffness * turned + spring.damping * spin)
             found.append(Push(i, frames[0], np.zeros(3), -torque))
             found.append(Push(j, frames[1], np.zeros(3), torque))
         return found
@@ -119,9 +146,10 @@ class PointForces:
 
     def energy(self, data: Any) -> float:
         """Energy of the springs, J."""
-        turned = sum(
-            float(spring.energy(self._turned(data, frames, rest))) for spring, _, frames, rest in self._balls
-        )
+        turned = 0.0
+        for spring, _, frames, rest in self._balls:
+            theta = self._turned(data, frames, rest)
+            turned += 0.5 * spring.stiffness * float(theta @ theta)
         stretched = (
             (spring, float(np.linalg.norm(self._line(data, frames)[0])))
             for spring, _, frames in self._springs
@@ -132,7 +160,10 @@ class PointForces:
 
     def power(self, data: Any) -> float:
         """Power of dampers and wrenches, W."""
-        power = sum(float(spring.power(self._spin(data, frames))) for spring, _, frames, _ in self._balls)
+        power = 0.0
+        for ball, _, frames, _ in self._balls:
+            spin = self._spin(data, frames)
+            power -= ball.damping * float(spin @ spin)
         for spring, _, frames in self._springs:
             d, rate = self._line(data, frames)
             power -= spring.damping * float(d @ rate) ** 2 / (float(d @ d) or 1.0)

@@ -189,11 +189,16 @@ def _blames(found: Diagnosis, engines: Collection[str]) -> bool:
 
 
 def _without(odd: str, names: Sequence[str], rows: Iterable[Figure]) -> tuple[list[str], list[Figure]]:
-    """Participants and figures without one; without a formulation the other stands for `OWNER`."""
+    """Participants and figures without one; without a formulation the other stands for `OWNER`.
+
+    Momentum is balanced with forces of `OWNER`, so that without it nothing is known of the others' balances.
+    """
     if odd in SYSTEMS:
         kept = [row for row in rows if odd not in row.between and _holds_of_systems(row)]
         return list(names), [_renamed(row, dict.fromkeys(SYSTEMS, OWNER)) for row in kept]
     gone = {odd, *(SYSTEMS if odd == OWNER else ())}
+    if odd == OWNER:
+        rows = [row for row in rows if row.quantity != MOMENTUM]
     return [name for name in names if name != odd], [row for row in rows if not gone & set(row.between)]
 
 

@@ -1,7 +1,7 @@
 """Forces and armatures of a scene against those of a file's own model, in the file's independent velocities.
 
-What a scene's element does is evaluated as `newton_euler.model.forces` states it, where the file has the
-bodies.
+Bodies are where the file has them. Laws of joint coordinates are worked out here from their numbers, and not
+by the methods that newton_euler's equations use: a mistake there is that engine's, not the reading's.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy as np
 from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.equations.balls import SPIN, ends
 from newton_euler.equations.dense import least_squares
-from newton_euler.model.forces import BallArmature, Wrench
+from newton_euler.model.control import PD, Law
+from newton_euler.model.forces import BallArmature, JointSpring, Wrench
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
@@ -190,7 +191,7 @@ def _wrenches(scene: Scene, state: State) -> tuple[Array, Array]:
         coordinate = equations.coordinates[law.coordinate]
         first, second = frames[equations.first], frames[equations.second]
         rows = coordinate.jacobian(first, second)
-        u = law.force(coordinate.phi(first, second)[0], rows.rate(first, second)[0], 0.0)
+        u = _law(law, coordinate.phi(first, second)[0], rows.rate(first, second)[0])
         for body, r, theta in (
             (equations.first, rows.r_first, rows.theta_first),
             (equations.second, rows.r_second, rows.theta_second),
@@ -199,6 +200,15 @@ def _wrenches(scene: Scene, state: State) -> tuple[Array, Array]:
             total[body] += push
             magnitude[body] += np.abs(push)
     return total, magnitude
+
+
+def _law(law: Law | JointSpring, x: float, rate: float) -> float:
+    """Force on a joint coordinate at time 0 by the law's numbers, not by the law, which engines evaluate."""
+    if isinstance(law, JointSpring):
+        return law.stiffness * (law.rest - x) - law.damping * rate
+    if isinstance(law, PD):
+        return float(law.feedforward_at(0.0)) + law.stiffness * (law.target - x) - law.damping * rate
+    return law.held
 
 
 def _spins(placed: Placed, place: Place) -> Array:

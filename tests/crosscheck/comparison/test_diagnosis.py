@@ -32,6 +32,8 @@ from newton_euler.equations.redundancy import NearlyRedundant
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
+from newton_euler.model.control import PD
+from newton_euler.model.forces import JointSpring
 from newton_euler.verification.import_report import ImportReport
 
 LINKAGE = EXAMPLE.parent / "linkage.xml"
@@ -245,6 +247,33 @@ def test_a_planted_fault_is_blamed_on_its_engine(name):
     faults = catalogue(load(str(EXAMPLE)), (1e-4,))
     for fault in [next(fault for fault in faults if fault.kind == kind) for kind in FEW]:
         check_blamed(with_fault(str(EXAMPLE), fault, name), name)
+
+
+def more_damping(self, x, rate, time, force=PD.force):
+    return force(self, x, rate, time) - 0.01 * self.damping * rate
+
+
+def warmer(self, x, rate, time, force=JointSpring.force):
+    return 1.01 * force(self, x, rate, time)
+
+
+DRIVEN = """<mujoco><worldbody><body><joint name="h" axis="0 1 0" stiffness="3" springref="20"/>
+<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/><body pos="0.3 0 0"><joint name="k" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/></body></body></worldbody>
+<actuator><position joint="k" kp="2" kv="0.1"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("law", "force"), [(PD, more_damping), (JointSpring, warmer)])
+def test_a_law_that_newton_euler_gets_wrong_is_blamed_on_it(law, force, tmp_path, monkeypatch):
+    """Neither Pinocchio's side nor the verification of the file evaluates laws as newton_euler does."""
+    path = tmp_path / "driven.xml"
+    path.write_text(DRIVEN)
+    found = mjcf.read.read(path, duration=0.02, exercise=True, verified=False)
+    monkeypatch.setattr(law, "force", force)
+    result = crosscheck(found.scene, list(ENGINES.values()), lambda _: None, "driven", {}, found.report)
+    (first,) = result.diagnosis
+    assert (first.odd, first.fault) == (NE, "model")
+    assert first.agree == (MJ, PIN, FILE)
 
 
 def misread(fault, found):
