@@ -1,8 +1,7 @@
-"""Work that is given up after so much time; what takes long says meanwhile that it goes on."""
+"""Work that is given up after so much processor time; what takes long says meanwhile that it goes on."""
 
 from __future__ import annotations
 
-import _thread
 import signal
 import threading
 import time
@@ -16,7 +15,7 @@ PATIENCE = 5.0
 """s after which it is told how long it has been."""
 
 PERIOD = 0.5
-"""s, between looks at the clock."""
+"""s of processor time between looks at it."""
 
 SHORTER = "a run of a shorter duration, or of other engines (--engines), may end"
 """What to do about one that takes too long."""
@@ -27,44 +26,39 @@ class TooLongError(CrosscheckError):
 
 
 @contextmanager
-def heeding_interrupts() -> Iterator[None]:
-    """Have interrupts come through in the main thread, where a shell has started it to ignore them."""
-    before = signal.getsignal(signal.SIGINT)
-    if before is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
-def time_limit(seconds: float) -> Iterator[None]:
+def time_limit(seconds: float, progress: Callable[[float], None] = lambda used: None) -> Iterator[None]:
     """Give up what takes more s of processor time, as an interrupt from the keyboard would.
 
-    In the main thread only.
+    In the main thread only, and not inside itself. `progress` is told the s used every `PERIOD`.
 
     Raises:
-        CrosscheckError: if it does. Native code that looks at no interrupt runs on to its end first.
+        TooLongError: if it does. Native code that looks at no interrupt runs on to its end first.
     """
-    rung = []
+    begin, over = time.process_time(), []
 
-    def ring(number: int, frame: object) -> None:
-        rung.append(number)
+    def look(number: int, frame: object) -> None:
+        used = time.process_time() - begin
+        if used < seconds:
+            progress(used)
+            return
+        over.append(used)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.raise_signal(signal.SIGINT)
 
-    before = signal.signal(signal.SIGPROF, ring)
+    at_work, at_interrupt = signal.signal(signal.SIGPROF, look), signal.getsignal(signal.SIGINT)
+    if at_interrupt is signal.SIG_IGN:  # as a shell starts what runs in its background
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with heeding_interrupts():
-            signal.setitimer(signal.ITIMER_PROF, seconds)
-            try:
-                yield
-            finally:
-                signal.setitimer(signal.ITIMER_PROF, 0.0)
-                signal.signal(signal.SIGPROF, before)
+        signal.setitimer(signal.ITIMER_PROF, *[min(PERIOD, seconds)] * 2)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+            signal.signal(signal.SIGPROF, at_work)
+            signal.signal(signal.SIGINT, at_interrupt)
     except KeyboardInterrupt:
-        if rung:
-            raise CrosscheckError(f"not finished after {seconds:g} s of processor time") from None
+        if over:
+            raise TooLongError(f"not finished after {seconds:g} s of processor time") from None
         raise
 
 
@@ -72,7 +66,7 @@ def time_limit(seconds: float) -> Iterator[None]:
 def limited(what: str, advice: str, progress: Callable[[str], None]) -> Iterator[None]:
     """Interrupt the block after the limit `time`; `progress` is told `what` it does, errors say `advice`.
 
-    In the main thread only, which alone can be interrupted.
+    Outside of the main thread, which alone can be interrupted, there is no limit.
 
     Raises:
         TooLongError: then.
@@ -81,30 +75,15 @@ def limited(what: str, advice: str, progress: Callable[[str], None]) -> Iterator
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    done, given_up, begin = threading.Event(), threading.Event(), time.process_time()
     most = limit("time")  # of processor time: a wait is no reason to give up
 
-    def watch() -> None:
-        while not done.wait(PERIOD):
-            used = time.process_time() - begin
-            if used > most:
-                given_up.set()
-                _thread.interrupt_main()
-                return
-            if used > PATIENCE:
-                progress(f"{what}: {used:.0f} s so far, given up at {most:.0f}")
+    def tell(used: float) -> None:
+        if used > PATIENCE:
+            progress(f"{what}: {used:.0f} s so far, given up at {most:.0f}")
 
-    watcher = threading.Thread(target=watch, daemon=True)
     try:
-        with heeding_interrupts():
-            watcher.start()
-            try:
-                yield
-            finally:
-                done.set()
-                watcher.join()
-    except KeyboardInterrupt:
-        if not given_up.is_set():
-            raise
+        with time_limit(most, tell):
+            yield
+    except TooLongError:
         message = f"{what}: given up after {most:g} s of processor time; {advice}; {too_small('time')}"
         raise TooLongError(message) from None

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import time
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from crosscheck.comparison.levels import Figure
@@ -20,7 +19,7 @@ from crosscheck.report.run import report
 from crosscheck.report.table import Cell, Column, Table, figures, judged, texts
 from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
-from crosscheck.workers import end_with_parent, tidied_up
+from crosscheck.workers import LostError, in_processes
 
 
 @dataclass(frozen=True)
@@ -74,33 +73,26 @@ def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[Ou
     """
     choose(list(engines))
     check_writable(*(folder / name / "summary.json" for name in SCENES))
-    outcomes: dict[str, Outcome] = {}
-    # fresh processes: a fork would share the threads that libraries have started
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(os.cpu_count(), mp_context=context, initializer=end_with_parent)
-    with tidied_up(), pool:
-        running = [pool.submit(outcome, name, tuple(engines), folder / name) for name in SCENES]
-        try:
-            for done in as_completed(running):
-                found = done.result()
-                outcomes[found.scene] = found
-                progress(f"{len(outcomes)} of {len(running)} scenes, last {found.scene}")
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for worker in multiprocessing.active_children():
-                worker.terminate()
-            raise
-    return [outcomes[name] for name in SCENES]
+    found = in_processes(
+        partial(outcome, engines=tuple(engines), folder=folder),
+        list(SCENES),
+        os.cpu_count() or 1,
+        lambda count, name: progress(f"{count} of {len(SCENES)} scenes, last {name}"),
+    )
+    return [
+        Outcome(name, 0.0, False, f"{name} did not run: {each}") if isinstance(each, LostError) else each
+        for name, each in zip(SCENES, found, strict=True)
+    ]
 
 
 def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
-    """Crosscheck one scene at its default options and write what `crosscheck run` does."""
+    """Crosscheck one scene at its default options; write to its folder below `folder` as a run does."""
     start = time.perf_counter()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # results are checked where they are used
             result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
-            write(result, report(result), folder, folder / f"{name}.rrd")
+            write(result, report(result), folder / name, folder / name / f"{name}.rrd")
     except Exception as error:  # what goes wrong with one scene is a line, like the others' results
         return Outcome(name, time.perf_counter() - start, False, f"{name} did not run: {reason_of(error)}")
     return _outcome(name, result, time.perf_counter() - start)

@@ -6,8 +6,76 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, as_completed
 from contextlib import contextmanager
+from typing import TypeVar
+
+from pebble import ProcessExpired, ProcessPool
+
+from crosscheck.errors import CrosscheckError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+class LostError(CrosscheckError):
+    """A process ended before its task was done."""
+
+
+def in_processes(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    processes: int,
+    done: Callable[[int, Task], None],
+    limit: Callable[[Task], float] = lambda task: 0.0,
+) -> list[Result | LostError]:
+    """Apply a function to tasks in processes of their own, and return the results in the order of the tasks.
+
+    Args:
+        function: of a module, which raises nothing.
+        tasks: begun in this order.
+        processes: how many at a time.
+        done: told how many tasks are done, and the last of them.
+        limit: s of processor time after which a task's process is ended, native code or not; 0 for none.
+    """
+    # fresh processes: a fork would share the threads that libraries have started
+    context = multiprocessing.get_context("spawn")
+    results = dict[int, Result | LostError]()
+    with tidied_up():
+        pool = ProcessPool(min(processes, len(tasks)) or 1, initializer=_end_with_parent, context=context)
+        try:
+            running: dict[Future[Result], int] = {
+                pool.schedule(_run, (function, task, limit(task))): k for k, task in enumerate(tasks)
+            }
+            for future in as_completed(running):
+                number = running[future]
+                try:
+                    results[number] = future.result()
+                except ProcessExpired as error:
+                    results[number] = LostError(_end(error.exitcode, limit(tasks[number])))
+                done(len(results), tasks[number])
+        finally:
+            for process in multiprocessing.active_children():
+                process.kill()  # before the pool takes locks from those that are just starting
+            pool.stop()  # type: ignore[no-untyped-call]
+            pool.join()
+    return [results[k] for k in range(len(tasks))]
+
+
+def _end(status: int, limit: float) -> str:
+    if status == -signal.SIGPROF:
+        return f"not done after {limit:g} s of processor time"
+    return f"the process ended, {status}"
+
+
+def _run(function: Callable[[Task], Result], task: Task, limit: float) -> Result:
+    """Apply the function; the timer's signal ends the process."""
+    signal.setitimer(signal.ITIMER_PROF, limit)
+    try:
+        return function(task)
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
 @contextmanager
@@ -27,8 +95,8 @@ def tidied_up() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def end_with_parent() -> None:
-    """Have a process of `multiprocessing` end when its parent has, however that did; called at its start.
+def _end_with_parent() -> None:
+    """Have this process end when its parent has, however that did.
 
     Otherwise it would wait for work for ever. Interrupts, which a terminal sends to all, are the parent's.
     """

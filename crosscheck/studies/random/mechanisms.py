@@ -12,18 +12,17 @@ condition number of the mechanism's own equations of motion says whether round-o
 
 from __future__ import annotations
 
-import multiprocessing
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from crosscheck.studies.random.scenes import GRAVITY, random_scene
 from crosscheck.studies.stress.cases import PROCESSES, Progress, Row, Verdict
+from crosscheck.workers import LostError, in_processes
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import independent_rows, singular_values
@@ -91,6 +90,10 @@ class Comparison:
         """The largest of a system; NaN counts as infinite."""
         found = [gap for (name, _), gap in self.gaps.items() if name == system]
         return max(np.inf if np.isnan(gap) else gap for gap in found)
+
+    @property
+    def name(self) -> str:
+        return f"random_scene({self.seed}, {self.number})"
 
     @property
     def bound(self) -> float:
@@ -243,81 +246,77 @@ def compare_some(seed: int, numbers: range) -> list[Comparison]:
 def stress_random(count: int, seed: int, progress: Progress) -> list[Row]:
     """Do engines agree on random mechanisms 0 to count - 1 of a seed? See `rows_of`."""
     chunks = [range(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
-    start, found = time.perf_counter(), list[Comparison]()
-    # fresh processes: a fork would share the threads that libraries have started
-    with ProcessPoolExecutor(PROCESSES, mp_context=multiprocessing.get_context("spawn")) as pool:
-        running = [(chunk, pool.submit(compare_some, seed, chunk)) for chunk in chunks]
-        for chunk, done in running:
-            try:
-                found += done.result()
-            except BrokenProcessPool:
-                found += [_lost(seed, number) for number in chunk]
-            progress(f"{len(found)} of {count} random mechanisms")
+    start = time.perf_counter()
+    results = in_processes(
+        partial(compare_some, seed),
+        chunks,
+        PROCESSES,
+        lambda done, _: progress(f"{min(done * CHUNK, count)} of {count} random mechanisms"),
+    )
+    found = list[Comparison]()
+    for chunk, result in zip(chunks, results, strict=True):
+        found += [_lost(seed, k, result) for k in chunk] if isinstance(result, LostError) else result
     return rows_of(found, time.perf_counter() - start)
 
 
-def _lost(seed: int, number: int) -> Comparison:
-    """A mechanism of a process that native code took along."""
+def _lost(seed: int, number: int, error: LostError) -> Comparison:
+    """Return the record of a mechanism of a process that native code took along."""
     gaps = {("relative", "no answer"): np.inf}
-    return Comparison(seed, number, "not looked at", 1.0, 0, gaps, {"relative": "its process ended early"})
+    return Comparison(seed, number, "not looked at", 1.0, 0, gaps, {"relative": str(error)})
 
 
 def rows_of(comparisons: Sequence[Comparison], wall_time: float) -> list[Row]:
-    """Rows of a stress report: one for each system, and one for each mechanism it does not agree on.
+    """Return rows of a stress report: one per system, and one per mechanism it does not agree on.
 
     A system passes if it has an answer for all, each within the tolerance or explained by the condition
     number, which the row of that mechanism states.
     """
     summaries, exceptions = [], []
-    for system in (name for name in SYSTEMS if any(name in c.systems for c in comparisons)):
+    for system, (engine, setting) in SYSTEMS.items():
         found = [c for c in comparisons if system in c.systems]
+        if not found:
+            continue
         verdicts = Counter(c.verdict(system) for c in found)
-        words = f"{verdicts['survives']} of {len(found)} agree"
-        if verdicts["degrades"]:
-            words += f", {verdicts['degrades']} explained by their condition numbers"
-        if left := sum(system.removeprefix("compiled ") in c.left for c in comparisons) * (
-            "compiled" in system
-        ):
-            words += f", {left} left to floats"
         worst = max(found, key=lambda c: c.gap(system))
-        words += f"; worst: random_scene({worst.seed}, {worst.number})"
-        verdict = next(v for v in WORST_FIRST if verdicts[v])
-        summaries.append(
-            _row(system, "random mechanisms", worst.gap(system), TOLERANCE, "", verdict, words, wall_time)
+        words = [f"{verdicts['survives']} of {len(found)} agree"]
+        if verdicts["degrades"]:
+            words.append(f"{verdicts['degrades']} explained by their condition numbers")
+        if left := sum(system == f"compiled {form}" for c in comparisons for form in c.left):
+            words.append(f"{left} left to floats")
+        worst_of_all = f"{', '.join(words)}; worst: {worst.name}"
+        blank = Row(
+            topic="j",
+            name="random mechanisms",
+            engine=engine,
+            setting=setting,
+            quantity="accelerations, reactions",
+            unit="rel",
+            figure=_finite(worst.gap(system)),
+            bound=f"<= {TOLERANCE:.0e}",
+            bound_reason=TOLERANCE_REASON,
+            verdict=next(v for v in WORST_FIRST if verdicts[v]),
+            reason=worst_of_all,
+            passes=not (verdicts["fails"] or verdicts["refuses"]),
+            wall_time=wall_time,
         )
-        for c in found:
-            if c.verdict(system) != "survives":
-                name = f"random_scene({c.seed}, {c.number})"
-                reason = f"{ROUND_OFF:.1e} times condition number {c.condition:.1e}"
-                words = f"{c.refusals[system]}; {c.content}" if system in c.refusals else c.content
-                row = _row(system, name, c.gap(system), c.bound, reason, c.verdict(system), words, 0.0)
-                exceptions.append(row)
+        summaries.append(blank)
+        exceptions += [
+            replace(
+                blank,
+                name=c.name,
+                figure=_finite(c.gap(system)),
+                bound=f"<= {c.bound:.0e}",
+                bound_reason=f"{ROUND_OFF:.1e} times condition number {c.condition:.1e}",
+                verdict=c.verdict(system),
+                reason="; ".join(filter(None, [c.refusals.get(system), c.content])),
+                passes=c.verdict(system) == "degrades",
+                wall_time=0.0,
+            )
+            for c in found
+            if c.verdict(system) != "survives"
+        ]
     return summaries + exceptions
 
 
-def _row(
-    system: str,
-    name: str,
-    figure: float,
-    bound: float,
-    bound_reason: str,
-    verdict: Verdict,
-    words: str,
-    wall_time: float,
-) -> Row:
-    engine, setting = SYSTEMS[system]
-    return Row(
-        topic="j",
-        name=name,
-        engine=engine,
-        setting=setting,
-        quantity="accelerations, reactions",
-        unit="rel",
-        figure=figure if np.isfinite(figure) else None,
-        bound=f"<= {bound:.0e}",
-        bound_reason=bound_reason or TOLERANCE_REASON,
-        verdict=verdict,
-        reason=words,
-        passes=verdict in ("survives", "degrades"),
-        wall_time=wall_time,
-    )
+def _finite(figure: float) -> float | None:
+    return figure if np.isfinite(figure) else None

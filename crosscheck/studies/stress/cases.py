@@ -1,7 +1,4 @@
-"""Cases of a stress run: one number of one engine at one setting, judged by a bound.
-
-Where the bound comes from is part of the case.
-"""
+"""Cases of a stress run: one figure of one engine at one setting, judged by a bound that says why."""
 
 from __future__ import annotations
 
@@ -9,12 +6,16 @@ import math
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
+from crosscheck.studies.stress.runs import Setting
 from newton_euler.errors import NewtonEulerError
 
 PROCESSES = 2
+
+SMALLEST = 1e-18
+"""Errors are drawn no smaller than this: zero has no logarithm."""
 
 Verdict = Literal["survives", "degrades", "fails", "refuses"]
 
@@ -23,22 +24,29 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Bound:
-    """What a figure has to be.
+    """A figure and the values that it is to have.
 
     Attributes:
-        survives: the most it may be, or the least if `at_least`.
+        quantity, unit: of the figure.
+        survives: the most it may be, or the least if `at_least`; NaN where there is no answer.
         degrades: beyond that the answer is no use any more, and the engine fails.
         reason: why just that.
         at_least: whether large figures are good ones.
     """
 
+    quantity: str
+    unit: str
     survives: float
     degrades: float
     reason: str
     at_least: bool = False
 
+    @property
+    def has_answer(self) -> bool:
+        return not math.isnan(self.survives)
+
     def verdict(self, figure: float) -> Verdict:
-        """What a figure means; one that is not finite is a failure."""
+        """Judge a figure; one that is not finite is a failure."""
         if not math.isfinite(figure):
             return "fails"
         sign = -1.0 if self.at_least else 1.0
@@ -47,11 +55,13 @@ class Bound:
         return "degrades" if sign * figure <= sign * self.degrades else "fails"
 
     def __str__(self) -> str:
-        return f"{'>=' if self.at_least else '<='} {self.survives:.0e}"
+        return f"{'>=' if self.at_least else '<='} {self.survives:.0e}" if self.has_answer else "refusal"
 
 
-REFUSAL = Bound(0.0, 0.0, "what has no answer has to be refused, with the time or the element named")
-"""Of cases that have no answer: no figure is good enough."""
+def refusal(quantity: str, unit: str) -> Bound:
+    """Return the bound of cases that have no answer: no figure is good enough."""
+    reason = "what has no answer has to be refused, with the time or the element named"
+    return Bound(quantity, unit, math.nan, math.nan, reason)
 
 
 @dataclass(frozen=True)
@@ -75,11 +85,16 @@ class Curve:
 
 @dataclass(frozen=True)
 class Measured:
-    """What a case found: its figure, one line about it, and curves to plot."""
+    """A figure that a case found, one line about it, and curves to plot."""
 
     figure: float
     note: str = ""
     curves: tuple[Curve, ...] = ()
+
+    def at(self, x: float, setting: Setting, plot: str, x_label: str, y_label: str) -> Measured:
+        """Add the figure as a point of a setting's line in a plot."""
+        y = max(self.figure, SMALLEST)
+        return replace(self, curves=(*self.curves, Curve(plot, x_label, y_label, setting.label, (x,), (y,))))
 
 
 @dataclass(frozen=True)
@@ -87,36 +102,27 @@ class Case:
     """One thing to try with one engine at one setting.
 
     Attributes:
-        topic: a letter out of `TOPICS`.
         name: what is tried.
-        engine: name of the engine.
-        setting: formulation, integrator, stabilisation, tolerances.
-        quantity, unit: what is measured.
-        bound: what it has to be; `REFUSAL` if there is no answer.
-        measure: a function of a module with its arguments, to be sent to another process.
+        setting: the engine and its options.
+        bound: of the figure.
+        measure: a function of the setting, to be sent to another process.
         names: for cases without an answer: texts that a refusal has to hold, to be of use.
         limit: s of processor time, after which its process is ended.
+        topic: a letter out of `TOPICS`.
     """
 
-    topic: str
     name: str
-    engine: str
-    setting: str
-    quantity: str
-    unit: str
+    setting: Setting
     bound: Bound
-    measure: Callable[[], Measured]
+    measure: Callable[[Setting], Measured]
     names: tuple[str, ...] = ()
     limit: float = 30.0
-
-    @property
-    def has_answer(self) -> bool:
-        return self.bound != REFUSAL  # which comes from another process as a copy
+    topic: str = ""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What came of a case.
+    """The result of a case.
 
     Attributes:
         topic, name, engine, setting, quantity, unit: of the case.
@@ -147,47 +153,43 @@ class Row:
 
 def judge(case: Case) -> Row:
     """Run a case; whatever goes wrong in it is a row like others."""
-    start = time.perf_counter()
+    start, measured = time.perf_counter(), None
+    verdict: Verdict = "fails"
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # figures that are not finite are failures anyway
-            measured = case.measure()
+            measured = case.measure(case.setting)
+        verdict, reason = case.bound.verdict(measured.figure), measured.note
+        if not case.bound.has_answer:
+            reason = f"runs on without a word, {measured.note}".rstrip(", ")
     except NewtonEulerError as error:
-        return _refused(case, str(error), time.perf_counter() - start)
+        reason, missing = str(error), [name for name in case.names if name not in str(error)]
+        if missing:
+            reason = f"refuses without naming {' and '.join(missing)}: {reason}"
+        else:
+            verdict = "refuses"
     except Exception as error:  # an error of no kind that engines are to raise
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        return row_of(case, "fails", reason, time.perf_counter() - start)
-    wall_time = time.perf_counter() - start
-    if not case.has_answer:
-        reason = f"runs on without a word, {measured.note}".rstrip(", ")
-        return row_of(case, "fails", reason, wall_time, measured)
-    return row_of(case, case.bound.verdict(measured.figure), measured.note, wall_time, measured)
-
-
-def _refused(case: Case, reason: str, wall_time: float) -> Row:
-    missing = [name for name in case.names if name not in reason]
-    if missing and not case.has_answer:
-        return row_of(case, "fails", f"refuses without naming {' and '.join(missing)}: {reason}", wall_time)
-    return row_of(case, "refuses", reason, wall_time)
+    return row_of(case, verdict, reason, measured, time.perf_counter() - start)
 
 
 def row_of(
-    case: Case, verdict: Verdict, reason: str, wall_time: float, measured: Measured | None = None
+    case: Case, verdict: Verdict, reason: str, measured: Measured | None = None, wall_time: float = 0.0
 ) -> Row:
-    """The row of a case."""
+    """Return the row of a case."""
     return Row(
-        case.topic,
-        case.name,
-        case.engine,
-        case.setting,
-        case.quantity,
-        case.unit,
-        measured.figure if measured else None,
-        str(case.bound) if case.has_answer else "refusal",
-        case.bound.reason,
-        verdict,
-        reason,
-        verdict == ("survives" if case.has_answer else "refuses"),
-        wall_time,
-        measured.curves if measured else (),
+        topic=case.topic,
+        name=case.name,
+        engine=case.setting.engine,
+        setting=str(case.setting),
+        quantity=case.bound.quantity,
+        unit=case.bound.unit,
+        figure=measured.figure if measured else None,
+        bound=str(case.bound),
+        bound_reason=case.bound.reason,
+        verdict=verdict,
+        reason=reason,
+        passes=verdict == ("survives" if case.bound.has_answer else "refuses"),
+        wall_time=wall_time,
+        curves=measured.curves if measured else (),
     )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from crosscheck.scenes import load
-from crosscheck.studies.stress.cases import Bound, Case, Curve, Measured
+from crosscheck.studies.stress.cases import Bound, Case, Measured
 from crosscheck.studies.stress.runs import COMBINATIONS, ONE_EACH, TIGHT, Setting, distance, lasting
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
@@ -102,30 +102,20 @@ MECHANISMS: dict[str, Callable[[float], Scene]] = {
 }
 
 
-def cases(full: bool) -> list[Case]:
-    """All of (l)."""
-    made = []
+def cases(full: bool) -> Iterator[Case]:
+    """Yield the cases of (l)."""
+    reason = "what the noise of the numbers makes; more than a centimeter is another motion"
     for name in MECHANISMS if full else ("flat_four_bar", "bricard"):
+        settings = (*COMBINATIONS, *ONE_EACH[2:]) if full and name == "flat_four_bar" else ONE_EACH
         for noise in NOISES if full else (1e-12, 1e-6):
-            settings = (*COMBINATIONS, *ONE_EACH[2:]) if full and name == "flat_four_bar" else ONE_EACH
             for setting in settings:
-                bound = Bound(
-                    ENGINES_OWN[setting.engine] + SENSITIVITY * noise,
-                    1e-2,
-                    "what the noise of the numbers makes; more than a centimeter is another motion",
-                )
-                what = f"{name}, noise {noise:.0e}, 0.3 s"
-                run = partial(measure, name, noise, setting)
-                made.append(
-                    Case("l", what, setting.engine, str(setting), "distance to the design", "m", bound, run)
-                )
-    return made
+                most = ENGINES_OWN[setting.engine] + SENSITIVITY * noise
+                bound = Bound("distance to the design", "m", most, 1e-2, reason)
+                yield Case(f"{name}, noise {noise:.0e}, 0.3 s", setting, bound, partial(measure, name, noise))
 
 
 def measure(name: str, noise: float, setting: Setting) -> Measured:
-    """How far a run with noise comes from the design's, m."""
+    """Measure how far a run with noise comes from the design's, m."""
     design, scene = (lasting(MECHANISMS[name](size), 0.3, 10) for size in (0.0, noise))
-    error = distance(setting.simulate(scene), TIGHT.simulate(design))
-    label = f"{setting.engine}, {setting}"
-    curve = Curve(f"noise, {name}", "noise, rad or m", "distance, m", label, (noise,), (max(error, 1e-18),))
-    return Measured(error, curves=(curve,))
+    found = Measured(distance(setting.simulate(scene), TIGHT.simulate(design)))
+    return found.at(noise, setting, f"noise, {name}", "noise, rad or m", "distance, m")

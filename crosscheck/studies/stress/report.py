@@ -59,7 +59,7 @@ def report(rows: Sequence[Row], full: bool, wall_time: float) -> Report:
         "What fails is listed like what passes."
     )
     parts: list[Part] = [_summary(rows), Lines("about", [preface], folded=True)]
-    for letter, topic in TOPICS.items():
+    for letter, (topic, _) in TOPICS.items():
         of_topic = [row for row in rows if row.topic == letter]
         if of_topic:
             advice = recommendation(rows).splitlines() if letter == "d" else []
@@ -106,7 +106,7 @@ def counts(rows: Sequence[Row]) -> dict[str, dict[str, str]]:
     """By topic and engine, how many of the cases pass: "3 of 4"."""
     engines = sorted({row.engine for row in rows}, key=lambda name: (name == ALL, name != OWN, name))
     table = {}
-    for letter, topic in TOPICS.items():
+    for letter, (topic, _) in TOPICS.items():
         cells = {}
         for engine in engines:
             passes = [row.passes for row in rows if (row.topic, row.engine) == (letter, engine)]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 
 from crosscheck.references import known_figures
 from crosscheck.scenes import FIGURES, load
-from crosscheck.studies.stress.cases import Bound, Case, Curve, Measured
+from crosscheck.studies.stress.cases import Bound, Case, Measured
+from crosscheck.studies.stress.integration import ENERGY
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
     FORMULATIONS,
@@ -33,10 +35,9 @@ SPEEDS = (1.0, 1e2, 1e3, 1e4)
 
 TURNS = (0.499, 0.5, 0.501, 1.0, 10.0, 1e3)
 
-ANGLE = Bound(1e-6, 1e-2, "no plot would show less; half a degree can be seen")
-TORQUE = Bound(1e-6, 1e-2, "no plot would show less; a turn miscounted is far more")
-KNOWN = Bound(1e-6, 1e-2, "no plot would show less; a hundredth can be seen")
-ENERGY = Bound(1e-6, 1e-2, "no plot would show less; more than a hundredth is another motion")
+ANGLE = Bound("angle error", "rad", 1e-6, 1e-2, "no plot would show less; half a degree can be seen")
+TORQUE = Bound("torque error", "rel", 1e-6, 1e-2, "no plot would show less; a turn miscounted is far more")
+KNOWN = Bound("largest error", "SI", 1e-6, 1e-2, "no plot would show less; a hundredth can be seen")
 
 FIXED: tuple[Setting, ...] = (
     *(newton_euler(form, integrator="Euler", step=step) for form in FORMULATIONS for step in (1e-3, 1e-4)),
@@ -55,50 +56,35 @@ STIFFNESS, DAMPING = 100.0, 20.0
 """N m/rad and N m s/rad, critical for a moment of inertia of 1 kg m^2: x = X (1 - (1 + 10 t) exp(-10 t))."""
 
 
-def cases(full: bool) -> list[Case]:
-    """All of (i)."""
-    tops: tuple[Setting, ...] = (
-        *COMBINATIONS,
-        newton_euler("relative", integrator="Radau", rtol=1e-8, atol=1e-10),
-    )
-    if not full:
-        tops = ONE_EACH[:2]
+def cases(full: bool) -> Iterator[Case]:
+    """Yield the cases of (i)."""
+    tops = (*COMBINATIONS, newton_euler(integrator="Radau", rtol=1e-8, atol=1e-10)) if full else ONE_EACH[:2]
     slow = 0.1 if full else 0.02
-    made = []
     for speed in SPEEDS if full else SPEEDS[::3]:
-        fast = mujoco("RK4", 0.1 / speed if speed > 100.0 else 1e-3)
-        for setting in (*tops, mujoco(), *((fast,) if fast != mujoco() else ()), pinocchio()):
+        quick = (mujoco("RK4", 0.1 / speed),) if speed > 100.0 else ()
+        for setting in (*tops, mujoco(), *quick, pinocchio()):
             duration = slow if setting.engine == "pinocchio" and speed > 1e3 else 1.0
             turns = speed * duration / (2.0 * np.pi)
-            what = f"free symmetric top, {speed:g} rad/s, {turns:.3g} turns"
-            run = partial(measure_top, speed, duration, setting)
-            made.append(
-                Case("i", what, setting.engine, str(setting), "angle error", "rad", ANGLE, run, limit=40.0)
-            )
+            name = f"free symmetric top, {speed:g} rad/s, {turns:.3g} turns"
+            yield Case(name, setting, ANGLE, partial(measure_top, speed, duration), limit=40.0)
     for setting in FIXED:
-        run = partial(measure_top_energy, setting)
-        what = f"free symmetric top, {FAST:g} rad/s, 1 s, fixed steps"
-        made.append(Case("i", what, setting.engine, str(setting), "energy error", "rel", ENERGY, run))
+        yield Case(
+            f"free symmetric top, {FAST:g} rad/s, 1 s, fixed steps", setting, ENERGY, measure_top_energy
+        )
     for turns in TURNS if full else TURNS[1::2]:
         for setting in ONE_EACH:
-            run = partial(measure_hinge, turns, setting)
-            what = f"hinge turned {turns:g} times by PD, 3 s"
-            made.append(Case("i", what, setting.engine, str(setting), "torque error", "rel", TORQUE, run))
+            name = f"hinge turned {turns:g} times by PD, 3 s"
+            yield Case(name, setting, TORQUE, partial(measure_hinge, turns))
     for setting in (*ONE_EACH, TIGHT):
-        run = partial(measure_heavy_top, setting)
-        what = "heavy_top, 150 rad/s, known figures"
-        made.append(Case("i", what, setting.engine, str(setting), "largest error", "SI", KNOWN, run))
-    return made
+        yield Case("heavy_top, 150 rad/s, known figures", setting, KNOWN, measure_heavy_top)
 
 
 def measure_top(speed: float, duration: float, setting: Setting) -> Measured:
     """Orientation against the closed form."""
     scene = symmetric_top(1.0, 2.0, speed * DIRECTION, duration)
     run = setting.simulate(scene)
-    error = top_error(scene, run)
-    label = f"{setting.engine}, {setting}"
-    curve = Curve("free top", "speed, rad/s", "angle error, rad", label, (speed,), (max(error, 1e-18),))
-    return Measured(error, f"{run.settings['steps']} steps", (curve,))
+    found = Measured(top_error(scene, run), f"{run.settings['steps']} steps")
+    return found.at(speed, setting, "free top", "speed, rad/s", "angle error, rad")
 
 
 def measure_top_energy(setting: Setting) -> Measured:

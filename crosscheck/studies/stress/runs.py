@@ -1,4 +1,4 @@
-"""What cases have in common: engines with their settings, and answers that are known."""
+"""Engines with their settings, and scenes whose motion is known in closed form."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+import mjcf
+import urdf
 from crosscheck.comparison.energy import energy_balance
 from newton_euler.assemble import initial_state
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
@@ -19,6 +21,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
+from newton_euler.simulate import simulate
 
 GRAVITY = 9.81
 """m/s^2."""
@@ -26,50 +29,45 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Setting:
-    """An engine with the options that it runs with, those of its `simulate`."""
+    """An engine with the options of its `simulate`."""
 
     engine: str
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def simulate(self, scene: Scene) -> Trajectory:
         """Run a scene; raises what the engine does."""
-        if self.engine == "newton_euler":
-            import newton_euler
+        return SIMULATE[self.engine](scene, **self.options)
 
-            return newton_euler.simulate(scene, **self.options)
-        if self.engine == "mujoco":
-            import mjcf
-
-            return mjcf.simulate(scene, **self.options)
-        import urdf
-
-        return urdf.simulate(scene, **self.options)
+    @property
+    def label(self) -> str:
+        return f"{self.engine}, {self}"
 
     def __str__(self) -> str:
-        texts = (_text(name, value) for name, value in self.options.items())
+        texts = (
+            value if isinstance(value, str) else f"{name} {value:.3g}" for name, value in self.options.items()
+        )
         return ", ".join(texts) or "defaults"
 
 
-def _text(name: str, value: Any) -> str:
-    if isinstance(value, str):
-        return value
-    if isinstance(value, float):
-        return f"{name} {value:.3g}"
-    return f"{name} {value}"
+SIMULATE: dict[str, Callable[..., Trajectory]] = {
+    "newton_euler": simulate,
+    "mujoco": mjcf.simulate,
+    "pinocchio": urdf.simulate,
+}
 
 
 def newton_euler(formulation: str = "relative", stabilization: str = "projection", **more: Any) -> Setting:
-    """A setting of newton_euler."""
+    """Return a setting of newton_euler."""
     return Setting("newton_euler", {"formulation": formulation, "stabilization": stabilization, **more})
 
 
 def mujoco(integrator: str = "RK4", timestep: float = 1e-3, **more: Any) -> Setting:
-    """A setting of MuJoCo."""
+    """Return a setting of MuJoCo."""
     return Setting("mujoco", {"integrator": integrator, "timestep": timestep, **more})
 
 
 def pinocchio(**options: Any) -> Setting:
-    """A setting of Pinocchio."""
+    """Return a setting of Pinocchio."""
     return Setting("pinocchio", options)
 
 
@@ -86,6 +84,11 @@ TIGHT = newton_euler("relative", rtol=1e-13, atol=1e-15)
 
 ONE_EACH = (newton_euler("relative"), newton_euler("cartesian"), mujoco(), pinocchio())
 """Each set of equations at its defaults."""
+
+
+def formulations(**options: Any) -> tuple[Setting, ...]:
+    """Return newton_euler in both formulations, projected, with the same other options."""
+    return tuple(newton_euler(formulation, **options) for formulation in FORMULATIONS)
 
 
 def lasting(scene: Scene, duration: float, outputs: int, *names: str) -> Scene:
@@ -178,22 +181,3 @@ def top_error(scene: Scene, run: Trajectory) -> float:
         for t in scene.times
     ]
     return float(np.max(angle_between(np.array(turned), run.quaternion[:, 1])))
-
-
-def last_good(ok: Callable[[int], bool], start: int, end: int) -> int | None:
-    """The smallest n from `start` to `end` with ok(n), by doubling and bisection; None if there is none.
-
-    ok is taken to stay true from there on, as it does for numbers of steps.
-    """
-    low, high = start - 1, start
-    while not ok(high):
-        if high >= end:
-            return None
-        low, high = high, min(2 * high, end)
-    while high - low > max(1, high // 32):
-        middle = (low + high) // 2
-        if ok(middle):
-            high = middle
-        else:
-            low = middle
-    return high

@@ -6,15 +6,16 @@ from the rigid one is the softness error; the rest is the error of the step.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache, partial
 
 import numpy as np
 
 from crosscheck.scenes import load
 from crosscheck.studies.stress.cases import Bound, Case, Curve, Measured, Row
-from crosscheck.studies.stress.runs import TIGHT, distance, lasting, mujoco
+from crosscheck.studies.stress.runs import TIGHT, Setting, distance, lasting, mujoco
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.trajectory import Trajectory
@@ -22,11 +23,15 @@ from newton_euler.model.trajectory import Trajectory
 DURATION = 5.0
 OUTPUTS = 50
 
-SOFTNESS, STEP = "softness error", "step error at two steps"
-"""What is measured, for each time constant."""
-
-SOFT = Bound(1e-5, 1e-3, "a hundredth of a millimetre on a machine of 0.1 m; a millimetre can be seen")
-REACTIONS = Bound(1e-2, 1e-1, "a sensor of forces has one per cent")
+SOFTNESS = Bound(
+    "softness error",
+    "m",
+    1e-5,
+    1e-3,
+    "a hundredth of a millimetre on a machine of 0.1 m; a millimetre can be seen",
+)
+STEP = replace(SOFTNESS, quantity="step error at two steps")
+REACTIONS = Bound("reaction error", "rel", 1e-2, 1e-1, "a sensor of forces has one per cent")
 
 TIME_CONSTANTS = (0.1, 0.02, 0.01, 4e-3, 2e-3, 1e-3, 4e-4)
 """s; what MuJoCo takes by itself is 0.02."""
@@ -38,57 +43,20 @@ FINEST = 20
 """Steps in a time constant that come near enough to none at all."""
 
 
-def cases(full: bool) -> list[Case]:
-    """All of (d)."""
-    constants = TIME_CONSTANTS if full else TIME_CONSTANTS[1:-3]
-    made = [
-        Case("d", f"tracker, {DURATION:g} s, time constant {constant:g} s", "mujoco", "step to zero",
-             SOFTNESS, "m", SOFT, partial(measure_softness, constant), limit=60.0)
-        for constant in constants
-    ]  # fmt: skip
-    made += [
-        Case("d", f"tracker, {DURATION:g} s, time constant {constant:g} s", "mujoco", integrator,
-             STEP, "m", SOFT, partial(measure_steps, integrator, constant), limit=60.0)
-        for constant in constants
-        for integrator in (("RK4", "Euler", "implicitfast") if full else ("RK4",))
-    ]  # fmt: skip
-    made.append(
-        Case("d", "tracker at t = 0, soft and rigid equations of one model", "mujoco", "solimp 0.9999",
-             "reaction error", "rel", REACTIONS, measure_reactions)
-    )  # fmt: skip
-    return made
-
-
-def measure(integrator: str, time_constant: float, shares: tuple[int, ...]) -> Measured:
-    """How far the soft mechanism is from the rigid one; in words what each step adds."""
-    scene = lasting(load("tracker"), DURATION, OUTPUTS)
-    rigid = TIGHT.simulate(scene)
-    runs: dict[float, Trajectory] = {}
-    for share in shares:
-        step = time_constant / share
-        try:
-            runs[step] = mujoco(integrator, step, solref=(time_constant, 1.0)).simulate(scene)
-        except NewtonEulerError:
-            continue  # too long a step, which the figure of the others says nothing about
-    if len(runs) < 2:
-        return Measured(float("nan"), "diverges at almost all steps")
-    finest = min(runs)
-    softness = distance(runs[finest], rigid)
-    by_step = {step: distance(run, runs[finest]) for step, run in runs.items() if step > finest}
-    total = {step: distance(run, rigid) for step, run in runs.items()}
-    label = f"{integrator}, time constant {time_constant:g} s"
-    curve = Curve(
-        "MuJoCo's error over step at fixed solref",
-        "step, s",
-        "position error against the rigid mechanism, m",
-        label,
-        tuple(total),
-        tuple(total.values()),
+def cases(full: bool) -> Iterator[Case]:
+    """Yield the cases of (d)."""
+    integrators = ("RK4", "Euler", "implicitfast") if full else ("RK4",)
+    for constant in TIME_CONSTANTS if full else TIME_CONSTANTS[1:-3]:
+        name = f"tracker, {DURATION:g} s, time constant {constant:g} s"
+        zero = Setting("mujoco", {"timestep": "step to zero"})
+        yield Case(name, zero, SOFTNESS, partial(measure_softness, constant), limit=60.0)
+        for integrator in integrators:
+            setting = Setting("mujoco", {"integrator": integrator})
+            yield Case(name, setting, STEP, partial(measure_steps, constant), limit=60.0)
+    setting = Setting("mujoco", {"solimp": "solimp 0.9999"})
+    yield Case(
+        "tracker at t = 0, soft and rigid equations of one model", setting, REACTIONS, measure_reactions
     )
-    steps = ", ".join(f"{error:.1e} at {step:.3g} s" for step, error in by_step.items())
-    worst = next(iter(total.items()))
-    note = f"step error {steps}; in all {worst[1]:.1e} at solref = {round(time_constant / worst[0])} steps"
-    return Measured(softness, note, (curve,))
 
 
 @lru_cache
@@ -103,20 +71,20 @@ def _run(integrator: str, time_constant: float, share: int) -> Trajectory:
 
 @lru_cache
 def _soft(time_constant: float) -> Trajectory:
-    """The soft mechanism's own motion: RK4 is of order 4 while the time constant stays as it is."""
+    """Return the soft mechanism's own motion: RK4 is of order 4 while the time constant stays as it is."""
     return _run("RK4", time_constant, FINEST)
 
 
-def measure_softness(time_constant: float) -> Measured:
-    """How far the soft mechanism's own motion is from the rigid one."""
+def measure_softness(time_constant: float, setting: Setting) -> Measured:
+    """Measure how far the soft mechanism's own motion is from the rigid one."""
     soft = _soft(time_constant)
     left = distance(_run("RK4", time_constant, FINEST // 2), soft)
     return Measured(distance(soft, _rigid()), f"known to {left:.0e} m, what halving the step changes")
 
 
-def measure_steps(integrator: str, time_constant: float) -> Measured:
-    """How far a run at two steps a time constant is from the soft mechanism's own motion."""
-    soft, rigid = _soft(time_constant), _rigid()
+def measure_steps(time_constant: float, setting: Setting) -> Measured:
+    """Measure how far a run at two steps per time constant is from the soft mechanism's own motion."""
+    integrator, soft, rigid = setting.options["integrator"], _soft(time_constant), _rigid()
     found = []
     for share in SHARES:
         with suppress(NewtonEulerError):  # too long a step: what shorter ones make of it is in the curve
@@ -139,8 +107,8 @@ def measure_steps(integrator: str, time_constant: float) -> Measured:
     return Measured(errors[0], f"{finer}; with softness {totals[0]:.1e} at {steps[0]:.3g} s", (curve,))
 
 
-def measure_reactions() -> Measured:
-    """Soft reactions against those of the same model under rigid constraints, of the largest."""
+def measure_reactions(setting: Setting) -> Measured:
+    """Compare soft reactions with those of the same model under rigid constraints, of the largest."""
     from mjcf.rigid import RigidMuJoCo
     from mjcf.soft import SoftMuJoCo
 
@@ -155,12 +123,12 @@ def measure_reactions() -> Measured:
 
 
 def recommendation(rows: Sequence[Row]) -> str:
-    """What the figures of this topic speak for, in words; empty without any."""
-    softness = {row.name: row.figure for row in rows if row.quantity == SOFTNESS}
+    """Say what the figures of this topic speak for; empty without any."""
+    softness = {row.name: row.figure for row in rows if row.quantity == SOFTNESS.quantity}
     ratios: dict[str, list[float]] = {}
     for row in rows:
         soft = softness.get(row.name)
-        if row.quantity == STEP and row.figure is not None and np.isfinite(row.figure) and soft:
+        if row.quantity == STEP.quantity and row.figure is not None and np.isfinite(row.figure) and soft:
             ratios.setdefault(row.setting, []).append(row.figure / soft)
     told = []
     for integrator, found in ratios.items():

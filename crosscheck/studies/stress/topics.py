@@ -2,150 +2,54 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-import time
-from collections.abc import Callable, Sequence
-from multiprocessing.connection import Connection, wait
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.studies.random.mechanisms import stress_random
-from crosscheck.studies.stress import (
-    baumgarte,
-    long_runs,
-    masses,
-    noise,
-    rotation,
-    singular,
-    soft,
-    starts,
-    steps,
-    stiff,
-    traps,
-)
+from crosscheck.studies.stress import configurations, extremes, integration, noise, rotation, soft
 from crosscheck.studies.stress.cases import PROCESSES, Case, Progress, Row, judge, row_of
-from crosscheck.workers import end_with_parent, tidied_up
+from crosscheck.workers import LostError, in_processes
 
-TOPICS = {
-    "a": "drift and energy over long runs",
-    "b": "largest stable step, loosest tolerance",
-    "c": "Baumgarte's gain against step size",
-    "d": "MuJoCo's softness against step size",
-    "e": "stiff gains",
-    "f": "mass ratios, inertias near the realisable limit",
-    "g": "start poses off the constraints",
-    "h": "singular configurations",
-    "i": "many turns and high speeds",
-    "j": "random mechanisms",
-    "k": "floating-point traps",
-    "l": "noise in overconstrained loops",
+TOPICS: dict[str, tuple[str, Callable[[bool], Iterator[Case]]]] = {
+    "a": ("drift and energy over long runs", integration.long_runs),
+    "b": ("largest stable step, loosest tolerance", integration.largest_steps),
+    "c": ("Baumgarte's gain against step size", integration.baumgarte),
+    "d": ("MuJoCo's softness against step size", soft.cases),
+    "e": ("stiff gains", extremes.stiff_gains),
+    "f": ("mass ratios, inertias near the realisable limit", extremes.masses),
+    "g": ("start poses off the constraints", configurations.starts),
+    "h": ("singular configurations", configurations.singular),
+    "i": ("many turns and high speeds", rotation.cases),
+    "j": ("random mechanisms", lambda full: iter(())),
+    "k": ("floating-point traps", extremes.traps),
+    "l": ("noise in overconstrained loops", noise.cases),
 }
-"""What is tried, by letter."""
-
-MAKERS: dict[str, Callable[[bool], list[Case]]] = {
-    "a": long_runs.cases,
-    "b": steps.cases,
-    "c": baumgarte.cases,
-    "d": soft.cases,
-    "e": stiff.cases,
-    "f": masses.cases,
-    "g": starts.cases,
-    "h": singular.cases,
-    "i": rotation.cases,
-    "k": traps.cases,
-    "l": noise.cases,
-}
-"""What makes the cases of a topic, by letter."""
+"""Titles by letter, and the cases of each, in full or not; random mechanisms make rows of their own."""
 
 
-class _Worker:
-    """A process that runs cases, one at a time, and can be ended whatever it is doing."""
-
-    def __init__(self) -> None:
-        # a fresh process: a fork would share the threads that libraries have started
-        context = multiprocessing.get_context("spawn")
-        self.connection, other = context.Pipe()
-        self.process = context.Process(target=_serve, args=(other,), daemon=True)
-        self.process.start()
-        other.close()
-        self.topic = ""
-        """Of its last case: references and native code of that topic are at hand."""
-
-    def begin(self, number: int, case: Case) -> None:
-        self.number, self.case, self.topic, self.started = number, case, case.topic, time.monotonic()
-        self.connection.send(case)
-
-    def finished(self) -> Row:
-        """The row of its case; the process has ended if that has taken it along."""
-        try:
-            row: Row = self.connection.recv()
-        except EOFError:
-            self.end()
-            reason = f"the process ended, {self.process.exitcode}"
-            if self.process.exitcode == -signal.SIGPROF:
-                reason = f"not done after {self.case.limit:g} s of processor time"
-            return row_of(self.case, "fails", reason, time.monotonic() - self.started)
-        return row
-
-    def end(self) -> None:
-        self.process.kill()
-        self.process.join()
-        self.connection.close()
-
-
-def _serve(connection: Connection) -> None:
-    """Run cases until there are no more."""
-    end_with_parent()
-    while True:
-        try:
-            case: Case = connection.recv()
-        except EOFError:
-            return
-        signal.setitimer(signal.ITIMER_PROF, case.limit)  # whose signal ends a process, native code or not
-        row = judge(case)
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        connection.send(row)
-
-
-@tidied_up()
 def run_cases(cases: Sequence[Case], progress: Progress) -> list[Row]:
-    """Rows of all cases in their order, by `PROCESSES` processes, each at a topic of its own while it can be.
+    """Run all cases, by `PROCESSES` processes, and return their rows in order.
 
-    Of a topic, and of topics, those that may take longest are first. A case that is not done within its limit
-    is a failure, and its process is ended.
+    A case that is not done within its limit is a failure, and its process is ended. Those of a topic that
+    may take longest are first.
     """
-    rows: dict[int, Row] = {}
-    waiting = list(range(len(cases)))
-    busy: list[_Worker] = []
-    idle = [_Worker() for _ in range(min(PROCESSES, len(cases)))]
-    try:
-        while waiting or busy:
-            while waiting and idle:
-                worker, taken = idle.pop(), {other.topic for other in busy}
-                k = min(waiting, key=lambda k: _order(cases[k], worker.topic, taken))
-                waiting.remove(k)
-                worker.begin(k, cases[k])
-                busy.append(worker)
-            ready = wait([worker.connection for worker in busy])
-            for worker in [worker for worker in busy if worker.connection in ready]:
-                rows[worker.number] = worker.finished()
-                busy.remove(worker)
-                idle.append(worker if worker.process.is_alive() else _Worker())
-                last = f"({worker.case.topic}) {worker.case.name}"
-                progress(f"{len(rows)} of {len(cases)} cases, last {last}")
-    finally:
-        for worker in busy + idle:
-            worker.end()
+    order = sorted(range(len(cases)), key=lambda k: (cases[k].topic, -cases[k].limit))
+    found = in_processes(
+        judge,
+        [cases[k] for k in order],
+        PROCESSES,
+        lambda count, case: progress(f"{count} of {len(cases)} cases, last ({case.topic}) {case.name}"),
+        lambda case: case.limit,
+    )
+    rows = dict[int, Row]()
+    for k, row in zip(order, found, strict=True):
+        rows[k] = row_of(cases[k], "fails", str(row)) if isinstance(row, LostError) else row
     return [rows[k] for k in range(len(cases))]
 
 
-def _order(case: Case, own: str, taken: set[str]) -> tuple[bool, bool, float]:
-    """What a process whose last topic was `own` sorts cases by, where others are at the topics `taken`."""
-    return case.topic != own, case.topic in taken, -case.limit
-
-
 def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
-    """Rows of all cases of some topics.
+    """Return the rows of all cases of some topics.
 
     Args:
         letters: out of `TOPICS`, all if empty.
@@ -166,5 +70,5 @@ def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
 
 
 def cases_of(letter: str, full: bool) -> list[Case]:
-    """The cases of one topic; those of random mechanisms are rows of their own making."""
-    return MAKERS[letter](full) if letter in MAKERS else []
+    """Return the cases of one topic."""
+    return [replace(case, topic=letter) for case in TOPICS[letter][1](full)]

@@ -15,8 +15,8 @@ import newton_euler
 from crosscheck.errors import CrosscheckError
 from crosscheck.references import known_figures
 from crosscheck.scenes import FIGURES, load
+from crosscheck.studies.stress.configurations import from_flat
 from crosscheck.studies.stress.runs import lasting
-from crosscheck.studies.stress.singular import from_flat
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian

@@ -198,7 +198,7 @@ def test_one_scene_of_the_library(tmp_path):
     assert found.engines == ("newton_euler", "pinocchio")
     assert found.between.value <= found.between.allowed
     assert 0.0 < found.known.share < 1.0
-    assert {path.name for path in tmp_path.iterdir()} == {
+    assert {path.name for path in (tmp_path / "pendulum").iterdir()} == {
         "newton_euler.npz", "pinocchio.npz", "summary.json", "pendulum.rrd",
     }  # fmt: skip
 

@@ -18,16 +18,17 @@ from crosscheck.references import known_figures
 from crosscheck.report.page import write_report
 from crosscheck.report.render import markdown
 from crosscheck.scenes import load
-from crosscheck.studies.stress import long_runs, singular, soft, starts, traps
-from crosscheck.studies.stress.baumgarte import MOTION_LIMIT, border
-from crosscheck.studies.stress.cases import REFUSAL, Bound, Case, Curve, Measured, judge
+from crosscheck.studies.stress import configurations, extremes, soft
+from crosscheck.studies.stress.cases import Bound, Case, Curve, Measured, judge, refusal
+from crosscheck.studies.stress.integration import MOTION_LIMIT, border, growth, smallest
 from crosscheck.studies.stress.report import counts, report, write
 from crosscheck.studies.stress.rotation import DAMPING, STIFFNESS
 from crosscheck.studies.stress.runs import (
     TIGHT,
+    Setting,
     bar_angles,
-    last_good,
     lasting,
+    mujoco,
     parallelogram_angle,
     parallelogram_error,
     symmetric_top,
@@ -38,15 +39,16 @@ from newton_euler.assemble import initial_state
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.trajectory import IntegrationError
 
-BOUND = Bound(1e-6, 1e-2, "for the sake of the test")
+BOUND = Bound("error", "m", 1e-6, 1e-2, "for the sake of the test")
+REFUSAL = refusal("error", "m")
 
 
 def case(measure, bound=BOUND, **more):
-    return Case("a", "something", "newton_euler", "defaults", "error", "m", bound, measure, **more)
+    return Case("something", Setting("newton_euler"), bound, measure, topic="a", **more)
 
 
 def raising(error):
-    def measure():
+    def measure(setting):
         raise error
 
     return measure
@@ -65,22 +67,22 @@ def test_small_figures_are_good_ones(figure, verdict):
 
 @pytest.mark.parametrize(("figure", "verdict"), [(2.0, "survives"), (0.5, "degrades"), (0.05, "fails")])
 def test_large_figures_are_good_ones_of_steps(figure, verdict):
-    assert Bound(1.0, 0.1, "steps", at_least=True).verdict(figure) == verdict
+    assert Bound("step", "s", 1.0, 0.1, "steps", at_least=True).verdict(figure) == verdict
 
 
 @pytest.mark.parametrize("at_least", [False, True])
 @pytest.mark.parametrize("figure", [np.nan, np.inf, -np.inf])
 def test_what_is_not_finite_fails(figure, at_least):
-    assert Bound(1.0, 1.0, "any", at_least).verdict(figure) == "fails"
+    assert Bound("error", "m", 1.0, 1.0, "any", at_least).verdict(figure) == "fails"
 
 
 def test_a_figure_within_its_bound_passes_with_its_note():
-    row = judge(case(lambda: Measured(1e-7, "well done")))
+    row = judge(case(lambda _: Measured(1e-7, "well done")))
     assert (row.verdict, row.passes, row.figure, row.reason) == ("survives", True, 1e-7, "well done")
 
 
 def test_a_figure_beyond_its_bound_does_not_pass():
-    row = judge(case(lambda: Measured(1e-3)))
+    row = judge(case(lambda _: Measured(1e-3)))
     assert (row.verdict, row.passes) == ("degrades", False)
 
 
@@ -99,7 +101,7 @@ def test_a_refusal_of_what_has_no_answer_passes_if_it_names_what_it_should():
 
 
 def test_an_answer_to_what_has_none_fails():
-    row = judge(case(lambda: Measured(0.0), REFUSAL))
+    row = judge(case(lambda _: Measured(0.0), REFUSAL))
     assert (row.verdict, row.passes, row.bound) == ("fails", False, "refusal")
 
 
@@ -112,18 +114,26 @@ def test_an_error_of_no_kind_of_ours_fails(bound):
 # Running
 
 
-def without_end():
+def without_end(setting):
     while True:
         pass
 
 
+def found(figure, setting):
+    return Measured(figure)
+
+
+def ended(status, setting):
+    os._exit(status)
+
+
 def test_cases_run_in_processes_with_a_time_limit_and_come_back_in_order():
     cases = [
-        case(partial(Measured, 1e-9)),
+        case(partial(found, 1e-9)),
         case(without_end, limit=0.5),
-        case(partial(os._exit, 3)),
-        case(partial(Measured, 1.0)),
-        case(partial(Measured, 0.0), REFUSAL),
+        case(partial(ended, 3)),
+        case(partial(found, 1.0)),
+        case(partial(found, 0.0), REFUSAL),
     ]
     told = []
     rows = run_cases(cases, told.append)
@@ -136,32 +146,7 @@ def test_cases_run_in_processes_with_a_time_limit_and_come_back_in_order():
     assert told[-1].startswith("5 of 5 cases")
 
 
-def own_process(done=None):
-    """A figure by which the process is known, after another process has left a file if one is named."""
-    while done is not None and not done.exists():
-        time.sleep(0.01)
-    return Measured(float(os.getpid()))
-
-
-def last_of_six(folder):
-    """Of six cases the last one leaves the file `done`."""
-    (folder / str(len(list(folder.iterdir())))).touch()
-    if len(list(folder.iterdir())) == 6:
-        (folder / "done").touch()
-    return own_process()
-
-
-def test_processes_are_at_topics_of_their_own(tmp_path):
-    """Six cases of one topic are done before one of another, so nobody comes to help."""
-    cases = [case(partial(own_process, tmp_path / "done"))]
-    cases += [replace(case(partial(last_of_six, tmp_path)), topic="b") for _ in range(6)]
-    rows = run_cases([*cases[1:4], *cases[:1], *cases[4:]], lambda line: None)
-    by_topic = {topic: {row.figure for row in rows if row.topic == topic} for topic in "ab"}
-    assert len(by_topic["b"]) == 1
-    assert by_topic["a"].isdisjoint(by_topic["b"])
-
-
-def slept():
+def slept(setting):
     time.sleep(0.3)
     return Measured(1e-9)
 
@@ -174,12 +159,12 @@ def test_waiting_takes_no_time_of_a_case():
 
 @pytest.mark.parametrize("wanted", [1, 2, 7, 31, 32, 1000])
 def test_bisection_finds_where_it_becomes_true(wanted):
-    found = last_good(lambda n: n >= wanted, 1, 5000)
+    found = smallest(lambda n: n >= wanted, 5000)
     assert wanted <= found <= wanted * (1.0 + 1.0 / 31.0)
 
 
 def test_bisection_says_so_if_it_never_does():
-    assert last_good(lambda n: False, 1, 100) is None
+    assert smallest(lambda n: False, 100) is None
 
 
 @pytest.mark.parametrize("letter", [letter for letter in TOPICS if letter != "j"])
@@ -189,7 +174,7 @@ def test_cases_are_of_their_topic_and_say_why_their_bound(letter, full):
     assert cases
     assert {found.topic for found in cases} == {letter}
     assert all(found.bound.reason and found.limit <= 150.0 for found in cases)
-    assert len({(found.name, found.engine, found.setting, found.quantity) for found in cases}) == len(cases)
+    assert len({(found.name, found.setting.label, found.bound.quantity) for found in cases}) == len(cases)
 
 
 def test_an_unknown_topic_is_refused():
@@ -212,11 +197,11 @@ def test_closed_motion_of_windows_against_elliptic_functions(windows):
 
 
 def test_windows_that_start_flat_go_down_at_their_speed():
-    scene = singular.from_flat(lasting(load("four_bar", N=2), 0.01, 10), 2)
+    scene = configurations.from_flat(lasting(load("four_bar", N=2), 0.01, 10), 2)
     angle = parallelogram_angle(scene)
     assert angle[0] == pytest.approx(0.5 * np.pi, abs=1e-15)
     # ((N + 1)/2 + N) g / ((N + 1)/3 + N) / L = 3.5/3 g at first; the next term is of order t^3
-    expected = 0.5 * np.pi + singular.FLAT_SPEED * 0.01 + 0.5 * 3.5 / 3.0 * 9.81 * 0.01**2
+    expected = 0.5 * np.pi + configurations.FLAT_SPEED * 0.01 + 0.5 * 3.5 / 3.0 * 9.81 * 0.01**2
     assert angle[-1] == pytest.approx(expected, abs=1e-6)
     assert bar_angles(initial_state(scene).position[None], scene.mechanism.bodies)[0] == angle[0]
 
@@ -232,16 +217,16 @@ def test_closed_form_of_the_symmetric_top(moments):
 
 
 def test_the_slider_comes_to_rest_at_its_dead_centres():
-    scene = singular.centred_slider_crank()
-    half_turn = np.pi / singular.CRANK_SPEED
+    scene = configurations.centred_slider_crank()
+    half_turn = np.pi / configurations.CRANK_SPEED
     scene = replace(
         scene, duration=2.0 * half_turn, output_period=half_turn, outputs=frozenset({"velocities"})
     )
     run = TIGHT.simulate(scene)
-    r, rod = singular.CRANK, singular.ROD
+    r, rod = configurations.CRANK, configurations.ROD
     assert run.position[:, 3, 0] == pytest.approx([rod + r, rod - r, rod + r], abs=1e-14)  # round-off
     assert np.abs(run.linear_velocity[:, 3]).max() < 1e-13
-    assert singular.measure_dead_centre_passage(TIGHT).figure < 1e-14
+    assert configurations.measure_dead_centre_passage(TIGHT).figure < 1e-14
 
 
 def test_a_wrong_motion_of_the_windows_is_seen():
@@ -267,17 +252,17 @@ def test_the_limit_of_rk4_is_where_its_growth_is_one():
 @pytest.mark.parametrize("power", [0.5, 1.0, 4.0])
 def test_growth_is_fitted(power):
     times = np.linspace(0.0, 1e4, 201)
-    assert long_runs.growth(times, 1e-12 * times**power) == f"grows like t^{power:.2f}"
+    assert growth(times, 1e-12 * times**power) == f"grows like t^{power:.2f}"
 
 
 def test_what_is_constant_does_not_grow():
     times = np.linspace(0.0, 1e4, 201)
-    assert long_runs.growth(times, np.full(201, 1e-12)) == "does not grow"
+    assert growth(times, np.full(201, 1e-12)) == "does not grow"
 
 
 def test_bodies_are_put_off_by_as_much_as_asked_for():
     scene = load("tracker")
-    state = starts.off_state(scene, 1e-4)
+    state = configurations.off_state(scene, 1e-4)
     shifts = np.linalg.norm(state.position - initial_state(scene).position, axis=1)
     np.testing.assert_allclose(shifts, [0.0, *[1e-4] * 6], rtol=1e-9)
     assert not np.any(initial_state(scene).position - initial_state(load("tracker")).position)
@@ -287,31 +272,31 @@ def test_bodies_are_put_off_by_as_much_as_asked_for():
 
 
 def newton_euler_cases(cases):
-    return [found for found in cases if found.engine == "newton_euler"]
+    return [found for found in cases if found.setting.engine == "newton_euler"]
 
 
 @pytest.mark.parametrize(
-    "trap", newton_euler_cases(traps.cases(True)), ids=lambda c: f"{c.name}, {c.setting}"
+    "trap", newton_euler_cases(extremes.traps(True)), ids=lambda c: f"{c.name}, {c.setting}"
 )
 def test_traps(trap):
     """What has no answer is refused; what has one is found, or refused where squares of it overflow."""
     row = judge(trap)
-    if trap.has_answer:
+    if trap.bound.has_answer:
         overflows = "denormal body" in trap.name or "huge force" in trap.name
         assert row.verdict == "survives" or (overflows and row.verdict == "refuses"), row.reason
     else:
         assert row.passes, row.reason
 
 
-@pytest.mark.parametrize("offset", starts.OFFSETS)
+@pytest.mark.parametrize("offset", configurations.OFFSETS)
 def test_starts_off_the_constraints_are_assembled(offset):
-    found = starts.measure_assembly(offset)
-    assert starts.ASSEMBLED.verdict(found.figure) == "survives"
+    found = configurations.measure_assembly(offset, TIGHT)
+    assert configurations.ASSEMBLED.verdict(found.figure) == "survives"
 
 
 def test_softness_of_reactions_is_what_solimp_says():
     # 1 - 0.9999 of the constraint's own inertia, times what other constraints make of it
-    assert 1e-4 < soft.measure_reactions().figure < 1e-2
+    assert 1e-4 < soft.measure_reactions(mujoco()).figure < 1e-2
 
 
 # The report
@@ -321,9 +306,9 @@ def test_softness_of_reactions_is_what_solimp_says():
 def rows():
     curve = Curve("a plot, of one", "step, s", "error, m", "MuJoCo | RK4", (1e-3, 1e-2), (1e-9, 1e-7))
     cases = [
-        case(lambda: Measured(1e-7, "<fine>", (curve,))),
-        case(lambda: Measured(1e-3)),
-        case(lambda: Measured(np.nan)),
+        case(lambda _: Measured(1e-7, "<fine>", (curve,))),
+        case(lambda _: Measured(1e-3)),
+        case(lambda _: Measured(np.nan)),
         case(raising(IntegrationError(0.5, "too | hard"))),
         case(raising(IntegrationError(0.5, "rail")), REFUSAL, names=("rail",)),
     ]
@@ -392,8 +377,8 @@ def test_the_recommendation_is_what_has_less_of_the_steps_error(rows):
         more = {"setting": setting, "quantity": quantity, "figure": figure}
         return replace(rows[0], topic="d", name="time constant 0.02 s", **more)
 
-    softness = found("step to zero", soft.SOFTNESS, 1e-7)
-    steps = [found("Euler", soft.STEP, 1e-5), found("RK4", soft.STEP, 2e-8)]
+    softness = found("step to zero", soft.SOFTNESS.quantity, 1e-7)
+    steps = [found("Euler", soft.STEP.quantity, 1e-5), found("RK4", soft.STEP.quantity, 2e-8)]
     text = soft.recommendation([softness, *steps])
     assert text.startswith("Recommended: RK4 with `solref = (2 timestep, 1)`.")
     assert "- RK4: at two steps a time constant the error of the step is 0.2 times that of softness" in text
@@ -403,9 +388,9 @@ def test_the_recommendation_is_what_has_less_of_the_steps_error(rows):
 
 def test_softness_and_step_are_told_apart():
     """Of order 2 in the time constant and, by RK4, 4 in the step at one time constant."""
-    softness = [soft.measure_softness(constant).figure for constant in (0.02, 0.01)]
+    softness = [soft.measure_softness(constant, mujoco()).figure for constant in (0.02, 0.01)]
     assert softness[0] / softness[1] == pytest.approx(4.0, rel=0.2)
-    by_step = soft.measure_steps("RK4", 0.02)
+    by_step = soft.measure_steps(0.02, mujoco("RK4"))
     assert by_step.figure < softness[0]
     assert by_step.curves[0].x == (0.01, 0.005, 0.002)
 

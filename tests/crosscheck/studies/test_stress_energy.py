@@ -6,13 +6,13 @@ import re
 
 import pytest
 
-from crosscheck.studies.stress import long_runs, rotation
+from crosscheck.studies.stress import integration, rotation
 from crosscheck.studies.stress.runs import TIGHT, newton_euler
 
 
 def noted(setting, scene, duration):
     """The energy error of a run and the round-off in it."""
-    found = long_runs.measure_energy(scene, setting, duration)
+    found = integration.measure_energy(scene, duration, setting)
     return found.figure, float(re.match(r"accumulated round-off (\S+);", found.note)[1])
 
 
@@ -25,7 +25,7 @@ def test_round_off_is_told_from_errors_of_the_method():
 
 
 def test_an_error_far_from_round_off_is_not_held_against_it():
-    found = long_runs.measure_energy("pendulum", newton_euler(integrator="Euler", step=1e-2), 20.0)
+    found = integration.measure_energy("pendulum", 20.0, newton_euler(integrator="Euler", step=1e-2))
     assert found.figure > 1e-3
     assert "round-off" not in found.note
 

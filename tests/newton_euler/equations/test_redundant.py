@@ -10,7 +10,7 @@ from mechanisms import REGULAR, ball_loop, bolted, pendulum, planar_four_bar, sc
 
 import newton_euler
 from crosscheck.scenes import load
-from crosscheck.studies.stress.singular import from_flat
+from crosscheck.studies.stress.configurations import from_flat
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import independent_rows, minimum_norm, rank

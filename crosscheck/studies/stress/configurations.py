@@ -1,0 +1,248 @@
+"""Configurations that are hard to start from or to pass: open joints, singular configurations."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from crosscheck.scenes import load
+from crosscheck.studies.stress.cases import Bound, Case, Measured, refusal
+from crosscheck.studies.stress.integration import ENERGY
+from crosscheck.studies.stress.rotation import ANGLE
+from crosscheck.studies.stress.runs import (
+    COMBINATIONS,
+    GRAVITY,
+    ONE_EACH,
+    Setting,
+    energy_errors,
+    largest_drift,
+    lasting,
+    mujoco,
+    newton_euler,
+    parallelogram_error,
+    pinocchio,
+)
+from newton_euler.assemble import CHECKED, assemble, initial_state
+from newton_euler.integrators.projection import joint_violations
+from newton_euler.model.control import PD
+from newton_euler.model.euler_parameters import from_rotation_vector, product
+from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical, Universal
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Body, Mechanism
+from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+
+# (g) Start poses that are off the constraints: what assembly makes of them, and what each engine does
+
+OFFSETS = (1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2)
+"""m and rad, of each body in a direction of its own."""
+
+DURATION = 5.0
+OUTPUTS = 50
+
+ASSEMBLED = Bound(
+    "open after assembly",
+    "m or rad",
+    1e-14,
+    CLOSURE_TOLERANCE,
+    "round-off of residuals on a machine of 0.1 m",
+)
+
+OPEN = refusal("open at start", "m or rad")
+
+STARTED: tuple[Setting, ...] = (
+    *COMBINATIONS,
+    mujoco(),
+    mujoco("implicitfast"),
+    pinocchio(),
+    pinocchio(stabilization="projection"),
+    pinocchio(stabilization="none"),
+)
+
+
+def starts(full: bool) -> Iterator[Case]:
+    """Yield the cases of (g)."""
+    for offset in OFFSETS if full else OFFSETS[1::2]:
+        name = f"tracker, bodies {offset:.0e} m and rad off"
+        setting = Setting("newton_euler", {"function": "assemble"})
+        yield Case(name, setting, ASSEMBLED, partial(measure_assembly, offset))
+        if offset > CLOSURE_TOLERANCE:
+            setting = Setting("all", {"argument": "Scene(initial_state=...)"})
+            names = ("joint", "initial state")
+            yield Case(name, setting, OPEN, partial(measure_scene, offset), names=names)
+        most = 10.0 * max(offset, CLOSURE_TOLERANCE)
+        reason = "closes again, or at least does not open"
+        bound = Bound("open at the end", "m or rad", CLOSURE_TOLERANCE, most, reason)
+        for setting in STARTED:
+            run = partial(measure_start, offset)
+            yield Case(f"{name}, unchecked, {DURATION:g} s", setting, bound, run, limit=40.0)
+
+
+def off_state(scene: Scene, offset: float) -> State:
+    """The initial state with each moving body shifted and turned that far, m and rad; same each time."""
+    rng = np.random.default_rng(0)
+    state = copy.deepcopy(initial_state(scene))
+    for body in range(1, len(state.position)):
+        shift, turn = (offset * d / np.linalg.norm(d) for d in rng.standard_normal((2, 3)))
+        state.position[body] += shift
+        state.quaternion[body] = product(from_rotation_vector(turn), state.quaternion[body])
+    return state
+
+
+def measure_assembly(offset: float, setting: Setting) -> Measured:
+    """What stays open of the joints; in words how far bodies are moved."""
+    scene = load("tracker")
+    guess = off_state(scene, offset)
+    state = assemble(scene, guess)
+    moved = float(np.max(np.linalg.norm(state.position - guess.position, axis=1)))
+    figure = float(np.max(joint_violations(scene.mechanism, state)))
+    return Measured(
+        figure, f"bodies moved by {moved:.1e} m, {moved / offset:.1f} times as far as they were off"
+    )
+
+
+def measure_scene(offset: float, setting: Setting) -> Measured:
+    """What a scene with that state is open by, if it can be made."""
+    scene = load("tracker")
+    changed = replace(scene, initial_state=off_state(scene, offset))
+    return Measured(float(np.max(joint_violations(scene.mechanism, initial_state(changed)))))
+
+
+def measure_start(offset: float, setting: Setting) -> Measured:
+    """What is open at the end of a run that begins there."""
+    scene = lasting(load("tracker"), DURATION, OUTPUTS, "violation")
+    # past the check of initial states, to see what engines do by themselves
+    state = off_state(scene, offset)
+    scene = replace(scene, initial_state=state)
+    CHECKED[scene] = state
+    run = setting.simulate(scene)
+    assert run.constraint_violation is not None
+    openings = np.max(run.constraint_violation, axis=1)
+    found = Measured(float(openings[-1]), f"at most {np.max(openings):.1e} in between")
+    axes = ("bodies off, m and rad", f"open after {DURATION:g} s, m or rad")
+    return found.at(offset, setting, "start off the constraints", *axes)
+
+
+# (h) Singular configurations: through them, from them, and to the ends of travel
+
+POSITION = Bound(
+    "position error", "m", 1e-6, 1e-2, "no plot would show less; a centimetre of 0.4 m of travel can be seen"
+)
+
+WINDOWS = (1, 2, 10)
+
+FLAT_SPEED = 4.0
+"""Of the bars where they start flat, rad/s."""
+
+SETTINGS: tuple[Setting, ...] = (
+    *COMBINATIONS,
+    newton_euler("relative", integrator="Radau", rtol=1e-8, atol=1e-10),
+    newton_euler("relative", integrator="RK4", step=1e-3),
+    mujoco("RK4"),
+    mujoco("implicitfast"),
+    pinocchio(),
+    pinocchio(stabilization="projection"),
+)
+
+CRANK, ROD, CRANK_SPEED = 0.2, 0.7, 12.0
+"""m, m and rad/s, of `centred_slider_crank`."""
+
+TARGETS = (-0.2, 0.2)
+"""m from the initial pose; the sliders travel less than half as far."""
+
+
+def singular(full: bool) -> Iterator[Case]:
+    """Yield the cases of (h)."""
+    settings = SETTINGS if full else ONE_EACH
+    for windows in WINDOWS if full else WINDOWS[:2]:
+        for setting in settings if windows < 10 else ONE_EACH:
+            limit = 15.0 if full else 11.0
+            for seconds, how, measure in ((5, "through", measure_passing), (2, "from", measure_starting)):
+                name = f"four_bar N = {windows}, {seconds} s, {how} flat bars"
+                yield Case(name, setting, ANGLE, partial(measure, windows), limit=limit)
+    for setting in settings:
+        name = "slider-crank, 2 s, its crank driven through seven dead centres"
+        yield Case(name, setting, POSITION, measure_dead_centre_passage, limit=12.0)
+    for target in TARGETS:
+        for setting in settings:
+            name = f"tracker, 2 s, drawn to {target:+g} m, past its dead centres"
+            yield Case(name, setting, ENERGY, partial(measure_dead_centre, target), limit=20.0)
+
+
+def centred_slider_crank() -> Scene:
+    """A crank of 0.2 m at 12 rad/s about y, a rod of 0.7 m and a slider on x, outstretched at first.
+
+    Crank and rod are in line twice a turn, where the slider comes to rest: dead centres for what drives
+    the slider, and regular for what drives the crank.
+    """
+    x, y, z = np.eye(3)
+    pin, wrist = CRANK * x, (CRANK + ROD) * x
+    bodies = [
+        Body.ground(),
+        Body("crank", 1.0, 0.5 * pin, 0.01 * np.eye(3)),
+        Body("rod", 2.0, 0.5 * (pin + wrist), 0.05 * np.eye(3)),
+        Body("slider", 1.5, wrist, 0.01 * np.eye(3)),
+    ]
+    joints = [
+        Revolute("pivot", "ground", "crank", np.zeros(3), axis=y),
+        Spherical("ball", "crank", "rod", pin),
+        Universal("wrist", "rod", "slider", wrist, axis_on_first=y, axis_on_second=z),
+        Prismatic("guide", "ground", "slider", wrist, axis=x),
+    ]
+    motion = PrescribedMotion("pivot", Polynomial((0.0, CRANK_SPEED)))
+    outputs = frozenset({"violation"})
+    mechanism = Mechanism(bodies, joints)
+    return Scene("slider_crank", mechanism, 2.0, 0.02, -GRAVITY * z, motions=(motion,), outputs=outputs)
+
+
+def measure_dead_centre_passage(setting: Setting) -> Measured:
+    """The slider against r cos a + sqrt(l^2 - r^2 sin^2 a), over seven dead centres."""
+    scene = centred_slider_crank()
+    run = setting.simulate(scene)
+    angle = CRANK_SPEED * run.time
+    wanted = CRANK * np.cos(angle) + np.sqrt(ROD**2 - (CRANK * np.sin(angle)) ** 2)
+    error = float(np.max(np.abs(run.position[:, 3, 0] - wanted)))
+    return Measured(error, f"drift {largest_drift(run):.1e} m or rad")
+
+
+def measure_passing(windows: int, setting: Setting) -> Measured:
+    """Against the closed motion, over about six passages."""
+    scene = lasting(load("four_bar", N=windows), 5.0, 100, "violation")
+    run = setting.simulate(scene)
+    return Measured(parallelogram_error(scene, run), f"drift {largest_drift(run):.1e} m or rad")
+
+
+def measure_starting(windows: int, setting: Setting) -> Measured:
+    """The same from bars that lie flat to the right and move down."""
+    scene = from_flat(lasting(load("four_bar", N=windows), 2.0, 50, "violation"), windows)
+    run = setting.simulate(scene)
+    return Measured(parallelogram_error(scene, run), f"drift {largest_drift(run):.1e} m or rad")
+
+
+def from_flat(scene: Scene, windows: int) -> Scene:
+    """Windows of four bars whose bars lie flat at first."""
+    x, y, z = np.eye(3)
+    state = State.initial(scene.mechanism)
+    bars, couplers = slice(1, windows + 2), slice(windows + 2, None)
+    state.position[bars] += 0.5 * (x - y)
+    state.quaternion[bars] = [np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5)]
+    state.position[couplers] += x - y
+    state.linear_velocity[bars] = -0.5 * FLAT_SPEED * y
+    state.angular_velocity[bars] = -FLAT_SPEED * z
+    state.linear_velocity[couplers] = -FLAT_SPEED * y
+    return replace(scene, initial_state=state)
+
+
+def measure_dead_centre(target: float, setting: Setting) -> Measured:
+    """Both sliders are drawn further than the mechanism reaches; it swings to and fro at its ends."""
+    scene = load("tracker")
+    control = tuple(replace(law, target=target) for law in scene.control if isinstance(law, PD))
+    scene = lasting(replace(scene, control=control), 2.0, 100, "violation", "energy", "velocities")
+    run = setting.simulate(scene)
+    travel = run.position[:, 1:3, 2] - run.position[0, 1:3, 2]
+    note = f"sliders travel {travel.min():+.3f} to {travel.max():+.3f} m; drift {largest_drift(run):.1e}"
+    return Measured(float(np.max(energy_errors(scene, run))), note)

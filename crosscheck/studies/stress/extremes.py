@@ -1,0 +1,273 @@
+"""Extreme numbers: stiff gains, masses that are far apart, and what floating point cannot hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import lru_cache, partial
+
+import numpy as np
+
+from crosscheck.scenes import load
+from crosscheck.studies.stress.cases import Bound, Case, Measured, refusal
+from crosscheck.studies.stress.integration import ENERGY
+from crosscheck.studies.stress.rotation import ANGLE
+from crosscheck.studies.stress.runs import (
+    ONE_EACH,
+    Setting,
+    distance,
+    energy_errors,
+    formulations,
+    lasting,
+    mujoco,
+    newton_euler,
+    parallelogram_error,
+    pinocchio,
+    symmetric_top,
+    top_error,
+)
+from newton_euler.model.control import PD, Controller, Sampled
+from newton_euler.model.forces import JointSpring, Wrench
+from newton_euler.model.joint_kinds import Prismatic
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
+
+# (e) Stiff gains: control of the tracker's sliders
+
+GAINS = ((50.0, 20.0), (1e4, 1e2), (1e6, 1e3), (1e6, 1e6), (1e2, 1e6), (1e6, 1e2))
+"""K_p in N/m and K_d in N s/m: the paper's, then stiffer; the last one hardly damped."""
+
+CLOSE = Bound(
+    "position error",
+    "m",
+    1e-5,
+    1e-3,
+    "a hundredth of a millimetre on a machine of 0.1 m; a millimetre can be seen",
+)
+
+CONTROLLED: tuple[Setting, ...] = (
+    *formulations(),
+    newton_euler("relative", "baumgarte"),
+    newton_euler(integrator="Radau", rtol=1e-6, atol=1e-9),
+    newton_euler(integrator="RK4", step=1e-3),
+    newton_euler(integrator="Euler", step=1e-3),
+    *(mujoco(integrator) for integrator in ("RK4", "Euler", "implicit", "implicitfast")),
+    pinocchio(),
+    pinocchio(integrator="Radau", rtol=1e-6, atol=1e-9),
+)
+
+
+def stiff_gains(full: bool) -> Iterator[Case]:
+    """Yield the cases of (e), 0.1 s long unless in full, which is long enough for what is stiff."""
+    duration, limit = (0.5, 9.0) if full else (0.1, 5.0)
+    for stiffness, damping in GAINS if full else GAINS[2:4]:
+        for setting in CONTROLLED:
+            name = f"tracker, {duration:g} s, K_p {stiffness:g}, K_d {damping:g}"
+            measure = partial(measure_stiff, stiffness, damping, duration)
+            yield Case(name, setting, CLOSE, measure, limit=limit)
+
+
+@lru_cache
+def stiff_tracker(stiffness: float, damping: float, duration: float) -> tuple[Scene, Trajectory]:
+    """Return the tracker with these gains of both sliders, N/m and N s/m, and its motion.
+
+    By Radau at rtol 1e-8, whose own error is far below the bound.
+    """
+    scene = load("tracker")
+    control = tuple(
+        PD(law.joint, stiffness, damping, law.target) for law in scene.control if isinstance(law, PD)
+    )
+    scene = lasting(replace(scene, control=control), duration, round(duration / 0.01))
+    return scene, newton_euler(integrator="Radau", rtol=1e-8, atol=1e-11).simulate(scene)
+
+
+def measure_stiff(stiffness: float, damping: float, duration: float, setting: Setting) -> Measured:
+    """Measure the largest distance from the motion."""
+    scene, reference = stiff_tracker(stiffness, damping, duration)
+    run = setting.simulate(scene)
+    found = Measured(distance(run, reference), f"{run.settings['steps']} steps")
+    x = (stiffness**2 + damping**2) ** 0.5
+    return found.at(x, setting, "stiff control", "sqrt(K_p^2 + K_d^2)", "position error, m")
+
+
+# (f) Masses that are far apart, and inertias that a rigid body can only just have
+
+RATIOS = (1e-8, 1e-4, 1.0, 1e4, 1e8)
+"""Mass of the coupler by the mass of the bars; of the last rod of a chain by that of the first."""
+
+WEIGHTED = (
+    *ONE_EACH,
+    newton_euler("relative", "baumgarte"),
+    newton_euler("cartesian", "baumgarte"),
+    mujoco("implicitfast"),
+)
+
+INERTIAS = {
+    "thin rod, A = 1e-8 C": (1e-8, 1.0),
+    "thin rod, A = 1e-4 C": (1e-4, 1.0),
+    "plate, A + B = C": (2.0, 1.0),
+    "plate, A + B = C (1 + 1e-9)": (2.0 - 1e-9, 1.0),
+}
+"""Axial and transverse moments, kg m^2."""
+
+SPIN = np.array([0.3, -0.7, 1.1])
+"""rad/s."""
+
+
+def masses(full: bool) -> Iterator[Case]:
+    """Yield the cases of (f)."""
+    for ratio in RATIOS if full else (1e-8, 1.0, 1e8):
+        for setting in WEIGHTED if full else ONE_EACH:
+            loop, chain = partial(measure_loop, ratio), partial(measure_chain, ratio)
+            yield Case(f"four_bar N = 1, 0.5 s, coupler/bar = {ratio:.0e}", setting, ANGLE, loop, limit=20.0)
+            yield Case(f"chain of 2, 2 s, last/first = {ratio:.0e}", setting, ENERGY, chain, limit=20.0)
+    duration = 10.0 if full else 2.0
+    for name in INERTIAS:
+        for setting in ONE_EACH:
+            measure = partial(measure_inertia, name, duration)
+            yield Case(f"free top, {duration:g} s, {name}", setting, ANGLE, measure)
+
+
+def _changed(scene: Scene, name: str, factor: float) -> Scene:
+    """Return the scene with the mass and inertia of a body times a factor."""
+    bodies = [
+        replace(body, mass=body.mass * factor, inertia=body.inertia * factor) if body.name == name else body
+        for body in scene.mechanism.bodies
+    ]
+    return replace(scene, mechanism=Mechanism(bodies, scene.mechanism.joints))
+
+
+def measure_loop(ratio: float, setting: Setting) -> Measured:
+    """Compare a window of four bars, which never lie flat in this time, with its closed motion."""
+    scene = lasting(_changed(load("four_bar", N=1), "coupler_0", ratio), 0.5, 10)
+    found = Measured(parallelogram_error(scene, setting.simulate(scene)))
+    plot = "mass ratio, window of four bars"
+    return found.at(ratio, setting, plot, "mass ratio", "angle error, rad")
+
+
+def measure_chain(ratio: float, setting: Setting) -> Measured:
+    """Measure the energy error of two rods in a row, falling."""
+    chain = load("chain", N=2)
+    last = chain.mechanism.body_names[-1]
+    scene = lasting(_changed(chain, last, ratio), 2.0, 20, "energy", "velocities")
+    found = Measured(float(np.max(energy_errors(scene, setting.simulate(scene)))))
+    return found.at(ratio, setting, "mass ratio, chain of two", "mass ratio", "energy error, rel")
+
+
+def measure_inertia(name: str, duration: float, setting: Setting) -> Measured:
+    """Compare a free symmetric top with its closed form."""
+    scene = symmetric_top(*INERTIAS[name], SPIN, duration)
+    return Measured(top_error(scene, setting.simulate(scene)))
+
+
+# (k) Floating-point traps: numbers that are too large, too small or none at all
+
+X = np.array([1.0, 0.0, 0.0])
+
+DURATION = 1.0
+
+TRAPPED: tuple[Setting, ...] = (
+    *formulations(),
+    newton_euler("cartesian", "baumgarte"),
+    newton_euler(integrator="Radau"),
+    newton_euler(integrator="RK4", step=1e-2),
+    newton_euler(integrator="Euler", step=1e-2),
+    mujoco("RK4"),
+    mujoco("implicitfast"),
+    pinocchio(),
+)
+
+EXACT = Bound(
+    "velocity error", "rel", 1e-6, 1e-2, "as with numbers of any size; flushed to zero it would be 1"
+)
+
+UNANSWERED = refusal("end position", "m")
+
+
+def block(mass: float = 1.0, **more: object) -> Scene:
+    """A block of that mass, kg, on a rail along x; `more` as of `Scene`."""
+    body = Body("block", mass, np.zeros(3), mass * np.eye(3))
+    rail = Prismatic("rail", "ground", "block", np.zeros(3), axis=X, actuated=True)
+    return Scene("block", Mechanism([Body.ground(), body], [rail]), DURATION, 0.1, **more)  # type: ignore[arg-type]
+
+
+def _sampled(wrong: Callable[[float], object]) -> Scene:
+    """A block under a controller that returns 1 N, and from 0.3 s on something wrong."""
+
+    def control(time: float, x: object, rate: object) -> float:
+        return 1.0 if time < 0.25 else wrong(time)  # type: ignore[return-value]
+
+    law: Controller = control
+    return block(control=(Sampled("rail", law, 0.1),))
+
+
+def _pushed(force: float, mass: float = 1.0) -> Scene:
+    return block(mass, forces=(Wrench("push", "block", np.zeros(3), force=np.array([force, 0.0, 0.0])),))
+
+
+def _moving(speed: float) -> Scene:
+    scene = block()
+    state = State.initial(scene.mechanism)
+    state.linear_velocity[1] = speed * X
+    return replace(scene, initial_state=state)
+
+
+WITHOUT_ANSWER: dict[str, tuple[Callable[[], Scene], tuple[str, ...]]] = {
+    "a controller's NaN at 0.3 s": (lambda: _sampled(lambda t: np.nan), ("'rail'", "t = 0.3 s", "nan")),
+    "a controller's infinity at 0.3 s": (lambda: _sampled(lambda t: np.inf), ("'rail'", "t = 0.3 s", "inf")),
+    "a controller's text at 0.3 s": (lambda: _sampled(lambda t: "1.0"), ("'rail'", "t = 0.3 s", "'1.0'")),
+    "a controller that divides by zero at 0.3 s": (
+        lambda: _sampled(lambda t: 1.0 / (t - t)),
+        ("'rail'", "t = 0.3 s", "ZeroDivisionError"),
+    ),
+    "a wrench of NaN": (lambda: _pushed(np.nan), ("'push'", "force")),
+    "an infinite wrench": (lambda: _pushed(np.inf), ("'push'", "force")),
+    "a wrench of 1e308 N on 1 g": (lambda: _pushed(1e308, 1e-3), ("'push'", "t = ")),
+    "a joint's spring of 1e308 N/m, 1e3 m off": (
+        lambda: block(forces=(JointSpring("rail", stiffness=1e308, rest=1e3),)),
+        ("spring of joint 'rail'", "t = "),
+    ),
+    "PD control with K_p 1e308, 1e3 m off": (
+        lambda: block(control=(PD("rail", 1e308, 0.0, 1e3),)),
+        ("control of joint 'rail'", "t = "),
+    ),
+    "a start at 1e200 m/s, its energy asked for": (lambda: _moving(1e200), ("t = ",)),
+}
+"""Scenes, and what a refusal has to name."""
+
+WITH_ANSWER: dict[str, tuple[float, float]] = {
+    "a denormal force, 1e-310 N on 1 kg": (1e-310, 1.0),
+    "a tiny body, 1e-150 N on 1e-150 kg": (1e-150, 1e-150),
+    "a denormal body, 1e-310 N on 1e-310 kg": (1e-310, 1e-310),
+    "a huge body, 1e150 N on 1e150 kg": (1e150, 1e150),
+    "a huge body, 1e300 N on 1e300 kg": (1e300, 1e300),
+    "a huge force, 1e150 N on 1 kg": (1e150, 1.0),
+}
+"""Force (N) and mass (kg) of a block whose velocity after 1 s is F t / m."""
+
+
+def traps(full: bool) -> Iterator[Case]:
+    """Yield the cases of (k)."""
+    for setting in TRAPPED if full else (*TRAPPED[:2], *TRAPPED[-3::2]):
+        for name, (_, names) in WITHOUT_ANSWER.items():
+            yield Case(name, setting, UNANSWERED, partial(measure_trap, name), names=names)
+        for name in WITH_ANSWER:
+            yield Case(name, setting, EXACT, partial(measure_push, name))
+
+
+def measure_trap(name: str, setting: Setting) -> Measured:
+    """Return where the block ends up, if nothing says that it cannot."""
+    run = setting.simulate(WITHOUT_ANSWER[name][0]())
+    return Measured(float(run.position[-1, 1, 0]))
+
+
+def measure_push(name: str, setting: Setting) -> Measured:
+    """Compare the velocity at the end with F t / m."""
+    force, mass = WITH_ANSWER[name]
+    scene = replace(_pushed(force, mass), outputs=frozenset({"velocities"}))
+    run = setting.simulate(scene)
+    assert run.linear_velocity is not None
+    expected = force * DURATION / mass
+    return Measured(abs(float(run.linear_velocity[-1, 1, 0]) / expected - 1.0))
