@@ -117,6 +117,7 @@ def _compiled(path: str, asset_bytes: int) -> Any:
             done = subprocess.run(
                 command,
                 cwd=folder,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # buffers of BLAS threads count as memory
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
                 timeout=WALL_TIME + seconds,
