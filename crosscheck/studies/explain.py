@@ -12,9 +12,11 @@ import numpy as np
 from crosscheck.report.table import Column, Lines, Part, Table
 from newton_euler.assemble import initial_state
 from newton_euler.codegen.expression import Expression, Graph, Node, operands
+from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import Rows
-from newton_euler.integrators.compiled import FORMULATIONS, Code, Formulation
+from newton_euler.integrators.compiled import FORMULATIONS, Code
 from newton_euler.integrators.outputs import time_function
 from newton_euler.integrators.run import load
 from newton_euler.model.scene import OUTPUTS, Scene
@@ -169,7 +171,7 @@ def _terms(trace: Trace, rows: Iterable[int]) -> Iterator[tuple[str, list[Scalar
         yield "forces", _scalars(force)
         jacobian, right = system.constraints(q, v)
         yield "constraints", [x for k in rows for x in (*jacobian[k].values(), right[k])]
-    else:
+    elif isinstance(system, Cartesian):
         frames = system.frames(q, v)
         yield "kinematics", [*rate, *(x for frame in frames for x in _scalars(*frame))]
         yield "actuation", [*system.joint_forces(system.measured(q, v)), *system.g(q, v)]

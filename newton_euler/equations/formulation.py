@@ -145,8 +145,16 @@ class Formulation:
         """Compute the residuals (k,) and the nonzeros of their Jacobian (k, nv)."""
         raise NotImplementedError
 
+    def joint_phi(self, q: Array) -> Array:
+        """Compute the residuals of all joints, then of all couplings, m or rad."""
+        raise NotImplementedError
+
     def rows_of(self, relative: Collection[int]) -> list[int]:
         """Select rows of `phi`: these of the joint-coordinate form, and all of joints that its tree keeps."""
+        raise NotImplementedError
+
+    def mass_rows(self, q: Array) -> Rows:
+        """Compute the nonzeros of the mass matrix (nv, nv), over generic scalars."""
         raise NotImplementedError
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -159,6 +167,14 @@ class Formulation:
 
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
         """Compute vdot (nv,) from a sparse solution."""
+        raise NotImplementedError
+
+    def velocity_transformation(self, q: Array) -> Array:
+        """Compute v and omega of body 0, 1, ... for each velocity, (6 b, nv)."""
+        raise NotImplementedError
+
+    def fastest_joint(self, q: Array, v: Array) -> str:
+        """Find the name of the joint that moves fastest."""
         raise NotImplementedError
 
     def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:

@@ -150,7 +150,7 @@ def dimensionless_jacobian(system: System, q: Array) -> Array:
     return np.asarray(system.phi_jacobian(q) * system.velocity_units / system.phi_units[:, None])
 
 
-def opening(system: System, q: Array, v: Array) -> Array:
+def constraint_rate(system: System, q: Array, v: Array) -> Array:
     """Compute dPhi/dt (k,) = Phi_q qdot + Phi_t."""
     rate = system.phi_jacobian(q) @ v
     return np.asarray(rate + system.phi_t() if is_rheonomic(system) else rate)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cached_property
 from itertools import accumulate
@@ -21,6 +21,7 @@ from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.equations.cartesian import Cartesian
+from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.parameters import parameter_values, place_of, with_values
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.equations.relative import Relative
@@ -36,13 +37,10 @@ SIDE_BY_SIDE = (("output",), ("position", "velocity"))
 OF_POSITIONS = frozenset({"violation"})
 """Outputs that depend on q alone, as poses do."""
 
-Formulation = Relative | Cartesian
-
-FORMULATIONS: dict[str, type[Relative] | type[Cartesian]] = {
+FORMULATIONS: dict[str, Callable[[Scene, float], Formulation]] = {
     "relative": Relative,
     "cartesian": Cartesian,
 }
-
 
 NEUTRAL = frozenset({"description", "duration", "output_period", "controller", "shapes", "meshes"})
 """Fields of scenes, control laws and bodies that no equation sees."""
@@ -339,8 +337,8 @@ class Code:
         phi = phi / system.phi_units
         right = phi[self.rows.numbers]
         if v is not None:
-            opening = (system.phi_t() / system.phi_units)[self.rows.numbers]
-            right = opening + [sum(x * (v[k] / units[k]) for k, x in row.items()) for row in rows]
+            rate = (system.phi_t() / system.phi_units)[self.rows.numbers]
+            right = rate + [sum(x * (v[k] / units[k]) for k, x in row.items()) for row in rows]
         step, pivot_ratio = least_squares(rows, right)
         least = np.array([units[k] * step.get(k, 0.0) for k in range(system.nv)])
         return phi, least, minimum(pivot_ratio, 1.0)

@@ -10,7 +10,13 @@ import numpy as np
 from scipy.integrate import DOP853
 
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
-from newton_euler.equations.system import MassProperties, System, at_time, dimensionless_jacobian, opening
+from newton_euler.equations.system import (
+    MassProperties,
+    System,
+    at_time,
+    constraint_rate,
+    dimensionless_jacobian,
+)
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.dop853 import (
     EXPONENT,
@@ -170,7 +176,7 @@ def close_densely(system: System, masses: MassProperties, t: float, y: Array) ->
 
     def surface(y: Array) -> Surface:
         q, v = y[: system.nq], y[system.nq :]
-        parts = (now.phi(q), opening(now, q, v), now.phi_jacobian(q))
+        parts = (now.phi(q), constraint_rate(now, q, v), now.phi_jacobian(q))
         phi, opens, jacobian = (without(part, unused) for part in parts)
         return Surface(phi, opens, jacobian, mass_matrix(now, masses, q))
 

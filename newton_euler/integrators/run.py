@@ -16,10 +16,11 @@ from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.equations.applied_forces import strongest
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import largest_share, singular_values
+from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.system import blamed, dimensionless_jacobian
 from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.integrators import stepper as m
-from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code, Formulation
+from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code
 from newton_euler.integrators.dop853 import Dop853, integrate_dop853
 from newton_euler.integrators.fixed_step import FixedStep, integrate_fixed
 from newton_euler.integrators.options import Options

@@ -23,7 +23,7 @@ from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import Evaluation, System, at_time, opening
+from newton_euler.equations.system import Evaluation, System, at_time, constraint_rate
 from newton_euler.errors import OptionError
 from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import angle_between
@@ -123,7 +123,7 @@ def test_prescribed_motions_at_later_times(name: str, engine: type[System]) -> N
         q, v = now.coordinates(state)
         # projected by newton_euler to round-off, of lengths of 1 m and speeds of some m/s
         assert np.max(np.abs(now.phi(q))) < 1e-12
-        assert np.max(np.abs(opening(now, q, v))) < 1e-11
+        assert np.max(np.abs(constraint_rate(now, q, v))) < 1e-11
         assert_same(now.evaluate(q, v), then.evaluate(*then.coordinates(state)), name not in REDUNDANT)
 
 
@@ -139,7 +139,7 @@ def test_constraint_derivatives(name: str, engine: type[System]) -> None:
     wanted = jacobian(lambda step: system.phi(system.retract(q, step)), system.nv)
     assert np.max(np.abs(system.phi_jacobian(q) - wanted)) < 1e-9
     wanted = derivative(lambda t: at_time(system, 0.1 + t).phi(q))
-    assert np.max(np.abs(opening(system, q, np.zeros(system.nv)) - wanted)) < 1e-9
+    assert np.max(np.abs(constraint_rate(system, q, np.zeros(system.nv)) - wanted)) < 1e-9
 
 
 @pytest.mark.parametrize("name", ["rods", "rods only", "gear, cut"])

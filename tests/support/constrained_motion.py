@@ -9,7 +9,7 @@ from crosscheck.comparison.samples import admissible_basis, body_units
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import System, at_time, opening
+from newton_euler.equations.system import System, at_time, constraint_rate
 from newton_euler.integrators.compiled import Code, Formulation
 from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.scene import Scene
@@ -42,7 +42,7 @@ def check_rates(system: Formulation, t: float = 0.3) -> None:
     def path(s: float) -> tuple[Formulation, Array, Array]:
         return at_time(now, t + s), now.retract(q, s * v + 0.5 * s * s * a), v + s * a
 
-    assert np.abs(opening(now, q, v)).max() < 1e-12  # Phi_q qdot + Phi_t = 0, to round-off
+    assert np.abs(constraint_rate(now, q, v)).max() < 1e-12  # Phi_q qdot + Phi_t = 0, to round-off
     columns = jacobian(lambda x: now.phi(now.retract(q, x * now.velocity_units)), now.nv)
     norms = len(now.bodies) if isinstance(now, Cartesian) else 0  # which retract keeps
     rows = len(columns) - norms
@@ -50,7 +50,7 @@ def check_rates(system: Formulation, t: float = 0.3) -> None:
     rate = derivative(lambda s: path(s)[0].phi(path(s)[1]))
     assert np.abs(rate).max() < 1e-9
     # the path is exact to s^2 and so is the rate to s; accelerations are of order 100
-    second = derivative(lambda s: opening(*path(s)))
+    second = derivative(lambda s: constraint_rate(*path(s)))
     assert np.abs(second).max() < 1e-7
 
 
@@ -75,7 +75,7 @@ def check_compiled(scene: Scene, formulation: str, times: tuple[float, ...]) -> 
         assert y[-1] > 0.0
         assert np.abs(y[:-1] - wanted).max() < 1e-12 * np.abs(wanted).max()
         closed = code.function("velocity")(code.packed(q, v + 0.1 * now.velocity_units, t))
-        assert np.abs(opening(now, closed[: now.nq], closed[now.nq : code.size])).max() < 1e-12
+        assert np.abs(constraint_rate(now, closed[: now.nq], closed[now.nq : code.size])).max() < 1e-12
         moved = now.retract(q, 1e-4 * now.velocity_units * np.cos(np.arange(now.nv)))
         for _ in range(4):
             moved = code.function("position")(code.packed(moved, v, t))[: now.nq]

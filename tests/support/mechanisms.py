@@ -25,6 +25,8 @@ from newton_euler.model.state import State
 
 GRAVITY = (0.0, 0.0, -9.81)
 
+X, Y, Z, ORIGIN = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
+
 SLIDER_ACCELERATIONS = (0.277549, 1.394930)
 """m/s^2, of the tracker's sliders at its start: published with the scene, six digits; three independent
 formulations agree on them to 1e-12."""
@@ -45,6 +47,11 @@ def bar(name: str, start: list[float], end: list[float], mass: float = 1.0) -> B
     tensor = mass * length**2 / 12.0 * (1.01 * np.eye(3) - np.outer(u, u))
     a = rotation(p)
     return Body(name, mass, 0.5 * np.add(start, end), a.T @ tensor @ a, p)
+
+
+def wheel(name: str, center: list[float], polar: float) -> Body:
+    """A disc of 1 kg in a plane across z, with its moment of inertia about z in kg m^2."""
+    return Body(name, 1.0, center, np.diag([0.6 * polar, 0.6 * polar, polar]))
 
 
 def pendulum(length: float = 1.0, angle: float = np.pi / 2) -> Scene:

@@ -18,7 +18,7 @@ from crosscheck.comparison.coverage import covered_by
 from mjcf.read import Reading
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import opening
+from newton_euler.equations.system import constraint_rate
 from newton_euler.exercise import SHIFT, SPEED, SPIN, moving, swings
 from newton_euler.model.control import PD
 from newton_euler.model.motions import Sine, Sum
@@ -55,7 +55,7 @@ def test_start_velocities_fit_the_constraints_and_move_all_joints() -> None:
     moved, words = moving(scene)
     system = Relative(moved)
     q, v = system.coordinates(initial_state(moved))
-    assert np.abs(opening(system, q, v)).max() < 1e-12 * SPIN
+    assert np.abs(constraint_rate(system, q, v)).max() < 1e-12 * SPIN
     omega = initial_state(moved).angular_velocity
     turning = [np.linalg.norm(omega[e.second] - omega[e.first]) for e in moved.mechanism.equations]
     assert min(turning) > 0.01 * SPIN

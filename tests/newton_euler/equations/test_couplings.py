@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from finite_difference import derivative
-from mechanisms import GRAVITY, bar
+from mechanisms import GRAVITY, ORIGIN, X, Y, Z, bar, wheel
 
 import newton_euler
 from newton_euler import PD, Body, Gear, Mechanism, Polynomial, PrescribedMotion, Scene, Sine, Sum
@@ -24,13 +24,6 @@ from newton_euler.model.state import State
 FORMULATIONS = ("relative", "cartesian")
 INTEGRATED = 2e-8
 """Relative error that rtol = 1e-10 leaves where Euler parameters turn through several turns."""
-
-X, Y, Z, ORIGIN = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]
-
-
-def wheel(name: str, center: list[float], polar: float) -> Body:
-    """A disc in a plane across z."""
-    return Body(name, 1.0, center, np.diag([0.6 * polar, 0.6 * polar, polar]))
 
 
 # Screw: m dv/dt = F - lambda, I domega/dt = T + lambda p, v = p omega

@@ -7,7 +7,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from test_couplings import ORIGIN, X, Y, Z, wheel
+from mechanisms import ORIGIN, X, Y, Z, wheel
 
 import newton_euler
 from newton_euler import Body, Gear, Mechanism, Polynomial, PrescribedMotion, Scene, State

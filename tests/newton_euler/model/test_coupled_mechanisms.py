@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from constrained_motion import SYSTEMS, check_agreement, check_compiled, check_rates
-from mechanisms import GRAVITY, bar
-from test_couplings import FORMULATIONS, ORIGIN, X, Y, Z, wheel
+from mechanisms import GRAVITY, ORIGIN, X, Y, Z, bar, wheel
 
 import newton_euler
 from newton_euler import Body, Gear, Mechanism, PrescribedMotion, Scene, Sine
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import opening
+from newton_euler.equations.system import constraint_rate
 from newton_euler.exercise import random_states
+from newton_euler.integrators.compiled import FORMULATIONS
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Cylindrical, Revolute, Screw, Universal
 
@@ -134,4 +134,4 @@ def test_random_states_follow_couplings():
         for state in random_states(scene, 3):
             q, v = system.coordinates(state)
             assert np.abs(system.phi(q)).max() < 1e-12
-            assert np.abs(opening(system, q, v)).max() < 1e-11
+            assert np.abs(constraint_rate(system, q, v)).max() < 1e-11
