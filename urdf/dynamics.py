@@ -9,7 +9,6 @@ matrix, Jacobians and bias forces.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,6 @@ import pinocchio as pin
 
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import TreeCouplings
-from newton_euler.equations.dense import rank
 from newton_euler.equations.redundancy import constraint_rank, loop_rank, mobility, rows_left_out
 from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.errors import SingularityError
@@ -29,12 +27,12 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import weld_loops
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
-from urdf.closures import Closures, frame_jacobian
+from urdf.constraints import Closures, Rows, frame_jacobian, solve
 from urdf.errors import UrdfError
-from urdf.forces import PointForces, energy_at_joint, force_on_joint, power_on_joint
+from urdf.forces import PointForces, Rotors, energy_at_joint, force_on_joint, power_on_joint
 from urdf.loops import parse_loops
-from urdf.model import CoordinateMap, build, link_inertia
-from urdf.proximal import SHARE, converged, plain, regularised
+from urdf.model import CoordinateMap, build, link_inertia, mass_matrix
+from urdf.proximal import ConstraintDynamics, Units
 from urdf.reactions import (
     actuator,
     driven,
@@ -43,8 +41,6 @@ from urdf.reactions import (
     joint_wrenches,
     reactions,
 )
-from urdf.rotors import Rotors
-from urdf.rows import Rows, solve
 from urdf.write import closures, to_loops, to_urdf
 
 
@@ -53,16 +49,12 @@ class PinocchioSystem:
 
     q (nq,) and v (nv,) are coordinates of the spanning tree of the welded mechanism, as in
     `newton_euler.model.spanning_tree`: zero at the initial pose, quaternions w-x-y-z. The work, if the scene
-    tracks it, comes last in q. What Pinocchio's closures leave out, see `urdf.rows`.
-
-    Accelerations are worked out in units of the mechanism's size and mass, so that rows in metres and
-    rows in radians weigh alike in the regularisation of redundant closures.
+    tracks it, comes last in q. What Pinocchio's closures leave out, see `urdf.constraints`.
 
     Attributes:
         closed: the Pinocchio model and its closures, SI units.
         map: between q, v and Pinocchio's.
         time: s, at which prescribed motions are looked at.
-        armature: (nv,) the scene's rotors, in Pinocchio's order, SI units.
     """
 
     name = "pinocchio"
@@ -90,26 +82,18 @@ class PinocchioSystem:
         self.map = CoordinateMap(self._model, self._welded)
         self._bodies = self._add_body_frames()
         self._forces = PointForces(scene, self._model, self._bodies)
-        self._data = self._model.createData()
-        self._length = self._tree.mechanism.size
-        self._mass = sum(body.mass for body in self.mechanism.bodies[1:])
-        self.velocity_units = self._tree.velocity_units
-        self._q_units = np.ones(self.nq)
+        self._rotors = Rotors(scene, self._tree)
+        self._model.armature = self.map.v_to_pinocchio(self._rotors.inertias)
+        self._data, self._dynamic_data = self._model.createData(), self._model.createData()
+        self.velocity_units, length = self._tree.velocity_units, self._tree.mechanism.size
+        q_units = np.ones(self.nq)
         for motion, on_q, _ in self._tree.motions:
-            self._q_units[on_q] = self._length if motion.kind == "slide" else 1.0
-        self._scaled = build(text, loops, alpha, self._length, self._mass)
-        self._scaled.model.gravity = pin.Motion(scene.gravity / self._length, np.zeros(3))
-        self._scaled_data = self._scaled.model.createData()
-        self._constraint_data = pin.StdVec_RigidConstraintData(
-            [constraint.createData() for constraint in self._scaled.constraints]
-        )
-        pin.initConstraintDynamics(
-            self._scaled.model, self._scaled_data, self._scaled.constraints, self._constraint_data
-        )
-        self._closures = Closures(self.closed, self.map, self._length)
-        self._rows = Rows(self.closed, self.map, self._couplings, self._length, alpha)
+            q_units[on_q] = length if motion.kind == "slide" else 1.0
+        mass = sum(body.mass for body in self.mechanism.bodies[1:])
+        self._units = Units(length, mass, q_units, self.velocity_units)
+        self._closures = Closures(self.closed, self.map, length)
+        self._rows = Rows(self.closed, self.map, self._couplings, length, alpha)
         self.phi_units = np.concatenate([self._closures.units, self._rows.units])
-        self._set_armatures()
         self._actuators = [
             actuator(scene.mechanism, self._tree, law.joint, law.coordinate) for law in scene.joint_forces
         ]
@@ -117,7 +101,8 @@ class PinocchioSystem:
         self._actuated_v = np.array([place.on_v for place in self._actuators], dtype=int)
         self._alpha = alpha
         self._noisy = mobility(scene).residual > 0.0
-        self._proximal = self._proximal_settings()
+        if not self._noisy:
+            self._proximal = self._constraint_dynamics()
 
     def _add_body_frames(self) -> list[int]:
         """Add the frames of the bodies: at the centre of mass, turned by `Body.quaternion`."""
@@ -133,52 +118,16 @@ class PinocchioSystem:
             added.append(self._model.addFrame(frame))
         return added
 
-    def _set_armatures(self) -> None:
-        """Give the model of the accelerations the scene's rotors; a URDF has none.
-
-        Not the other one: Pinocchio's kinetic energy has them only in part.
-        """
-        self._rotors = Rotors(self.scene, self._tree)
-        inertias = self._rotors.inertias
-        units = self._mass * self._length**2 / self.velocity_units**2
-        self.armature = self.map.v_to_pinocchio(inertias)
-        self._scaled.model.armature = self.map.v_to_pinocchio(inertias / units)
-
-    def _proximal_settings(self) -> Any:
-        """Plain elimination for independent closures, iterations for redundant ones.
-
-        Pinocchio returns NaN for redundant closures without regularisation.
-        """
-        q, _ = self.coordinates(initial_state(self.scene))
-        self._place(q)
-        jacobian = self._dimensionless()
-        rods = {joint.name for joint in self.mechanism.joints if isinstance(joint, Rod)}
-        closures = loop_rank(self, rods)
+    def _constraint_dynamics(self) -> ConstraintDynamics:
+        closures = loop_rank(self, {joint.name for joint in self.mechanism.joints if isinstance(joint, Rod)})
         self._rows_rank = constraint_rank(self) - closures
-        self._redundant = len(jacobian) - min(rank(jacobian), closures)
-        if not self._redundant:
-            return plain()
-        settings = self._regularised(q)
-        self._redundant = len(jacobian) - closures  # the start may be singular, where more are
-        return settings
+        found = ConstraintDynamics(self.closed, self.map, self._units)
+        found.choose(self.coordinates(initial_state(self.scene))[0], closures)
+        return found
 
-    def _dimensionless(self) -> Array:
-        """(k, nv) Jacobian of the closures where Pinocchio's frames are."""
-        return self._closures.jacobian(self._data) * self.velocity_units / self._closures.units[:, None]
-
-    def _regularised(self, q: Array) -> Any:
-        """Iterations for redundant closures, as the configuration asks for them."""
-        self._place(q)
-        return regularised(self._dimensionless(), self._mass_matrix(q), self._redundant)
-
-    def _mass_matrix(self, q: Array) -> Array:
-        """(nv, nv) in units of the mechanism's size and mass."""
-        # Pinocchio fills only the upper half
-        upper = np.triu(
-            pin.crba(self._scaled.model, self._scaled_data, self.map.q_to_pinocchio(q / self._q_units))
-        )
-        mass: Array = self.map.v_from_pinocchio(self.map.v_from_pinocchio(upper + np.triu(upper, 1).T).T)
-        return mass
+    def mass_matrix(self, q: Array) -> Array:
+        """(nv, nv) by Pinocchio, with the scene's rotors."""
+        return mass_matrix(self._model, self._dynamic_data, self.map, self.map.q_to_pinocchio(q))
 
     # What integrators, projection and assembly ask for
 
@@ -222,23 +171,20 @@ class PinocchioSystem:
         return np.array([force_on_joint(law, *seen, self.time) for law, seen in laws])
 
     def _move(self, q: Array, v: Array) -> None:
-        """Give Pinocchio's joints and frames a state."""
+        """Give Pinocchio's joints, Jacobians and frames a state, at accelerations of joints of zero."""
         pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
-        pin.forwardKinematics(self._model, self._data, pin_q, pin_v)
+        pin.forwardKinematics(self._model, self._data, pin_q, pin_v, np.zeros(self.nv))
+        pin.computeJointJacobians(self._model, self._data)
         pin.updateFramePlacements(self._model, self._data)
 
     def generalized_force(self, q: Array, v: Array) -> Array:
-        """(nv,) of all forces but gravity."""
+        """(nv,) of all forces but gravity; moves Pinocchio's joints and frames there."""
+        self._move(q, v)
         force = np.zeros(self.nv)
         np.add.at(force, self._actuated_v, self.actuation(q, v))
-        if self._forces:
-            self._move(q, v)
-            pin.computeJointJacobians(self._model, self._data)
-            for push in self._forces.pushes(self._data):
-                wrench = np.concatenate([push.force, push.torque])
-                force += self.map.v_from_pinocchio(
-                    wrench @ frame_jacobian(self._model, self._data, push.frame)
-                )
+        for push in self._forces.pushes(self._data):
+            wrench = np.concatenate([push.force, push.torque])
+            force += self.map.v_from_pinocchio(wrench @ frame_jacobian(self._model, self._data, push.frame))
         return force
 
     def acceleration(self, q: Array, v: Array) -> Array:
@@ -247,105 +193,60 @@ class PinocchioSystem:
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """vdot (nv,) and the multipliers (r,) of `Rows`; those of closures stay with Pinocchio."""
-        unit = self._mass * self._length**2  # of generalized forces
-        force = self.generalized_force(q, v) * self.velocity_units / unit
-        if self._noisy:
-            acceleration, multipliers = self._eliminate(q, v, force)
-            multipliers = multipliers * unit / self.phi_units
-            self._multipliers = multipliers[: len(self._closures.units)]
-            return self.velocity_units * acceleration, multipliers[len(self._closures.units) :]
+        force = self.generalized_force(q, v)
         rows, gamma = self._rows.equations(self._data, q, v, self.time)
-        units = self._rows.units
+        if self._noisy:
+            return self._eliminate(q, v, force, rows, gamma)
+        unit, units = self._units.moment, self._rows.units
+        respond = self._proximal.at(q, v)
         acceleration, multipliers = solve(
-            self._iterating(q, v),
-            force,
+            lambda force: self._checked(respond(force)),
+            force * self.velocity_units / unit,
             rows * self.velocity_units / units[:, None],
             gamma / units,
             self._rows_rank,
         )
         return self.velocity_units * acceleration, multipliers * unit / units
 
-    def _iterating(self, q: Array, v: Array) -> Callable[[Array], Array]:
-        """Accelerations (nv,) of a generalized force (nv,) by `constraintDynamics`, all dimensionless."""
-        scaled_q = self.map.q_to_pinocchio(q / self._q_units)
-        scaled_v = self.map.v_to_pinocchio(v / self.velocity_units)
-
-        settings = self._proximal
-
-        def solved(force: Array) -> Array:
-            acceleration = pin.constraintDynamics(
-                self._scaled.model,
-                self._scaled_data,
-                scaled_q,
-                scaled_v,
-                self.map.v_to_pinocchio(force),
-                self._scaled.constraints,
-                self._constraint_data,
-                settings,
-            )
-            self._check(acceleration)
-            return self.map.v_from_pinocchio(acceleration)
-
-        def respond(force: Array) -> Array:
-            nonlocal settings
-            acceleration = solved(force)
-            if settings is self._proximal and not converged(settings):
-                here = self._regularised(q)
-                # not for closures that contradict each other: less of it would magnify that
-                if here.mu < SHARE * settings.mu:
-                    settings = here
-                    return solved(force)
-            return acceleration
-
-        return respond
-
-    def _eliminate(self, q: Array, v: Array, force: Array) -> tuple[Array, Array]:
-        """Accelerations (nv,) and multipliers (k,) of constraints but for those redundant up to noise.
-
-        `force` (nv,) and results are dimensionless.
-        """
-        units = self.phi_units
+    def _eliminate(self, q: Array, v: Array, force: Array, rows: Array, gamma: Array) -> tuple[Array, Array]:
+        """The same, of all constraints but those redundant up to noise, by Pinocchio's mass and bias."""
+        units, unit = self.phi_units, self._units.moment
         used = np.setdiff1d(np.arange(len(units)), rows_left_out(self))
-        scaled_q = self.map.q_to_pinocchio(q / self._q_units)
-        scaled_v = self.map.v_to_pinocchio(v / self.velocity_units)
-        model, data = self._scaled.model, self._scaled_data
-        bias = self.map.v_from_pinocchio(pin.nonLinearEffects(model, data, scaled_q, scaled_v))
-        mass = self._mass_matrix(q)
-        of = (self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v), np.zeros(self.nv))
-        pin.forwardKinematics(self._model, self._data, *of)
-        pin.computeJointJacobians(self._model, self._data)
-        pin.updateFramePlacements(self._model, self._data)
+        pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
+        bias = pin.nonLinearEffects(self._model, self._dynamic_data, pin_q, pin_v)
+        force = (force - self.map.v_from_pinocchio(bias)) * self.velocity_units / unit
+        mass = self.mass_matrix(q) * np.outer(self.velocity_units, self.velocity_units) / unit
         loops = self._closures.jacobian(self._data)
         drift = 2.0 * self._alpha * (loops @ v) + self._alpha**2 * self._closures.phi(self._data)
-        rows, gamma = self._rows.equations(self._data, q, v, self.time)
         gamma = (np.concatenate([self._closures.gamma(self._data) - drift, gamma]) / units)[used]
         jacobian = (np.concatenate([loops, rows]) * self.velocity_units / units[:, None])[used]
         matrix = np.block([[mass, -jacobian.T], [jacobian, np.zeros((len(used), len(used)))]])
         try:
-            found = np.linalg.solve(matrix, np.concatenate([force - bias, gamma]))
+            found = np.linalg.solve(matrix, np.concatenate([force, gamma]))
         except np.linalg.LinAlgError:
             found = np.full(len(matrix), np.nan)
-        self._check(found)
+        self._checked(found)
         multipliers = np.zeros(len(units))
-        multipliers[used] = found[self.nv :]
-        return found[: self.nv], multipliers
+        multipliers[used] = found[self.nv :] * unit / units[used]
+        closures = len(self._closures.units)
+        self._multipliers = multipliers[:closures]
+        return self.velocity_units * found[: self.nv], multipliers[closures:]
 
-    def _check(self, acceleration: Array) -> None:
+    def _checked(self, acceleration: Array) -> Array:
         if not np.all(np.isfinite(acceleration)):
             names = [self._welded.mechanism.joint_names[k] for k in self._tree.cuts]
             raise SingularityError(
                 ", ".join(names) or self.mechanism.joint_names[0],
                 "Pinocchio's constraintDynamics returned numbers that are not finite",
             )
+        return acceleration
 
     def _closure_wrenches(self, multipliers: Array) -> list[Any]:
         """What cuts do to their second bodies, about the world's origin, SI units, in the tree's order."""
         if self._noisy:
             wrenches = self._closures.wrenches(self._data, self._multipliers)
         else:
-            force = self._mass * self._length
-            scaled = [-data.oMc1.act(data.contact_force) for data in self._constraint_data]
-            wrenches = [pin.Force(w.linear * force, w.angular * force * self._length) for w in scaled]
+            wrenches = self._proximal.wrenches()
         closures = iter(wrenches)
         rods = iter(self._rows.rod_wrenches(self._data, multipliers))
         joints = [self._tree.joint(cut) for cut in self._tree.cuts]
@@ -463,7 +364,7 @@ class PinocchioSystem:
         forces, torques = reactions(wrenches, points, driven(self._tree, columns, points, forces_on))
         for joint, torque in self._rotors.torques(state.frames(), accelerations[:, 3:]):
             torques[joint] -= torque
-        kinetic = pin.computeKineticEnergy(self._model, self._data, pin_q, pin_v) + self._rotors.energy(v)
+        kinetic = float(0.5 * v @ self.mass_matrix(q) @ v)  # pin.computeKineticEnergy has rotors in part
         potential = pin.computePotentialEnergy(self._model, self._data, pin_q)
         return Evaluation(
             state,

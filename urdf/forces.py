@@ -1,5 +1,5 @@
 """Forces of a scene as Pinocchio's side has them: laws of joint coordinates, and, by Pinocchio's frames,
-springs of balls, springs between points and wrenches.
+springs of balls, springs between points and wrenches; rotors.
 
 All are worked out here from their numbers, so that a mistake in newton_euler's own laws is its own alone.
 """
@@ -11,11 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.equations.balls import ends
+from newton_euler.equations.balls import ends, spin_rate
+from newton_euler.model.constraints import Frame
 from newton_euler.model.control import PD, Law
-from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.forces import BallArmature, BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar
+from urdf.reactions import Actuator, actuator
 
 
 def force_on_joint(law: Law | JointSpring, x: Scalar, rate: Scalar, time: float) -> Scalar:
@@ -190,3 +193,34 @@ class PointForces:
 
     def _velocity(self, data: Any, frame: int) -> Any:
         return pin.getFrameVelocity(self._model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+
+
+class Rotors:
+    """Rotor inertias on velocities of a tree, which has all joints that bear some.
+
+    Attributes:
+        inertias: (nv,) kg m^2 or kg.
+    """
+
+    def __init__(self, scene: Scene, tree: SpanningTree) -> None:
+        self._single: list[tuple[Actuator, float]] = []
+        self._balls: list[tuple[int, tuple[int, int], float]] = []
+        self.inertias = np.zeros(tree.nv)
+        for armature in scene.armatures:
+            if isinstance(armature, BallArmature):
+                joint, place = scene.mechanism.joint_index(armature.joint), tree.ball_place(armature.joint)
+                assert place is not None
+                self._balls.append((joint, ends(scene.mechanism, armature.joint), armature.inertia))
+                self.inertias[place] = armature.inertia
+            else:
+                on = actuator(scene.mechanism, tree, *armature.key)
+                self._single.append((on, armature.inertia))
+                self.inertias[on.on_v] = armature.inertia
+
+    def forces(self, vdot: Array) -> list[tuple[Actuator, float]]:
+        """What those of hinges and slides drive, and the force, N or N m, at accelerations (nv,)."""
+        return [(on, -inertia * vdot[on.on_v]) for on, inertia in self._single]
+
+    def torques(self, frames: list[Frame], angular: Array) -> list[tuple[int, Array]]:
+        """By joint (3,) N m of those of balls on its second body, at angular accelerations (b, 3)."""
+        return [(joint, -a * spin_rate(frames, angular, bodies)) for joint, bodies, a in self._balls]

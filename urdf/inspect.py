@@ -49,9 +49,7 @@ def joint_geometry(system: PinocchioSystem) -> dict[str, JointGeometry]:
 def mass_and_force(system: PinocchioSystem, q: Array, v: Array) -> tuple[Array, Array]:
     """M (nv, nv) and f (nv,) of M vdot = f + J^T lambda in tree velocities, by Pinocchio."""
     model, to_tree = system.closed.model, system.map.v_from_pinocchio
-    data, pin_q = model.createData(), system.map.q_to_pinocchio(q)
-    upper = np.triu(pin.crba(model, data, pin_q))  # Pinocchio fills only the upper half
-    mass = to_tree(to_tree(upper + np.triu(upper, 1).T).T)
-    mass += np.diag(system.map.v_from_pinocchio(system.armature))
-    bias = pin.nonLinearEffects(model, data, pin_q, system.map.v_to_pinocchio(v))
-    return mass, system.generalized_force(q, v) - to_tree(bias)
+    bias = pin.nonLinearEffects(
+        model, model.createData(), system.map.q_to_pinocchio(q), system.map.v_to_pinocchio(v)
+    )
+    return system.mass_matrix(q), system.generalized_force(q, v) - to_tree(bias)

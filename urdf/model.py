@@ -53,8 +53,6 @@ def build(
     urdf: str,
     loops: Loops,
     alpha: float = 0.0,
-    length: float = 1.0,
-    mass: float = 1.0,
     base: str = "fixed",
 ) -> ClosedLoopModel:
     """Build the model of a URDF text and its loops.
@@ -63,7 +61,6 @@ def build(
         urdf: URDF text, SI units.
         loops: what the loop file says.
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2 in every closure.
-        length, mass: the model's units, m and kg.
         base: one of `BASES`.
 
     Raises:
@@ -83,7 +80,7 @@ def build(
     if held:
         placeholder = pin.buildReducedModel(placeholder, held, pin.neutral(placeholder))
     _check_joints(loops, "name_mot", loops.name_mot, list(placeholder.names)[1:])
-    model, urdf_joints = _rebuilt(placeholder, types, length, mass)
+    model, urdf_joints = _rebuilt(placeholder, types)
 
     constraints = pin.StdVec_RigidConstraintModel()
     frames, rods = [], []
@@ -135,27 +132,18 @@ def _frame(model: Any, name: str, loops: Loops) -> int:
     return found[0]
 
 
-def _rebuilt(
-    placeholder: Any, types: dict[str, str], length: float, mass: float
-) -> tuple[Any, tuple[str, ...]]:
-    """The same model with the named joints of other types, in units of a length and a mass.
+def _rebuilt(placeholder: Any, types: dict[str, str]) -> tuple[Any, tuple[str, ...]]:
+    """The same model with the named joints of other types.
 
     Returns:
         It, and the joint of the placeholder that each of its joints is, or is a part of.
     """
-
-    def placed(placement: Any) -> Any:
-        return pin.SE3(placement.rotation, placement.translation / length)
-
-    def weighed(inertia: Any) -> Any:
-        return pin.Inertia(inertia.mass / mass, inertia.lever / length, inertia.inertia / (mass * length**2))
-
     model = pin.Model()
     model.name = placeholder.name
     numbers, owners = [0], [GROUND]
     for index in range(1, placeholder.njoints):
         owner = name = str(placeholder.names[index])
-        parent, placement = numbers[placeholder.parents[index]], placed(placeholder.jointPlacements[index])
+        parent, placement = numbers[placeholder.parents[index]], placeholder.jointPlacements[index]
         joint, kind = placeholder.joints[index], types.get(name)
         if kind == "SPHERICAL":
             joint = pin.JointModelSpherical()
@@ -165,13 +153,12 @@ def _rebuilt(
             owners.append(owner)
             joint, placement, name = HINGES[second](), pin.SE3.Identity(), f"{owner}_{second}"
         added = model.addJoint(parent, joint, placement, name)
-        model.appendBodyToJoint(added, weighed(placeholder.inertias[index]), pin.SE3.Identity())
+        model.appendBodyToJoint(added, placeholder.inertias[index], pin.SE3.Identity())
         numbers.append(added)
         owners.append(owner)
-    model.inertias[0] = weighed(placeholder.inertias[0])  # of links that are fixed to the root
+    model.inertias[0] = placeholder.inertias[0]  # of links that are fixed to the root
     for frame in list(placeholder.frames)[1:]:
         frame.parentJoint = numbers[frame.parentJoint]
-        frame.placement, frame.inertia = placed(frame.placement), weighed(frame.inertia)
         model.addFrame(frame, False)  # its inertia is in that of its joint already
     return model, tuple(owners)
 
@@ -191,6 +178,12 @@ def link_inertia(model: Any, index: int) -> Any:
         if held and frame.inertia.mass > 0.0:
             inertia = inertia - frame.placement.act(frame.inertia)
     return inertia
+
+
+def mass_matrix(model: Any, data: Any, map: CoordinateMap, q: Array) -> Array:
+    """Compute the mass matrix (nv, nv) in tree velocities, armature included, at Pinocchio's q (nq,)."""
+    upper = np.triu(pin.crba(model, data, q))  # Pinocchio fills only the upper half
+    return map.v_from_pinocchio(map.v_from_pinocchio(upper + np.triu(upper, 1).T).T)
 
 
 class CoordinateMap:

@@ -1,29 +1,36 @@
-"""How Pinocchio's `constraintDynamics` is to regularise closures that are redundant.
+"""Pinocchio's `constraintDynamics`, regularized where closures are redundant.
 
-With J M^-1 J^T regularised by mu, each proximal iteration leaves mu / (mu + lambda) of its effect along
+With J M^-1 J^T regularized by mu, each proximal iteration leaves mu / (mu + lambda) of its effect along
 an eigenvector of eigenvalue lambda (Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of
 Constrained Dynamic Equations", RSS 2021, section III).
+
+mu is the same for rows in metres and rows in radians. It has a copy of the model in units of the mechanism's
+size and mass, in which they weigh alike: in SI units accelerations of a loop of 1 cm are off by 1e-8.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from newton_euler.equations.dense import rank
 from newton_euler.scalars import Array
+from urdf.constraints import Closures
+from urdf.model import ClosedLoopModel, CoordinateMap, mass_matrix
 
 MU = 1e-6
-"""Regularisation of redundant closures against the mean of the diagonal of J M^-1 J^T, in units of the
+"""Regularization of redundant closures against the mean of the diagonal of J M^-1 J^T, in units of the
 mechanism's size and mass, or against 1 if that is larger. Iterations take its effect out again; a
 smaller one lets forces that no acceleration sees grow with drift."""
 
 SHARE = 0.1
-"""What it is at most of the smallest eigenvalue that is not zero: a few iterations then leave nothing."""
+"""Of the smallest eigenvalue that is not zero, at most: a few iterations then leave nothing."""
 
 LEAST = 1e-12
-"""What it is at least against that mean: zero eigenvalues come out as 1e-15 of it."""
+"""Of that mean, at least: zero eigenvalues come out as 1e-15 of it."""
 
 ACCURACY = 1e-13
 """Relative change between iterations at which they end."""
@@ -35,12 +42,125 @@ CONVERGED = 1e-6
 near a singular one, or redundant closures that contradict each other because they have drifted open."""
 
 
-def plain() -> Any:
-    """Elimination without regularisation, for independent closures."""
-    return pin.ProximalSettings(0.0, ACCURACY, 0.0, 1)
+class Units(NamedTuple):
+    """The units in which a mechanism has size 1 and mass 1.
+
+    Attributes:
+        length: m.
+        mass: kg.
+        q: (nq,) of coordinates, m or 1.
+        v: (nv,) of velocities, m or 1.
+    """
+
+    length: float
+    mass: float
+    q: Array
+    v: Array
+
+    @property
+    def moment(self) -> float:
+        """kg m^2; of generalized forces of hinges at accelerations in these units."""
+        return self.mass * self.length**2
 
 
-def regularised(jacobian: Array, mass: Array, redundant: int) -> Any:
+class ConstraintDynamics:
+    """Accelerations of a model by `constraintDynamics`, in tree coordinates and dimensionless."""
+
+    def __init__(self, closed: ClosedLoopModel, map: CoordinateMap, units: Units) -> None:
+        self._closed, self._map, self._units = closed, map, units
+        self._closures, self._data = Closures(closed, map, units.length), closed.model.createData()
+        self._model, self._constraints = _in_units(closed, map, units)
+        self._scaled_data = self._model.createData()
+        self._constraint_data = pin.StdVec_RigidConstraintData(
+            [constraint.createData() for constraint in self._constraints]
+        )
+        pin.initConstraintDynamics(self._model, self._scaled_data, self._constraints, self._constraint_data)
+
+    def choose(self, q: Array, count: int) -> None:
+        """Choose plain elimination for independent closures, iterations for redundant ones, at a start q.
+
+        Pinocchio returns NaN for redundant closures without regularization. `count` of their rows are
+        independent, at the start maybe fewer.
+        """
+        jacobian = self._jacobian(q)
+        self._redundant = len(jacobian) - min(rank(jacobian), count)
+        plain = pin.ProximalSettings(0.0, ACCURACY, 0.0, 1)
+        self._settings = self._regularized(q) if self._redundant else plain
+        self._redundant = len(jacobian) - count
+
+    def at(self, q: Array, v: Array) -> Callable[[Array], Array]:
+        """Return the function from generalized forces (nv,) to accelerations (nv,), NaN if there are none."""
+        scaled_q = self._map.q_to_pinocchio(q / self._units.q)
+        scaled_v = self._map.v_to_pinocchio(v / self._units.v)
+        settings = self._settings
+
+        def solved(force: Array) -> Array:
+            acceleration = pin.constraintDynamics(
+                self._model,
+                self._scaled_data,
+                scaled_q,
+                scaled_v,
+                self._map.v_to_pinocchio(force),
+                self._constraints,
+                self._constraint_data,
+                settings,
+            )
+            return self._map.v_from_pinocchio(acceleration)
+
+        def respond(force: Array) -> Array:
+            nonlocal settings
+            acceleration = solved(force)
+            if settings is self._settings and settings.mu and not settings.relative_residual <= CONVERGED:
+                here = self._regularized(q)
+                # not for closures that contradict each other: less of it would magnify that
+                if here.mu < SHARE * settings.mu:
+                    settings = here
+                    return solved(force)
+            return acceleration
+
+        return respond
+
+    def wrenches(self) -> list[Any]:
+        """Wrenches on second bodies about the world's origin, SI units, of the accelerations found last."""
+        force = self._units.mass * self._units.length
+        scaled = [-data.oMc1.act(data.contact_force) for data in self._constraint_data]
+        return [pin.Force(w.linear * force, w.angular * self._units.moment) for w in scaled]
+
+    def _jacobian(self, q: Array) -> Array:
+        """(k, nv) of the closures, dimensionless."""
+        pin.computeJointJacobians(self._closed.model, self._data, self._map.q_to_pinocchio(q))
+        pin.updateFramePlacements(self._closed.model, self._data)
+        return self._closures.jacobian(self._data) * self._units.v / self._closures.units[:, None]
+
+    def _regularized(self, q: Array) -> Any:
+        """Iterations for redundant closures, as the configuration asks for them."""
+        scaled_q = self._map.q_to_pinocchio(q / self._units.q)
+        mass = mass_matrix(self._model, self._scaled_data, self._map, scaled_q)
+        return regularized(self._jacobian(q), mass, self._redundant)
+
+
+def _in_units(closed: ClosedLoopModel, map: CoordinateMap, units: Units) -> tuple[Any, Any]:
+    """Copy a model and its constraints, in other units; its frames stay as they are."""
+
+    def placed(placement: Any) -> Any:
+        return pin.SE3(placement.rotation, placement.translation / units.length)
+
+    model, constraints = closed.model.copy(), pin.StdVec_RigidConstraintModel()
+    model.gravity = pin.Motion(model.gravity.linear / units.length, np.zeros(3))
+    model.armature = model.armature * map.v_to_pinocchio(units.v) ** 2 / units.moment
+    for index, inertia in enumerate(closed.model.inertias):
+        model.jointPlacements[index] = placed(model.jointPlacements[index])
+        own = inertia.mass / units.mass, inertia.lever / units.length, inertia.inertia / units.moment
+        model.inertias[index] = pin.Inertia(*own)
+    for constraint in closed.constraints:
+        scaled = pin.RigidConstraintModel(constraint)
+        scaled.joint1_placement = placed(constraint.joint1_placement)
+        scaled.joint2_placement = placed(constraint.joint2_placement)
+        constraints.append(scaled)
+    return model, constraints
+
+
+def regularized(jacobian: Array, mass: Array, redundant: int) -> Any:
     """Choose iterations for a dimensionless Jacobian (k, nv) and a mass matrix (nv, nv).
 
     `redundant` is the number of rows that follow from the others.
@@ -51,8 +171,3 @@ def regularised(jacobian: Array, mass: Array, redundant: int) -> Any:
     weakest = float(nonzero[0]) if len(nonzero) else np.inf
     mu = min(MU * max(mean, 1.0), max(SHARE * weakest, LEAST * mean))
     return pin.ProximalSettings(0.0, ACCURACY, mu, ITERATIONS)
-
-
-def converged(settings: Any) -> bool:
-    """Whether the iterations of the last call with these settings came to an end."""
-    return settings.mu == 0.0 or settings.relative_residual <= CONVERGED

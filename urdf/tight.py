@@ -28,9 +28,6 @@ from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError
-from urdf.loops import parse_loops
-from urdf.model import build
-from urdf.write import to_loops, to_urdf
 
 PROXIMAL = ((0.0, 1), (1e-8, 1), (1e-8, 3), (1e-6, 3), (1e-6, 10), (1e-6, 30), (1e-4, 30))
 """Regularisations (mu, iterations) of `constraintDynamics`, cheapest first; redundant closures need one."""
@@ -76,10 +73,7 @@ def equations_of(scene: Scene, alpha: float, lcaba: tuple[float, int] | None) ->
         raise UrdfError(f"{outside[0]}: Pinocchio's lcaba knows {known}")
     if outside:
         return _checked_equations(system)
-    closed = build(to_urdf(scene), parse_loops(to_loops(scene), f"{scene.name}.loops.yaml"), alpha)
-    model, constraints = closed.model, closed.constraints
-    model.gravity = pin.Motion(scene.gravity, np.zeros(3))
-    model.armature = system.armature
+    model, constraints = system.closed.model, system.closed.constraints
     data = model.createData()
     nq, nv = model.nq, model.nv
     gains, constant = _laws(scene, system)

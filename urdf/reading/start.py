@@ -13,7 +13,7 @@ from newton_euler.equations.loop_closure import CLOSED, Units, assembled, branch
 from newton_euler.model.mechanism import spread
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport
-from urdf.closures import Closures
+from urdf.constraints import Closures
 from urdf.loops import Loops
 from urdf.model import ClosedLoopModel
 from urdf.reading.source import SourceError

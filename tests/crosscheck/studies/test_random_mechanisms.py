@@ -31,7 +31,7 @@ from newton_euler.model.joint_kinds import JOINT_KINDS, Free
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
-from urdf.proximal import ITERATIONS, regularised
+from urdf.proximal import ITERATIONS, regularized
 
 COUNT = 48
 ENGINES = ("cartesian", "pinocchio", "mujoco_rigid")
@@ -241,11 +241,11 @@ def test_condition_numbers_explain_as_much_as_round_off():
 def test_weak_closures_beside_redundant_ones():
     """An eigenvalue 1e-8 of the others: at a regularisation of 1e-6 of them it is never seen."""
     jacobian = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-4, 0.0]])
-    settings = regularised(jacobian, np.eye(3), redundant=1)
+    settings = regularized(jacobian, np.eye(3), redundant=1)
     assert (settings.mu / (settings.mu + 1e-8)) ** ITERATIONS < 1e-16
     # no weak one, so what drift needs
-    assert regularised(jacobian[:2], np.eye(3), redundant=1).mu == pytest.approx(1e-6)
-    assert regularised(np.zeros((2, 3)), np.eye(3), redundant=2).mu == pytest.approx(1e-6)
+    assert regularized(jacobian[:2], np.eye(3), redundant=1).mu == pytest.approx(1e-6)
+    assert regularized(np.zeros((2, 3)), np.eye(3), redundant=2).mu == pytest.approx(1e-6)
 
 
 def test_the_report_has_a_row_for_each_system():
