@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -26,6 +27,9 @@ from newton_euler.model.trajectory import Trajectory
 # shells have what they start in the background ignore interrupts, which some tests send
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+os.environ.pop("COLUMNS", None)  # lines of output would wrap there
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -18,6 +18,7 @@ import click
 from crosscheck.cli import faults, measure, regress, report, run
 from crosscheck.cli.shared import BAD_INPUT, cli
 from crosscheck.errors import CrosscheckError, reason_of, short_of_memory
+from crosscheck.report.render import wrapped
 
 LEAST_MEMORY = 2_000_000_000
 """Bytes of addresses; most of them are of libraries, and never used."""
@@ -115,7 +116,8 @@ def _complain(message: str) -> int:
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(message.split()))
     for to_error in (True, False):
         with suppress(OSError):
-            click.echo(f"crosscheck: error: {line}", err=to_error)
+            stream = sys.stderr if to_error else sys.stdout
+            click.echo(wrapped(f"crosscheck: error: {line}", stream), err=to_error)
             break
     return BAD_INPUT
 

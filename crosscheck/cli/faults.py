@@ -13,6 +13,7 @@ from crosscheck.cli.shared import (
     load_and_tell,
     load_scene,
     progress_shown,
+    say,
     scene_options,
     setting_options,
     without_exercise,
@@ -68,8 +69,8 @@ def faults_command(
     write_files({path: as_json(data(loaded, options, search), found)})
     click.echo(terminal(found.parts), nl=False)
     planted = " and ".join(search.engines)
-    click.echo(f"wrote {path}; {len(search.found)} faults in {planted} in {wall_time:.0f} s")
-    click.echo(click.style(found.verdict, bold=True))
+    say(f"wrote {path}; {len(search.found)} faults in {planted} in {wall_time:.0f} s")
+    say(found.verdict, bold=True)
     return AGREE if holds(search.found) else DISAGREE
 
 
@@ -84,6 +85,6 @@ def _in_reading(path: str, options: dict[str, str]) -> int:
         found = find_in_reading(report, progress)
     *lines, verdict = reading_lines(path, found)
     for line in lines:
-        click.echo(line)
-    click.echo(click.style(verdict, bold=True))
+        say(line)
+    say(verdict, bold=True)
     return DISAGREE if any(outcome.missed for outcome in found) else AGREE

@@ -12,14 +12,12 @@ from crosscheck.cli.shared import (
     exercised,
     load_and_tell,
     progress_shown,
+    say,
     scene_options,
     setting_options,
 )
 from crosscheck.errors import CrosscheckError
 from crosscheck.report.render import terminal
-
-BENCH_WIDTH = 200
-"""Columns that the tables of a benchmark are laid out for."""
 
 
 @cli.command("explain")
@@ -45,7 +43,7 @@ def figures_command(output: Path) -> int:
     with progress_shown() as progress:
         written = draw(output, progress)
     for path in written:
-        click.echo(f"wrote {path}")
+        say(f"wrote {path}")
     return AGREE
 
 
@@ -94,8 +92,8 @@ def bench_command(
             found, written = run.bench_batch(loaded, scene, options, batch, error, output, progress)
         else:
             found, written = run.bench(loaded, scene, options, error, repeats, output, progress)
-    click.echo(terminal(found.parts, BENCH_WIDTH), nl=False)
-    click.echo("wrote " + ", ".join(str(path) for path in written))
+    click.echo(terminal(found.parts), nl=False)
+    say("wrote " + ", ".join(str(path) for path in written))
     return AGREE
 
 
@@ -127,6 +125,6 @@ def stress_command(full: bool, output: Path, letters: str) -> int:
         found = report(rows, full, wall_time)
         written = write(rows, found, full, output)
     click.echo(terminal(found.parts), nl=False)
-    click.echo("wrote " + ", ".join(str(path) for path in written))
-    click.echo(f"{found.verdict}, in {wall_time:.0f} s")
+    say("wrote " + ", ".join(str(path) for path in written))
+    say(f"{found.verdict}, in {wall_time:.0f} s")
     return AGREE

@@ -14,6 +14,7 @@ from crosscheck.cli.shared import (
     exercised,
     load_scene,
     progress_shown,
+    say,
     scene_options,
     setting_options,
     tell,
@@ -81,20 +82,20 @@ def regress_command(
             made = update(guarded, reason, progress)
         for each, found in zip(guarded, made, strict=True):
             beside = f", {len(found.unsimulated)} lines on the file beside them" if found.unsimulated else ""
-            click.echo(f"wrote {each.path}: {len(found.figures)} figures{beside}")
+            say(f"wrote {each.path}: {len(found.figures)} figures{beside}")
             for group, why in found.left_out.items():
-                click.echo(f"  {group} left out: {why}")
+                say(f"  {group} left out: {why}")
         return AGREE
     with progress_shown() as progress:
         compared, recordings = check(guarded, output, reports, progress)
         written = write_reports(compared, recordings, junit, json_path, markdown)
     click.echo(terminal(tables(compared)), nl=False)
     for comparison in compared:
-        click.echo(comparison.verdict)
+        say(comparison.verdict)
         if comparison.scene in recordings:
-            click.echo(f"  recording: {recordings[comparison.scene]}")
-    click.echo("wrote " + ", ".join(str(path) for path in written))
-    click.echo(click.style(verdict(compared), bold=True))
+            say(f"  recording: {recordings[comparison.scene]}")
+    say("wrote " + ", ".join(str(path) for path in written))
+    say(verdict(compared), bold=True)
     return DISAGREE if any(comparison.moved for comparison in compared) else AGREE
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from crosscheck.cli.shared import AGREE, cli, progress_shown
+from crosscheck.cli.shared import AGREE, cli, progress_shown, say
 
 
 @cli.command("report")
@@ -21,5 +21,5 @@ def report_command(folder: Path) -> int:
 
     with progress_shown() as progress:
         path = write_report(folder, progress)
-    click.echo(f"wrote {path}")
+    say(f"wrote {path}")
     return AGREE

@@ -19,6 +19,7 @@ from crosscheck.cli.shared import (
     load_scene,
     progress_shown,
     recording_options,
+    say,
     scene_options,
     setting_options,
     without_exercise,
@@ -111,7 +112,7 @@ def _run_all(engines: list[str], output: Path | None) -> int:
         outcomes = run_all(engines, folder, progress)
     click.echo(terminal([outcomes_table(outcomes)]), nl=False)
     for line in outcome_lines(outcomes):
-        click.echo(line)
+        say(line)
     return AGREE if all(outcome.agrees for outcome in outcomes) else DISAGREE
 
 
@@ -136,9 +137,9 @@ def _run(
     taken = exercised(scene, options)
     loaded, mapping = load_scene(scene, taken, verified=False)  # the run says all that is not right
     for line in report_lines(mapping) if mapping else ():
-        click.echo(line)
+        say(line)
     if taken.get("exercise") == "on":
-        click.echo("--set exercise=off runs the file as it stands")
+        say("--set exercise=off runs the file as it stands")
 
     def work(progress: Progress) -> Crosscheck:
         return crosscheck(loaded, chosen, progress, scene, options, mapping, advised)
@@ -179,9 +180,9 @@ def _run_against(models: tuple[Model, Model], output: Path | None, destination: 
 
     for model in models:
         if model.mapping:
-            click.echo(f"{model.title}:")
+            say(f"{model.title}:")
             for line in report_lines(model.mapping):
-                click.echo(f"  {line}")
+                say(f"  {line}")
 
     def work(progress: Progress) -> Crosscheck:
         return against(*models, progress)
@@ -213,15 +214,15 @@ def _carry_out(
         found = report(result)
         written = write(result, found, folder, recording)
     click.echo(terminal(found.parts), nl=False)
-    click.echo("wrote " + ", ".join(str(path) for path in written))
+    say("wrote " + ", ".join(str(path) for path in written))
     if result.unfinished and not (isinstance(result, Against) and result.differs):
         status = UNFINISHED  # whatever was found until then; models that differ do so anyway
     else:
         status = AGREE if result.agrees else DISAGREE
     with destination.sent(result, found) as sent:
         if sent.line:
-            click.echo(sent.line)
-        click.echo(click.style(result.verdict, bold=True))
+            say(sent.line)
+        say(result.verdict, bold=True)
         sent.wait()
     return status
 
@@ -236,17 +237,17 @@ def list_command() -> int:
     from newton_euler.limits import LIMITS
 
     for name, scene in SCENES.items():
-        click.echo(f"{name}: {scene().description}")
+        say(f"{name}: {scene().description}")
         for key, option in options_of(scene).items():
-            click.echo(f"    --set {key}={option.values}  [default: {option.default}]")
+            say(f"    --set {key}={option.values}  [default: {option.default}]")
     for kind, options in (("MJCF, a .xml or .mjcf file", MJCF_OPTIONS), ("URDF, a .urdf file", URDF_OPTIONS)):
-        click.echo(f"{kind}:")
+        say(f"{kind}:")
         for name, choice in options.items():
-            click.echo(f"    --set {name}={choice.values}  [default: {choice.default}]")
-    click.echo("limits, of whatever is read and run:")
+            say(f"    --set {name}={choice.values}  [default: {choice.default}]")
+    say("limits, of whatever is read and run:")
     for name, limit in LIMITS.items():
-        click.echo(f"    --set {name}={limit.unit.upper()}, {limit.meaning}  [default: {limit.default:g}]")
-    click.echo(f"engines: {', '.join(ENGINES)}")
+        say(f"    --set {name}={limit.unit.upper()}, {limit.meaning}  [default: {limit.default:g}]")
+    say(f"engines: {', '.join(ENGINES)}")
     return AGREE
 
 
@@ -270,8 +271,8 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...], loops:
     report = report or scene_report(scene)
     written = write_as(scene, target, report)
     for line in report_lines(report):
-        click.echo(line)
-    click.echo("wrote " + ", ".join(str(path) for path in written))
+        say(line)
+    say("wrote " + ", ".join(str(path) for path in written))
     return AGREE
 
 

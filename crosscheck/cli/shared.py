@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.report.render import wrapped
 
 if TYPE_CHECKING:
     from newton_euler.model.scene import Scene
@@ -128,6 +129,12 @@ def load_scene(
     return loaded, mapping
 
 
+def say(*lines: str, bold: bool = False) -> None:
+    """Write sentences to standard output, wrapped to a terminal's width."""
+    for line in lines:
+        click.echo(click.style(wrapped(line), bold=bold))
+
+
 def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
     """A scene, with a line on standard error for each element of its file that is not in it as it was."""
     loaded, mapping = load_scene(scene, options)
@@ -139,7 +146,7 @@ def tell(scene: str, mapping: ImportReport | None) -> None:
     """Write a line to standard error for each element of a model file that is not in its scene as it was."""
     for entry in mapping.entries if mapping else ():
         if entry.fate != "exactly":
-            click.echo(f"{scene}: {entry}", err=True)
+            click.echo(wrapped(f"{scene}: {entry}", sys.stderr), err=True)
 
 
 @contextmanager

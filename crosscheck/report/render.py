@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, replace
+from itertools import takewhile
+from typing import Any, TextIO
 from xml.etree import ElementTree
 
 from rich.box import SIMPLE_HEAD
@@ -14,13 +17,22 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from crosscheck.report.table import Cell, Lines, Part, Report, Table
-
-WIDTH = 130
-"""Columns that tables are laid out for; a narrower terminal wraps them itself."""
+from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table
 
 BRIEF = 32
 """Characters of texts that are cut."""
+
+NARROWEST = 40
+"""Characters of lines, however narrow a terminal is said to be."""
+
+LEAST = 20
+"""Characters of texts that are not wrapped to fit another column beside them."""
+
+GUTTER = 2
+"""Characters between columns."""
+
+INDENT = "  "
+"""Of rows below a heading."""
 
 STYLES = {"": "", "holds": "green", "doubtful": "yellow", "fails": "bold red"}
 """Of verdicts, in a terminal."""
@@ -32,33 +44,112 @@ ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML cannot hold in any form."""
 
 
-def terminal(parts: Iterable[Part], width: int = WIDTH) -> str:
-    """Parts that are not folded, in color where standard output has it, and as wide at least."""
-    console = Console(width=max(width, Console().width))
+def terminal(parts: Iterable[Part]) -> str:
+    """Parts that are not folded, in color where standard output has it.
+
+    Tables are as wide as the terminal, COLUMNS, or 80 where there is neither. Sentences wrap there at words;
+    in files and pipes without COLUMNS each is one line.
+    """
+    console = Console()
+    console.width = max(NARROWEST, console.width)
     with console.capture() as capture:
         for part in parts:
             if part.folded:
                 continue
             if part.title:
-                console.print(Text(part.title, style="bold"), soft_wrap=True)
+                console.print(Text(wrapped(part.title), style="bold"), soft_wrap=True)
             if isinstance(part, Table):
-                console.print(_rich_table(part))
+                for block in _blocks(part, console.width):
+                    console.print(_rich_table(block))
+                    console.print()
             else:
                 for line in part.lines:
-                    console.print(Text(line), soft_wrap=True)
+                    console.print(Text(wrapped(line)), soft_wrap=True)
     return "".join(f"{line.rstrip()}\n" for line in capture.get().splitlines())
 
 
+def wrapped(line: str, stream: TextIO | None = None) -> str:
+    """A sentence in lines of the terminal's width, the later ones indented.
+
+    Args:
+        stream: what it is written to; standard output if None. One that is no terminal, as a file that is
+            searched later, gets the sentence as it is, unless COLUMNS is set.
+    """
+    console = Console(file=stream)
+    if not (console.is_terminal or "COLUMNS" in os.environ):
+        return line
+    indent = " " * (len(line) - len(line.lstrip()) + 2)
+    return textwrap.fill(
+        line,
+        max(NARROWEST, console.width),
+        subsequent_indent=indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+        replace_whitespace=False,
+    )
+
+
+def _blocks(table: Table, width: int) -> Iterator[Table]:
+    """A table, or where it is too wide several, each with the columns of text that it begins with."""
+    least = [_least(table, number) + GUTTER for number in range(len(table.columns))]
+    keys = list(takewhile(lambda number: not table.columns[number].numeric, range(len(least)))) or [0]
+    if sum(least[number] for number in keys) > width / 2:
+        keys = keys[:1]
+    chosen = list(keys)
+    for number in range(len(keys), len(least)):
+        if len(chosen) > len(keys) and sum(least[k] for k in (*chosen, number)) - GUTTER > width:
+            yield _of_columns(table, chosen)
+            chosen = list(keys)
+        chosen.append(number)
+    yield _of_columns(table, chosen)
+
+
+def _least(table: Table, number: int) -> int:
+    """Characters that a column needs: figures as they are, texts as far as they do not wrap."""
+    column = table.columns[number]
+    rows = [row for row in table.rows if not isinstance(row, str) and number < len(row)]
+    lines = [line for row in rows for line in _text(row[number]).split("\n")]
+    words = column.heading.split()
+    if not column.numeric:
+        lines = [line if len(line) <= LEAST else max(line.split(), key=len) for line in lines]
+        return min(BRIEF, max(map(len, [*lines, *words]), default=0)) + (len(INDENT) if number == 0 else 0)
+    return max(map(len, [*lines, *words]), default=0)
+
+
+def _of_columns(table: Table, numbers: Sequence[int]) -> Table:
+    """A table of some columns of another."""
+    if len(numbers) == len(table.columns):
+        return table
+    rows: Rows = [
+        row if isinstance(row, str) else [row[k] if k < len(row) else "" for k in numbers]
+        for row in table.rows
+    ]
+    return replace(table, columns=[table.columns[k] for k in numbers], rows=rows)
+
+
+def _text(cell: str | Cell) -> str:
+    return cell if isinstance(cell, str) else cell.text
+
+
+def _heading(table: Table, number: int) -> str:
+    """The heading of a column, in lines as wide as its figures."""
+    column = table.columns[number]
+    if not column.numeric:
+        return column.heading
+    width = _least(table, number)
+    return "\n".join(textwrap.fill(line, width) for line in column.heading.split("\n"))
+
+
 def _rich_table(table: Table) -> RichTable:
-    drawn = RichTable(box=SIMPLE_HEAD, pad_edge=False)
-    for column in table.columns:
+    drawn = RichTable(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    for number, column in enumerate(table.columns):
         drawn.add_column(
-            Text(column.heading),
+            Text(_heading(table, number)),
             justify="right" if column.numeric else "left",
             no_wrap=column.numeric,
             overflow="fold",
         )
-    indent = "  " if any(isinstance(row, str) for row in table.rows) else ""
+    indent = INDENT if any(isinstance(row, str) for row in table.rows) else ""
     for row in table.rows:
         if isinstance(row, str):
             drawn.add_section()

@@ -119,22 +119,20 @@ def _cell(row: Figure) -> Cell:
 
 
 def _measured_table(measured: Sequence[Measured]) -> Table:
-    """A row per known figure: the value of the first engine, the reference, a cell per engine."""
+    """A section per time, a row per known figure: first engine's value, reference, a cell per engine."""
     columns = list(dict.fromkeys(found.engine for found in measured))
     rows: Rows = []
-    for known in dict.fromkeys(id(found.known) for found in measured):
-        cells = {found.engine: found for found in measured if id(found.known) == known}
-        first = cells[columns[0]]
-        rows.append(
-            [
-                f"{first.known.quantity}, {first.known.unit}",
-                f"{first.known.time:g}",
-                f"{first.result:.12g}",
-                f"{first.known.value:.12g}",
-                *(judged(cells[name].value, cells[name].tolerance, cells[name].agrees) for name in columns),
-            ]
-        )
-    heads = [Column("time", "s", True), Column(f"value, {columns[0]}", numeric=True), *figures("reference")]
+    for time in dict.fromkeys(found.known.time for found in measured):
+        rows.append(f"at {time:g} s")
+        now = [found for found in measured if found.known.time == time]
+        for known in dict.fromkeys(id(found.known) for found in now):
+            cells = {found.engine: found for found in now if id(found.known) == known}
+            first = cells[columns[0]]
+            label = f"{first.known.quantity}, {first.known.unit}"
+            values = [f"{first.result:.12g}", f"{first.known.value:.12g}"]
+            mine = [cells[name] for name in columns]
+            rows.append([label, *values, *(judged(each.value, each.tolerance, each.agrees) for each in mine)])
+    heads = [Column(f"value,\n{columns[0]}", numeric=True), *figures("reference")]
     heads += [Column(name, numeric=True) for name in columns]
     return Table("figures against the reference", [Column(""), *heads], rows)
 

@@ -28,21 +28,40 @@ REPORT = Report(
 
 
 def test_terminal():
-    assert [line.rstrip() for line in terminal(REPORT.parts).splitlines()] == [
+    assert terminal(REPORT.parts).splitlines() == [
         "figures",
+        "quantity    difference, m",
+        "─────────────────────────",
+        "model",
+        "  mass    1.0e-03 > 1e-06",
+        "  points  1.0e-09 < 1e-06",
         "",
-        " quantity     difference, m",
-        " ──────────────────────────",
-        " model",
-        "   mass     1.0e-03 > 1e-06",
-        "   points   1.0e-09 < 1e-06",
-        "",
-        " energy",
+        "energy",
         "",
         "notes",
         "first",
         "second",
     ]
+
+
+LONG = " ".join(8 * ["words that go on and on;"])
+
+
+@pytest.mark.parametrize("columns", [80, 60, 120])
+def test_what_is_printed_fits_the_terminal(monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    names = [f"between the engines {k}, m" for k in range(9)]
+    row = ["angular acceleration", "", *(judged(k * 1e-9, 1e-6, True) for k in range(9))]
+    wide = Table("wide", [Column(""), Column("why"), *figures(*names)], ["head", row, ["a", LONG]])
+    text = terminal([wide, Lines("", [LONG, f"    {LONG}"])])
+    assert max(map(len, text.splitlines())) <= columns
+    assert all(f"{k}.0e-09 < 1e-06" in text for k in range(1, 9))
+    *_, indented = text.split("\n    words")
+    assert all(line.startswith(" " * 6) for line in indented.splitlines()[1:])
+
+
+def test_sentences_in_files_are_a_line_each():
+    assert LONG in terminal([Lines("", [LONG])])
 
 
 def test_markdown():
