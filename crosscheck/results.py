@@ -32,10 +32,7 @@ def read_json(path: Path, kind: type[Kind]) -> Kind:
 
 def digest(path: Path) -> str:
     """The SHA-256 of a file of arrays or a recording; raises `CrosscheckError` naming it."""
-    if not path.is_file():  # a pipe would keep its reader waiting
-        raise CrosscheckError(f"{path}: not a regular file")
     try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise CrosscheckError(f"cannot read {path}: {error.strerror}") from error
+        return hashlib.sha256(read_content(path, "array_size")).hexdigest()
+    except SourceError as error:
+        raise CrosscheckError(str(error)) from error

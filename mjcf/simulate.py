@@ -18,6 +18,7 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import strongest_force
 from newton_euler.equations.system import blamed, fastest_joint
 from newton_euler.errors import OptionError, UnknownNameError, check_type
+from newton_euler.integrators.options import MOST_FIXED_STEPS
 from newton_euler.integrators.sampling import Interval, holding, intervals, sample
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory
@@ -145,6 +146,9 @@ def _step(scene: Scene, timestep: float | None) -> float:
     if not is_number or not 0.0 < float(timestep) < np.inf:
         raise OptionError("timestep", timestep, "a positive number of seconds")
     step = float(timestep)
+    if scene.duration / step > MOST_FIXED_STEPS:
+        least = f"at least {scene.duration / MOST_FIXED_STEPS:.3g} s, {MOST_FIXED_STEPS} steps"
+        raise OptionError("timestep", timestep, least)
     wanted = [(float(interval), "between outputs") for interval in np.diff(scene.times)]
     wanted += [(law.period, f"period of joint {law.joint!r}") for law in repeated]
     for length, what in wanted:

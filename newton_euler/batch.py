@@ -106,6 +106,7 @@ def simulate_batch(
     """
     check_type("scene", scene, Scene)
     options = Options(integrator, **control)
+    options.check_steps(scene.duration)
     if not isinstance(parameters, Mapping | None):
         raise OptionError("parameters", _short(parameters), "values, one per run, by name")
     parameters = dict(parameters or {})
@@ -114,9 +115,14 @@ def simulate_batch(
     workers = _threads(threads)
     compiled = CompiledScene(scene, formulation, stabilization, alpha, tuple(parameters))
     load(compiled, integrator)
-    starts = _starts(compiled, states, parameters)
+    count = _count(states, parameters)
     times = scene.times
-    results = np.empty((len(starts), len(times), compiled.function("output").outputs))
+    try:
+        results = np.empty((count, len(times), compiled.function("output").outputs))
+        starts = np.tile(compiled.start, (count, 1))
+    except MemoryError as error:
+        raise OptionError("states and parameters", f"{count} runs", "runs that memory can hold") from error
+    _set(starts, compiled, states, parameters)
     counts: list[dict[str, int]] = [{} for _ in starts]
     errors: dict[int, IntegrationError] = {}
     stopped: list[bool] = []
@@ -164,11 +170,8 @@ def _threads(threads: int | None) -> int:
     return int(threads)
 
 
-def _starts(
-    compiled: CompiledScene, states: Sequence[State] | None, parameters: Mapping[str, Sequence[Any]]
-) -> Array:
-    """Pack x (runs, inputs) of all runs."""
-    scene = compiled.scene
+def _count(states: Sequence[State] | None, parameters: Mapping[str, Sequence[Any]]) -> int:
+    """Return the number of runs."""
     series = dict(parameters) if states is None else {**parameters, "states": states}
     for name, each in series.items():
         if not hasattr(each, "__len__"):
@@ -176,15 +179,23 @@ def _starts(
     lengths = {name: len(values) for name, values in series.items()}
     if not lengths or min(lengths.values()) < 1 or len(set(lengths.values())) > 1:
         raise OptionError("states and parameters", lengths, "one state or value per run, of one length")
-    count = next(iter(lengths.values()))
-    starts = np.tile(compiled.start, (count, 1))
+    return next(iter(lengths.values()))
+
+
+def _set(
+    starts: Array,
+    compiled: CompiledScene,
+    states: Sequence[State] | None,
+    parameters: Mapping[str, Sequence[Any]],
+) -> None:
+    """Set the states and parameters of all runs in their x (runs, inputs)."""
+    scene = compiled.scene
     if states is not None:
         check(scene, states)
         q, v = coordinates(compiled.system, states)
         starts[:, : compiled.size] = np.concatenate([q, v], axis=1)
-    for k in range(count) if parameters else ():
+    for k in range(len(starts)) if parameters else ():
         values = checked(scene, {name: given[k] for name, given in parameters.items()})
         for name, value in values.items():
             place = compiled.place(name)
             starts[k, place : place + value.size] = value.ravel()
-    return starts

@@ -157,6 +157,7 @@ class CompiledScene(Code):
     def _run(self, options: Options) -> Trajectory:
         for weak in self.nearly_redundant:
             warnings.warn(f"scene {self.scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=3)
+        options.check_steps(self.scene.duration)
         return self._try(options, ROW_CHOICES)
 
     def _try(self, options: Options, choices: int) -> Trajectory:
@@ -220,6 +221,7 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     `settings` describes the system; the integrator's options and counts are added to it.
     """
     scene = system.scene
+    options.check_steps(scene.duration)
     q, v = system.coordinates(initial_state(scene))
     start = time.perf_counter()
     rows: list[tuple[System, float, Array, Array]] = []

@@ -91,8 +91,8 @@ def markdown(found: Sequence[Comparison], recordings: dict[str, Path]) -> str:
     return render.markdown(report(found, recordings))
 
 
-def as_json(found: Sequence[Comparison], recordings: dict[str, Path]) -> str:
-    """Everything that was compared."""
+def as_json(found: Sequence[Comparison], recordings: dict[str, Path], folder: Path) -> bytes:
+    """Everything that was compared, for a file in a folder, whose recordings a page shows."""
     scenes = [
         comparison.summary()
         | {"recording": str(path) if (path := recordings.get(comparison.scene)) else None}
@@ -100,8 +100,8 @@ def as_json(found: Sequence[Comparison], recordings: dict[str, Path]) -> str:
     ]
     quiet = not any(comparison.moved for comparison in found)
     content = {"quiet": quiet, "verdict": verdict(found), "scenes": scenes}
-    files = {path.name: digest(path) for path in recordings.values()}
-    return render.as_json(content, report(found, recordings), files).decode()
+    beside = [path for path in recordings.values() if path.parent.resolve() == folder.resolve()]
+    return render.as_json(content, report(found, recordings), {path.name: digest(path) for path in beside})
 
 
 def junit(found: Sequence[Comparison]) -> str:

@@ -198,9 +198,14 @@ def write_reports(
         CrosscheckError: naming the file that cannot be written.
     """
     summary = markdown(found, recordings)
-    wanted = ((junit_path, junit(found)), (json_path, as_json(found, recordings)), (markdown_path, summary))
-    files = {path: text.encode() for path, text in wanted if path is not None}
-    write_files(files)
+    contents: dict[Path, bytes] = {}
+    if junit_path:
+        contents[junit_path] = junit(found).encode()
+    if json_path:
+        contents[json_path] = as_json(found, recordings, json_path.parent)
+    if markdown_path:
+        contents[markdown_path] = summary.encode()
+    write_files(contents)
     step = os.environ.get(STEP_SUMMARY)
     if step:
         try:
@@ -208,4 +213,4 @@ def write_reports(
                 stream.write(summary)
         except OSError as error:
             raise CrosscheckError(f"cannot write {STEP_SUMMARY} {step}: {error.strerror}") from error
-    return list(files)
+    return list(contents)

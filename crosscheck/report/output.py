@@ -44,7 +44,8 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path | No
 
         text = markdown(report, folded=True)
         made[recording] = recorded(result.scene, result.runs, text, result.title)
-    digests = {path.name: hashlib.sha256(content).hexdigest() for path, content in made.items()}
+    beside = {path: content for path, content in made.items() if path.parent == folder}
+    digests = {path.name: hashlib.sha256(content).hexdigest() for path, content in beside.items()}
     summary = folder / "summary.json"
     others = {*ENGINES, *(engine.name for engine in result.engines)} - result.runs.keys()
     stale = [summary, *(folder / f"{name}.npz" for name in others)]

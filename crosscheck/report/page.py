@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import base64
+import math
+import os
 import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from pydantic import BaseModel
+from pydantic import BaseModel, field_validator
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable, write_files
@@ -57,6 +59,21 @@ class Results(BaseModel):
 
     report: Report
     files: dict[str, str]
+
+    @field_validator("report")
+    @classmethod
+    def _took_a_time(cls, report: Report) -> Report:
+        if report.wall_time is not None and not 0.0 <= report.wall_time < math.inf:
+            raise ValueError("wall_time is no time in seconds")
+        return report
+
+    @field_validator("files")
+    @classmethod
+    def _are_names(cls, files: dict[str, str]) -> dict[str, str]:
+        for name in files:
+            if name != Path(name).name or "\0" in name:
+                raise ValueError(f"{name!r:.100} is no name of a file")
+        return files
 
 
 @dataclass(frozen=True)
@@ -153,17 +170,20 @@ def _index_line(folder: Path, file: Path, report: Report) -> dict[str, object]:
 
 
 def _entry(file: Path, results: Results, anchor: str, shares: Sequence[float], progress: Progress) -> Entry:
-    """The report of a file with pictures of the runs, recordings and pictures that lie beside it."""
+    """The report of a file of results with pictures of the runs and recordings that lie beside it.
+
+    Raises:
+        CrosscheckError: for one of these that is missing, is no file, or is not the one written with it.
+    """
     entry = Entry(results.report, anchor)
-    listed = [file.parent / name for name in results.files if name == Path(name).name]
-    beside = [path for path in listed if path.is_file()]
+    beside = [file.parent / name for name in results.files]
     for path in beside:
+        if not os.path.lexists(path):
+            raise CrosscheckError(f"{path}: missing, {file.name} beside it was written with it; run it again")
         if results.files[path.name] != digest(path):
             raise CrosscheckError(f"{path}: is not the file that {file.name} beside it was written with")
     runs = _runs(path for path in beside if path.suffix == ".npz")
-    if not runs and any(path.suffix == ".npz" for path in listed):
-        entry.remarks.append("The runs are not in the folder, so there is nothing to draw.")
-    for path in (path for path in listed if path.suffix == ".rrd"):
+    for path in (path for path in beside if path.suffix == ".rrd"):
         progress(f"{path.stem}: pictures of the recording")
         try:
             views = drawing.views(path, next(iter(runs), "newton_euler"), shares)

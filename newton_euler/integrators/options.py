@@ -19,6 +19,10 @@ step h adds h^2/2 t^T I^-1 t to the energy of a freely turning body, a share of 
 INTEGRATORS = ADAPTIVE + FIXED
 
 
+MOST_FIXED_STEPS = 20_000_000
+"""Of a run, if it does not say; seconds of native code for a pendulum, minutes for the largest mechanisms."""
+
+
 class StepControl(TypedDict, total=False):
     """The choice of steps, as keywords; see `Options`."""
 
@@ -38,7 +42,8 @@ class Options:
         step: s, of the methods with fixed steps; made smaller where it does not divide the time
             between outputs, or sampling instants of controllers.
         most_steps: steps after which an adaptive method is taken to be getting nowhere; if not given, a
-            million in native code and `MOST_STEPS` in Python.
+            million in native code and `MOST_STEPS` in Python. A run that needs more fixed steps, or more than
+            `MOST_FIXED_STEPS` if it is not given, is refused.
         projection: True to project onto the constraints after each step and at outputs.
     """
 
@@ -66,6 +71,13 @@ class Options:
             object.__setattr__(self, "step", float(self.step))
         elif self.step is not None:
             raise OptionError("step", self.step, f"none: {self.integrator} chooses its own steps")
+
+    def check_steps(self, duration: float) -> None:
+        """Raise `OptionError` for fixed steps that are too many in a duration, s."""
+        most = self.most_steps or MOST_FIXED_STEPS
+        if self.step is not None and duration / self.step > most:
+            needed = f"at least {duration / most:.3g} s, {most} steps; most_steps allows more"
+            raise OptionError("step", self.step, needed)
 
     def near(self, noise: float, size: float) -> tuple[float, float]:
         """Return rtol and atol of steps next to a singular configuration of a mechanism of a size, m.

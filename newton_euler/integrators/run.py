@@ -18,7 +18,7 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import largest_share, singular_values
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.system import blamed, dimensionless_jacobian
-from newton_euler.errors import NewtonEulerError, OptionError
+from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code
 from newton_euler.integrators.dop853 import Dop853, integrate_dop853
@@ -36,9 +36,6 @@ MOST_STEPS = 1_000_000
 
 COUNTED = 2**53
 """Steps that doubles count one by one."""
-
-MOST_FIXED_STEPS = 1e10
-"""Of a run; an hour at least."""
 
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
 """C's type of a callback f(x, y)."""
@@ -270,10 +267,6 @@ def _method(code: Code, x: Array, times: Array, options: Options, most: int) -> 
     """Return a method that begins at x (inputs,), with its scratch."""
     n, like = code.size, np.zeros_like
     if options.step is not None:
-        span = float(times[-1] - times[0])
-        if span / options.step > MOST_FIXED_STEPS:
-            least = f"at least {span / MOST_FIXED_STEPS:.3g} s, {MOST_FIXED_STEPS:.0e} steps"
-            raise OptionError("step", options.step, least)
         euler = options.integrator == "Euler"
         return FixedStep(
             order=1 if euler else 4,

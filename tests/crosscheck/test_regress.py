@@ -295,7 +295,7 @@ def test_no_recording_of_what_has_other_bodies(tmp_path, measured):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_reports_hold_any_names():
+def test_reports_hold_any_names(tmp_path):
     odd = "a|b <c> & \x00 `d`"
     stored = figure([[1.0]], name=odd)
     checked = tuple(check([stored], [figure([[2.0]], name=odd)]))
@@ -305,7 +305,7 @@ def test_reports_hold_any_names():
     assert "a|b <c> & ? `d`" in case.find("failure").get("message")
     (line,) = [line for line in markdown(found, {}).splitlines() if "relative: a" in line]
     assert line.replace("\\|", "").count("|") == 7
-    assert json.loads(as_json(found, {}))["scenes"][0]["diverges"] == 0.5
+    assert json.loads(as_json(found, {}, tmp_path))["scenes"][0]["diverges"] == 0.5
 
 
 # What a model file holds and no figure is about

@@ -121,6 +121,7 @@ def test_every_parameter_has_the_scenes_own_value(short):
         ({"parameters": {"panel_7.mass": ["heavy"]}}, MechanismError, "parameter 'panel_7.mass'"),
         ({"parameters": {"gravity": [[0.0, np.nan, 0.0]]}}, MechanismError, "parameter 'gravity'"),
         ({"parameters": {"gravity": [[0.0, 0.0, 0.0]]}, "threads": 0}, OptionError, "threads is 0"),
+        ({"parameters": {"panel_7.mass": range(10**12)}}, OptionError, "1000000000000 runs"),
     ],
 )
 def test_bad_batches_are_refused(short, options, error, message):

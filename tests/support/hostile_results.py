@@ -302,7 +302,7 @@ def motion(kind: str, **values: object) -> list[dict[str, Any]]:
 
 
 def driven_loop() -> dict[str, Any]:
-    function = {"kind": "polynomial", "coefficients": [0, 1e5]}
+    function = {"kind": "polynomial", "coefficients": [0, 2e5]}
     return short_example() | {"control": [], "motions": [{"joint": "motor", "function": function}]}
 
 
@@ -330,7 +330,7 @@ def size_cases() -> Iterator[Refused]:
         ("a motion of 1e5", scene(1, grounded(1), motions=polynomial(0, 1e5)), "cycles=15916"),
         ("a fast sine", scene(1, grounded(1), motions=fast), "cycles="),
         ("a fast slide", scene(1, grounded(1, "prismatic"), motions=fast), "cycles="),
-        ("a motion of 1e5 in a loop", driven_loop(), "cycles=796"),
+        ("a motion of 2e5 in a loop", driven_loop(), "cycles=1592"),
         ("5000 springs", scene(1, grounded(1), forces=springs), "forces=5000"),
     ):
         for command in (("run", "large.json", "--output", "new"), ("convert", "large.json", "new.yaml")):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import os
 import shutil
 from dataclasses import asdict
 from html.parser import HTMLParser
@@ -96,9 +97,10 @@ def folder(finished, tmp_path, monkeypatch) -> Path:
 
 @pytest.fixture
 def bare(folder) -> Path:
-    """Its summary alone: nothing is drawn."""
+    """A summary of nothing beside it: nothing is drawn."""
     for path in (*folder.glob("*.npz"), *folder.glob("*.rrd")):
         path.unlink()
+    change(folder, files={})
     return folder
 
 
@@ -196,16 +198,38 @@ def test_a_disagreement_is_found_at_a_glance(tmp_path):
     assert '<td class="figure fails" title="worst at the crank">1.2e-01 &gt; 1e-12</td>' in text
 
 
-def test_without_runs(bare):
-    found = report(bare)
-    assert found.images == {}
-    assert "The runs are not in the folder" in found.words
+@pytest.mark.parametrize("name", ["pinocchio.npz", "four_bar.rrd"])
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda path: None, "missing, summary.json beside it was written with it; run it again"),
+        (os.mkfifo, "not a regular file"),
+        (lambda path: path.symlink_to("/dev/zero"), "not a regular file"),
+        (lambda path: path.symlink_to("nowhere"), "cannot be read: No such file or directory"),
+        (Path.mkdir, "not a regular file"),
+    ],
+)
+def test_what_a_run_wrote_is_there(folder, capsys, name, make, message):
+    (folder / name).unlink()
+    make(folder / name)
+    status, out, err = run(capsys, "report", folder)
+    assert (status, out, err) == (2, "", f"crosscheck: error: {folder / name}: {message}\n")
+    assert not (folder / PAGE).exists()
+
+
+def test_a_recording_elsewhere_is_no_part_of_the_page(tmp_path, capsys):
+    path = scene_file(tmp_path, short_example())
+    options = ("--engines", "newton_euler", "--output", tmp_path / "out", "--save", tmp_path / "there.rrd")
+    assert run(capsys, "run", path, *options)[0] == 0
+    assert set(json.loads((tmp_path / "out" / "summary.json").read_text())["files"]) == {"newton_euler.npz"}
+    assert "Drift: how far joints are open" in report(tmp_path / "out").images
 
 
 def test_a_recording_that_is_none(folder):
     (folder / "four_bar.rrd").write_bytes(b"RRF2 and no more")
     vouch(folder, "four_bar.rrd")
-    (folder / "pinocchio.npz").unlink()
+    files = json.loads((folder / "summary.json").read_text())["files"]
+    change(folder, files={name: known for name, known in files.items() if name != "pinocchio.npz"})
     found = report(folder)
     assert "No picture of four_bar: " in found.words
     assert "Drift: how far joints are open" in found.images
@@ -249,7 +273,6 @@ def test_of_many_folders_an_index(bare, tmp_path, capsys):
     assert found.text.count("AGREE") == MOST_IN_FULL
     for number in range(MOST_IN_FULL + 1):
         assert f"crosscheck report '{output / f'run_{number}'}'" in found.text
-    assert "The runs are not in the folder" not in found.words
     shutil.rmtree(output / "run_3")
     assert len(report(output).links) == MOST_IN_FULL
     assert len(SCENES) <= MOST_IN_FULL  # so that `run --all` has one page
@@ -267,6 +290,20 @@ def test_progress_counts_the_folders(folder, tmp_path):
     ]
 
 
+def timed(seconds: str) -> bytes:
+    """Results that took this long."""
+    return (
+        b'{"report": {"title": "", "verdict": "", "judged": {"text": ""}, "parts": [], "wall_time": %s}, '
+        % (seconds.encode())
+        + b'"files": {}}'
+    )
+
+
+def listed(name: str) -> bytes:
+    """Results with a file of this name beside them."""
+    return timed("1").replace(b'"files": {}', b'"files": {"%s": "00"}' % name.encode())
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
@@ -279,7 +316,11 @@ def test_progress_counts_the_folders(folder, tmp_path):
         ("faults.json", b"{}", "faults.json: report: Field required"),
         ("regress.json", b'{"report": 1, "files": {}}', "regress.json: report: Input should be"),
         ("stress.json", b'{"report": {"title": "x"}}', "stress.json: report.verdict: Field required"),
-        ("pinocchio.npz", b"PK", "pinocchio.npz: is not the file that summary.json beside it was written"),
+        ("rhs.json", timed("NaN"), "rhs.json: report: wall_time is no time in seconds"),
+        ("rhs.json", timed("-1"), "rhs.json: report: wall_time is no time in seconds"),
+        ("rhs.json", timed("1e999"), "rhs.json: report: wall_time is no time in seconds"),
+        ("rhs.json", listed("../x.npz"), "rhs.json: files: '../x.npz' is no name of a file"),
+        ("rhs.json", listed("x.npz"), "x.npz: missing, rhs.json beside it"),
     ],
 )
 def test_what_cannot_be_read_is_one_line(bare, capsys, name, content, message):

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import pytest
 from command_line import EXAMPLE, run, scene_file, short_example
 from test_report import report
 
+from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from crosscheck.studies.faults.catalogue import catalogue
 
@@ -51,7 +53,8 @@ def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     assert "MOVED: 1 of 1 scenes: four_bar" in moved.words
     assert len(moved.images) == 1
     (tmp_path / "out" / "four_bar.rrd").unlink()
-    assert "No picture of four_bar: " in report(tmp_path / "out").words
+    with pytest.raises(CrosscheckError, match=r"four_bar\.rrd: missing, regress\.json beside it"):
+        report(tmp_path / "out")
 
 
 def test_regress_writes_json_where_it_is_told(tmp_path, capsys):

@@ -7,9 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import mjcf
 import newton_euler
+import urdf
 from crosscheck.scenes import load
-from newton_euler.errors import NewtonEulerError
+from newton_euler.assemble import initial_state
+from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.model.euler_parameters import angle_between, rotation
 from newton_euler.model.trajectory import load_arrays
 
@@ -137,3 +140,28 @@ def test_a_broken_trajectory_file_is_named(tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(NewtonEulerError, match=r"bad\.npz"):
         load_arrays(path)
+
+
+@pytest.mark.parametrize("integrator", ["RK4", "Euler"])
+@pytest.mark.parametrize(
+    "run",
+    [
+        newton_euler.simulate,
+        urdf.simulate,
+        lambda scene, **control: newton_euler.simulate_batch(scene, [initial_state(scene)], **control),
+    ],
+)
+def test_steps_too_small_to_end_are_refused(run, integrator):
+    """Before the first of them; a number of steps that is given allows them."""
+    scene = replace(load("pendulum"), duration=1e-3, output_period=1e-3)
+    with pytest.raises(OptionError, match=r"step is 1e-12; needed: at least 5e-11 s, 20000000 steps"):
+        run(scene, integrator=integrator, step=1e-12)
+    with pytest.raises(OptionError, match=r"step is 1e-05; needed: at least 0.001 s, 1 steps; most_steps"):
+        run(scene, integrator=integrator, step=1e-5, most_steps=1)
+    run(scene, integrator=integrator, step=1e-5, most_steps=100)
+
+
+def test_mujoco_steps_too_small_to_end_are_refused():
+    scene = replace(load("pendulum"), duration=1e-3, output_period=1e-3)
+    with pytest.raises(OptionError, match=r"timestep is 1e-12; needed: at least 5e-11 s, 20000000 steps"):
+        mjcf.simulate(scene, timestep=1e-12)
