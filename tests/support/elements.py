@@ -6,7 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from mechanisms import GRAVITY, REGULAR, bar, planar_four_bar
+from mechanisms import GRAVITY, REGULAR, bar, planar_four_bar, wheel
 
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear
@@ -14,6 +14,7 @@ from newton_euler.model.forces import Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import (
     Cylindrical,
+    Fixed,
     Free,
     Planar,
     PointOnLine,
@@ -246,6 +247,124 @@ def controlled_press() -> Scene:
     return replace(forced(replace(scene, mechanism=mechanism)), control=(PD("pin", 30.0, 0.5, 0.2),))
 
 
+def offset_slide() -> Scene:
+    """A cylindrical joint whose two points are apart; a post fixed to the ground with two hinges."""
+    joints: list[Joint] = [
+        Cylindrical("tube", "ground", "rod", [0, 0, 0], point_on_second=[0.0, 0.0, 0.4], axis=[0, 0, 1]),
+        Fixed("bolt", "post", "ground", [1.0, 0.0, 0.0]),
+        Revolute("hinge", "flag", "post", [1.0, 0.0, 0.8], axis=[0.0, 0.6, 0.8]),
+        Revolute("hook", "post", "lamp", [1.0, 0.0, 0.5], axis=[0.6, 0.0, 0.8]),
+    ]
+    bodies = [
+        Body.ground(),
+        bar("rod", [0, 0, 0.4], [0.3, 0.1, 0.9]),
+        bar("post", [1.0, 0.0, 0.0], [1.0, 0.0, 0.8], 3.0),
+        bar("flag", [1.0, 0.0, 0.8], [1.4, 0.3, 0.8]),
+        bar("lamp", [1.0, 0.0, 0.5], [1.0, 0.4, 0.4], 0.5),
+    ]
+    return Scene("offset_slide", Mechanism(bodies, joints), 1.0, 0.1, GRAVITY)
+
+
+def planes_and_rods(swapped: bool) -> Scene:
+    """A plate on a plane, a stick whose end is on a line of the plate, held by rods; a floating block."""
+
+    def pair(first, second):
+        return (second, first) if swapped else (first, second)
+
+    bodies = [
+        Body.ground(),
+        bar("plate", [0.1, 0.0, 0.1], [0.8, 0.3, 0.2], 2.0),
+        bar("stick", [0.5, 0.2, 0.2], [0.6, 0.4, 1.0]),
+        bar("block", [1.2, 0.2, 0.9], [1.4, 0.6, 1.1], 1.3),
+        bar("tail", [1.4, 0.6, 1.1], [1.7, 0.9, 1.5], 0.7),
+    ]
+    joints: list[Joint] = [
+        Planar("table", *pair("ground", "plate"), [0.2, 0.1, 0.1], axis=[0.1, -0.2, 1.0]),
+        PointOnLine("slot", *pair("plate", "stick"), [0.5, 0.2, 0.2], axis=[1.0, 0.4, 0.1]),
+        PointOnLine("guide", *pair("ground", "stick"), [0.6, 0.4, 1.0], axis=[0.3, 1.0, -0.2]),
+        Rod("tie", *pair("plate", "block"), [0.8, 0.3, 0.2], point_on_second=[1.2, 0.2, 0.9]),
+        Rod("stay", "block", "ground", [1.4, 0.6, 1.1], point_on_second=[1.0, 1.0, 2.0]),
+        Revolute("hinge", *pair("block", "tail"), [1.4, 0.6, 1.1], axis=[0.2, 0.9, 0.4]),
+        Planar("cover", *pair("tail", "ground"), [1.7, 0.9, 1.5], axis=[0.9, 0.1, 0.3]),
+    ]
+    if swapped:  # both ends of the rod change places
+        joints[3] = Rod("tie", "block", "plate", [1.2, 0.2, 0.9], point_on_second=[0.8, 0.3, 0.2])
+    return Scene("assembly", Mechanism(bodies, joints), 0.5, 0.1, GRAVITY)
+
+
+def rod_platform() -> Scene:
+    """A block that six rods hold, and a stick hinged to it: no other joint reaches the ground."""
+    corners = np.array([[1, 0, 0], [0, 1, 0], [-1, -1, 0], [1, 1, 0.1], [-1, 0.2, 0], [0.1, -1, 0.0]])
+    block = Body("block", 2.0, [0, 0, 1.0], np.diag([0.2, 0.3, 0.4]))
+    rods: list[Joint] = [
+        Rod(
+            f"rod_{k}",
+            "ground",
+            "block",
+            c,
+            point_on_second=0.3 * np.roll(corners, 2, axis=0)[k] + [0, 0, 0.9],
+        )
+        for k, c in enumerate(corners[:5])
+    ]
+    stick = bar("stick", [0, 0, 1.0], [0.2, 0.1, 1.6])
+    hinge = Revolute("hinge", "block", "stick", [0, 0, 1.0], axis=[0.1, 1.0, 0.0])
+    return Scene("platform", Mechanism([Body.ground(), block, stick], [*rods, hinge]), 0.5, 0.1, GRAVITY)
+
+
+def coupled_tree() -> Scene:
+    """A tree with a screw, a gear and a motion."""
+    bodies = [
+        Body.ground(),
+        bar("arm", [0.0, 0.0, 0.0], [0.1, 0.1, 0.5]),
+        bar("nut", [0.1, 0.1, 0.5], [0.4, 0.3, 0.6]),
+        wheel("wheel", [0.5, -0.3, 0.2], 0.2),
+    ]
+    joints: list[Joint] = [
+        Revolute("shoulder", "ground", "arm", [0.0, 0.0, 0.0], axis=[0.2, 1.0, 0.1]),
+        Screw("thread", "nut", "arm", [0.1, 0.1, 0.5], axis=[0.6, 0.0, 0.8], pitch=0.15),
+        Revolute("shaft", "ground", "wheel", [0.5, -0.3, 0.2], axis=[0.1, 0.2, 1.0]),
+    ]
+    motion = PrescribedMotion("shaft", Sine(0.4, 2.0, 0.5))
+    gears = [Gear("mesh", "shaft", "shoulder", 0.7)]
+    return Scene("tree", Mechanism(bodies, joints, gears), 0.5, 0.1, GRAVITY, motions=(motion,))
+
+
+AXES = {"tip": ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0]), "fork": ([0.6, 0.8, 0.0], [0.8, -0.6, 0.0])}
+
+
+def coupled_loop(cut: str) -> Scene:
+    """A loop with the same, and the joint that the tree cuts: a universal joint or the screw."""
+    points = [[0.0, 0.0, 0.0], [0.1, 0.1, 0.5], [0.4, 0.3, 0.6], [0.9, 0.3, 0.8], [1.0, 0.0, 0.0]]
+    names = ["ground", "arm", "nut", "strut", "link", "ground"]
+    bodies = [Body.ground()] + [
+        bar(name, a, b) for name, a, b in zip(names[1:-1], points[:-1], points[1:], strict=True)
+    ]
+    bodies.append(wheel("wheel", [0.5, -0.3, 0.2], 0.2))
+    order = ["thread", "tip", "fork"] if cut == "tip" else ["tip", "thread", "fork"]
+    joints: list[Joint] = [
+        Universal(
+            "shoulder",
+            "ground",
+            "arm",
+            [0.0, 0.0, 0.0],
+            axis_on_first=[0.0, 1.0, 0.0],
+            axis_on_second=[0.6, 0.0, -0.8],
+        ),
+        Revolute("shaft", "ground", "wheel", [0.5, -0.3, 0.2], axis=[0.1, 0.2, 1.0]),
+        Cylindrical("foot", "ground", "link", [1.0, 0.0, 0.0], axis=[0.0, 0.6, 0.8]),
+    ]
+    for k, name in enumerate(order, start=1):
+        ends = (name, names[k], names[k + 1], points[k])
+        joints.append(
+            Screw(*ends, axis=[0.6, 0.0, 0.8], pitch=0.15)
+            if name == "thread"
+            else Universal(*ends, axis_on_first=AXES[name][0], axis_on_second=AXES[name][1])
+        )
+    motion = PrescribedMotion(cut, Sine(0.2, 3.0, 0.1), coordinate=1)
+    gears = [Gear("mesh", "shaft", "tip", 0.7), Gear("rack", "fork", "foot", 0.3)]
+    return Scene(f"{cut}_loop", Mechanism(bodies, joints, gears), 0.5, 0.1, GRAVITY, motions=(motion,))
+
+
 JOINTS = {
     "planar": planar_chain(),
     "planar, reversed": planar_chain(forward=False),
@@ -290,3 +409,14 @@ FORCES = {
 """Springs and wrenches, on joints that are cut among others."""
 
 ELEMENTS = JOINTS | MOTIONS | FORCES
+
+COUPLED = {
+    "screw, gear and motion": coupled_tree(),
+    "screw, gear and motion, cut at a universal joint": coupled_loop("tip"),
+    "screw, gear and motion, cut at the screw": coupled_loop("thread"),
+    "planes, lines and rods": planes_and_rods(swapped=False),
+    "planes, lines and rods, reversed": planes_and_rods(swapped=True),
+    "platform on rods": rod_platform(),
+    "slide of two points, fixed post": offset_slide(),
+}
+"""Several elements in one mechanism."""

@@ -178,6 +178,19 @@ def planar_four_bar() -> Scene:
     return Scene("planar_four_bar", Mechanism(bodies, joints), 1.0, 0.1, GRAVITY)
 
 
+def parallel_cranks() -> Scene:
+    """Three equal cranks under one beam: redundant equations that drift can make inconsistent."""
+    rise = np.array([0.1, 0.0, 0.3])
+    feet = [np.array([x, 0.0, 0.0]) for x in (0.0, 0.3, 0.7)]
+    bodies = [Body.ground(), bar("beam", list(feet[0] + rise), list(feet[2] + rise), 2.0)]
+    joints: list[Joint] = []
+    for k, foot in enumerate(feet):
+        bodies.append(bar(f"crank_{k}", list(foot), list(foot + rise)))
+        joints.append(Revolute(f"foot_{k}", "ground", f"crank_{k}", foot, axis=[0, 1, 0]))
+        joints.append(Revolute(f"head_{k}", f"crank_{k}", "beam", foot + rise, axis=[0, 1, 0]))
+    return Scene("parallel_cranks", Mechanism(bodies, joints), 1.0, 0.1, GRAVITY)
+
+
 def scaled(scene: Scene, factor: float) -> Scene:
     """The same scene, `factor` times as large at the same density, in gravity that much stronger.
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ball_scenes import AXIS, SCENES, sphere, twisted_loop
-from equations_of_motion import ACCELERATIONS, REACTIONS, check_arrays, evaluations
 from finite_difference import derivative, jacobian
 from mechanisms import ball_loop, inertia, pendulum
 
@@ -20,7 +19,7 @@ from newton_euler.equations.balls import rotation_by, rotation_vector, spin, spi
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.exercise import random_states
-from newton_euler.integrators.compiled import FORMULATIONS, Code, formulate
+from newton_euler.integrators.compiled import FORMULATIONS
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint_kinds import Free, Spherical
 from newton_euler.model.spanning_tree import SpanningTree, weld_loops
@@ -29,33 +28,6 @@ both = pytest.mark.parametrize("formulation", FORMULATIONS)
 
 TIGHT = 1e-9
 """Of values near 1 after about ten oscillations at a tolerance of 1e-12 a step, some hundred steps."""
-
-ROUND_OFF = 1e-11
-"""Relative: condition numbers of 1e3 to 1e5 on round-off of 1e-16; the worst of these is at 5e-12."""
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_all_equations_of_motion_agree(name: str) -> None:
-    scene = SCENES[name]
-    assert scene.loaded_balls
-    for other, found, wanted in evaluations(scene):
-        check_arrays(other, found, wanted, (*ACCELERATIONS, *REACTIONS), ROUND_OFF)
-        for energy in ("kinetic_energy", "potential_energy"):
-            assert getattr(found, energy) == pytest.approx(getattr(wanted, energy), rel=1e-12), other
-
-
-@both
-@pytest.mark.parametrize("name", ["ball in a loop", "compound, reversed"])
-def test_native_code_says_the_same(formulation: str, name: str) -> None:
-    scene = SCENES[name]
-    system, code = formulate(scene, formulation), Code(scene, formulation)
-    for state in random_states(scene, 2):
-        q, v = system.coordinates(state)
-        found = code.function("derivative")(code.packed(q, v))
-        wanted = np.concatenate([system.rate(q, v), system.acceleration(q, v)])
-        assert found[system.work.start] == pytest.approx(wanted[system.work.start], rel=1e-12)  # power
-        largest = np.max(np.abs(wanted))
-        assert np.max(np.abs(found[: len(wanted)] - wanted)) < ROUND_OFF * largest
 
 
 # Rotation vectors

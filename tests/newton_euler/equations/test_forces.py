@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
+from elements import forced
 from mechanisms import (
     DAMPING,
     GRAVITY,
@@ -19,15 +19,12 @@ from mechanisms import (
     pendulum,
     planar_four_bar,
     seven_hinges,
-    slider_tree,
 )
 
 import newton_euler
 from newton_euler import PD, Body, JointSpring, Mechanism, PointSpring, Scene, State, Wrench
 from newton_euler.assemble import initial_state
-from newton_euler.equations.applied_forces import power
-from newton_euler.exercise import random_states
-from newton_euler.integrators.compiled import FORMULATIONS, Code, formulate
+from newton_euler.integrators.compiled import FORMULATIONS, formulate
 from newton_euler.integrators.options import Options
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joint_kinds import Free, Revolute
@@ -211,66 +208,10 @@ def test_a_force_off_the_centre_of_mass_turns_its_body(formulation):
     assert found.angular_acceleration[1] == pytest.approx(np.linalg.solve(tensor, torque), rel=1e-13)
 
 
-def loaded(scene):
-    """A scene with a spring and damper at every coordinate, between bodies, and wrenches on all."""
-    mechanism = scene.mechanism
-    forces = [
-        JointSpring(joint.name, 2.0, 0.5, 0.3, coordinate)
-        for joint in mechanism.joints
-        for coordinate in range(sum(motion.kind != "ball" for motion in joint.motions))
-    ]
-    names = mechanism.body_names
-    for k, (first, second) in enumerate(pairwise(names)):
-        ends = (
-            mechanism.bodies[k].center_of_mass + 0.1,
-            mechanism.bodies[k + 1].center_of_mass - [0.2, 0, 0],
-        )
-        forces.append(
-            PointSpring(f"s{k}", first, second, *ends, stiffness=20.0, rest_length=0.3, damping=1.0)
-        )
-    for k, body in enumerate(mechanism.bodies[1:]):
-        frame = "world" if k % 2 else "body"
-        at = body.center_of_mass + np.array([0.1, -0.2, 0.05])
-        forces.append(Wrench(f"w{k}", body.name, at, [1.0, 2.0, -3.0], [0.3, -0.2, 0.1], frame))
-    return replace(scene, forces=forces)
-
-
-@pytest.mark.parametrize(
-    ("build", "tolerance"), [(ball_loop, 1e-12), (seven_hinges, 1e-12), (slider_tree, 1e-11)]
-)
-def test_both_formulations_and_paths_agree(build, tolerance):
-    """Accelerations, reactions, energies and power; condition 1e3 (slider_tree: 1e4) times 1e-16."""
-    scene = loaded(build())
-    systems = [formulate(scene, name) for name in FORMULATIONS]
-    codes = [Code(scene, name) for name in FORMULATIONS]
-    for state in random_states(scene, 3):
-        wanted, *others = (system.evaluate(*system.coordinates(state)) for system in systems)
-        powers = []
-        for system, code in zip(systems, codes, strict=True):
-            q, v = system.coordinates(state)
-            rates = code.function("derivative")(code.packed(q, v))
-            acceleration = system.acceleration(q, v)
-            largest = np.abs(acceleration).max()
-            assert np.abs(rates[system.nq : -1] - acceleration).max() < tolerance * largest
-            powers += [rates[system.work.start], power(scene, *system.seen(q, v))]
-        assert powers == pytest.approx([powers[0]] * 4, rel=1e-11)
-        for found in others:
-            for name, share in (
-                ("linear_acceleration", tolerance),
-                ("angular_acceleration", tolerance),
-                ("reaction_force", tolerance),
-                ("reaction_torque", tolerance),
-                ("kinetic_energy", 1e-13),
-                ("potential_energy", 1e-13),
-            ):
-                x, y = getattr(found, name), getattr(wanted, name)
-                assert np.abs(x - y).max() < share * np.abs(y).max(), name
-
-
 @both
 @pytest.mark.parametrize("build", [ball_loop, seven_hinges], ids=lambda build: build.__name__)
 def test_the_balance_of_everything_at_once(formulation, build):
-    scene = replace(loaded(build()), duration=2.0)
+    scene = replace(forced(build()), duration=2.0)
     run = newton_euler.simulate(scene, formulation)
     energy = run.kinetic_energy + run.potential_energy
     assert np.abs(run.work).max() > 1.0  # J

@@ -50,7 +50,9 @@ def test_limits_are_changed_for_a_while_and_in_processes_that_are_started() -> N
         assert (limit("velocities"), limit("time"), limit("bodies")) == (12.5, 3.0, LIMITS["bodies"].default)
         assert os.environ[VARIABLE] == "velocities=12.5 time=3"
         assert exceeded("velocities", 12.5) == ""
-        assert exceeded("velocities", 13) == "13 velocities, at most 12.5; to allow it: --set velocities=13"
+        assert (
+            exceeded("velocities", 12.6) == "12.6 velocities, at most 12.5; to allow it: --set velocities=13"
+        )
     assert os.environ.get(VARIABLE) == before
 
 

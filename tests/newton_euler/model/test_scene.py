@@ -136,6 +136,10 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path, error):
     with atomic_file(path) as temporary:
         temporary.write_text("whole")
     assert [(p.name, p.read_text()) for p in path.parent.iterdir()] == [("a.txt", "whole")]
+    with path.open() as reader:
+        with atomic_file(path) as temporary:
+            temporary.write_text("new")
+        assert (reader.read(), path.read_text()) == ("whole", "new")  # who reads meanwhile has the old one
 
 
 def test_a_file_that_cannot_take_its_place_leaves_nothing(tmp_path):
