@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -13,10 +14,14 @@ from mjcf.reading.bodies import Bodies
 from mjcf.reading.start import Start
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.scalars import Array
-from newton_euler.verification.activity import Course, Judged
+from newton_euler.verification.activity import PARTS, UNSEEN, Bounds, Course, Judged
 
 CARRIED = (("geom_xpos", "geom_xmat"), ("site_xpos", "site_xmat"), ("xipos", "ximat"), ("xpos", "xmat"))
 """Arrays of MuJoCo's data that bodies carry along: points and rotation matrices."""
+
+
+HALVINGS = 6
+"""Of the time between outputs, where geoms may touch in it."""
 
 
 class Poses:
@@ -44,17 +49,30 @@ class Poses:
             local = into @ arms[:, :, None], into @ getattr(data, axes).reshape(-1, 3, 3)
             self._local[points] = local[0][:, :, 0], local[1]
 
+    @cached_property
+    def data(self) -> Any:
+        """MuJoCo's data that `put` writes to."""
+        return mujoco.MjData(self.model)
+
+    def put(self, centers: Array, quaternions: Array) -> Any:
+        """MuJoCo's data with bodies at centers of mass (b, 3), collisions and tendons not worked out."""
+        turns = np.array([rotation(q) for q in quaternions])
+        for points, axes in CARRIED:
+            owners, (arms, local) = self._owners[points], self._local[points]
+            getattr(self.data, points)[:] = centers[owners] + (turns[owners] @ arms[:, :, None])[:, :, 0]
+            getattr(self.data, axes)[:] = (turns[owners] @ local).reshape(-1, 9)
+        return self.data
+
     def along(self, course: Course) -> Iterator[tuple[float, Any]]:
-        """Each output time with MuJoCo's data there, collisions and tendons not worked out."""
-        data: Any = mujoco.MjData(self.model)
+        """Each output time with MuJoCo's data there."""
         run = course.run
         for time, centers, quaternions in zip(run.time, run.position, run.quaternion, strict=True):
-            turns = np.array([rotation(q) for q in quaternions])
-            for points, axes in CARRIED:
-                owners, (arms, local) = self._owners[points], self._local[points]
-                getattr(data, points)[:] = centers[owners] + (turns[owners] @ arms[:, :, None])[:, :, 0]
-                getattr(data, axes)[:] = (turns[owners] @ local).reshape(-1, 9)
-            yield float(time), data
+            yield float(time), self.put(centers, quaternions)
+
+    def reach(self, moves: Array, turns: Array, points: str, radii: Array | float = 0.0) -> Array:
+        """How far points or geoms get, m, where bodies (b,) move by so much, m, and turn, rad."""
+        owners, (arms, _) = self._owners[points], self._local[points]
+        return np.asarray(moves[owners] + turns[owners] * (np.linalg.norm(arms, axis=1) + radii))
 
 
 class Touching:
@@ -78,7 +96,45 @@ class Touching:
                 first = f"first at {time:.4g} s: {names}, {depth:.3g} m nearer than their margin"
         if count:
             return Judged(True, f"active at {count} of {len(course.time)} output times, {first}")
-        return Judged(False, f"inactive at all {len(course.time)} output times")
+        for n in range(len(course.time) - 1):
+            if found := self._within(course, n, 0.0, 1.0, HALVINGS):
+                return Judged(True, found)
+        return Judged(False, f"inactive at all {len(course.time)} output times and between them")
+
+    def _within(self, course: Course, n: int, start: float, end: float, halvings: int) -> str:
+        """Words on contacts between shares of the step after output n; "" if there are none for certain."""
+        poses, step = self._poses, float(course.time[n + 1] - course.time[n])
+        middle = float(course.time[n]) + 0.5 * (start + end) * step
+        ahead = 0.5 * (end - start) * step
+        (speeds, spins), (blur, unsure) = course.speeds, course.blur
+        radii = poses.model.geom_rbound
+        reach = poses.reach(speeds[n] * ahead + blur[n], spins[n] * ahead + unsure[n], "geom_xpos", radii)
+        worst = self._nearest(poses.put(*course.poses(n, middle)), reach)
+        if worst < 0.0:
+            return f"active between output times, at {middle:.4g} s"
+        if worst == np.inf:
+            return ""
+        if halvings == 0:
+            return UNSEEN
+        half = 0.5 * (start + end)
+        return self._within(course, n, start, half, halvings - 1) or self._within(
+            course, n, half, end, halvings - 1
+        )
+
+    def _nearest(self, data: Any, reach: Array) -> float:
+        """Least room of geoms that may touch within their reaches (ngeom,), m; infinite if none may."""
+        model, most = self._poses.model, 2.0 * float(np.max(reach, initial=0.0))
+        if not np.isfinite(most):
+            return 0.0
+        margins = model.geom_margin.copy(), model.pair_margin.copy()
+        model.geom_margin += 0.5 * most  # those of both geoms add up
+        model.pair_margin += most
+        mujoco.mj_collision(model, data)
+        model.geom_margin[:], model.pair_margin[:] = margins
+        contact = data.contact
+        room = contact.dist - (contact.includemargin - most)
+        near = np.where(contact.geom >= 0, reach[contact.geom], 0.5 * most).sum(axis=1)  # or a flex
+        return float(np.min(room[(room < near) & (contact.exclude == 0)], initial=np.inf))
 
     def _name(self, geom: int) -> str:
         if geom < 0:
@@ -98,13 +154,21 @@ class Stretched:
         model = self._poses.model
         margin = float(model.tendon_margin[self._tendon])
         low, high = (float(x) for x in model.tendon_range[self._tendon])
-        lengths = []
-        for _, data in self._poses.along(course):
-            mujoco.mj_tendon(model, data)
-            lengths.append(float(data.ten_length[self._tendon]))
-        room = np.minimum(np.array(lengths) - low, high - np.array(lengths)) - margin
-        least = int(np.argmin(room))
-        if room[least] >= 0.0:
-            return Judged(False, f"closest {room[least]:.3g} m at {course.time[least]:.4g} s")
-        first = float(course.time[int(np.argmax(room < 0.0))])
-        return Judged(True, f"passed from {first:.4g} s on, by up to {-room[least]:.3g} m")
+        times, lengths = (
+            [float(course.time[0])],
+            [self._length(course.run.position[0], course.run.quaternion[0])],
+        )
+        for n in range(len(course.time) - 1):
+            for at in np.linspace(course.time[n], course.time[n + 1], PARTS + 1)[1:].tolist():
+                times.append(at)
+                lengths.append(self._length(*course.poses(n, at)))
+        sites = int(model.tendon_num[self._tendon])
+        moved = (self._poses.reach(*each, "site_xpos") for each in zip(*course.blur, strict=True))
+        blur = [2.0 * sites * float(np.max(each)) for each in moved]
+        limits = Bounds((), low + margin, high - margin, "m")
+        return limits.judged(np.array(times), np.array(lengths), np.repeat(blur, PARTS))
+
+    def _length(self, centers: Array, quaternions: Array) -> float:
+        data = self._poses.put(centers, quaternions)
+        mujoco.mj_tendon(self._poses.model, data)
+        return float(data.ten_length[self._tendon])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mjcf.read import read
@@ -42,7 +43,7 @@ def mjcf(folder: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     ("duration", "margin", "fate", "how"),
     [
-        (0.48, 0.0, "inactive", "inactive at all 49 output times"),
+        (0.48, 0.0, "inactive", "inactive at all 49 output times and between them"),
         # it has 1.2 m to fall, sqrt(2 * 1.2 / 10) = 0.4899 s
         (
             0.5,
@@ -106,6 +107,33 @@ def test_limits_of_tendons_through_sites(limit, fate, tmp_path):
     found, how = told(after(mjcf(tmp_path, text), 1.0), "tendon 't': its limits")
     assert found == fate
     assert ("0.0411 m at 1 s" if fate == "inactive" else "passed from 0.94 s on, by up to 0.0589 m") in how
+
+
+SHOT = """<mujoco><option gravity="0 0 0"/><worldbody><geom type="box" size="1 1 0.001" pos="0 0 {plate}"/>
+<body pos="{x} 0 1.5"><freejoint/><geom type="sphere" size="0.02" mass="1"/></body></worldbody>
+<keyframe><key qpos="{x} 0 1.5 1 0 0 0" qvel="0 0 -100 0 0 0"/></keyframe></mujoco>"""
+"""A ball that moves by 1 m from output to output, with a plate in its way, 0.5 m from the nearest of them."""
+
+
+@pytest.mark.parametrize(("x", "fate"), [(0, "left out"), (1.1, "inactive")])
+def test_contacts_between_outputs_are_seen(x, fate, tmp_path):
+    found, how = told(after(mjcf(tmp_path, SHOT.format(x=x, plate=0)), 0.03), "2 geoms that can touch")
+    assert found == fate
+    assert ("active between output times, at 0.015 s" in how) == (fate == "left out")
+
+
+@pytest.mark.parametrize(
+    ("rate", "how"),
+    [(100.0 * np.pi, "passed between output times, from 0.00375 s on"), (200.0 * np.pi, "ask")],
+)
+def test_limits_between_outputs_are_seen_or_said_not_to_be(rate, how, tmp_path):
+    """Half a period of a swing of 1 rad, or a whole one, from output to output, where it is at its middle."""
+    inertia = 1e3 + (0.5**2 + 0.1**2) / 3.0 + 0.5**2
+    joint = f'range="-40 40" stiffness="{inertia * rate**2!r}" armature="1e3"'
+    text = SWING.format(gravity=0, joint=joint, more=f'<keyframe><key qvel="{rate!r}"/></keyframe>')
+    fate, said = told(after(mjcf(tmp_path, text), 0.1), "joint 'j': its limits")
+    assert fate == "left out"
+    assert how in said
 
 
 @pytest.mark.parametrize(("limit", "fate"), [(2.9, "left out"), (3.1, "inactive")])
