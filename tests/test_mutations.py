@@ -60,7 +60,7 @@ MISTAKES = {
         "newton_euler/equations/independence.py",
         "ROUND_OFF = 1e-10",
         "ROUND_OFF = 1e-18",
-        "newton_euler/equations/test_nearly_redundant.py",
+        "newton_euler/equations/test_nearly_redundant.py::test_engines_omit_the_same_constraint",
     ),
     "a missing gyroscopic torque": (
         "newton_euler/equations/relative.py",
@@ -349,6 +349,37 @@ MISTAKES = {
         "status = UNFINISHED  #",
         "status = AGREE  #",
         "newton_euler/integrators/test_stopped.py::test_crosscheck_run_compares_what_each_engine_computed",
+    ),
+    "a tolerance of trajectories without the mechanism's reach": (
+        "crosscheck/comparison/runs.py",
+        "value, tolerance = float(np.max(gaps)), fixed * unit",
+        "value, tolerance = float(np.max(gaps)), fixed",
+        "crosscheck/comparison/test_unsettled.py::"
+        "test_lengths_are_held_to_the_reach_of_the_mechanism_and_angles_to_a_radian",
+    ),
+    "the joint that is least open blamed": (
+        "crosscheck/comparison/blame.py",
+        "return mechanism.joint_names[int(np.argmax(openings))]",
+        "return mechanism.joint_names[int(np.argmin(openings))]",
+        "crosscheck/comparison/test_blame.py",
+    ),
+    "a limit that is not checked": (
+        "crosscheck/scenes/size.py",
+        '{"terms": terms, "cycles": cycles}',
+        '{"cycles": cycles}',
+        "crosscheck/scenes/test_size.py",
+    ),
+    "a unit lost from a known figure": (
+        "crosscheck/report/run.py",
+        'f"{first.known.quantity}, {first.known.unit}"',
+        "first.known.quantity",
+        "crosscheck/report/test_run_tables.py",
+    ),
+    "a reference value in the column of what was found": (
+        "crosscheck/report/run.py",
+        'f"{first.result:.12g}"',
+        'f"{first.known.value:.12g}"',
+        "crosscheck/report/test_run_tables.py",
     ),
 }
 """File, what is there, what is made of it, and the tests that see it: a file or a function."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import subprocess
 import sys
 from dataclasses import replace
@@ -210,20 +209,6 @@ def test_output_that_nobody_reads(tmp_path, good):
         done = command(tmp_path, "run", "scene.yaml", "--engines", "pinocchio", stdout=closed)
     line = "crosscheck: error: cannot write standard output: Broken pipe\n"
     assert (done.returncode, done.stderr) == (2, line)
-
-
-@pytest.mark.parametrize("size", [100, 100_000])
-def test_a_full_disk_leaves_all_files_or_none(tmp_path, good, size):
-    """The summary, which is written first, is longer than 100 bytes, the recording than 100 kB."""
-    scene_file(tmp_path, good)
-    limit = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))  # noqa: E731
-    arguments = ("scene.yaml", "--engines", "newton_euler", "--output", "out")
-    done = command(tmp_path, "run", *arguments, preexec_fn=limit)
-    assert done.returncode == 2
-    assert done.stderr.startswith("crosscheck: error: cannot write out/")
-    assert done.stderr.endswith(": File too large\n")
-    assert len(done.stderr.splitlines()) == 1
-    assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_an_interrupt_is_one_line(tmp_path, capsys, good, monkeypatch):

@@ -30,8 +30,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from urdf import tight as urdf_tight
 from urdf.dynamics import PinocchioSystem
-from urdf.errors import LoopFileError, UrdfError
-from urdf.loops import parse_loops
+from urdf.errors import UrdfError
 
 ENGINES = (RigidMuJoCo, PinocchioSystem)
 
@@ -186,23 +185,6 @@ def test_the_loop_file_holds_rods_and_couplings() -> None:
         {"spindle_1": 1.0, "spindle_2": -0.1},
         {"lid_1": 1.0, "lid_2": 0.05},
     ]
-
-
-@pytest.mark.parametrize(
-    "entry", ["[1]", "[{a: fast}]", "[{a: 1e400}]", "[{a: .nan}]", "[[a, 1.0]]", "{a: 1.0}", "[{a: true}]"]
-)
-def test_couplings_of_a_loop_file_are_checked(entry: str) -> None:
-    text = urdf.to_loops(pendulum()) + f"coupled: {entry}\n"
-    with pytest.raises(LoopFileError, match=r"loops.yaml: coupled: "):
-        parse_loops(text, "loops.yaml")
-
-
-def test_couplings_of_a_loop_file_are_of_joints_of_the_urdf() -> None:
-    from urdf.model import build
-
-    text = urdf.to_loops(pendulum()) + "coupled: [{pivot: 1.0, axle: 2.0}]\n"
-    with pytest.raises(LoopFileError, match="coupled: the URDF has no moving joint 'axle'"):
-        build(urdf.to_urdf(pendulum()), parse_loops(text, "loops.yaml"))
 
 
 # What the tight loops of benchmarks refuse

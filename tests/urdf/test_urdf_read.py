@@ -19,7 +19,7 @@ from newton_euler.model.compound_joint import Compound
 from newton_euler.model.joint_kinds import Fixed, Free, Prismatic, Revolute, Spherical
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from urdf.errors import LoopFileError, UrdfError
+from urdf.errors import UrdfError
 from urdf.read import Reading, read
 
 
@@ -171,27 +171,6 @@ def test_there_and_back(name: str, tmp_path: Path) -> None:
         if not fixed:
             assert back.mechanism.bodies[i].mass == pytest.approx(body.mass, rel=1e-15)
             assert back.mechanism.bodies[i].center_of_mass == pytest.approx(body.center_of_mass, abs=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("loops", "message"),
-    [
-        ("closed_loop: []\n", "type: missing"),
-        (LOOPS.format(pairs="[[tip_a, tip_b]]", types="[5d]", motors="[]"), "type: unknown '5d'"),
-        (
-            LOOPS.format(pairs="[[tip_a, tip_b]]", types="[]", motors="[]"),
-            "type: 0 entries for 1 of closed_loop",
-        ),
-        (LOOPS.format(pairs="[[tip_a, tip_x]]", types="[3d]", motors="[]"), "has no link or joint 'tip_x'"),
-        (LOOPS.format(pairs="[]", types="[]", motors="[jx]"), "no moving joint 'jx'"),
-        ("[" * 5000, "document: not YAML: line 1: nested too deeply"),
-    ],
-)
-def test_loop_files_that_cannot_be(loops: str, message: str, tmp_path: Path) -> None:
-    with pytest.raises(LoopFileError) as caught:
-        reading(tmp_path, robot(*TIPS), loops)
-    assert str(caught.value).startswith(str(tmp_path / "robot.yaml"))
-    assert message in str(caught.value)
 
 
 def test_joints_that_move_no_mass_are_held_and_reported(tmp_path: Path) -> None:

@@ -292,6 +292,14 @@ def test_missing_key_is_named(tracker, key):
         ("closed_loop", [["ball_67_on_leg_6", "nothing"]], "no link or joint 'nothing'"),
         ("closed_loop", [["ball_67_on_leg_6"]], "is not a pair of frame names"),
         ("closed_loop", None, "'null' is not a list"),
+        ("coupled", [1], ""),
+        ("coupled", [["slide_12", 1.0]], ""),
+        ("coupled", {"slide_12": 1.0}, ""),
+        ("coupled", [{"slide_12": "fast"}], "'fast'"),
+        ("coupled", [{"slide_12": True}], "true"),
+        ("coupled", [{"slide_12": float("nan")}], ".nan"),
+        ("coupled", [{"slide_12": 1e300}], "at most 1e+15 in magnitude"),
+        ("coupled", [{"slide_12": 1.0, "axle": 2.0}], "the URDF has no moving joint 'axle'"),
     ],
 )
 def test_bad_entry_is_named_with_its_file_and_key(tracker, key, value, problem):

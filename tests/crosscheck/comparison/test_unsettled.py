@@ -10,7 +10,7 @@ import pytest
 from mechanisms import pendulum
 from verdicts import figure, verdicts
 
-from crosscheck.comparison.figure import not_judged
+from crosscheck.comparison.figure import POSES, not_judged
 from crosscheck.engines import ENGINES
 from crosscheck.report.output import write
 from crosscheck.report.page import write_report
@@ -32,6 +32,18 @@ def test_refinement_excuses_no_more_than_a_hundredth():
     row = figure(rows, "trajectories", "positions, m", "newton_euler", "pinocchio")
     assert not row.agrees
     assert row.tolerance < 0.05
+
+
+@pytest.mark.parametrize("length", [0.2, 30.0])
+def test_lengths_are_held_to_the_reach_of_the_mechanism_and_angles_to_a_radian(length):
+    scene = replace(pendulum(length), duration=0.1)
+    engines = [ENGINES["newton_euler"], ENGINES["pinocchio"]]
+    rows = verdicts(scene, engines)
+    positions, orientations = (figure(rows, "trajectories", q, *(e.name for e in engines)) for q in POSES)
+    share = sum(engine.trajectory_error for engine in engines)
+    # the bar's center is half of its length from the hinge; less than 1 m counts as that
+    assert positions.tolerance == pytest.approx(max(1.0, 0.5 * length) * share, rel=1e-12)
+    assert orientations.tolerance == pytest.approx(share, rel=1e-12)
 
 
 def shifted(run, far):

@@ -14,10 +14,8 @@ import newton_euler
 import urdf
 from crosscheck.comparison.coverage import covered_by
 from crosscheck.comparison.energy import energy_balance
-from crosscheck.errors import CrosscheckError
 from crosscheck.model_files.convert import scene_report, write_as
 from crosscheck.scenes import load
-from crosscheck.scenes.size import check_functions, check_scene
 from crosscheck.scenes.write_file import write_scene
 from mjcf.rigid import RigidMuJoCo
 from mjcf.tight import Rollout, Stepper, compiled
@@ -146,18 +144,6 @@ def test_an_mjcf_holds_the_control_of_the_start(tmp_path):
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
     assert data.actuator_force == pytest.approx([CONSTANT + STIFFNESS * TARGET])
-
-
-def test_too_many_cycles_are_refused():
-    law = PD("rail", 0.0, 0.0, 0.0, feedforward=Sine(1.0, 1e14))
-    with pytest.raises(CrosscheckError, match="cycles"):
-        check_scene(mass_on_rail(control=(law,)))
-
-
-def test_many_slow_laws_are_not_many_cycles():
-    """As a humanoid that is exercised has: steps are as short as the fastest of them needs."""
-    law = PD("rail", 0.0, 0.0, 0.0, feedforward=Sine(1.0, 10.0))
-    check_functions("here", mass_on_rail().mechanism, (), [law] * 300, duration=10.0)
 
 
 def test_only_numbers_and_functions_are_taken():
