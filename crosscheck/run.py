@@ -172,6 +172,9 @@ class Crosscheck:
             said += f"; {self.coverage}"
         elif len(self.engines) > 1:
             said += "; what the motion covers is not known"
+        originals = self.mapping.originals if self.mapping else []
+        if originals and not any(original.tells for original, _ in originals):
+            said += "; motions are not verified against the file: no state tells them"
         if self.mapping and (counts := self.mapping.counts()):
             said += f"; of the file {counts}"
         return said

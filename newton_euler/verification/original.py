@@ -323,6 +323,11 @@ class Original(ABC):
             found += self._first_closed(tried, start, rng)
         return found
 
+    @property
+    def tells(self) -> bool:
+        """True if motions that differ by more than `LOOSEST` show at any of the samples."""
+        return any(sample.tells for sample in self.samples)
+
     def _first_closed(
         self, tried: Iterable[Array], start: Sample, rng: np.random.Generator
     ) -> Iterator[Sample]:

@@ -15,6 +15,7 @@ from urdf_files import joint, link, robot
 
 import urdf
 from crosscheck.engines import ENGINES
+from crosscheck.run import crosscheck
 from crosscheck.studies.faults.misreadings import misreadings
 from crosscheck.studies.faults.reading import find_in_reading
 from mjcf.accounts import unaccounted
@@ -338,6 +339,15 @@ def test_the_line_tells_what_few_states_show(text: str, said: str, limited: str,
     (line,) = (line for line in reading(tmp_path, text).report.start if line.startswith("verified"))
     assert said in line
     assert line.partition("; ")[2] == limited
+
+
+@pytest.mark.parametrize(("tilt", "told"), [("1e-4", True), ("0", False)])
+def test_a_verdict_says_that_no_state_tells_motions(tilt: str, told: bool, tmp_path: Path) -> None:
+    found = reading(tmp_path, TILTED.format(tilt), duration=0.02, verified=False)
+    rigid = [engine for engine in ENGINES.values() if engine.soft_start is None]
+    result = crosscheck(found.scene, rigid, lambda _: None, "tilted", {}, found.report)
+    assert result.agrees
+    assert ("; motions are not verified against the file: no state tells them" in result.verdict) == told
 
 
 def test_loops_that_close_nowhere_far_away_are_moved_a_little(
