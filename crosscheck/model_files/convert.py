@@ -41,7 +41,7 @@ def write_as(scene: Scene, path: Path, report: ImportReport) -> list[Path]:
     """
     check_target(path)
     if path.suffix in SCENE_FILES:
-        from crosscheck.scenes.write_file import write_scene
+        from crosscheck.scenes.scene_file import write_scene
 
         write_scene(scene, path)
         return [path]

@@ -1,27 +1,29 @@
-"""What scene files hold: the form of each entry, and what is made of it.
+"""Entries of scene files: one for each class of `newton_euler`, with names and defaults of its attributes.
 
-Names are those of the classes and their attributes in `newton_euler`; SI, world frame at the initial pose.
+SI, world frame at the initial pose. An entry is a pydantic model, which checks the form of what a file says
+and builds the element; `content` is the way back.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable
+from dataclasses import MISSING, fields
+from typing import Annotated, Any, ClassVar, ForwardRef, Literal, Union
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model
 from pydantic_core import PydanticCustomError
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes.size import check_counts, check_functions, check_mechanism
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear, LinearCoupling
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.geometry import Box, Capsule
-from newton_euler.model.joint import Joint
-from newton_euler.model.joint_kinds import JOINT_KINDS, Screw
+from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
+from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum
 from newton_euler.model.scene import OUTPUTS, REDUNDANCY_TOLERANCE, Scene
 from newton_euler.model.state import State
 
@@ -51,159 +53,92 @@ Index = Annotated[int, BeforeValidator(_no_truth_value)]
 Vector = tuple[Number, Number, Number]
 Quaternion = tuple[Number, Number, Number, Number]
 
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid")
-
-
-class BoxEntry(_Strict):
-    """A box; world frame at the initial pose, m."""
-
-    kind: Literal["box"]
-    half_sizes: Vector
-    center: Vector
-    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
-
-    def build(self) -> Box:
-        return Box(**self.model_dump(exclude={"kind"}))
+FORMS: dict[str, Any] = {
+    "str": str,
+    "bool": bool,
+    "int": Index,
+    "float": Number,
+    "Array": Vector,
+    "Array | None": Vector | None,
+    "tuple[float, ...]": list[Number],
+    "tuple[tuple[str, int, float], ...]": list[tuple[str, Index, Number]],
+    "Literal['world', 'body']": Literal["world", "body"],
+}
+"""Forms of attributes by their annotations."""
 
 
-class CapsuleEntry(_Strict):
-    """A round bar; world frame at the initial pose, m."""
+class Entry(BaseModel):
+    """The part of a scene file that makes an object of one class."""
 
-    kind: Literal["capsule"]
-    start: Vector
-    end: Vector
-    radius: Number
+    model_config = ConfigDict(extra="forbid", defer_build=True)
+    made: ClassVar[type]
+    named: ClassVar[str]
 
-    def build(self) -> Capsule:
-        return Capsule(**self.model_dump(exclude={"kind"}))
-
-
-class BodyEntry(_Strict):
-    """A body; world frame at the initial pose, SI."""
-
-    name: str
-    mass: Number
-    center_of_mass: Vector
-    inertia: tuple[Vector, Vector, Vector]
-    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    shapes: list[Annotated[BoxEntry | CapsuleEntry, Field(discriminator="kind")]] = []
-    allow_unrealisable_inertia: bool = False
-
-    def build(self) -> Body:
+    def build(self) -> Any:
+        """Build the object; raises `NewtonEulerError` for one that cannot be."""
+        given = {name: getattr(self, name) for name in type(self).model_fields if name != "kind"}
         try:
-            shapes = tuple(shape.build() for shape in self.shapes)
+            given = {name: _built(value) for name, value in given.items()}
         except NewtonEulerError as error:
-            raise CrosscheckError(f"body {self.name!r}: {error}") from error
-        return Body(**self.model_dump(exclude={"shapes"}), shapes=shapes)
+            name = f"{self.made.__name__.lower()} {given['name']!r}: " if "name" in given else ""
+            raise CrosscheckError(f"{name}{error}") from error
+        return self.made(**given)
 
 
-class JointEntry(_Strict):
-    """A joint; which axes it needs depends on its kind."""
-
-    name: str
-    kind: str
-    first: str
-    second: str
-    point: Vector
-    point_on_second: Vector | None = None
-    axis: Vector | None = None
-    axis_on_first: Vector | None = None
-    axis_on_second: Vector | None = None
-    pitch: Number | None = None
-    slides: list[Vector] | None = None
-    hinges: list[Vector] | None = None
-    offsets: list[Vector] | None = None
-    ball: bool | None = None
-    actuated: bool = False
-
-    def build(self) -> Joint:
-        where = f"joint {self.name!r}"
-        if self.kind not in JOINT_KINDS:
-            raise CrosscheckError(
-                f"{where}: unknown kind {self.kind!r}; choose from: {', '.join(JOINT_KINDS)}"
-            )
-        kind = JOINT_KINDS[self.kind]
-        given = {
-            name: getattr(self, name)
-            for name in ("axis", "axis_on_first", "axis_on_second", "pitch")
-            if getattr(self, name) is not None
-        }
-        needed = (*kind.axis_names, "pitch") if kind is Screw else kind.axis_names
-        for name in ("slides", "hinges", "offsets", "ball"):
-            value = getattr(self, name)
-            if value is not None and kind is not Compound:
-                raise CrosscheckError(f"{where}: {name} are of compound joints only")
-        if set(given) != set(needed):
-            raise CrosscheckError(
-                f"{where}: a {self.kind} joint needs {' and '.join(needed) or 'no axis'}, "
-                f"got {' and '.join(given) or 'none'}"
-            )
-        if kind is Compound:
-            given |= {"slides": self.slides or (), "hinges": self.hinges or (), "ball": self.ball or False}
-            given |= {"offsets": self.offsets}
-        arguments: dict[str, Any] = given | {
-            "point_on_second": self.point_on_second,
-            "actuated": self.actuated,
-        }
-        return kind(self.name, self.first, self.second, self.point, **arguments)  # type: ignore[arg-type]
+def _built(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(map(_built, value))
+    return value.build() if isinstance(value, Entry) else value
 
 
-class GearEntry(_Strict):
-    """Two joint coordinates in a constant ratio."""
-
-    kind: Literal["gear"]
-    name: str
-    driver: str
-    follower: str
-    ratio: Number
-    driver_coordinate: Index = 0
-    follower_coordinate: Index = 0
-
-    def build(self) -> Gear:
-        return Gear(**self.model_dump(exclude={"kind"}))
+ENTRIES: dict[type, type[Entry]] = {}
+"""Entries by what they make."""
 
 
-class LinearEntry(_Strict):
-    """A sum of joint coordinates, each times a factor, that stays 0."""
+def _entry(made: type, kind: str = "", **forms: Any) -> Any:
+    """Declare the entry of a class.
 
-    kind: Literal["linear"]
-    name: str
-    terms: list[tuple[str, Index, Number]]
-
-    def build(self) -> LinearCoupling:
-        return LinearCoupling(self.name, tuple(self.terms))
-
-
-class JointSpringEntry(_Strict):
-    """A spring and damper on a joint coordinate."""
-
-    kind: Literal["joint_spring"]
-    joint: str
-    stiffness: Number = 0.0
-    damping: Number = 0.0
-    rest: Number = 0.0
-    coordinate: Index = 0
-
-    def build(self) -> JointSpring:
-        return JointSpring(**self.model_dump(exclude={"kind"}))
+    Args:
+        made: a dataclass.
+        kind: of the entry, in a list of several kinds.
+        forms: of attributes whose annotations do not say them; None for one that files do not have.
+    """
+    declared: dict[str, Any] = {"kind": (Literal[kind], ...)} if kind else {}
+    for field in fields(made):
+        form = forms[field.name] if field.name in forms else FORMS[str(field.type)]
+        default = field.default if field.default_factory is MISSING else ()
+        if form is not None:
+            declared[field.name] = form, ... if default is MISSING else default
+    ENTRIES[made] = create_model(made.__name__, __base__=Entry, **declared)
+    ENTRIES[made].made, ENTRIES[made].named = made, kind
+    return ENTRIES[made]
 
 
-class BallSpringEntry(_Strict):
-    """A spring and damper on a joint's ball; `rest` is a rotation vector, rad."""
-
-    kind: Literal["ball_spring"]
-    joint: str
-    stiffness: Number = 0.0
-    damping: Number = 0.0
-    rest: Vector = (0.0, 0.0, 0.0)
-
-    def build(self) -> BallSpring:
-        return BallSpring(**self.model_dump(exclude={"kind"}))
+def _several(form: Any) -> Any:
+    """A list of one form, for lack of static types."""
+    return list[form]
 
 
-class ArmatureEntry(_Strict):
+def _one_of(entries: Iterable[Any]) -> Any:
+    return Annotated[Union[tuple(entries)], Field(discriminator="kind")]  # noqa: UP007 (of any number)
+
+
+QUATERNION: dict[str, Any] = {"quaternion": Quaternion}
+SHAPE = _one_of([_entry(Box, "box", **QUATERNION), _entry(Capsule, "capsule")])
+BODY = _entry(Body, inertia=tuple[Vector, Vector, Vector], shapes=_several(SHAPE), meshes=None, **QUATERNION)
+ROWS: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vector])
+JOINT = _one_of(_entry(made, kind, **ROWS) for kind, made in JOINT_KINDS.items())
+COUPLING = _one_of([_entry(Gear, "gear"), _entry(LinearCoupling, "linear")])
+SPRINGS = {"joint_spring": JointSpring, "ball_spring": BallSpring, "point_spring": PointSpring}
+FORCE = _one_of(_entry(made, kind) for kind, made in (SPRINGS | {"wrench": Wrench}).items())
+SUM = _entry(Sum, "sum", terms=_several(ForwardRef("FUNCTION")))
+FUNCTION = _one_of([_entry(Polynomial, "polynomial"), _entry(Sine, "sine"), SUM])
+SUM.model_rebuild(_types_namespace={"FUNCTION": FUNCTION})
+CONTROL = _entry(PD, feedforward=Union[Number, FUNCTION])  # noqa: UP007
+MOTION = _entry(PrescribedMotion, function=FUNCTION)
+
+
+class ArmatureEntry(Entry):
     """A rotor inertia on a joint coordinate, or on a joint's ball."""
 
     joint: str
@@ -221,108 +156,7 @@ class ArmatureEntry(_Strict):
         return BallArmature(self.joint, self.inertia)
 
 
-class PointSpringEntry(_Strict):
-    """A spring and damper between points of two bodies."""
-
-    kind: Literal["point_spring"]
-    name: str
-    first: str
-    second: str
-    point_on_first: Vector
-    point_on_second: Vector
-    stiffness: Number
-    rest_length: Number
-    damping: Number = 0.0
-
-    def build(self) -> PointSpring:
-        return PointSpring(**self.model_dump(exclude={"kind"}))
-
-
-class WrenchEntry(_Strict):
-    """A constant force at a point of a body, and a constant torque."""
-
-    kind: Literal["wrench"]
-    name: str
-    body: str
-    point: Vector
-    force: Vector = (0.0, 0.0, 0.0)
-    torque: Vector = (0.0, 0.0, 0.0)
-    frame: Literal["world", "body"] = "world"
-
-    def build(self) -> Wrench:
-        return Wrench(**self.model_dump(exclude={"kind"}))
-
-
-ForceEntry = Annotated[
-    JointSpringEntry | BallSpringEntry | PointSpringEntry | WrenchEntry, Field(discriminator="kind")
-]
-
-
-class PolynomialEntry(_Strict):
-    """c_0 + c_1 t + c_2 t^2 + ..."""
-
-    kind: Literal["polynomial"]
-    coefficients: list[Number]
-
-    def build(self) -> Polynomial:
-        return Polynomial(tuple(self.coefficients))
-
-
-class SineEntry(_Strict):
-    """offset + amplitude sin(angular_frequency t + phase)."""
-
-    kind: Literal["sine"]
-    amplitude: Number
-    angular_frequency: Number
-    phase: Number = 0.0
-    offset: Number = 0.0
-
-    def build(self) -> Sine:
-        return Sine(**self.model_dump(exclude={"kind"}))
-
-
-class SumEntry(_Strict):
-    """The sum of functions of time."""
-
-    kind: Literal["sum"]
-    terms: list[FunctionEntry]
-
-    def build(self) -> Sum:
-        return Sum(tuple(term.build() for term in self.terms))
-
-
-FunctionEntry = Annotated[PolynomialEntry | SineEntry | SumEntry, Field(discriminator="kind")]
-
-
-class ControlEntry(_Strict):
-    """A PD law; `target` is a joint coordinate, zero at the initial pose."""
-
-    joint: str
-    stiffness: Number
-    damping: Number
-    target: Number
-    coordinate: Index = 0
-    feedforward: Number | FunctionEntry = 0.0
-
-    def build(self) -> PD:
-        given = self.feedforward
-        u_0: float | TimeFunction = given if isinstance(given, int | float) else given.build()
-        return PD(self.joint, self.stiffness, self.damping, self.target, self.coordinate, u_0)
-
-
-class MotionEntry(_Strict):
-    """A joint coordinate that follows a function of time."""
-
-    joint: str
-    function: FunctionEntry
-    coordinate: Index = 0
-
-    def build(self) -> PrescribedMotion:
-        function: TimeFunction = self.function.build()
-        return PrescribedMotion(self.joint, function, self.coordinate)
-
-
-class StateEntry(_Strict):
+class StateEntry(Entry):
     """The initial state of one body, world frame, SI; what is left out is as in the initial pose, at rest."""
 
     position: Vector | None = None
@@ -331,57 +165,79 @@ class StateEntry(_Strict):
     angular_velocity: Vector | None = None
 
 
-class SceneEntry(_Strict):
+class _Scene(Entry):
     """A scene file."""
 
-    name: str
-    description: str = ""
-    gravity: Vector = (0.0, 0.0, 0.0)
-    duration: Number
-    output_period: Number
-    ground: str = "ground"
-    bodies: list[BodyEntry]
-    joints: list[JointEntry]
-    couplings: list[Annotated[GearEntry | LinearEntry, Field(discriminator="kind")]] = []
-    control: list[ControlEntry] = []
-    forces: list[ForceEntry] = []
-    motions: list[MotionEntry] = []
-    armatures: list[ArmatureEntry] = []
-    redundancy_tolerance: float = REDUNDANCY_TOLERANCE
-    initial_state: dict[str, StateEntry] = {}
-    outputs: list[str] = list(OUTPUTS)
-
     def build(self) -> Scene:
-        loops = len(self.joints) - len(self.bodies) + len(self.couplings)
-        forces = len(self.control) + len(self.forces) + len(self.armatures)
-        check_counts("file", {"bodies": len(self.bodies), "closures": loops, "forces": forces})
-        bodies = [Body.ground(self.ground), *(body.build() for body in self.bodies)]
-        joints = [joint.build() for joint in self.joints]
-        mechanism = Mechanism(bodies, joints, [gear.build() for gear in self.couplings])
+        given: Any = self
+        loops = len(given.joints) - len(given.bodies) + len(given.couplings)
+        forces = len(given.control) + len(given.forces) + len(given.armatures)
+        check_counts("file", {"bodies": len(given.bodies), "closures": loops, "forces": forces})
+        bodies = [Body.ground(given.ground), *_built(given.bodies)]
+        mechanism = Mechanism(bodies, _built(given.joints), _built(given.couplings))
         check_mechanism("file", mechanism)
-        motions = tuple(motion.build() for motion in self.motions)
-        control = tuple(law.build() for law in self.control)
-        check_functions("file", mechanism, motions, control, self.duration)
+        motions, control = _built(given.motions), _built(given.control)
+        check_functions("file", mechanism, motions, control, given.duration)
         return Scene(
-            self.name,
+            given.name,
             mechanism,
-            self.duration,
-            self.output_period,
-            gravity=self.gravity,  # type: ignore[arg-type]
+            given.duration,
+            given.output_period,
+            gravity=given.gravity,
             control=control,
-            initial_state=self._state(mechanism) if self.initial_state else None,
-            outputs=frozenset(self.outputs),
-            forces=tuple(force.build() for force in self.forces),
+            initial_state=_state(mechanism, given.initial_state) if given.initial_state else None,
+            outputs=frozenset(given.outputs),
+            forces=_built(given.forces),
             motions=motions,
-            armatures=tuple(armature.build() for armature in self.armatures),
-            description=" ".join(self.description.split()),
-            redundancy_tolerance=self.redundancy_tolerance,
+            armatures=_built(given.armatures),
+            description=" ".join(given.description.split()),
+            redundancy_tolerance=given.redundancy_tolerance,
         )
 
-    def _state(self, mechanism: Mechanism) -> State:
-        state = State.initial(mechanism)
-        for name, entry in self.initial_state.items():
-            body = mechanism.body_index(name)
-            for quantity, value in entry.model_dump(exclude_none=True).items():
-                getattr(state, quantity)[body] = value
-        return state
+
+SCENE = create_model(
+    "Scene",
+    __base__=_Scene,
+    name=(str, ...),
+    description=(str, ""),
+    gravity=(Vector, (0.0, 0.0, 0.0)),
+    duration=(Number, ...),
+    output_period=(Number, ...),
+    ground=(str, "ground"),
+    bodies=(_several(BODY), ...),
+    joints=(_several(JOINT), ...),
+    couplings=(_several(COUPLING), []),
+    control=(_several(CONTROL), []),
+    forces=(_several(FORCE), []),
+    motions=(_several(MOTION), []),
+    armatures=(list[ArmatureEntry], []),
+    redundancy_tolerance=(float, REDUNDANCY_TOLERANCE),
+    initial_state=(dict[str, StateEntry], {}),
+    outputs=(list[str], list(OUTPUTS)),
+)
+
+
+def _state(mechanism: Mechanism, entries: dict[str, StateEntry]) -> State:
+    state = State.initial(mechanism)
+    for name, entry in entries.items():
+        body = mechanism.body_index(name)
+        for quantity, value in entry.model_dump(exclude_none=True).items():
+            getattr(state, quantity)[body] = value
+    return state
+
+
+def content(element: Any) -> dict[str, Any]:
+    """Return what a file says of an element: its attributes, those that are made of elements last."""
+    form = ENTRIES[type(element)]
+    found: dict[str, Any] = {"kind": form.named} if form.named else {}
+    found |= {name: plain(getattr(element, name)) for name in form.model_fields if name != "kind"}
+    return dict(sorted(found.items(), key=lambda item: item[0] in ("shapes", "function")))
+
+
+def plain(value: Any) -> Any:
+    """Return an attribute as files have it, arrays and tuples as lists."""
+    if isinstance(value, tuple):
+        return [plain(each) for each in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return content(value) if type(value) in ENTRIES else value

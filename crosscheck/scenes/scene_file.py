@@ -1,24 +1,34 @@
-"""Scenes from YAML or JSON files.
+"""Scenes from YAML or JSON files, and to them.
 
 `newton_euler.model.yaml_source` or the JSON parser make plain lists, dictionaries and texts of a file,
-pydantic checks the form, and the mechanism checks the mechanics.
+pydantic checks the form by `crosscheck.scenes.file_entries`, and the mechanism checks the mechanics.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import reprlib
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import yaml
 from pydantic import ValidationError
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.scenes.file_entries import SceneEntry
+from crosscheck.scenes.file_entries import SCENE, content, plain
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.scene import Scene
+from newton_euler.model.control import PD
+from newton_euler.model.forces import BallArmature
+from newton_euler.model.joint import Joint
+from newton_euler.model.mechanism import Body
+from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
 from newton_euler.model.source_file import SourceError, read_text, shortened
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import atomic_file
 from newton_euler.model.yaml_source import parse_yaml
 
 
@@ -29,7 +39,7 @@ def read_scene(path: str) -> Scene:
         CrosscheckError: naming the file and the line or field at fault.
     """
     try:
-        scene = SceneEntry.model_validate(_parse(path, read_text(path, "scene_size"))).build()
+        scene = SCENE.model_validate(_parse(path, read_text(path, "scene_size"))).build()
         initial_state(scene)  # refused here, with the file's name, if its joints are open
     except ValidationError as error:
         first = error.errors()[0]
@@ -64,4 +74,90 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         if key in found:
             raise CrosscheckError(f"key {key!r:.100} is given twice in one object")
         found[key] = value
+    return found
+
+
+class _NoAliases(yaml.SafeDumper):
+    """Scene files may not hold aliases, which PyYAML writes for a list that is there twice."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def write_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
+    """Write a scene file, .yaml, .yml or .json; it appears whole or not at all.
+
+    Raises:
+        CrosscheckError: for a controller that is Python, and for a path that cannot be written.
+    """
+    found = _content(scene)
+    if Path(path).suffix == ".json":
+        text = json.dumps(found, indent=1, allow_nan=False) + "\n"
+    else:
+        text = yaml.dump(found, Dumper=_NoAliases, sort_keys=False, width=110)
+    try:
+        with atomic_file(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CrosscheckError(f"cannot write {os.fspath(path)}: {error.strerror}") from error
+
+
+def _content(scene: Scene) -> dict[str, Any]:
+    """The content of a scene file."""
+    if scene.sampled:
+        raise CrosscheckError(f"{scene.sampled[0].element}: a controller in Python is not for a scene file")
+    mechanism = scene.mechanism
+    found: dict[str, Any] = {
+        "name": scene.name,
+        "description": scene.description,
+        "gravity": plain(scene.gravity),
+        "duration": scene.duration,
+        "output_period": scene.output_period,
+        "ground": mechanism.body_names[0],
+        "bodies": [_body(body) for body in mechanism.bodies[1:]],
+        "joints": [_joint(joint) for joint in mechanism.joints],
+        "couplings": plain(mechanism.couplings),
+        "control": [content(law) for law in scene.control if isinstance(law, PD)],
+        "forces": plain(scene.forces),
+        "motions": plain(scene.motions),
+        "armatures": [
+            {field.name: getattr(armature, field.name) for field in fields(armature)}
+            | ({"ball": True} if isinstance(armature, BallArmature) else {})
+            for armature in scene.armatures
+        ],
+        "initial_state": _state(scene),
+        "outputs": sorted(scene.outputs),
+    }
+    if scene.redundancy_tolerance != REDUNDANCY_TOLERANCE:
+        found["redundancy_tolerance"] = scene.redundancy_tolerance
+    return {key: value for key, value in found.items() if value not in ([], {}, "")}
+
+
+def _body(body: Body) -> dict[str, Any]:
+    found = content(body)
+    return found if body.shapes else {name: value for name, value in found.items() if name != "shapes"}
+
+
+def _joint(joint: Joint) -> dict[str, Any]:
+    """What of a joint is not as usual."""
+    found = {"name": joint.name} | content(joint)
+    if np.array_equal(joint.point, joint.reaction_point):
+        del found["point_on_second"]
+    offsets, actuated = found.pop("offsets", []), found.pop("actuated")
+    if np.any(offsets):
+        found["offsets"] = offsets
+    if actuated:
+        found["actuated"] = True
+    return found
+
+
+def _state(scene: Scene) -> dict[str, dict[str, list[float]]]:
+    """What of the initial state is not the initial pose at rest."""
+    rest, found = State.initial(scene.mechanism), dict[str, dict[str, list[float]]]()
+    state = rest if scene.initial_state is None else scene.initial_state
+    for field in fields(State):
+        given, usual = getattr(state, field.name), getattr(rest, field.name)
+        for name, value, resting in zip(scene.mechanism.body_names, given, usual, strict=True):
+            if not np.array_equal(value, resting):
+                found.setdefault(name, {})[field.name] = value.tolist()
     return found

@@ -20,7 +20,7 @@ import mjcf
 import urdf.read
 from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS, read_model
 from crosscheck.scenes import load
-from crosscheck.scenes.write_file import write_scene
+from crosscheck.scenes.scene_file import write_scene
 from mjcf.read import read as read_mjcf
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative

@@ -14,8 +14,7 @@ import mjcf
 import urdf
 from crosscheck.against.compare import Model, against
 from crosscheck.model_files.read import read_model
-from crosscheck.scenes.scene_file import read_scene
-from crosscheck.scenes.write_file import write_scene
+from crosscheck.scenes.scene_file import read_scene, write_scene
 from mjcf.read import read
 from newton_euler import simulate
 from newton_euler.assemble import initial_state

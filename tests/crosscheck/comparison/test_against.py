@@ -21,7 +21,7 @@ from crosscheck.against.compare import Against, Model, against
 from crosscheck.against.levels import functions_apart
 from crosscheck.comparison.figure import LEVELS, START
 from crosscheck.comparison.reactions import undetermined, undetermined_in_both
-from crosscheck.scenes.write_file import write_scene
+from crosscheck.scenes.scene_file import write_scene
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
 from newton_euler import Body, Mechanism, Scene

@@ -20,7 +20,7 @@ from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
 from crosscheck.model_files.read import read_model
 from crosscheck.scenes import load
-from crosscheck.scenes.write_file import write_scene
+from crosscheck.scenes.scene_file import write_scene
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.catalogue import catalogue
 from crosscheck.studies.faults.find import Sound, find

@@ -33,7 +33,7 @@ BAD_SCENES = {
     "negative mass": (("bodies", 1, "mass"), -1.0, "body 'coupler': mass is -1 kg; needed: a positive"),
     "zero mass": (("bodies", 1, "mass"), 0.0, "body 'coupler': mass is 0 kg"),
     "NaN": (("bodies", 0, "mass"), float("nan"), "bodies.0.mass: Input should be a valid number"),
-    "infinite point": (("joints", 0, "point"), [0.0, float("inf"), 0.0], "joints.0.point.1"),
+    "infinite point": (("joints", 0, "point"), [0.0, float("inf"), 0.0], "joints.0.revolute.point.1"),
     "huge point": (("joints", 0, "point"), [0.0, 1e308, 0.0], "point.1: Input should be at most 1e+100"),
     "truth for a number": (("bodies", 0, "mass"), True, "bodies.0.mass: Input should be a valid number"),
     "truth for an index": (("control", 0, "coordinate"), True, "control.0.coordinate: Input should be a"),
@@ -43,11 +43,15 @@ BAD_SCENES = {
     "quaternion not of unit norm": (("bodies", 1, "quaternion"), [1.0, 0.1, 0, 0], "quaternion has norm"),
     "quaternion of three": (("bodies", 1, "quaternion"), [1.0, 0.0, 0.0], "bodies.1.quaternion"),
     "zero axis": (("joints", 0, "axis"), [0.0, 0.0, 0.0], "joint 'motor': axis is [0.0, 0.0, 0.0]; needed"),
-    "missing axis": (("joints", 0, "axis"), ..., "joint 'motor': a revolute joint needs axis, got none"),
+    "missing axis": (("joints", 0, "axis"), ..., "joints.0.revolute.axis: Field required"),
     "slanted universal": (("joints", 2, "axis_on_second"), [1.0, 1.0, 0.0], "perpendicular axes"),
     "unknown body": (("joints", 1, "second"), "piston", "connects an unknown body 'piston'; needed: one of"),
     "joint to itself": (("joints", 1, "second"), "crank", "connects 'crank' to itself"),
-    "unknown joint kind": (("joints", 1, "kind"), "rubber", "unknown kind 'rubber'; choose from: fixed,"),
+    "unknown joint kind": (
+        ("joints", 1, "kind"),
+        "rubber",
+        "joints.1: Input tag 'rubber' found using 'kind' does not",
+    ),
     "open loop": (("joints", 1, "point_on_second"), [0, 0, 0.201], "joint 'elbow': is open by 0.001 m"),
     "duplicate body": (("bodies", 1, "name"), "crank", "body 'crank': 2 of that name; needed: unique"),
     "duplicate joint": (("joints", 1, "name"), "motor", "joint 'motor': 2 of that name"),
@@ -295,5 +299,5 @@ def test_bad_forces(capsys, tmp_path, good, path, value, message):
 
 def test_a_screw_needs_its_pitch(capsys, tmp_path, good):
     content = changed(good, ("joints", 0, "kind"), "screw")
-    message = "joint 'motor': a screw joint needs axis and pitch, got axis"
+    message = "joints.0.screw.pitch: Field required (got {"
     check_refused(capsys, tmp_path, scene_file(tmp_path, content), message=message)

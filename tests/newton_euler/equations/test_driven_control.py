@@ -16,7 +16,7 @@ from crosscheck.comparison.coverage import covered_by
 from crosscheck.comparison.energy import energy_balance
 from crosscheck.model_files.convert import scene_report, write_as
 from crosscheck.scenes import load
-from crosscheck.scenes.write_file import write_scene
+from crosscheck.scenes.scene_file import write_scene
 from mjcf.rigid import RigidMuJoCo
 from mjcf.tight import Rollout, Stepper, compiled
 from newton_euler.assemble import initial_state

@@ -7,8 +7,7 @@ import pytest
 
 import mjcf
 import urdf
-from crosscheck.scenes.scene_file import read_scene
-from crosscheck.scenes.write_file import write_scene
+from crosscheck.scenes.scene_file import read_scene, write_scene
 from mjcf.read import read
 from mjcf.rigid import RigidMuJoCo
 from newton_euler import LinearCoupling, simulate

@@ -19,7 +19,7 @@ from crosscheck.cli.shared import UNFINISHED
 from crosscheck.engines import ENGINES as ENGINES_BY_NAME
 from crosscheck.run_all import outcome
 from crosscheck.scenes import load
-from crosscheck.scenes.write_file import write_scene
+from crosscheck.scenes.scene_file import write_scene
 from crosscheck.studies.faults import plant
 from newton_euler import PD, Body, Mechanism, Sampled, Scene
 from newton_euler.assemble import initial_state
