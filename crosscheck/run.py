@@ -36,6 +36,9 @@ SAMPLES = 200
 FEWEST_STATES, MOST_STATES = 4, 20
 """Of these: each is a sample of all joints of a large mechanism, and of few of a small one."""
 
+UNTESTED = "AGREE AT RANDOM STATES ONLY"
+"""The verdict on equations that agree and a motion that tests none of the elements."""
+
 Progress = Callable[[str], None]
 
 
@@ -108,6 +111,12 @@ class Crosscheck:
         return diagnose(names, self.rows, self.measured, soft, mobility(self.scene).nearly)
 
     @property
+    def agreement(self) -> str:
+        """The word for an agreement, which says so where the motion tests no element."""
+        covered = self.coverage is None or len(self.coverage.untested) < len(self.coverage.elements)
+        return "AGREE" if covered else UNTESTED
+
+    @property
     def verdict(self) -> str:
         """One line: whether the engines agree, or which one does not, where, and what did not end."""
         word, found = self._judgment()
@@ -130,7 +139,7 @@ class Crosscheck:
             said = [f"{first.who}; on {self.title} {first.place}", first.blame]
             said += [f"then {other.who}, {other.place}" for other in others]
             return "DISAGREE", f"{'; '.join(filter(None, said))} ({self._failed})"
-        return "AGREE", f"{names} agree on {self.title} in all {self._judged} figures{self._beside}"
+        return self.agreement, f"{names} agree on {self.title} in all {self._judged} figures{self._beside}"
 
     @property
     def _alone(self) -> bool:

@@ -15,7 +15,7 @@ from crosscheck.engines import choose
 from crosscheck.errors import reason_of
 from crosscheck.files import check_writable
 from crosscheck.report.output import write
-from crosscheck.report.run import report
+from crosscheck.report.run import FAILS, judged_word, report
 from crosscheck.report.table import Cell, Column, Table, figures, judged, texts
 from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
@@ -60,6 +60,7 @@ class Outcome:
     known: Worst | None = None
     drift: Worst | None = None
     energy: Worst | None = None
+    word: Cell = FAILS
 
 
 def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[Outcome]:
@@ -114,6 +115,7 @@ def _outcome(name: str, result: Crosscheck, wall_time: float) -> Outcome:
         _worst(Worst(row.value, row.tolerance) for row in result.measured),
         _worst(Worst(row.value, row.tolerance) for row in of("drift")),
         _worst(Worst(row.value, row.tolerance) for row in of("energy")),
+        judged_word(result),
     )
 
 
@@ -133,7 +135,7 @@ def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
                 ", ".join(found.engines) if found.left_out else "all" if found.engines else "",
                 *(_cell(worst) for worst in (found.between, found.known, found.drift, found.energy)),
                 f"{found.wall_time:.1f}",
-                Cell("AGREE", "holds") if found.agrees else Cell("FAILS", "fails"),
+                found.word,
             ]
             for found in outcomes
         ],

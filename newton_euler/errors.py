@@ -5,6 +5,7 @@ Every error keeps the raw values it was raised with as attributes and reads as o
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable
 from numbers import Integral, Real
 from typing import Any, TypeVar
@@ -13,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 T = TypeVar("T")
+
+DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+"""A number as people write it."""
 
 
 class NewtonEulerError(Exception):
@@ -38,6 +42,17 @@ def is_finite_number(value: object) -> bool:
         return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))
     except OverflowError:
         return False
+
+
+def plain_number(text: str) -> float:
+    """Return a finite number from its decimal digits; raises `ValueError` for all else that `float` reads.
+
+    Such as 1_0, digits of other alphabets and nan.
+    """
+    number = float(text) if DECIMAL.fullmatch(text) else np.nan
+    if not np.isfinite(number):
+        raise ValueError(f"{text!r:.100} is no number")
+    return number
 
 
 def is_count(value: object) -> bool:

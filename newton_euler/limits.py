@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from newton_euler.errors import OptionError, UnknownNameError
+from newton_euler.errors import OptionError, UnknownNameError, plain_number
 
 VARIABLE = "NEWTON_EULER_LIMITS"
 """Environment variable of changed limits, `NAME=VALUE NAME=VALUE`; processes started here inherit it."""
@@ -121,7 +121,7 @@ def _checked(name: str, value: str | float) -> float:
     if name not in LIMITS:
         raise UnknownNameError("limit", name, tuple(LIMITS))
     try:
-        number = float(value)
+        number = plain_number(value) if isinstance(value, str) else float(value)
     except (TypeError, ValueError):
         number = math.nan
     if not 0.0 < number < math.inf:

@@ -62,6 +62,7 @@ def _invoke(arguments: list[str] | None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
     _check_no_empty(given)
     _check_memory()
+    _check_cache()
     try:
         with cli.make_context("crosscheck", given) as context:
             return int(cli.invoke(context))
@@ -93,6 +94,14 @@ def _check_memory() -> None:
         if 0 <= allowed < LEAST_MEMORY:
             problem = f"the limit of memory is {allowed // 1_000_000} MB (ulimit -v)"
             raise CrosscheckError(f"{problem}; needed: {LEAST_MEMORY // 1_000_000} MB")
+
+
+def _check_cache() -> None:
+    """Raise `NewtonEulerError` before all work where the environment names a cache that cannot be."""
+    if "NEWTON_EULER_CACHE" in os.environ:
+        from newton_euler.codegen.cache import cache_directory
+
+        cache_directory()
 
 
 def _reason(error: Exception) -> str:

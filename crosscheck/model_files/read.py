@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
+from newton_euler.errors import plain_number
 from newton_euler.model.scene import Scene
 from newton_euler.model.xml_source import LARGEST
 from newton_euler.verification.import_report import FATES, ImportedElement, ImportReport
@@ -20,7 +21,7 @@ def _number(needed: str) -> Callable[[str, str], float]:
 
     def read(name: str, value: str) -> float:
         try:
-            return float(value)
+            return plain_number(value)
         except ValueError as error:
             raise CrosscheckError(f"{name} is {value!r}; needed: {needed}") from error
 
@@ -30,7 +31,7 @@ def _number(needed: str) -> Callable[[str, str], float]:
 def _vector(name: str, value: str) -> tuple[float, float, float]:
     """Three numbers, between commas, or 0 for all of them."""
     try:
-        x, y, z = map(float, ["0", "0", "0"] if value == "0" else value.split(","))
+        x, y, z = map(plain_number, ["0", "0", "0"] if value == "0" else value.split(","))
         if not max(abs(x), abs(y), abs(z)) <= LARGEST:
             raise ValueError
     except ValueError as error:

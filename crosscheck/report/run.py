@@ -8,6 +8,7 @@ import numpy as np
 
 from crosscheck.advice.measured import distance
 from crosscheck.against.compare import Against, Model
+from crosscheck.comparison.coverage import Coverage
 from crosscheck.comparison.figure import FILE, NOT_NEARER
 from crosscheck.comparison.known_figures import Measured
 from crosscheck.comparison.levels import Figure, not_compared
@@ -28,7 +29,7 @@ from crosscheck.report.table import (
     judged,
     texts,
 )
-from crosscheck.run import Crosscheck
+from crosscheck.run import UNTESTED, Crosscheck
 from crosscheck.stiffness import explicit_steps, fastest_decay
 from newton_euler.assemble import initial_state
 from newton_euler.equations.redundancy import mobility
@@ -40,6 +41,12 @@ from newton_euler.verification.import_report import ImportReport
 MOST_NAMED = 12
 """Elements in one line."""
 
+ALL_LISTED = "listed in summary.json and on the page that `crosscheck report` writes"
+"""Where all untested elements are."""
+
+FAILS = Cell("FAILS", "fails")
+"""The verdict on results that do not agree, in one word."""
+
 IMPLICIT = ("Radau", "implicitfast")
 """Integrators that engines take for stiff scenes by themselves."""
 
@@ -48,6 +55,8 @@ def report(result: Crosscheck) -> Report:
     """All that a crosscheck found."""
     parts: list[Part] = list(tables(result))
     parts.append(Lines("", [*result.notes, *settings_lines(result)]))
+    if result.coverage and result.coverage.untested:
+        parts.append(_untested_table(result.coverage))
     models = result.models if isinstance(result, Against) else [result]
     for model in models:
         if model.mapping:
@@ -59,8 +68,21 @@ def report(result: Crosscheck) -> Report:
     parts.append(
         entries("scene and versions", {name: summary[name] for name in named if name in summary}, folded=True)
     )
-    word = Cell("AGREE", "holds") if result.agrees else Cell("FAILS", "fails")
-    return Report(result.title, result.verdict, word, parts, result.wall_time)
+    return Report(result.title, result.verdict, judged_word(result), parts, result.wall_time)
+
+
+def judged_word(result: Crosscheck) -> Cell:
+    """The verdict in one word."""
+    if not result.agrees:
+        return FAILS
+    return Cell(result.agreement, "doubtful" if result.agreement == UNTESTED else "holds")
+
+
+def _untested_table(found: Coverage) -> Table:
+    """A row per element that the motion does not test, with how much of a change of it shows."""
+    rows: Rows = [[covered.element, f"{covered.share:.1e}"] for covered in found.untested]
+    title = "untested by the motion: 10 % more of these does not show"
+    return Table(title, [Column("element"), *figures("share of what would show")], rows, folded=True)
 
 
 def tables(result: Crosscheck) -> Iterator[Table]:
@@ -165,7 +187,7 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
     yield from redundancy_lines(result.scene)
     if result.coverage and result.coverage.untested:
         names = [covered.element for covered in result.coverage.untested]
-        more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+        more = f" and {len(names) - MOST_NAMED} more, {ALL_LISTED}" if len(names) > MOST_NAMED else ""
         yield f"untested by the motion, 10 % more would not show: {', '.join(names[:MOST_NAMED])}{more}"
     yield from not_compared(result.rows)
     yield from (f"advice, {advice}" for advice in result.advice)

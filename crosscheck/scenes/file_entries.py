@@ -31,9 +31,12 @@ LARGEST = 1e100
 """Of any number of a scene, so that squares and triple products stay finite."""
 
 
-def _no_truth_value(value: object) -> object:
+def _plain(value: object) -> object:
+    """A number, or the text of one in YAML, as it is; no truth value and no digits with underscores."""
     if isinstance(value, bool):
         raise PydanticCustomError("truth_value", "Input should be a number, not a truth value")
+    if isinstance(value, str) and ("_" in value or not value.isascii()):
+        raise PydanticCustomError("plain_number", "Input should be a valid number")
     return value
 
 
@@ -46,10 +49,10 @@ def _not_too_large(value: float) -> float:
 Number = Annotated[
     float,
     Field(allow_inf_nan=False),
-    BeforeValidator(_no_truth_value),
+    BeforeValidator(_plain),
     AfterValidator(_not_too_large),
 ]
-Index = Annotated[int, BeforeValidator(_no_truth_value)]
+Index = Annotated[int, BeforeValidator(_plain)]
 Vector = tuple[Number, Number, Number]
 Quaternion = tuple[Number, Number, Number, Number]
 

@@ -16,10 +16,16 @@ from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, TimeF
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 
+LEAST_DURATION = 1e-6
+"""s; in less, gravity moves a body by less than 5e-12 m, which engines hold joints closed to."""
+
 
 def check_scene(scene: Scene) -> None:
-    """Raise `CrosscheckError` for a scene that is too large to be run by all engines and compared."""
+    """Raise `CrosscheckError` for a scene too large, or too short, to be run by all engines and compared."""
     where = f"scene {scene.name!r}"
+    if scene.duration < LEAST_DURATION:
+        least = f"{LEAST_DURATION:g} s, in which bodies move by more than round-off"
+        raise CrosscheckError(f"{where}: duration is {scene.duration!r} s; needed: at least {least}")
     forces = len(scene.control) + len(scene.forces) + len(scene.armatures)
     bodies = len(scene.mechanism.bodies)
     check_counts(where, {"bodies": bodies, "forces": forces})

@@ -11,15 +11,19 @@ it was last used, to `_RECENT`. Files are counted with one write in `_COUNT_EVER
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
+import stat
 import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
 
 from platformdirs import user_cache_path
+
+from newton_euler.errors import OptionError
 
 CACHE_VARIABLE = "NEWTON_EULER_CACHE"
 """Environment variable that names the cache directory; empty for no cache."""
@@ -56,15 +60,32 @@ def cache_key(*parts: object) -> str:
 
 
 def cache_directory() -> Path | None:
-    """Return the directory of the cache; None if the user wants none or has no home directory."""
+    """Return the directory of the cache; None if the user wants none or has no home directory.
+
+    Raises:
+        OptionError: for a name of what is no directory and cannot become one.
+    """
     chosen = os.environ.get(CACHE_VARIABLE)
     if chosen is not None:
-        return Path(chosen) if chosen else None
+        return _checked(chosen) if chosen else None
     try:
         directory = user_cache_path("newton_euler", appauthor=False)
     except RuntimeError:  # a user without a home directory
         return None
     return directory if directory.is_absolute() else None  # platformdirs 4.2 leaves "~" to such a user
+
+
+def _checked(name: str) -> Path:
+    """Return the path of a directory that is there, or that may be made later if the disk permits."""
+    problem = os.strerror(errno.ENOTDIR)
+    try:
+        if stat.S_ISDIR(os.stat(name).st_mode):
+            return Path(name)
+    except (FileNotFoundError, PermissionError):
+        return Path(name)
+    except OSError as error:
+        problem = str(error.strerror)
+    raise OptionError(CACHE_VARIABLE, f"{name:.100}", f"a directory, or nothing for no cache ({problem})")
 
 
 def read_cache(key: str) -> bytes | None:

@@ -31,6 +31,36 @@ from newton_euler.model.scene import Scene
 FOUR_BAR = FOUR_BARS["cut at C by a connect"]
 
 
+FALLING = "<mujoco><worldbody>{}</worldbody></mujoco>"
+BALL = '<body name="b{0}" pos="0 0 0.3{0}"><freejoint/><geom size="0.1" contype="0" conaffinity="0"/></body>'
+
+
+def test_a_motion_that_tests_nothing_is_no_plain_agreement(capsys, tmp_path):
+    """In free fall no mass and no inertia shows; the page lists all of them, the terminal counts."""
+    path, out = tmp_path / "balls.xml", tmp_path / "out"
+    path.write_text(FALLING.format("".join(BALL.format(k) for k in range(10))))
+    options = ("--set", "duration=0.1", "--set", "exercise=off", "--output", out)
+    status, text, _ = run(capsys, "run", path, *options)
+    assert status == 0
+    *_, verdict = text.splitlines()
+    assert verdict.startswith("AGREE AT RANDOM STATES ONLY: newton_euler, mujoco, pinocchio agree on balls")
+    assert "; motion covers 0 of 20 elements" in verdict
+    names = [f"{what} of body 'b{k}'" for k in range(10) for what in ("mass", "inertia")]
+    (line,) = [line for line in text.splitlines() if line.startswith("untested by the motion")]
+    assert sum(name in line for name in names) == 12
+    assert line.endswith(
+        " and 8 more, listed in summary.json and on the page that `crosscheck report` writes"
+    )
+    found = json.loads((out / "summary.json").read_text())["report"]
+    assert found["judged"] == {"text": "AGREE AT RANDOM STATES ONLY", "verdict": "doubtful", "about": ""}
+    (table,) = [part for part in found["parts"] if part["title"].startswith("untested by the motion")]
+    assert [row[0] for row in table["rows"]] == names
+    assert run(capsys, "report", out)[0] == 0
+    page = (out / "report.html").read_text()
+    assert "untested by the motion: 10 % more of these does not show" in page
+    assert all(page.count(name.replace("'", "&#39;")) >= 1 for name in names)
+
+
 def test_an_mjcf_is_run_with_its_report(capsys, tmp_path):
     path = tmp_path / "model.xml"
     path.write_text(FOUR_BAR)

@@ -29,6 +29,7 @@ def option_cases() -> Iterator[Refused]:
         (("run", "scene.json", "--set", "velocities=0"), "velocities is '0'; needed: a positive number"),
         (("run", "scene.json", "--set", "velocities=-1"), "velocities is '-1'; needed: a positive number"),
         (("run", "scene.json", "--set", "time=nan"), "time is 'nan'; needed: a positive number"),
+        (("run", "scene.json", "--set", "time=1_0"), "time is '1_0'; needed: a positive number"),
         (("run", "scene.json", "--set", "memory=much"), "memory is 'much'; needed: a positive number"),
         (("run", "scene.json", "--set", "time=1", "--set", "time=2"), "--set time is given twice"),
         (
@@ -70,6 +71,10 @@ def option_cases() -> Iterator[Refused]:
         (("run", "\udcff.xml"), "\\udcff.xml: cannot be read"),
         (("run", "model.xml", "--set", "exercise=maybe"), "exercise is 'maybe'; needed: on or off"),
         (("run", "model.xml", "--set", "root=model.xml"), "leads outside of"),
+        (("run", "robot.urdf", "--set", "duration=1e-300"), "duration is 1e-300 s; needed: at least 1e-06 s"),
+        (("run", "model.xml", "--set", "duration=1_0"), "duration is '1_0'; needed: a number of seconds"),
+        (("run", "model.xml", "--set", "duration=١"), "duration is '١'; needed: a number of seconds"),
+        (("run", "robot.urdf", "--set", "gravity=0,0,1_0"), "gravity is '0,0,1_0'; needed: X,Y,Z"),
         (("run", "robot.urdf", "--set", "gravity=down"), "gravity is 'down'; needed: X,Y,Z"),
         (("run", "robot.urdf", "--set", "gravity=1e300,0,0"), "gravity"),
         (("run", "robot.urdf", "--set", "base=magic"), "unknown base 'magic'; choose from: fixed, free"),

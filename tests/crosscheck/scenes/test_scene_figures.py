@@ -14,6 +14,7 @@ from crosscheck import engines, run_all
 from crosscheck.comparison.figure import OWN_ERROR, UNRESOLVED
 from crosscheck.comparison.known_figures import ROUND_OFF, known_of, measure
 from crosscheck.errors import CrosscheckError
+from crosscheck.report.table import Cell
 from crosscheck.run_all import Outcome, Worst, outcome, outcome_lines, outcomes_table
 from crosscheck.scenes import FIGURES, load
 from crosscheck.scenes.measure import angle, position, spin, velocity
@@ -214,7 +215,16 @@ def test_a_scene_that_does_not_run_is_a_line(tmp_path, monkeypatch):
 
 
 OUTCOMES = [
-    Outcome("good", 1.0, True, "AGREE", ("newton_euler",), {"mujoco": "no gears"}, Worst(1e-9, 1e-8)),
+    Outcome(
+        "good",
+        1.0,
+        True,
+        "AGREE",
+        ("newton_euler",),
+        {"mujoco": "no gears"},
+        Worst(1e-9, 1e-8),
+        word=Cell("AGREE", "holds"),
+    ),
     Outcome("bad", 2.0, False, "DISAGREE: bad parts", ("newton_euler",), {}, Worst(3e-8, 1e-8)),
 ]
 

@@ -25,6 +25,7 @@ from newton_euler.codegen.emit import LANES
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.native import Callback, NativeError, Record, Signature, Vector, native
 from newton_euler.codegen.native_functions import NativeFunctions, text
+from newton_euler.errors import OptionError
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.run import load, native_method
 
@@ -77,12 +78,37 @@ def test_a_truncated_file_is_not_trusted(cache):
     assert not compiled(SOURCE).from_cache
 
 
-def test_an_unwritable_cache_costs_nothing_else(tmp_path, monkeypatch):
-    blocked = tmp_path / "file"
-    blocked.write_text("")  # not a directory: nothing can be made below it, even by root
-    monkeypatch.setenv(CACHE_VARIABLE, str(blocked / "cache"))
+def test_an_unwritable_cache_costs_nothing_else(cache, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("newton_euler.codegen.cache.tempfile.mkstemp", full)
     assert not compiled(SOURCE).from_cache
     assert not compiled(SOURCE).from_cache
+
+
+def blocked(folder: Path) -> dict[str, str]:
+    """Names of what cannot be a directory, by why."""
+    (folder / "file").write_text("")
+    os.mkfifo(folder / "pipe")
+    (folder / "circle").symlink_to("circle")
+    return {
+        "Not a directory": str(folder / "file"),
+        "Not a directory, a pipe": str(folder / "pipe"),
+        "Not a directory, below a file": str(folder / "file" / "cache"),
+        "Too many levels of symbolic links": str(folder / "circle"),
+        "File name too long": "a" * 300,
+        "File name too long, a path": str(folder / ("a/" * 3000)),
+    }
+
+
+def test_a_cache_that_cannot_be_one_is_refused(tmp_path, monkeypatch):
+    for why, name in blocked(tmp_path).items():
+        monkeypatch.setenv(CACHE_VARIABLE, name)
+        with pytest.raises(OptionError, match=r"NEWTON_EULER_CACHE is .*; needed: a directory") as caught:
+            compiled(SOURCE)
+        assert str(caught.value).endswith(f"({why.partition(',')[0]})")
+        assert len(str(caught.value)) < 300
 
 
 def test_a_read_only_cache_is_read(cache):
