@@ -185,7 +185,7 @@ class Crosscheck:
         if originals and not any(original.tells for original, _ in originals):
             said += "; motions are not verified against the file: no state tells them"
         if self.mapping and (counts := self.mapping.counts()):
-            said += f"; of the file {counts}"
+            said += f"; of what can act in the file {counts}"
         return said
 
     def summary(self) -> dict[str, Any]:

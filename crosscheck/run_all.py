@@ -93,7 +93,7 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # results are checked where they are used
             result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
-            write(result, report(result), folder / name, folder / name / f"{name}.rrd")
+            write(result, report(result), folder / name, folder / name / f"{name}.rrd", name)
     except Exception as error:  # what goes wrong with one scene is a line, like the others' results
         return Outcome(name, time.perf_counter() - start, False, f"{name} did not run: {reason_of(error)}")
     return _outcome(name, result, time.perf_counter() - start)

@@ -261,7 +261,9 @@ def _joint_notes(
         if name != other:
             yield f"joint {name} is {other} there, the only one left between {a.first} and {a.second}"
         if a.kind != b.kind:
-            yield f"joint {name} is {a.kind} here and {b.kind} there"
+            same = sorted(part.kind for part in a.motions) == sorted(part.kind for part in b.motions)
+            beside = ", with the same motions" if same else ""
+            yield f"joint {name} is {a.kind} here and {b.kind} there{beside}"
     here = [name for name in first.joint_names if name not in joints]
     there = [name for name in second.joint_names if name not in joints.values()]
     back = dict.fromkeys(key[0] for key, partner in coordinates.items() if partner.sense < 0.0)

@@ -100,7 +100,7 @@ def regress_command(
 
 
 def _guarded(sources: tuple[str, ...], options: dict[str, str], baseline: Path | None) -> list[Guarded]:
-    from crosscheck.regress.run import Guarded, usual_path
+    from crosscheck.regress.run import Guarded, made_with, usual_path
     from crosscheck.scenes import SCENES
 
     guarded: list[Guarded] = []
@@ -109,11 +109,12 @@ def _guarded(sources: tuple[str, ...], options: dict[str, str], baseline: Path |
             raise CrosscheckError(
                 f"the baseline of {source!r} is of its defaults; --set needs --baseline FILE"
             )
-        options = exercised(source, options)
+        path = baseline or usual_path(source)
+        options = exercised(source, made_with(source, path, options))
         scene, mapping = load_scene(source, options)
         tell(source, mapping)
         for other in guarded:
             if other.scene.name == scene.name:
                 raise CrosscheckError(f"{other.source} and {source} are both named {scene.name!r}")
-        guarded.append(Guarded(source, options, scene, baseline or usual_path(source), mapping))
+        guarded.append(Guarded(source, options, scene, path, mapping))
     return guarded

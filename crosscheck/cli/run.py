@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import subprocess
 import sys
 from contextlib import nullcontext, redirect_stdout
@@ -128,10 +129,11 @@ def _run(
     from crosscheck.engines import choose
     from crosscheck.files import check_no_source
     from crosscheck.model_files.read import report_lines
+    from crosscheck.report.output import own_name
     from crosscheck.run import crosscheck
 
     chosen = choose(engines)
-    folder = output or _own_folder(Path(scene).stem.strip(".") or "scene", [scene])
+    folder = output or _own_folder(own_name(scene), [scene])
     check_no_source([folder / "summary.json"], [scene])
     options = scene_options(scene, settings, loops)
     taken = exercised(scene, options)
@@ -144,7 +146,7 @@ def _run(
     def work(progress: Progress) -> Crosscheck:
         return crosscheck(loaded, chosen, progress, scene, options, mapping, advised)
 
-    return _carry_out(work, loaded.name, [engine.name for engine in chosen], folder, destination)
+    return _carry_out(work, own_name(scene), [engine.name for engine in chosen], folder, destination)
 
 
 def _own_folder(name: str, sources: Sequence[str]) -> Path:
@@ -212,7 +214,7 @@ def _carry_out(
         result = work(progress)
         progress("writing")
         found = report(result)
-        written = write(result, found, folder, recording)
+        written = write(result, found, folder, recording, name)
     click.echo(terminal(found.parts), nl=False)
     say("wrote " + ", ".join(str(path) for path in written))
     if result.unfinished and not (isinstance(result, Against) and result.differs):
@@ -293,7 +295,7 @@ def view_command(files: tuple[Path, ...]) -> int:
             raise CrosscheckError(f"cannot read {file}: {error.strerror}") from error
     arguments = ["--bind", LOOPBACK, *map(str, files)]
     if not has_display():
-        command = " ".join(["rerun --serve-web", *arguments])
+        command = shlex.join([sys.executable, "-m", "rerun", "--serve-web", *arguments])
         raise CrosscheckError(f"no display to open a viewer on; in a browser: {command}")
     status = subprocess.run([sys.executable, "-m", "rerun", *arguments], check=False).returncode
     if status != 0:

@@ -54,7 +54,9 @@ def recording_options(command: Callable[..., int]) -> Callable[..., int]:
     """The options of `crosscheck.recording.destination.Destination`."""
     options = (
         click.option(
-            "--save", type=click.Path(path_type=Path), help="Recording's file.  [default: OUTPUT/SCENE.rrd]"
+            "--save",
+            type=click.Path(path_type=Path),
+            help="Recording's file.  [default: OUTPUT/NAME.rrd]",
         ),
         click.option("--spawn", is_flag=True, help="Show the recording in a viewer instead."),
         click.option("--connect", metavar="URL", help="Send the recording to a viewer instead."),

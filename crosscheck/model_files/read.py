@@ -133,10 +133,13 @@ def read_model(
 
 
 def report_lines(report: ImportReport) -> Iterator[str]:
-    """A import report as text; elements that became the same are one line."""
+    """An import report as text; elements that became the same are one line.
+
+    An element of which one part is exact and another left out counts as both.
+    """
     fates = [fate for fate in FATES if fate != "inactive" or report.of(fate)]
-    counts = ", ".join(f"{len(report.of(fate))} {fate}" for fate in fates)
-    yield f"carried over: {counts}"
+    counts = ", ".join(f"{len({entry.element for entry in report.of(fate)})} {fate}" for fate in fates)
+    yield f"elements of the file: {counts}"
 
     def how(entry: ImportedElement) -> tuple[str, str]:
         return entry.element.split(" ")[0], entry.how

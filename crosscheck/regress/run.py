@@ -11,12 +11,14 @@ from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_no_source, check_writable, write_files
+from crosscheck.model_files.read import is_model
 from crosscheck.regress import recording
 from crosscheck.regress.baseline import Baseline, GroupName, Record, StoredFigure, read
 from crosscheck.regress.compare import Comparison, compare, unsimulated
 from crosscheck.regress.measure import GROUPS, MAIN, make_plan, regress_scene, with_own_errors
 from crosscheck.regress.report import as_json, junit, markdown
 from crosscheck.scenes import SCENES
+from crosscheck.scenes.options import titled
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
 from newton_euler.verification.import_report import ImportReport
@@ -72,8 +74,19 @@ class Guarded:
         if found.scene != self.scene.name:
             raise CrosscheckError(f"{self.path}: scene: it is of {found.scene!r}, not of {self.scene.name!r}")
         if found.options != self.options:
-            raise CrosscheckError(f"{self.path}: options: it is of {found.options}, not of {self.options}")
+            raise CrosscheckError(
+                f"{self.path}: options: of {titled(found.scene, found.options)}, not of "
+                f"{titled(self.scene.name, self.options)}; delete it to make one of other options"
+            )
         return found
+
+
+def made_with(source: str, path: Path, options: dict[str, str]) -> dict[str, str]:
+    """Options of a model file: those given, and those of its baseline but `root`, which needs trust."""
+    if not (is_model(source) and path.exists()):
+        return options
+    stored = read(path, "").options
+    return {name: value for name, value in stored.items() if name != "root"} | options
 
 
 def usual_path(source: str) -> Path:

@@ -24,7 +24,7 @@ TOLD = {
 """Files that tell whose results a folder has."""
 
 
-def write(result: Crosscheck, report: Report, folder: Path, recording: Path | None) -> list[Path]:
+def write(result: Crosscheck, report: Report, folder: Path, recording: Path | None, name: str) -> list[Path]:
     """Write the runs, the summary and the Rerun recording, all of them or none.
 
     The summary is removed first and comes back last, so that a folder that has one is complete wherever
@@ -34,6 +34,7 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path | No
     Args:
         report: on the result.
         recording: file that the recording goes to; no file if None.
+        name: of the recording where nothing else is asked for.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.
@@ -49,11 +50,16 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path | No
     summary = folder / "summary.json"
     others = {*ENGINES, *(engine.name for engine in result.engines)} - result.runs.keys()
     stale = [summary, *(folder / f"{name}.npz" for name in others)]
-    if recording != (usual := folder / f"{result.scene.name}.rrd"):
+    if recording != (usual := folder / f"{name}.rrd"):
         stale.append(usual)
     write_files({summary: as_json(result.summary(), report, digests), **made}, stale)
     runs = [path for path in made if path != recording]
     return [*runs, summary, *([] if recording is None else [recording])]
+
+
+def own_name(source: str) -> str:
+    """Name of the folder and of the recording of a scene: its own, or its file's without suffix."""
+    return Path(source).stem.strip(".") or "scene"
 
 
 def check_own(folder: Path, sources: Sequence[str], results: str = "crosscheck") -> None:

@@ -180,6 +180,10 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
         yield from _activity_lines(result.mapping)
     if result.rests:
         yield _rest_line(result)
+    impossible = [body.name for body in result.scene.mechanism.bodies if body.allow_unrealisable_inertia]
+    if impossible:
+        broken = "two principal moments together less than the third"
+        yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
     count, joints = undetermined_joints(result.scene, initial_state(result.scene))
     if count:
         rows = "a redundant row" if count == 1 else f"{count} redundant rows"

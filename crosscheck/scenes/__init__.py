@@ -90,7 +90,8 @@ def _read(name: str, given: dict[str, str | int]) -> dict[str, str | int]:
     for option, value in given.items():
         if option not in known:
             raise CrosscheckError(
-                f"unknown option {option!r} of scene {name!r}; choose from: {', '.join(known)}"
+                f"unknown option {option!r} of scene {name!r}; choose from: {', '.join(known)}, or a limit "
+                "(crosscheck list)"
             )
         read = known[option].values.read(value)
         if read is None:

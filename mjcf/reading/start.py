@@ -178,7 +178,8 @@ class Start:
         units = self._units() if before else None
         if units is None or largest(self._residuals() / units.rows) <= CLOSED:
             worst = max(before.values(), default=0.0)
-            state = f"all {len(before)} equalities closed, to {worst:.1e}" if before else "no equalities"
+            count = "1 equality" if len(before) == 1 else f"{len(before)} equalities"
+            state = f"{count} closed, to {worst:.1e}" if before else "no equalities"
             report.start.append(f"starts from {self.key}: {state}")
             self._finish()
             return

@@ -23,7 +23,7 @@ def test_run_writes_everything_and_agrees(capsys, tmp_path, good):
     assert (status, err) == (0, "")
     assert out.splitlines()[-1].startswith("AGREE: newton_euler, mujoco, pinocchio agree on four_bar")
     names = {p.name for p in (tmp_path / "out").iterdir()}
-    assert names == {"newton_euler.npz", "mujoco.npz", "pinocchio.npz", "summary.json", "four_bar.rrd"}
+    assert names == {"newton_euler.npz", "mujoco.npz", "pinocchio.npz", "summary.json", "scene.rrd"}
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["agrees"] is True
     assert {figure["level"] for figure in summary["figures"]} == set(LEVELS[1:])
@@ -158,7 +158,7 @@ def test_view_without_a_display_says_what_to_do(capsys, tmp_path, monkeypatch):
     path.write_bytes(b"RRF2")
     status, _, err = run(capsys, "view", path)
     assert status == 2
-    assert f"rerun --serve-web --bind 127.0.0.1 {path}" in err
+    assert f"-m rerun --serve-web --bind 127.0.0.1 {path}" in err
 
 
 def test_view_opens_recordings_side_by_side(capsys, tmp_path, monkeypatch):
@@ -229,7 +229,7 @@ def test_what_nobody_foresaw_is_one_line_and_what_there_is_is_kept(tmp_path, cap
     assert (status, err) == (3, "")
     reason = "comparing: internal error: ZeroDivisionError: division by zero"
     assert said.splitlines()[-1].startswith(f"UNFINISHED: {reason}; ")
-    files = {"newton_euler.npz", "mujoco.npz", "summary.json", "four_bar.rrd"}
+    files = {"newton_euler.npz", "mujoco.npz", "summary.json", "scene.rrd"}
     assert {path.name for path in out.iterdir()} == files
 
 
@@ -283,7 +283,7 @@ def test_a_second_run_leaves_nothing_of_the_first(tmp_path, capsys, good):
     assert {p.name for p in folder.iterdir()} == {
         "pinocchio.npz",
         "summary.json",
-        "four_bar.rrd",
+        "scene.rrd",
         "notes.npz",
     }
 

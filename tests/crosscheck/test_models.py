@@ -69,7 +69,7 @@ def test_an_mjcf_is_run_with_its_report(capsys, tmp_path):
     )
     assert (status, err) == (0, "")
     lines = out.splitlines()
-    assert lines[0].startswith("carried over: 7 exactly, 0 approximated, 1 left out")
+    assert lines[0].startswith("elements of the file: 7 exactly, 0 approximated, 1 left out")
     assert "  equality 'c': spherical joint 'c', held rigidly" in out
     assert re.fullmatch(
         r"AGREE: newton_euler, mujoco, pinocchio agree on model \(duration=0.1\) in all \d+ figures; "

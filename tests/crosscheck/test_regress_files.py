@@ -67,7 +67,7 @@ def test_a_baseline_survives_its_file(tmp_path):
         (lambda c: c["plan"]["state"].update(position=[[0.0]]), "plan.state: position is not a table"),
         (lambda c: c.update(more=1), "more"),
         (lambda c: c.update(scene="four_bar"), "scene: it is of 'four_bar', not of 'tracker'"),
-        (lambda c: c.update(options={"N": "3"}), "options: it is of {'N': '3'}, not of {}"),
+        (lambda c: c.update(options={"N": "3"}), "options: of tracker (N=3), not of tracker; delete it"),
     ],
 )
 def test_a_corrupt_baseline_is_named_with_its_field(capsys, tmp_path, change, field):
@@ -144,3 +144,12 @@ def test_the_guide_is_a_workflow_of_ten_lines_that_fits_the_action():
                 assert name in cli.commands
                 known = {option for parameter in cli.commands[name].params for option in parameter.opts}
                 assert {word for word in words if word.startswith("--")} <= known
+
+
+def test_a_model_file_has_the_options_of_its_baseline(tmp_path):
+    path = tmp_path / "robot.baseline.json"
+    assert regress.made_with("robot.xml", path, {"key": "go"}) == {"key": "go"}
+    content = json.loads(small_baseline().text()) | {"options": {"key": "go", "duration": "2", "root": "/"}}
+    path.write_text(json.dumps(content))
+    assert regress.made_with("robot.xml", path, {"duration": "3"}) == {"key": "go", "duration": "3"}
+    assert regress.made_with("tracker", path, {}) == {}
