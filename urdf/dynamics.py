@@ -101,7 +101,10 @@ class PinocchioSystem:
         self._actuated_v = np.array([place.on_v for place in self._actuators], dtype=int)
         self._alpha = alpha
         self._noisy = mobility(scene).residual > 0.0
-        if not self._noisy:
+        if self._noisy:
+            used = set(range(len(self.phi_units))) - set(rows_left_out(self))
+            self._used = np.array(sorted(used), dtype=int)
+        else:
             self._proximal = self._constraint_dynamics()
 
     def _add_body_frames(self) -> list[int]:
@@ -210,8 +213,7 @@ class PinocchioSystem:
 
     def _eliminate(self, q: Array, v: Array, force: Array, rows: Array, gamma: Array) -> tuple[Array, Array]:
         """The same, of all constraints but those redundant up to noise, by Pinocchio's mass and bias."""
-        units, unit = self.phi_units, self._units.moment
-        used = np.setdiff1d(np.arange(len(units)), rows_left_out(self))
+        units, unit, used = self.phi_units, self._units.moment, self._used
         pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
         bias = pin.nonLinearEffects(self._model, self._dynamic_data, pin_q, pin_v)
         force = (force - self.map.v_from_pinocchio(bias)) * self.velocity_units / unit

@@ -25,7 +25,7 @@ from newton_euler.scalars import Array
 CLOSURE_TOLERANCE = 1e-9
 """How far (metres or radians) a joint may be open at an initial pose."""
 
-LEAST = 1e-100
+LEAST = 1e-150
 """kg and kg m^2, of a mass and a principal moment of inertia, so that products with squares of lengths keep
 their digits."""
 
