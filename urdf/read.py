@@ -150,6 +150,7 @@ def read(
             raise
         raise SourceError(where, "; ".join([str(error), *words])) from error
     except (NewtonEulerError, np.linalg.LinAlgError) as error:
+        check_inertias(where, root)
         raise SourceError(where, str(error)) from error
     return Reading(scene, report)
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from mechanisms import mass_on_rail
+from mechanisms import bar, mass_on_rail, pendulum
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from crosscheck.scenes.size import check_functions, check_scene
-from newton_euler import PD, JointSpring, PrescribedMotion
+from newton_euler import PD, Body, JointSpring, Mechanism, PrescribedMotion, Scene
 from newton_euler.limits import changed
+from newton_euler.model.joint_kinds import Fixed
 from newton_euler.model.motions import Polynomial, Sine, Sum
 
 RAIL = mass_on_rail(duration=1.0)
@@ -19,6 +20,19 @@ RAIL = mass_on_rail(duration=1.0)
 
 def driven(*terms):
     return replace(RAIL, motions=(PrescribedMotion("rail", Sum(terms)),), initial_state=None)
+
+
+def turned(*coefficients):
+    """A hinge in motion for 1 s, 2 pi rad a cycle."""
+    motion = PrescribedMotion("pivot", Polynomial(coefficients))
+    return replace(pendulum(), duration=1.0, motions=(motion,), initial_state=None)
+
+
+def test_what_cannot_move_is_refused():
+    shelf = bar("shelf", [0.0, 0.0, 1.0], [0.5, 0.0, 1.0])
+    mechanism = Mechanism([Body.ground(), shelf], [Fixed("screws", "ground", "shelf", [0.0, 0.0, 1.0])])
+    with pytest.raises(CrosscheckError, match="no body can move"):
+        check_scene(Scene("shelf", mechanism, 1.0, 0.5))
 
 
 @pytest.mark.parametrize(
@@ -31,6 +45,8 @@ def driven(*terms):
         ("forces", 1, replace(RAIL, forces=(JointSpring("rail", 1.0),), control=(PD("rail", 1, 1, 0),))),
         ("terms", 2, driven(Sine(1.0, 1.0), Polynomial((0.0, 1.0)))),
         ("cycles", 3, driven(Sine(0.1, 30.0))),
+        ("cycles", 15915, turned(1e5)),
+        ("cycles", 15915, turned(0.0, 1e5)),
         ("steps", 999, RAIL),
         ("states", 21, RAIL),
     ],
