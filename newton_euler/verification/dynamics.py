@@ -17,7 +17,7 @@ from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 from newton_euler.verification.figure import Figure, figure, worst
 from newton_euler.verification.forces import largest, row_figure
-from newton_euler.verification.original import DOUBT, FREE, KINDS, ROUND_OFF, Sample
+from newton_euler.verification.original import CLOSED, DOUBT, FREE, KINDS, ROUND_OFF, Sample
 from newton_euler.verification.placed import Place, Placed
 
 RATE = 1.0
@@ -117,7 +117,9 @@ def _loop_figures(sample: Sample, own: Array) -> list[Figure]:
     fine, coarse = sample.velocity_products
     scale = float(np.max(np.abs(jacobian))) * max(RATE**2, float(np.max(np.abs(own))))
     opened, unsure = jacobian @ own + fine, coarse - fine
-    if sample.freedom.doubt > FREE:  # what may be taken as redundant may open
+    # rows that may be taken as redundant may open: those in doubt, and those of loops that keep an offset,
+    # which no motion closes
+    if sample.freedom.doubt > FREE or sample.original.offset > CLOSED:
         u, s, _ = singular_values(jacobian)
         held = u[:, s > DOUBT * max(1.0, float(s[0]))]
         opened, unsure = held @ (held.T @ opened), held @ (held.T @ unsure)

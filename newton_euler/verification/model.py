@@ -29,7 +29,7 @@ def body_figures(placed: Placed) -> Iterator[Figure]:
     reach = original.size + float(np.max(np.abs(wanted.center_of_mass)))
     yield figure("mass, rel", np.abs(found.mass / wanted.mass - 1.0), ROUND_OFF, names)
     gaps = np.linalg.norm(found.center_of_mass - wanted.center_of_mass, axis=1)
-    kept = np.max(np.abs(original.open[1].residual), initial=0.0) if placed.halved else 0.0
+    kept = original.offset if placed.halved else 0.0
     yield figure(PLACES, gaps, reach * (ROUND_OFF + 10.0 * kept), names)
     largest = np.linalg.norm(wanted.inertia, ord=2, axis=(1, 2))
     gaps = np.linalg.norm(found.inertia - wanted.inertia, ord=2, axis=(1, 2)) / largest

@@ -249,6 +249,11 @@ class Original(ABC):
         self.start = self.aligned(self.closest, scene)
         self.open = self.constraints(self.closest), self.constraints(self.start)
 
+    @property
+    def offset(self) -> float:
+        """Largest residual of loops that their offsets keep, sizes or rad."""
+        return float(np.max(np.abs(self.open[1].residual), initial=0.0))
+
     @abstractmethod
     def points(self, q: Array) -> Array:
         """(k, 3) centers of mass and places of joints of all that moves, m."""
