@@ -142,8 +142,8 @@ MISTAKES = {
     ),
     "reactions on the first body": (
         "newton_euler/equations/reactions.py",
-        "sign = 1.0 if kept.forward else -1.0",
-        "sign = -1.0 if kept.forward else 1.0",
+        "own if kept.forward else -carried",
+        "-carried if kept.forward else own",
         "newton_euler/equations/test_systems.py",
     ),
     "a coupling's acceleration with the wrong sign": (
@@ -216,7 +216,7 @@ MISTAKES = {
         "newton_euler/integrators/projection.py",
         "owner = row_owners(mechanism.equations, coupled)[worst]",
         "owner = row_owners(mechanism.equations, coupled)[worst - 1]",
-        "newton_euler/integrators/test_singular.py::test_a_joint_of_what_floats_far_away_comes_open_as_here",
+        "newton_euler/integrators/test_singular.py::test_the_joint_that_has_come_open_is_named",
     ),
     "coverage that counts elements twice": (
         "crosscheck/comparison/coverage.py",

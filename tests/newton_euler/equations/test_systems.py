@@ -109,7 +109,8 @@ def check_states(
 @pytest.mark.parametrize("name", SCENES)
 def test_all_equations_agree(name: str) -> None:
     scene, group = SCENES[name]
-    check_states(scene, random_states(scene, 3), group, name not in REDUNDANT)
+    # in floats the elimination of a hundred rows takes seconds, and shows no more than that of ten
+    check_states(scene, random_states(scene, 3), group, name not in REDUNDANT, sparse="long" not in name)
 
 
 def test_all_equations_agree_on_the_tracker(tracker: Scene, tracker_states: list[State]) -> None:

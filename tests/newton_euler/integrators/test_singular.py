@@ -180,6 +180,15 @@ def test_what_is_open_and_what_has_come_open(gaps, stops):
     assert caught.value.time == stops
 
 
+def test_the_joint_that_has_come_open_is_named():
+    scene = seven_hinges()
+    for k, joint in enumerate(scene.mechanism.joint_names):
+        phi = np.zeros((2, 35))
+        phi[1, 5 * k] = 0.02 * scene.mechanism.longest
+        with pytest.raises(IntegrationError, match=f"joint '{joint}' drifted by"):
+            check_still_closed(scene, np.arange(2.0), phi)
+
+
 def satellite(distance):
     """An arm of 1 m that turns on a satellite so far away (m), whose own joint binds nothing."""
     here = np.array([distance, 0.0, 0.0])
