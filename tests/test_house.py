@@ -108,7 +108,7 @@ def test_rooms_import_one_way(room):
 
 @cache
 def is_heavy(module: str) -> bool:
-    """Whether importing a module loads a heavy package."""
+    """Find out whether importing a module loads a heavy package."""
     if module.split(".")[0] in HEAVY:
         return True
     source = modules(module.split(".")[0]).get(module)

@@ -60,7 +60,8 @@ MISTAKES = {
         "newton_euler/equations/independence.py",
         "ROUND_OFF = 1e-10",
         "ROUND_OFF = 1e-18",
-        "newton_euler/equations/test_nearly_redundant.py::test_engines_omit_the_same_constraint",
+        "newton_euler/equations/test_nearly_redundant.py::"
+        "test_round_off_is_no_constraint_however_literally_others_are_taken",
     ),
     "a missing gyroscopic torque": (
         "newton_euler/equations/relative.py",
@@ -312,7 +313,7 @@ MISTAKES = {
         "newton_euler/equations/formulation.py",
         "q[self.angles[key]] += angle",
         "q[self.angles[key]] -= angle",
-        "newton_euler/equations/test_turns.py",
+        "newton_euler/equations/test_revolutions.py",
     ),
     "a held force that outlives its run": (
         "newton_euler/integrators/sampling.py",

@@ -166,7 +166,7 @@ def test_convert_says_what_a_format_cannot_hold(capsys, tmp_path):
 
 
 def dampings(scene: Scene) -> dict[tuple[str, int], float]:
-    """What is along hinges and slides, N s/m or N m s/rad, by joint and coordinate."""
+    """Damping along hinges and slides, N s/m or N m s/rad, by joint and coordinate."""
     found = [force for force in scene.forces if isinstance(force, JointSpring)]
     return {(force.joint, force.coordinate): force.damping for force in found}
 

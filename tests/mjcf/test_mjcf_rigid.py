@@ -42,7 +42,7 @@ def gap(found: Evaluation, wanted: Evaluation, name: str, scale: float = 0.0) ->
 
 
 def both(scene: Scene, states: Sequence[State], *systems: System) -> Iterator[tuple[Evaluation, Evaluation]]:
-    """What MuJoCo's rigid model gives at each state, with what each of the systems does."""
+    """Evaluate MuJoCo's rigid model and each of the systems at each state."""
     rigid = RigidMuJoCo(scene)
     for state in states:
         found = rigid.evaluate(*rigid.coordinates(state))

@@ -24,7 +24,7 @@ def short(tracker):
 
 
 def same(a, b) -> bool:
-    """Whether two trajectories are equal to the last bit."""
+    """Compare two trajectories to the last bit."""
     return all(np.array_equal(x, b.arrays()[name]) for name, x in a.arrays().items())
 
 

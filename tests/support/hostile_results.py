@@ -60,7 +60,7 @@ CONTENT: dict[str, Any] = {
 
 
 def damaged(text: str, dice: random.Random) -> Iterator[tuple[str, bytes]]:
-    """What is no results any more, whatever the text was."""
+    """Yield results that are none any more, whatever the text was."""
     content = json.loads(text)
     yield "empty", b""
     yield "of blanks", b" \n" * 100
@@ -115,7 +115,7 @@ PLACES: dict[str, Callable[[Path], None]] = {
     "a link to nothing": lambda path: path.symlink_to("nowhere"),
     "a link to itself": lambda path: path.symlink_to(path.name),
 }
-"""What is no file."""
+"""Paths that are no regular files."""
 
 
 def baseline_cases() -> Iterator[Refused]:
@@ -283,7 +283,7 @@ def written(file: str, content: object) -> Prepare:
 
 
 def size_cases() -> Iterator[Refused]:
-    """What is too large, by the limit that says so; limits of scenes are tested where they are checked."""
+    """Yield models that are too large, with the limit that says so; limits of scenes are tested where they are checked."""
     function = {"kind": "polynomial", "coefficients": [0, 1e5]}
     content = short_example() | {"control": [], "motions": [{"joint": "motor", "function": function}]}
     for command in (("run", "large.json", "--output", "new"), ("convert", "large.json", "new.yaml")):

@@ -1,4 +1,4 @@
-"""What compiled scenes are remembered by: the same in every process, another for whatever changes them."""
+"""Fingerprints of scenes: the same in every process, another for whatever changes the equations."""
 
 from __future__ import annotations
 

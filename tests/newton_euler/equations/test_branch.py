@@ -1,4 +1,4 @@
-"""Which way an elbow bends: on an arm of two links, whose determinant is l_1 l_2 sin(q_2)."""
+"""Branches of an arm of two links: the sign of its determinant l_1 l_2 sin(q_2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loops that noise in a file keeps from being redundant move as the design does, in every form and engine."""
+"""Nearly redundant loops, whose equations are independent by noise alone, in every formulation and engine."""
 
 from __future__ import annotations
 
@@ -156,14 +156,20 @@ def test_a_state_that_noise_leaves_open_may_be_a_start_and_others_not():
         initial_state(replace(scene, initial_state=shifted))
 
 
-def rows_of(matrix):
-    return independent([sparse_vector(row) for row in np.array(matrix, dtype=float)], 1e-4).rows
+def rows_of(matrix, tolerance=1e-4):
+    return independent([sparse_vector(row) for row in np.array(matrix, dtype=float)], tolerance).rows
 
 
 def test_ranks_lie_at_gaps():
     assert rows_of(np.diag([2.0, 1.0, 1e-8])) == [0, 1]
     assert rows_of(np.diag([2.0, 1e-1, 1e-2, 1e-3, 2e-4, 5e-5])) == [0, 1, 2, 3, 4, 5]  # no gap
     assert rows_of(np.zeros((2, 2))) == []
+
+
+def test_round_off_is_no_constraint_however_literally_others_are_taken():
+    for size, independents in ((1e-9, [0, 1]), (1e-11, [0])):
+        assert rows_of([[1.0, 0.0], [1.0, size]], tolerance=0.0) == independents
+        assert rows_of(np.diag([1.0, size]), tolerance=0.0) == independents
 
 
 def finger(size: float, tilt: float = 1e-6) -> str:

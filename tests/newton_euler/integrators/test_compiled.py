@@ -61,7 +61,7 @@ BUILDS = (
 )
 
 CONDITION = {"slider_tree": 10.0, "andrews": 10.0}
-"""Where accelerations differ by more than 1e-12 between any two forms, float forms among themselves too."""
+"""Scenes whose accelerations differ by more than 1e-12 between any two forms, floats included."""
 
 
 @pytest.mark.parametrize("count", [20, pytest.param(1000, marks=pytest.mark.slow)])

@@ -18,7 +18,7 @@ OPTIONS = {name: {"step": 0.01} if name in ("RK4", "Euler") else {"rtol": 1e-4} 
 
 
 def plain(argument, pause):
-    """What native code gets, for Python: vectors, native functions as such, and nobody who wants to stop."""
+    """Convert an argument of native code for Python: vectors, native functions, no wish to stop."""
     if isinstance(argument, Record):
         values = {field.name: plain(getattr(argument, field.name), pause) for field in fields(argument)}
         return type(argument)(**values)

@@ -1,4 +1,4 @@
-"""Which method engines take by themselves, on a damped hinge whose motion has a closed form."""
+"""Choice of integrators by stiffness, on a damped hinge whose motion has a closed form."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the public constructors refuse: errors of the package's own for any value at all, and no warning."""
+"""Values that the public constructors refuse: errors of the package's own for any value at all, and no warning."""
 
 from __future__ import annotations
 

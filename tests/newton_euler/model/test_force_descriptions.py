@@ -1,4 +1,4 @@
-"""What forces may be, which of their numbers may vary from run to run, and what overflows."""
+"""Descriptions of forces: what is accepted, parameters of batches, and overflow."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ COARSE = {
     "RK4": {"step": 4e-2},
     "Euler": {"step": 1e-3},
 }
-"""What loses a hundredth of a norm in some seconds, left alone."""
+"""Steps that lose a hundredth of a norm in some seconds without correction."""
 
 ENGINES = {
     **{

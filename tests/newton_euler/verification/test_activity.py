@@ -1,4 +1,4 @@
-"""What limits, contacts and dry friction of a file did in a run without them, against closed forms."""
+"""Limits, contacts and dry friction of a file in a run without them: whether they act, by closed forms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Angles that are coupled: which turn they are in does not depend on the order of the couplings."""
+"""Revolutions of coupled angles, whatever the order of the couplings."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def angles(scene: Scene, formulation: str) -> dict[str, float]:
 
 @pytest.mark.parametrize("formulation", ["relative", "cartesian"])
 @pytest.mark.parametrize("angle", [0.0, 1.0, -3.0, 5.0, 20.0, -77.7])
-def test_gears_start_in_the_fewest_turns_that_agree_with_all_poses(angle, formulation):
-    """After two turns of the first wheel, five of the second and so on, all poses are the same again."""
+def test_gears_start_in_the_fewest_revolutions_that_agree_with_all_poses(angle, formulation):
+    """After two revolutions of the first wheel, five of the second and so on, all poses are the same again."""
     fewest = float(np.remainder(angle + 2.0 * np.pi, 4.0 * np.pi) - 2.0 * np.pi)
     for order in ORDERS:
         scene = train(order)
@@ -81,7 +81,7 @@ def test_wheels_that_do_not_mesh_are_refused_in_any_order(order):
 @pytest.mark.parametrize("order", ORDERS, ids=str)
 @pytest.mark.parametrize("joint", ["shaft_0", "shaft_1", "shaft_3"])
 @pytest.mark.parametrize("start", [3.1, 7.0, -55.5, 700.0])
-def test_a_motion_that_starts_turns_away_moves_all_wheels(order, joint, start):
+def test_a_motion_that_starts_revolutions_away_moves_all_wheels(order, joint, start):
     scene = train(order, PrescribedMotion(joint, Polynomial([start, 1.0])))
     expected = {name: ratio / ANGLES[joint] * start for name, ratio in ANGLES.items()}
     # what assembly leaves open, of the largest angle
@@ -90,7 +90,7 @@ def test_a_motion_that_starts_turns_away_moves_all_wheels(order, joint, start):
     )
 
 
-def test_a_motion_that_starts_turns_away_runs():
+def test_a_motion_that_starts_revolutions_away_runs():
     scene = train((2, 0, 1), PrescribedMotion("shaft_0", Polynomial([-55.5, 1.0])))
     for formulation in ("relative", "cartesian"):
         run = newton_euler.simulate(scene, formulation)
@@ -100,7 +100,7 @@ def test_a_motion_that_starts_turns_away_runs():
         assert run.constraint_violation.max() < 1e-11
 
 
-def test_a_slide_tells_the_turns_of_all_that_it_drives():
+def test_a_slide_determines_the_revolutions_of_all_that_it_drives():
     """A rack, a pinion, a wheel that the pinion drives, and a nut that moves with the rack."""
     joints: list[Joint] = [
         Translational("guide", "ground", "rack", ORIGIN, axis=Y),
@@ -129,7 +129,7 @@ def test_a_slide_tells_the_turns_of_all_that_it_drives():
             assert at["thread", 1] == pytest.approx(130.0, abs=1e-8)
 
 
-def test_poses_that_nothing_agrees_with_stay_within_half_a_turn():
+def test_poses_that_nothing_agrees_with_stay_within_half_a_revolution():
     """A guess, which assembly moves; the slowest wheel stays where it is."""
     gear = Coupling("gear", "mesh", "b", {("b", 0): 1.0, ("a", 0): -np.sqrt(2.0)}, None, False)
     found = revolutions([gear], {("a", 0): 3.0, ("b", 0): 0.2}, {("a", 0), ("b", 0)}, 0.0)
