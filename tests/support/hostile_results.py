@@ -283,7 +283,7 @@ def written(file: str, content: object) -> Prepare:
 
 
 def size_cases() -> Iterator[Refused]:
-    """Yield models that are too large, with the limit that says so; limits of scenes are tested where they are checked."""
+    """Yield models that are too large, with the limit that says so; see `test_size` for those of scenes."""
     function = {"kind": "polynomial", "coefficients": [0, 1e5]}
     content = short_example() | {"control": [], "motions": [{"joint": "motor", "function": function}]}
     for command in (("run", "large.json", "--output", "new"), ("convert", "large.json", "new.yaml")):

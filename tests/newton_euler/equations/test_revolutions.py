@@ -61,7 +61,7 @@ def angles(scene: Scene, formulation: str) -> dict[str, float]:
 @pytest.mark.parametrize("formulation", ["relative", "cartesian"])
 @pytest.mark.parametrize("angle", [0.0, 1.0, -3.0, 5.0, 20.0, -77.7])
 def test_gears_start_in_the_fewest_revolutions_that_agree_with_all_poses(angle, formulation):
-    """After two revolutions of the first wheel, five of the second and so on, all poses are the same again."""
+    """After two of the first wheel, five of the second and so on, all poses are the same again."""
     fewest = float(np.remainder(angle + 2.0 * np.pi, 4.0 * np.pi) - 2.0 * np.pi)
     for order in ORDERS:
         scene = train(order)

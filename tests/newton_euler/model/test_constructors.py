@@ -1,4 +1,4 @@
-"""Values that the public constructors refuse: errors of the package's own for any value at all, and no warning."""
+"""Refusals of the public constructors: errors of the package's own for any value at all, and no warning."""
 
 from __future__ import annotations
 
