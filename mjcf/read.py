@@ -19,7 +19,7 @@ from collections.abc import Mapping as Given
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -43,20 +43,14 @@ from newton_euler.model.control import PD
 from newton_euler.model.forces import Armature, BallArmature
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Sine
-from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
-from newton_euler.model.source_file import path_text
+from newton_euler.model.scene import Scene
+from newton_euler.model.source_file import ReadOptions, Request, path_text
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport, unique_name
 from newton_euler.verification.original import Original
 from newton_euler.verification.verify import check
-
-DURATION = 1.0
-"""s, of a run of a model that says nothing about how long it wants to be run."""
-
-OUTPUT_PERIOD = 0.01
-"""s"""
 
 MOST_NAMES = 5
 """Of actuators in one line of a report."""
@@ -91,41 +85,34 @@ class Reading:
 def read(
     path: str | os.PathLike[str],
     key: str | None = None,
-    duration: float = DURATION,
-    output_period: float = OUTPUT_PERIOD,
     root: str | None = None,
-    redundancy_tolerance: float = REDUNDANCY_TOLERANCE,
-    verified: bool = True,
-    exercise: bool = False,
+    **options: Unpack[ReadOptions],
 ) -> Reading:
     """Read an MJCF file.
 
     Args:
         path: of the file.
         key: name of the keyframe to start from, or "qpos0"; the first keyframe if None, if there is one.
-        duration, output_period: of the scene, s.
         root: folder that all files have to be in that it refers to, see `mjcf.reading.source`.
-        redundancy_tolerance: of the scene, see `newton_euler.Scene`.
-        verified: whether to verify the reading. If not, `report.originals` is what to verify it against.
-        exercise: whether to drive actuators by sines and to let joints move at the start.
+        options: see `newton_euler.model.source_file.Request`.
 
     Raises:
         MjcfError: naming the file and the element at fault, one that was not read right among them.
     """
-    where = path_text(path, SourceError)
+    where, request = path_text(path, SourceError), Request(**options)
     with heard_warnings() as warnings:
         model = compiled(where, root)
-        found = _reading(where, copy.copy(model), key, None, duration, output_period, redundancy_tolerance)
+        found = _reading(where, copy.copy(model), key, request)
         try:
             originals = [_original(copy.copy(model), key, found)]
-            if exercise:
-                found, other = _exercised(where, model, key, found)
+            if request.exercise:
+                found, other = _exercised(where, model, key, request, found)
                 originals.append(other)
             elif model.nu:
-                originals.append(_driven(where, model, key, found.scene))
+                originals.append(_driven(where, model, key, request))
             report = found.report
             report.originals.extend(originals)
-            if verified:
+            if request.verified:
                 report.start.append(check(report))
         except SourceError:
             raise
@@ -144,16 +131,16 @@ def _original(
 
 
 @np.errstate(all="ignore")  # what overflows is refused
-def _driven(where: str, model: Any, key: str | None, scene: Scene) -> tuple[Original, Scene]:
+def _driven(where: str, model: Any, key: str | None, request: Request) -> tuple[Original, Scene]:
     """The reading with all controls at random, and what it is verified against."""
-    control, times = random_control(model), (scene.duration, scene.output_period)
-    driven = _reading(where, copy.copy(model), key, control, *times, scene.redundancy_tolerance)
+    control = random_control(model)
+    driven = _reading(where, copy.copy(model), key, request, control)
     return _original(copy.copy(model), key, driven, (control, np.array(driven.start.data.act)))
 
 
 @np.errstate(all="ignore")  # what overflows is refused
 def _exercised(
-    where: str, model: Any, key: str | None, found: Reading
+    where: str, model: Any, key: str | None, request: Request, found: Reading
 ) -> tuple[Reading, tuple[Original, Scene]]:
     """Drive actuators, and let joints move at the start unless the file does.
 
@@ -162,10 +149,7 @@ def _exercised(
     """
     scene, start = found.scene, found.start
     plan = exercised(scene, found.drives, np.array(start.data.ctrl), start.model.actuator_ctrladr)
-    times = scene.duration, scene.output_period
-    driven = _reading(
-        where, copy.copy(model), key, plan.control, *times, scene.redundancy_tolerance, plan.swings
-    )
+    driven = _reading(where, copy.copy(model), key, request, plan.control, plan.swings)
     laws = (
         replace(law, feedforward=law.feedforward_at(MOMENT)) if isinstance(law, PD) else law
         for law in driven.scene.control
@@ -197,17 +181,15 @@ def _reading(
     where: str,
     model: Any,
     key: str | None,
-    control: Array | None,
-    duration: float,
-    output_period: float,
-    tolerance: float,
+    request: Request,
+    control: Array | None = None,
     swings: Given[int, Sine] = MappingProxyType({}),
 ) -> Reading:
     report = ImportReport()
-    start = Start(where, model, key, report, tolerance, control)
+    start = Start(where, model, key, report, request.redundancy_tolerance, control)
     try:
         bodies = Bodies(start, report)
-        scene, drives = _scene(where, start, bodies, report, duration, output_period, tolerance, swings)
+        scene, drives = _scene(start, bodies, report, request, swings)
     except SourceError:
         raise
     except NewtonEulerError as error:
@@ -216,16 +198,9 @@ def _reading(
 
 
 def _scene(
-    path: str,
-    start: Start,
-    bodies: Bodies,
-    report: ImportReport,
-    duration: float,
-    output_period: float,
-    tolerance: float,
-    swings: Given[int, Sine],
+    start: Start, bodies: Bodies, report: ImportReport, request: Request, swings: Given[int, Sine]
 ) -> tuple[Scene, dict[int, Drive]]:
-    model: Any = start.model
+    path, model = start.path, start.model
     if len(bodies.bodies) < 2:
         raise SourceError(path, "no body can move")
     joints = Joints(start, bodies, driven_joints(model), report)
@@ -243,8 +218,8 @@ def _scene(
     scene = Scene(
         name[:100].strip(".") or "model",
         unweld_loops(Mechanism(bodies.bodies, [*joints.joints, *loops.joints], loops.gears)),
-        duration,
-        output_period,
+        request.duration,
+        request.output_period,
         gravity,
         actuators.laws,
         forces=tuple(forces.forces),
@@ -254,7 +229,7 @@ def _scene(
             *(BallArmature(joint, a) for joint, a in of_balls.items()),
         ),
         description=f"{Path(path).name} from {start.key}",
-        redundancy_tolerance=tolerance,
+        redundancy_tolerance=request.redundancy_tolerance,
     )
     return _moving(scene, start, bodies, report), actuators.drives
 

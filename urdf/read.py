@@ -17,8 +17,9 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 
@@ -29,8 +30,8 @@ from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
-from newton_euler.model.source_file import path_text
+from newton_euler.model.scene import Scene
+from newton_euler.model.source_file import ReadOptions, Request, path_text
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.verification.activity import Bounds, Rest, Watch
 from newton_euler.verification.import_report import (
@@ -43,18 +44,12 @@ from newton_euler.verification.import_report import (
 from newton_euler.verification.verify import check
 from urdf.errors import UrdfError
 from urdf.loops import NO_LOOPS, Loops
-from urdf.model import BASES, ClosedLoopModel, build
+from urdf.model import BASES, build
 from urdf.original import UrdfOriginal
 from urdf.reading.bodies import Tree
 from urdf.reading.source import SourceError, check_inertias, parsed, read_loop_text, read_loops, read_text
 from urdf.reading.start import Mimic, Start
 from urdf.reading.visuals import dressed
-
-DURATION = 1.0
-"""s, of a run of a model that says nothing about how long it wants to be run."""
-
-OUTPUT_PERIOD = 0.01
-"""s"""
 
 GRAVITY = (0.0, 0.0, -9.81)
 """m/s^2, unless another one is asked for; a URDF has none."""
@@ -81,32 +76,25 @@ class Reading:
 def read(
     path: str | os.PathLike[str],
     loops: str | os.PathLike[str] | None = None,
-    duration: float = DURATION,
-    output_period: float = OUTPUT_PERIOD,
     base: str = "fixed",
     gravity: Sequence[float] = GRAVITY,
-    redundancy_tolerance: float = REDUNDANCY_TOLERANCE,
-    verified: bool = True,
-    exercise: bool = False,
+    **options: Unpack[ReadOptions],
 ) -> Reading:
     """Read a URDF.
 
     Args:
         path: of the URDF.
         loops: of its loop file; none if None.
-        duration, output_period: of the scene, s.
         base: "fixed" or "free", whether its root link is the ground or floats.
         gravity: (3,) of the scene, m/s^2.
-        redundancy_tolerance: of the scene, see `newton_euler.Scene`.
-        verified: whether to verify the reading. If not, `report.originals` is what to verify it against.
-        exercise: whether to let joints move at the start. What is verified is the file as it stands.
+        options: see `newton_euler.model.source_file.Request`. What is verified is the file as it stands.
 
     Raises:
         UrdfError: naming the file and the element at fault, one that was not read right among them.
         UnknownNameError: for another base.
     """
     check_choice("base", base, tuple(BASES))
-    where, report = path_text(path, SourceError), ImportReport()
+    where, report, request = path_text(path, SourceError), ImportReport(), Request(**options)
     text = read_text(where)
     root = parsed(where, text)
     text = _without_declaration(text)
@@ -123,20 +111,17 @@ def read(
             raise SourceError(where, "no joint can move")
         moving = [j for j in root.findall("joint") if j.get("type") != "fixed"]
         mimics = [Mimic(j, m) for j in moving for m in j.findall("mimic")]
-        start = Start(where, closed, closing, mimics, report, redundancy_tolerance)
+        start = Start(where, closed, closing, mimics, report, request.redundancy_tolerance)
         tree = Tree(where, start, set(closing.name_mot), report)
         _report_held(closing, report)
         tree.bodies = dressed(where, root, start, tree, report)
-        scene = _scene(
-            where, root, closed, closing, start, tree, mimics, report, duration, output_period, gravity
-        )
-        scene = replace(scene, redundancy_tolerance=redundancy_tolerance)
+        scene = _scene(where, root, start, tree, report, request, gravity)
         with np.errstate(all="ignore"):  # what overflows is refused
             original = UrdfOriginal(text, loop_text, base, gravity, report, scene)
             report.originals.append((original, scene))
-        if verified:
+        if request.verified:
             report.start.append(check(report))
-        if exercise:
+        if request.exercise:
             scene, fastest = exercised(scene)
             report.start.append(f"exercised: {fastest}")
         root_link = "is the ground" if base == "fixed" else "floats"
@@ -186,35 +171,32 @@ def _without_declaration(text: str) -> str:
 def _scene(
     path: str,
     root: ET.Element,
-    closed: ClosedLoopModel,
-    loops: Loops,
     start: Start,
     tree: Tree,
-    mimics: list[Mimic],
     report: ImportReport,
-    duration: float,
-    output_period: float,
+    request: Request,
     gravity: Sequence[float],
 ) -> Scene:
-    joints = [*tree.joints, *_closing(closed, loops, tree, report)]
-    gears = list(_gears(start, loops, tree, mimics, [joint.name for joint in joints], report))
+    joints = [*tree.joints, *_closing(start, tree, report)]
+    gears = list(_gears(start, tree, [joint.name for joint in joints], report))
     name = unique_name(root.get("name", "") or Path(path).stem, "robot", ())[:100].strip(".") or "robot"
     springs = tuple(_springs(root, tree, report))
     _report_leftovers(start, root, tree, report)
     return Scene(
         name,
         unweld_loops(Mechanism(tree.bodies, joints, gears)),
-        duration,
-        output_period,
+        request.duration,
+        request.output_period,
         gravity=np.array(gravity),
         forces=springs,
         description=Path(path).name,
+        redundancy_tolerance=request.redundancy_tolerance,
     )
 
 
-def _closing(closed: ClosedLoopModel, loops: Loops, tree: Tree, report: ImportReport) -> Iterator[Joint]:
+def _closing(start: Start, tree: Tree, report: ImportReport) -> Iterator[Joint]:
     """The joints that the loop file adds."""
-    taken = tree.joint_names
+    taken, closed, loops = tree.joint_names, start.closed, start.loops
     frames, rods = iter(closed.frames), iter(closed.rods)
     for number, (pair, kind) in enumerate(zip(loops.closed_loop, loops.type, strict=True)):
         first, second = next(rods) if kind == "rod" else next(frames)
@@ -236,20 +218,18 @@ def _closure_name(pair: tuple[str, str]) -> str:
     return first if first == second else ""
 
 
-def _gears(
-    start: Start, loops: Loops, tree: Tree, mimics: list[Mimic], taken: list[str], report: ImportReport
-) -> Iterator[JointCoupling]:
+def _gears(start: Start, tree: Tree, taken: list[str], report: ImportReport) -> Iterator[JointCoupling]:
     """Gears of mimics, and those and other couplings of coupled joints."""
     pairs: list[tuple[str, Key, Key, float]] = []
     sums: list[LinearCoupling] = []
-    for mimic in mimics:
+    for mimic in start.mimics:
         element = f"mimic of joint {mimic.follower!r}"
         if mimic.follower in tree.keys and mimic.driver in tree.keys:
             follower, driver = tree.keys[mimic.follower], tree.keys[mimic.driver]
             pairs.append((element, follower, driver, mimic.multiplier))
         else:
             report.left_out(element, "one of its joints moves nothing")
-    for coupling in loops.coupled:
+    for coupling in start.loops.coupled:
         terms = [(tree.keys[name], c) for name, c in coupling.items() if c and name in tree.keys]
         element = f"coupled {', '.join(coupling)}"
         if len(terms) > 2:

@@ -4,13 +4,44 @@ from __future__ import annotations
 
 import os
 import stat
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TypedDict
 
 from newton_euler.errors import NewtonEulerError
 from newton_euler.limits import MB, exceeded, size_in_bytes
+from newton_euler.model.scene import REDUNDANCY_TOLERANCE
 
 LONGEST_PROBLEM = 1000
 """Characters of a message; names and values in files have any length."""
+
+
+class ReadOptions(TypedDict, total=False):
+    """What is asked of a reader of model files, as keywords; see `Request`."""
+
+    duration: float
+    output_period: float
+    redundancy_tolerance: float
+    verified: bool
+    exercise: bool
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a reader of model files.
+
+    Attributes:
+        duration, output_period: of the scene, s; files say nothing about either.
+        redundancy_tolerance: of the scene, see `newton_euler.Scene`.
+        verified: True to verify the reading. If not, `report.originals` is what to verify it against.
+        exercise: True to drive actuators by sines and to let joints move at the start.
+    """
+
+    duration: float = 1.0
+    output_period: float = 0.01
+    redundancy_tolerance: float = REDUNDANCY_TOLERANCE
+    verified: bool = True
+    exercise: bool = False
 
 
 class SourceError(NewtonEulerError):

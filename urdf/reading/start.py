@@ -40,6 +40,7 @@ class Start:
 
     Attributes:
         closed: Pinocchio's model and its closures.
+        loops, mimics: of the files.
         q: Pinocchio's coordinates at the start.
         data: with joint and frame placements there.
     """
@@ -54,7 +55,7 @@ class Start:
         tolerance: float,
     ) -> None:
         """Raises `SourceError` for loops that do not close; rows are redundant by the scene's `tolerance`."""
-        self.closed, self.model = closed, closed.model
+        self.closed, self.model, self.loops, self.mimics = closed, closed.model, loops, mimics
         self.data: Any = self.model.createData()
         self._closures = Closures(closed, _Plain(), 1.0)  # type: ignore[arg-type]
         names = [" and ".join(p) for p, t in zip(loops.closed_loop, loops.type, strict=True) if t != "rod"]

@@ -56,7 +56,9 @@ def read_urdf(folder: Path, cut: str) -> Scene:
     text, loops = written_urdf(cut)
     (folder / "model.urdf").write_text(text)
     (folder / "model.yaml").write_text(loops)
-    return urdf.read.read(folder / "model.urdf", folder / "model.yaml", DURATION, PERIOD).scene
+    return urdf.read.read(
+        folder / "model.urdf", folder / "model.yaml", duration=DURATION, output_period=PERIOD
+    ).scene
 
 
 @pytest.fixture(scope="module")
