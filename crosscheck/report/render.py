@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.padding import Padding
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -31,8 +32,11 @@ LEAST = 20
 GUTTER = 2
 """Characters between columns."""
 
-INDENT = "  "
-"""Of rows below a heading."""
+INDENT = 2
+"""Characters that rows below a heading are indented by."""
+
+HEAD = 12
+"""Characters of headings that are not wrapped to the width of the figures below."""
 
 STYLES = {"": "", "holds": "green", "doubtful": "yellow", "fails": "bold red"}
 """Of verdicts, in a terminal."""
@@ -112,8 +116,9 @@ def _least(table: Table, number: int) -> int:
     words = column.heading.split()
     if not column.numeric:
         lines = [line if len(line) <= LEAST else max(line.split(), key=len) for line in lines]
-        return min(BRIEF, max(map(len, [*lines, *words]), default=0)) + (len(INDENT) if number == 0 else 0)
-    return max(map(len, [*lines, *words]), default=0)
+        return min(BRIEF, max(map(len, [*lines, *words]), default=0)) + (INDENT if number == 0 else 0)
+    heads = [min(HEAD, len(line)) for line in column.heading.split("\n")]
+    return max([*map(len, [*lines, *words]), *heads])
 
 
 def _of_columns(table: Table, numbers: Sequence[int]) -> Table:
@@ -149,7 +154,7 @@ def _rich_table(table: Table) -> RichTable:
             no_wrap=column.numeric,
             overflow="fold",
         )
-    indent = INDENT if any(isinstance(row, str) for row in table.rows) else ""
+    indent = INDENT if any(isinstance(row, str) for row in table.rows) else 0
     for row in table.rows:
         if isinstance(row, str):
             drawn.add_section()
@@ -160,7 +165,7 @@ def _rich_table(table: Table) -> RichTable:
             for column, text in zip(table.columns, shown, strict=False):
                 if column.brief:
                     text.truncate(BRIEF, overflow="ellipsis")
-            drawn.add_row(*(Text(indent) + text if k == 0 else text for k, text in enumerate(shown)))
+            drawn.add_row(Padding(shown[0], (0, 0, 0, indent)), *shown[1:])
     return drawn
 
 
