@@ -99,7 +99,7 @@ def bench_command(
 
 @cli.command("stress")
 @click.option(
-    "--full/--ci", "full", default=True, show_default=True, help="A quarter of an hour, or two minutes of it."
+    "--full/--ci", "full", default=True, show_default=True, help="All cases, or a short form of them."
 )
 @click.option(
     "--output",

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from crosscheck.against.compare import Model
     from crosscheck.run import Crosscheck, Progress
 
-ALL_ENGINES = "newton_euler,mujoco,pinocchio"
-
 OUTPUT = Path("output")
 """Where folders of results go unless told otherwise."""
 
@@ -44,7 +42,7 @@ OUTPUT = Path("output")
 @cli.command("run")
 @click.argument("scene", required=False)
 @click.option("--all", "library", is_flag=True, help="Run all scenes of the library, a line each.")
-@click.option("--engines", help=f"Comma-separated.  [default: {ALL_ENGINES}]")
+@click.option("--engines", help="Names, with commas between.  [default: all]")
 @setting_options
 @click.option("--against", metavar="MODEL", help="Compare with another model instead, by newton_euler alone.")
 @click.option("--against-loops", metavar="FILE", help="Loop file of that model if it is a URDF.")
@@ -78,9 +76,7 @@ def run_command(
     by crosscheck list. The recording is saved unless it is told to go elsewhere.
     """
     destination = Destination(**recording)
-    wanted = [
-        name.strip() for name in (ALL_ENGINES if engines is None else engines).split(",") if name.strip()
-    ]
+    wanted = _names(engines)
     if library:
         alone = scene is None and against is None and not (settings or loops or advice)
         if not alone or destination != Destination():
@@ -99,6 +95,15 @@ def run_command(
             return _run(chosen, wanted, settings, output, destination, loops, advice)
         models = _models((chosen, settings, loops), (against, against_settings, against_loops))
         return _run_against(models, output, destination)
+
+
+def _names(engines: str | None) -> list[str]:
+    """Names of engines that are asked for, all if nothing is said."""
+    from crosscheck.engines import ENGINES
+
+    if engines is None:
+        return list(ENGINES)
+    return [name.strip() for name in engines.split(",") if name.strip()]
 
 
 def _run_all(engines: list[str], output: Path | None) -> int:

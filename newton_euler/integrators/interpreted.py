@@ -168,7 +168,7 @@ def _fixed(
     system: System, derivative: Derivative, project: Projection, y: Array, times: Array, options: Options
 ) -> Iterator[tuple[int, Array]]:
     """Yield (steps so far, y) at times[1:], in equal steps between outputs."""
-    advance = _rk4 if options.integrator == "RK4" else _semi_implicit_euler
+    advance = {"RK4": _rk4, "Euler": _semi_implicit_euler}[options.integrator]
     assert options.step is not None
     steps = 0
     for begin, end in pairwise(times):

@@ -23,7 +23,7 @@ from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code
 from newton_euler.integrators.dop853 import Dop853, integrate_dop853
 from newton_euler.integrators.fixed_step import FixedStep, integrate_fixed
-from newton_euler.integrators.options import Options
+from newton_euler.integrators.options import FIXED, Options
 from newton_euler.integrators.outputs import Outputs, loops
 from newton_euler.integrators.projection import ROUND_OFF, Surface, close_by, project, worst_joint
 from newton_euler.integrators.radau import Radau, integrate_radau
@@ -43,8 +43,7 @@ CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
 METHODS: dict[str, Callable[..., int]] = {
     "DOP853": integrate_dop853,
     "Radau": integrate_radau,
-    "RK4": integrate_fixed,
-    "Euler": integrate_fixed,
+    **dict.fromkeys(FIXED, integrate_fixed),
 }
 
 
@@ -269,7 +268,7 @@ def _method(code: Code, x: Array, times: Array, options: Options, most: int) -> 
     if options.step is not None:
         euler = options.integrator == "Euler"
         return FixedStep(
-            order=1 if euler else 4,
+            order=FIXED[options.integrator],
             step=options.step,
             rate=code.function("rate") if euler else None,
             now=x,

@@ -53,7 +53,7 @@ def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
 
     Args:
         letters: out of `TOPICS`, all if empty.
-        full: in a quarter of an hour, or what of it takes two minutes.
+        full: all cases, or the short form of them.
         progress: told what is going on.
 
     Raises:
