@@ -12,9 +12,10 @@ ADAPTIVE = ("DOP853", "Radau")
 Radau IIA of order 5 (Hairer, Wanner, Solving ODEs II, 1996, section IV.8), both as in scipy."""
 
 FIXED = {"RK4": 4, "Euler": 1}
-"""Orders of methods with fixed steps: classical Runge-Kutta of order 4, and semi-implicit Euler: velocities first, then positions with
-the new velocities. Euler takes gyroscopic torques t = -omega x I omega explicitly: they do no work, but each
-step h adds h^2/2 t^T I^-1 t to the energy of a freely turning body, a share of order (h omega)^2."""
+"""Orders of methods with fixed steps: classical Runge-Kutta of order 4, and semi-implicit Euler, velocities
+first, then positions with the new velocities. Euler takes gyroscopic torques t = -omega x I omega
+explicitly: they do no work, but each step h adds h^2/2 t^T I^-1 t to the energy of a freely turning body, a
+share of order (h omega)^2."""
 
 INTEGRATORS = (*ADAPTIVE, *FIXED)
 
