@@ -27,6 +27,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.scene import Scene
+from newton_euler.model.source_file import Request
 
 FOUR_BAR = FOUR_BARS["cut at C by a connect"]
 
@@ -228,8 +229,9 @@ def test_options_of_models_are_listed_with_their_defaults(capsys, options, reade
     _, out, _ = run(capsys, "list")
     defaults = {
         name: of.default
-        for name, of in inspect.signature(reader).parameters.items()
-        if name not in ("path", "verified")
+        for of_one in (reader, Request)
+        for name, of in inspect.signature(of_one).parameters.items()
+        if name not in ("path", "verified", "options")
     }
     assert options.keys() == defaults.keys()
     for name, option in options.items():
