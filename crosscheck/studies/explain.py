@@ -165,7 +165,7 @@ def _terms(trace: Trace, rows: Iterable[int]) -> Iterator[tuple[str, list[Scalar
     if isinstance(system, Relative):
         links = system.links(q, v)
         yield "kinematics", [*rate, *(x for link in links for x in _scalars(*link.frame))]
-        mass, force = system.mass(q, v), system.force(q, v)
+        mass, force = system.sparse_mass_and_force(q, v)
         yield "actuation", [*system.joint_forces(system.measured(q, v)), *system.actuation(q, v)]
         yield "mass matrix", _entries(mass)
         yield "forces", _scalars(force)
@@ -241,7 +241,7 @@ def left_out(compiled: Code) -> Iterator[str]:
         yield f"rotation matrices of {still:,} of {len(moving):,} bodies: constant"
     rates = [x for link in moving for x in _scalars(link.frame.velocity, link.frame.angular_velocity)]
     yield f"body velocities: {sum(not _varying(x) for x in rates):,} of {len(rates):,} components are zero"
-    mass = system.mass(trace.q, trace.v)
+    mass, _ = system.sparse_mass_and_force(trace.q, trace.v)
     yield f"mass matrix: {system.nv**2 - len(_entries(mass)):,} of {system.nv**2:,} entries are zero"
     if system.row_owners:
         jacobian = system.phi_and_jacobian(trace.q)[1]

@@ -45,10 +45,6 @@ class Axis(NamedTuple):
     point: Array
     step: Array
 
-    def share(self, linear: Array, angular: Array) -> Any:
-        """Project the linear or the angular one of two vectors (3,), or of columns (3, n), on the axis."""
-        return self.direction @ (angular if self.turns else linear)
-
 
 class Pivot(NamedTuple):
     """The point of a body that its joint guides: (3,) position, velocity, and acceleration at qddot = 0."""

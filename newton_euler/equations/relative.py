@@ -24,19 +24,80 @@ Beyond that: couplings and prescribed motions are further rows of J, rotors furt
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from newton_euler.equations import balls, dense, sparse
 from newton_euler.equations.applied_forces import body_wrenches
-from newton_euler.equations.kinematics import Link, TreeKinematics, drift
+from newton_euler.equations.kinematics import Axis, Link, TreeKinematics, drift
 from newton_euler.equations.reactions import tree_reactions
 from newton_euler.equations.redundancy import rows_left_out, without
-from newton_euler.equations.sparse import Elimination, Rows, RowsInUse, Solution, add
-from newton_euler.equations.tree_inertia import RigidBody, TreeFactor, is_deep, mass_matrix, symmetric
+from newton_euler.equations.sparse import Rows, RowsInUse, Solution, add
 from newton_euler.errors import SingularityError
 from newton_euler.model.forces import BallArmature
 from newton_euler.scalars import Array, Scalar, cross, zeros
+
+
+class Subtree(NamedTuple):
+    """Bodies beyond a point of the tree: one rigid body, the wrench on it, its momenta at unit velocities.
+
+    Attributes:
+        mass: kg; moment: (3,) first moment of mass, kg m; inertia: (3, 3) kg m^2, about the point.
+        force, torque: (3,) N and N m about the point: applied, less those that give a0 and alpha0.
+        places: of the joint velocities within the subtree.
+        momentum, angular_momentum: (3, n) that these at 1 give the bodies, about the point.
+    """
+
+    mass: Scalar
+    moment: Array
+    inertia: Array
+    force: Array
+    torque: Array
+    places: list[int]
+    momentum: Array
+    angular_momentum: Array
+
+    def moved(self, d: Array) -> Subtree:
+        """Refer to the point from which the present one is at d (3,)."""
+        h, (xx, xy, xz), (_, yy, yz), (_, _, zz) = self.moment, *self.inertia
+        moment = h + self.mass * d
+        x, y, z = d * (h + moment)
+        xy = xy - (d[0] * moment[1] + h[0] * d[1])
+        xz = xz - (d[0] * moment[2] + h[0] * d[2])
+        yz = yz - (d[1] * moment[2] + h[1] * d[2])
+        return self._replace(
+            moment=moment,
+            inertia=np.array([[xx + (y + z), xy, xz], [xy, yy + (x + z), yz], [xz, yz, zz + (x + y)]]),
+            torque=self.torque + cross(d, self.force),
+            angular_momentum=self.angular_momentum + cross(d, self.momentum),
+        )
+
+    def joined(self, other: Subtree) -> Subtree:
+        """Take another one about the same point into it."""
+        return Subtree(
+            self.mass + other.mass,
+            self.moment + other.moment,
+            self.inertia + other.inertia,
+            self.force + other.force,
+            self.torque + other.torque,
+            self.places + other.places,
+            np.hstack([self.momentum, other.momentum]),
+            np.hstack([self.angular_momentum, other.angular_momentum]),
+        )
+
+    def driven(self, axis: Axis) -> Subtree:
+        """Take the velocity about or along an axis through the point into it."""
+        s = axis.direction
+        if axis.turns:
+            momentum, angular_momentum = cross(s, self.moment), self.inertia @ s
+        else:
+            momentum, angular_momentum = self.mass * s, cross(self.moment, s)
+        return self._replace(
+            places=[axis.place, *self.places],
+            momentum=np.column_stack([momentum, self.momentum]),
+            angular_momentum=np.column_stack([angular_momentum, self.angular_momentum]),
+        )
 
 
 class Relative(TreeKinematics):
@@ -63,7 +124,8 @@ class Relative(TreeKinematics):
         """Compute the inertia (3, 3) of a body about its pivot, world frame."""
         a = link.frame.rotation
         half = a @ self.pivot_inertias[body]
-        return symmetric(lambda i, j: half[i] @ a[j])
+        xx, yy, zz, xy, xz, yz = (half[i] @ a[j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
     def applied_wrenches(self, q: Array, v: Array) -> list[tuple[Array, Array]]:
         """Compute applied forces and torques (3,) about the pivots of all bodies, ground first."""
@@ -73,13 +135,23 @@ class Relative(TreeKinematics):
             for wrench, link in zip(wrenches, self.links(q, v), strict=True)
         ]
 
-    def rigid_bodies(self, q: Array, v: Array) -> list[RigidBody]:
-        """Compute mass and moments of mass of all bodies about their pivots, ground first."""
-        bodies = zip(self.masses, self.links(q, v), strict=True)
-        return [
-            RigidBody(mass, mass * link.arm, self.world_inertia(body, link))
-            for body, (mass, link) in enumerate(bodies)
-        ]
+    def subtrees(self, q: Array, v: Array) -> Iterator[tuple[Axis, Subtree]]:
+        """Compute what each axis moves, about the axis's point, from the leaves to the ground."""
+        links, none = self.links(q, v), np.zeros((3, 0))
+        found = []
+        for body, (link, (force, torque)) in enumerate(zip(links, self.applied_wrenches(q, v), strict=True)):
+            f, n = self.inertial_wrench(
+                body, link, link.pivot.acceleration, link.acceleration, link.angular_acceleration
+            )
+            inertia, mass = self.world_inertia(body, link), self.masses[body]
+            own = mass, mass * link.arm, inertia, force - f, torque - n
+            found.append(Subtree(*own, [], none, none))
+        for joint in reversed(self.tree.joints):
+            subtree = found[joint.child]
+            for axis in reversed(links[joint.child].axes):
+                subtree = subtree.moved(axis.step).driven(axis)
+                yield axis, subtree
+            found[joint.parent] = found[joint.parent].joined(subtree.moved(links[joint.child].offset))
 
     def actuation(self, q: Array, v: Array) -> Array:
         """Compute the share (nv,) of control laws and springs on joint coordinates in f."""
@@ -141,40 +213,31 @@ class Relative(TreeKinematics):
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Compute M (nv, nv) and f (nv,)."""
-        return sparse.to_array(self.mass(q, v), self.nv), self.force(q, v).astype(float)
+        mass, force = self.sparse_mass_and_force(q, v)
+        return sparse.to_array(mass, self.nv), force.astype(float)
 
-    def mass_rows(self, q: Array) -> Rows:
-        """Compute the nonzeros of M (nv, nv), over generic scalars."""
-        return self.mass(q, np.zeros(self.nv))
-
-    def mass(self, q: Array, v: Array) -> Rows:
-        """Compute the nonzeros of M (nv, nv), over generic scalars; it does not depend on v."""
-        mass = mass_matrix(self.tree, self.links(q, v), self.rigid_bodies(q, v))
-        for inertia, row, _ in self.rotors(q, v):
-            for i, x in row.items():
-                for j, y in row.items():
-                    add(mass[i], j, inertia * (x * y))
-        return mass
-
-    def force(self, q: Array, v: Array) -> Array:
-        """Compute f (nv,), over generic scalars: what wrenches at qddot = 0 leave of the applied ones."""
-        links, force = self.links(q, v), self.actuation(q, v)
-        wrenches = []
-        for body, (link, (f, n)) in enumerate(zip(links, self.applied_wrenches(q, v), strict=True)):
-            alpha = link.angular_acceleration
-            used = self.inertial_wrench(body, link, link.pivot.acceleration, link.acceleration, alpha)
-            wrenches.append((f - used[0], n - used[1]))
-        for joint in reversed(self.tree.joints):
-            f, n = wrenches[joint.child]
-            for axis in reversed(links[joint.child].axes):
-                n = n + cross(axis.step, f)
-                force[axis.place] = force[axis.place] + axis.share(f, n)
-            n = n + cross(links[joint.child].offset, f)
-            wrenches[joint.parent] = wrenches[joint.parent][0] + f, wrenches[joint.parent][1] + n
+    def sparse_mass_and_force(self, q: Array, v: Array) -> tuple[Rows, Array]:
+        """Compute the nonzeros of M (nv, nv), and f (nv,), over generic scalars."""
+        mass: Rows = [{} for _ in range(self.nv)]
+        force = self.actuation(q, v)
+        for axis, subtree in self.subtrees(q, v):
+            i, s = axis.place, axis.direction
+            turning, pushing = subtree.angular_momentum, subtree.momentum
+            for j, entry in zip(subtree.places, s @ (turning if axis.turns else pushing), strict=True):
+                add(mass[i], j, entry)
+                if i != j:
+                    add(mass[j], i, entry)
+            force[i] = force[i] + s @ (subtree.torque if axis.turns else subtree.force)
         for inertia, row, gamma in self.rotors(q, v):
             for i, x in row.items():
                 force[i] = force[i] + inertia * gamma * x
-        return force
+                for j, y in row.items():
+                    add(mass[i], j, inertia * (x * y))
+        return mass, force
+
+    def mass_rows(self, q: Array) -> Rows:
+        """Compute the nonzeros of M (nv, nv), over generic scalars."""
+        return self.sparse_mass_and_force(q, np.zeros(self.nv))[0]
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Solve for qddot (nv,) and lambda (k,) with dense matrices.
@@ -217,20 +280,12 @@ class Relative(TreeKinematics):
 
         `rows` of `phi` are used; the others must follow from them.
         """
-        force, (jacobian, right) = sparse.sparse_vector(self.force(q, v)), self.constraints(q, v)
-        factor = self.factor(q, v, rows.mass_scales)
-        return sparse.solve_constrained(factor, force, jacobian, right, rows, refine=False)
-
-    def factor(self, q: Array, v: Array, scales: list[float] | None) -> Elimination:
-        """Eliminate M, over generic scalars; `scales` are usual sizes of the pivots."""
-        rotors = [(inertia, row) for inertia, row, _ in self.rotors(q, v)]
-        if not is_deep(self.tree) or any(len(row) > 1 for _, row in rotors):
-            return sparse.factorise(self.mass(q, v), range(self.nv - 1, -1, -1), scales)
-        of_rotors: dict[int, Scalar] = {}
-        for inertia, row in rotors:
-            for k, x in row.items():
-                add(of_rotors, k, inertia * (x * x))
-        return TreeFactor(self.tree, self.links(q, v), self.rigid_bodies(q, v), of_rotors, scales)
+        mass, force = self.sparse_mass_and_force(q, v)
+        jacobian, right = self.constraints(q, v)
+        factor = sparse.factorise(mass, range(self.nv - 1, -1, -1), rows.mass_scales)
+        return sparse.solve_constrained(
+            factor, sparse.sparse_vector(force), jacobian, right, rows, refine=False
+        )
 
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
         """Compute qddot (nv,) from a sparse solution."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -77,27 +77,6 @@ def minimum_degree(pattern: Sequence[set[int]]) -> list[int]:
             neighbors[i] -= {i, k}
             heapq.heappush(waiting, (len(neighbors[i]), i))
     return order
-
-
-class Elimination(Protocol):
-    """L D L^T of a symmetric positive definite matrix, its pivots in D; see `Factor`."""
-
-    @property
-    def pivots(self) -> list[Any]:
-        """Return d of each row."""
-
-    @property
-    def pivot_ratio(self) -> Scalar:
-        """Return the least ratio of a pivot to its usual size, less `SINGULAR`."""
-
-    def lower(self, right: dict[int, Any]) -> dict[int, Any]:
-        """Compute L^-1 b."""
-
-    def scaled(self, x: dict[int, Any]) -> dict[int, Any]:
-        """Compute D^-1 x."""
-
-    def upper(self, right: dict[int, Any]) -> dict[int, Any]:
-        """Compute L^-T b."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +227,7 @@ class Solution:
 
 
 def solve_constrained(
-    factor: Elimination,
+    factor: Factor,
     force: dict[int, Any],
     jacobian: Rows,
     gamma: Array,
