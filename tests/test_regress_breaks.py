@@ -48,8 +48,8 @@ BREAKS = {
     ),
     "inertia turned the wrong way": (
         "newton_euler/equations/relative.py",
-        "a = link.frame.rotation",
-        "a = link.frame.rotation.T",
+        "return a @ self.inertias[body] @ a.T",
+        "return a.T @ self.inertias[body] @ a",
         "free_top",
     ),
     "gravity off by 1e-7": (

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -28,39 +26,6 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array, cos, cross, sin, tilde
 
 
-class Axis(NamedTuple):
-    """The share of one joint velocity in the motion of a body, world frame.
-
-    Attributes:
-        place: of the velocity in v.
-        turns: True for an angular velocity about the axis, False for a velocity along it.
-        direction: (3,) unit vector.
-        point: (3,) of the axis.
-        step: (3,) from there to the point of the next axis, the last of its joint being the link's `pivot`.
-    """
-
-    place: int
-    turns: bool
-    direction: Array
-    point: Array
-    step: Array
-
-
-class Pivot(NamedTuple):
-    """The point of a body that its joint guides: (3,) position, velocity, and acceleration at qddot = 0."""
-
-    position: Array
-    velocity: Array
-    acceleration: Array
-
-    def moved(self, s: Array, omega: Array, alpha: Array) -> Pivot:
-        """Go to the point at s (3,) of a body with this angular velocity and acceleration (3,)."""
-        position, velocity, acceleration = self
-        turning = cross(omega, s)
-        acceleration = acceleration + cross(alpha, s) + cross(omega, turning)
-        return Pivot(position + s, velocity + turning, acceleration)
-
-
 @dataclass(frozen=True, eq=False)
 class Link:
     """Kinematics of one body of the tree.
@@ -68,44 +33,18 @@ class Link:
     Attributes:
         frame: pose and velocity; the rotation is that of the body's tree frame.
         acceleration, angular_acceleration: (3,) at qddot = 0: the velocity-product part.
+        path: indices of the joint velocities that move the body.
+        linear, angular: (3, len(path)) velocity transformation: v = linear @ qdot[path].
         orientation: (4,) the rotation as Euler parameters, continuous in the joint coordinates.
-        pivot: of the body.
-        offset: (3,) from the parent's pivot to the joint's first axis.
-        arm: (3,) from the pivot to the center of mass.
-        axes: of the joint, in order.
-        moved_by: the axes of all joints between the ground and the body.
     """
 
     frame: Frame
     acceleration: Array
     angular_acceleration: Array
+    path: list[int]
+    linear: Array
+    angular: Array
     orientation: Array
-    pivot: Pivot
-    offset: Array
-    arm: Array
-    axes: list[Axis]
-    moved_by: list[Axis]
-
-    @cached_property
-    def path(self) -> list[int]:
-        """Indices of the joint velocities that move the body."""
-        return [axis.place for axis in self.moved_by]
-
-    @cached_property
-    def linear(self) -> Array:
-        """(3, len(path)) velocity transformation of the center of mass: v = linear @ qdot[path]."""
-        along = _columns([np.zeros(3) if axis.turns else axis.direction for axis in self.moved_by])
-        points = _columns([axis.point for axis in self.moved_by])
-        return cross(self.angular, self.frame.position[:, None] - points) + along
-
-    @cached_property
-    def angular(self) -> Array:
-        """(3, len(path)) velocity transformation of the rotation: omega = angular @ qdot[path]."""
-        return _columns([axis.direction if axis.turns else np.zeros(3) for axis in self.moved_by])
-
-
-def _columns(vectors: list[Array]) -> Array:
-    return np.array(vectors).T if vectors else np.zeros((3, 0))
 
 
 def rotation_about(axis: Array, angle: Array) -> Array:
@@ -114,81 +53,81 @@ def rotation_about(axis: Array, angle: Array) -> Array:
     return np.eye(3) + sin(angle) * k + (1.0 - cos(angle)) * (k @ k)
 
 
-def pivot_points(mechanism: Mechanism, tree: SpanningTree) -> list[Array]:
-    """Compute where the bodies' pivots (3,) are at the initial pose, the centers of those without an axis."""
-    points = [body.center_of_mass for body in mechanism.bodies]
-    for joint in tree.joints:
-        points[joint.child] = joint.points[-1] if joint.points else points[joint.child]
-    return points
-
-
 def tree_links(mechanism: Mechanism, tree: SpanningTree, q: Array, v: Array) -> list[Link]:
     """Compute the kinematics of all bodies, ground first, at q (nq,) and v (nv,)."""
-    ground = mechanism.bodies[0].center_of_mass
+    ground = mechanism.bodies[0]
     zero = np.zeros(3)
-    frame = Frame(ground, np.eye(3), zero, zero)
-    none = np.array([1.0, 0.0, 0.0, 0.0])
-    links = {0: Link(frame, zero, zero, none, Pivot(ground, zero, zero), zero, zero, [], [])}
-    pivots = pivot_points(mechanism, tree)
+    frame, none = Frame(ground.center_of_mass, np.eye(3), zero, zero), np.zeros((3, 0))
+    root = Link(frame, zero, zero, [], none, none, np.array([1.0, 0.0, 0.0, 0.0]))
+    links: dict[int, Link] = {0: root}
     for joint in tree.joints:
-        pivot = pivots[joint.child]
-        points = [*joint.points, pivot]
-        offset = points[0] - pivots[joint.parent]
-        steps = [after - before for before, after in pairwise(points)]
-        arm = mechanism.bodies[joint.child].center_of_mass - pivot
-        links[joint.child] = _child(joint, links[joint.parent], offset, steps, arm, q[joint.q], v[joint.v])
+        links[joint.child] = _child(mechanism, tree, joint, links[joint.parent], q[joint.q], v[joint.v])
     return [links[k] for k in range(len(mechanism.bodies))]
 
 
 def _child(
-    joint: TreeJoint, parent: Link, offset: Array, steps: list[Array], arm: Array, q: Array, v: Array
+    mechanism: Mechanism, tree: SpanningTree, joint: TreeJoint, parent: Link, q: Array, v: Array
 ) -> Link:
-    """Compute the kinematics of a joint's child, axis by axis from its parent.
+    """Compute the kinematics of a joint's child, motion by motion from its parent."""
+    r, a, velocity, omega = parent.frame
+    acceleration, alpha = parent.acceleration, parent.angular_acceleration
+    orientation = parent.orientation
 
-    `offset`, `steps` between points and `arm` are those of `Link` and `Axis` at the initial pose.
-    """
-    a, omega = parent.frame.rotation, parent.frame.angular_velocity
-    alpha, orientation = parent.angular_acceleration, parent.orientation
-    offset = a @ offset
-    pivot = parent.pivot.moved(offset, omega, alpha)
-    axes: list[Axis] = []
-    iq, iv = 0, joint.v.start
-    for motion, between in zip(joint.motions, steps, strict=True):
+    def move(s: Array) -> None:
+        """Go from the present point to the one at s, fixed in the present frame."""
+        nonlocal r, velocity, acceleration
+        turning = cross(omega, s)
+        r = r + s
+        velocity = velocity + turning
+        acceleration = acceleration + cross(alpha, s) + cross(omega, turning)
+
+    here = joint.points[0] if joint.motions else tree.joint(joint.joint).reaction_point
+    move(a @ (here - mechanism.bodies[joint.parent].center_of_mass))
+    columns: list[tuple[Array, Array | None]] = []  # an axis, and the point that it passes through
+    iq = iv = 0
+    for motion, point in zip(joint.motions, joint.points, strict=True):
+        if np.any(point != here):
+            move(a @ (point - here))
+            here = point
         if motion.kind == "slide":
-            direction, rate = a @ motion.axis, v[iv - joint.v.start]
-            coriolis = 2.0 * cross(omega, direction * rate)
-            step = a @ between + direction * q[iq]
-            axes.append(Axis(iv, False, direction, pivot.position, step))
-            r, velocity, acceleration = pivot.moved(step, omega, alpha)
-            pivot = Pivot(r, velocity + direction * rate, acceleration + coriolis)
+            axis = a @ motion.axis
+            coriolis = 2.0 * cross(omega, axis * v[iv])
+            move(axis * q[iq])
+            velocity = velocity + axis * v[iv]
+            acceleration = acceleration + coriolis
+            columns.append((axis, None))
             iq, iv = iq + 1, iv + 1
-            continue
-        if motion.kind == "hinge":
-            directions = [a @ motion.axis]
-            relative = directions[0] * v[iv - joint.v.start]
+        elif motion.kind == "hinge":
+            axis = a @ motion.axis
+            alpha = alpha + cross(omega, axis * v[iv])
+            omega = omega + axis * v[iv]
             a = a @ rotation_about(motion.axis, q[iq])
             half = 0.5 * q[iq]
             orientation = product(orientation, np.array([cos(half), *(sin(half) * motion.axis)]))
-            iq += 1
+            columns.append((axis, r))
+            iq, iv = iq + 1, iv + 1
         else:
             a = a @ rotation(q[iq : iq + 4])
             orientation = product(orientation, q[iq : iq + 4])
-            directions = list(a.T)
-            relative = a @ v[iv - joint.v.start : iv - joint.v.start + 3]
-            iq += 4
-        alpha = alpha + cross(omega, relative)
-        omega = omega + relative
-        step = a @ between
-        for k, direction in enumerate(directions, start=1):
-            last = k == len(directions)
-            axes.append(Axis(iv, True, direction, pivot.position, step if last else np.zeros(3)))
-            iv += 1
-        pivot = pivot.moved(step, omega, alpha)
-    arm = a @ arm
-    center = pivot.moved(arm, omega, alpha)
-    frame = Frame(center.position, a, center.velocity, omega)
-    moved_by = parent.moved_by + axes
-    return Link(frame, center.acceleration, alpha, orientation, pivot, offset, arm, axes, moved_by)
+            relative = a @ v[iv : iv + 3]
+            alpha = alpha + cross(omega, relative)
+            omega = omega + relative
+            columns.extend((a[:, k], r) for k in range(3))
+            iq, iv = iq + 4, iv + 3
+    move(a @ (mechanism.bodies[joint.child].center_of_mass - here))
+
+    arm = r - parent.frame.position
+    angular = list(parent.angular.T)
+    linear = [
+        column + cross(spin, arm) for column, spin in zip(parent.linear.T, parent.angular.T, strict=True)
+    ]
+    for axis, center in columns:
+        angular.append(np.zeros(3) if center is None else axis)
+        linear.append(axis if center is None else cross(axis, r - center))
+    path = parent.path + list(range(joint.v.start, joint.v.stop))
+    stack = (lambda rows: np.array(rows).T) if path else (lambda rows: np.zeros((3, 0)))
+    frame = Frame(r, a, velocity, omega)
+    return Link(frame, acceleration, alpha, path, stack(linear), stack(angular), orientation)
 
 
 def drift(jacobian: Jacobian, first: Link, second: Link) -> Array:
@@ -217,17 +156,6 @@ class TreeKinematics(Formulation):
         self.inertias = [
             a0 @ body.inertia @ a0.T
             for a0, body in zip(tree.initial_rotations, self.mechanism.bodies, strict=True)
-        ]
-        self.masses = [body.mass for body in self.mechanism.bodies]
-        self.pivot_points = pivot_points(self.mechanism, tree)
-        self.pivot_inertias = [
-            inertia + body.mass * (s @ s * np.eye(3) - np.outer(s, s))
-            for body, inertia, s in zip(
-                self.mechanism.bodies,
-                self.inertias,
-                [b.center_of_mass - x for b, x in zip(self.mechanism.bodies, self.pivot_points, strict=True)],
-                strict=True,
-            )
         ]
         self.velocity_units = tree.velocity_units
         self.quaternions = [on_q for motion, on_q, _ in tree.motions if motion.kind == "ball"]

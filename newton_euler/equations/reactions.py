@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.kinematics import Link, TreeKinematics
+from newton_euler.equations.kinematics import TreeKinematics
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.joint import Key
 from newton_euler.scalars import Array, Scalar, cross
@@ -80,7 +80,7 @@ def at_joint_points(
 
 def tree_reactions(
     system: TreeKinematics,
-    links: Sequence[Link],
+    frames: Sequence[Frame],
     needed: Sequence[Array],
     multipliers: Array,
     joint_forces: Iterable[tuple[Key, Scalar]],
@@ -93,46 +93,38 @@ def tree_reactions(
 
     Args:
         system: the equations of motion.
-        links: kinematics of all bodies.
-        needed: (6,) for each body, force and torque about its pivot that joints supply.
+        frames: of all bodies.
+        needed: (6,) for each body, force and torque about its center of mass that joints supply.
         multipliers: (k,) of the loop closures and couplings.
         joint_forces: N or N m on joint coordinates, of control laws, springs and rotors.
         couples: of rotors of balls, their first and second bodies and (3,) N m on the second, world frame.
     """
     mechanism, tree, need = system.mechanism, system.tree, list(needed)
-    frames = [link.frame for link in links]
-
-    def supply(push: Push) -> None:
-        for body, wrench in ((push.first, push.on_first), (push.second, push.on_second)):
-            need[body] = need[body] - _moved(wrench, links[body].arm)
-
     found = list(pushes(system, frames, multipliers))
     for push in found:
-        supply(push)
+        need[push.first] = need[push.first] - push.on_first
+        need[push.second] = need[push.second] - push.on_second
     forces, torques = (list(rows) for rows in at_joint_points(system, frames, found))
     for (name, coordinate), u in joint_forces:
         number = mechanism.joint_index(name)
         e = system.equations[number]
         blocks = e.coordinates[coordinate].jacobian(frames[e.first], frames[e.second])
-        supply(_push(number, e.first, e.second, blocks, np.array([u])))
+        push = _push(number, e.first, e.second, blocks, np.array([u]))
+        need[push.first] = need[push.first] - push.on_first
+        need[push.second] = need[push.second] - push.on_second
     for (first, second), torque in couples:
         couple = np.concatenate([np.zeros(3), torque])
         need[first], need[second] = need[first] + couple, need[second] - couple
+    arms = _arms(system, frames)
     for kept in reversed(tree.joints):
-        own, link = need[kept.child], links[kept.child]
-        between = sum((axis.step for axis in link.axes), start=link.offset)
-        carried = _moved(own, between)
-        need[kept.parent] = need[kept.parent] + carried
+        force, torque = need[kept.child][:3], need[kept.child][3:]
+        center = frames[kept.child].position
+        carried = torque + cross(center - frames[kept.parent].position, force)
+        need[kept.parent] = need[kept.parent] + np.concatenate([force, carried])
         if kept.joint >= len(mechanism.joints):
             continue  # a body that floats
-        e = tree.equations(kept.joint)
-        point = e.joint.reaction_point - system.pivot_points[e.second]
-        wrench = _moved(own if kept.forward else -carried, -(frames[e.second].rotation @ point))
-        forces[kept.joint], torques[kept.joint] = wrench[:3], wrench[3:]
+        sign = 1.0 if kept.forward else -1.0
+        point = frames[tree.equations(kept.joint).second].position + arms[kept.joint]
+        forces[kept.joint] = sign * force
+        torques[kept.joint] = sign * (torque - cross(point - center, force))
     return np.array(forces), np.array(torques)
-
-
-def _moved(wrench: Array, arm: Array) -> Array:
-    """Refer a wrench (6,) to the point from which the present one is at `arm` (3,)."""
-    force = wrench[:3]
-    return np.concatenate([force, wrench[3:] + cross(arm, force)])

@@ -15,89 +15,24 @@ body i, and a0_i, alpha0_i its acceleration at qddot = 0 (`newton_euler.equation
 (Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988, chapter 13; Featherstone, Rigid
 Body Dynamics Algorithms, 2008, section 8.1, for loops on top of a tree.)
 
-The sums are worked out from the leaves to the ground: to an axis, all bodies beyond it are one rigid body
-with one wrench on it (Featherstone, section 5.3, recursive Newton-Euler, and 6.2, composite rigid bodies).
-
 Beyond that: couplings and prescribed motions are further rows of J, rotors further blocks of M.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 
 from newton_euler.equations import balls, dense, sparse
 from newton_euler.equations.applied_forces import body_wrenches
-from newton_euler.equations.kinematics import Axis, Link, TreeKinematics, drift
+from newton_euler.equations.kinematics import Link, TreeKinematics, drift
 from newton_euler.equations.reactions import tree_reactions
 from newton_euler.equations.redundancy import rows_left_out, without
-from newton_euler.equations.sparse import Rows, RowsInUse, Solution, add
+from newton_euler.equations.sparse import Block, Rows, RowsInUse, Solution
 from newton_euler.errors import SingularityError
 from newton_euler.model.forces import BallArmature
 from newton_euler.scalars import Array, Scalar, cross, zeros
-
-
-class Subtree(NamedTuple):
-    """Bodies beyond a point of the tree: one rigid body, the wrench on it, its momenta at unit velocities.
-
-    Attributes:
-        mass: kg; moment: (3,) first moment of mass, kg m; inertia: (3, 3) kg m^2, about the point.
-        force, torque: (3,) N and N m about the point: applied, less those that give a0 and alpha0.
-        places: of the joint velocities within the subtree.
-        momentum, angular_momentum: (3, n) that these at 1 give the bodies, about the point.
-    """
-
-    mass: Scalar
-    moment: Array
-    inertia: Array
-    force: Array
-    torque: Array
-    places: list[int]
-    momentum: Array
-    angular_momentum: Array
-
-    def moved(self, d: Array) -> Subtree:
-        """Refer to the point from which the present one is at d (3,)."""
-        h, (xx, xy, xz), (_, yy, yz), (_, _, zz) = self.moment, *self.inertia
-        moment = h + self.mass * d
-        x, y, z = d * (h + moment)
-        xy = xy - (d[0] * moment[1] + h[0] * d[1])
-        xz = xz - (d[0] * moment[2] + h[0] * d[2])
-        yz = yz - (d[1] * moment[2] + h[1] * d[2])
-        return self._replace(
-            moment=moment,
-            inertia=np.array([[xx + (y + z), xy, xz], [xy, yy + (x + z), yz], [xz, yz, zz + (x + y)]]),
-            torque=self.torque + cross(d, self.force),
-            angular_momentum=self.angular_momentum + cross(d, self.momentum),
-        )
-
-    def joined(self, other: Subtree) -> Subtree:
-        """Take another one about the same point into it."""
-        return Subtree(
-            self.mass + other.mass,
-            self.moment + other.moment,
-            self.inertia + other.inertia,
-            self.force + other.force,
-            self.torque + other.torque,
-            self.places + other.places,
-            np.hstack([self.momentum, other.momentum]),
-            np.hstack([self.angular_momentum, other.angular_momentum]),
-        )
-
-    def driven(self, axis: Axis) -> Subtree:
-        """Take the velocity about or along an axis through the point into it."""
-        s = axis.direction
-        if axis.turns:
-            momentum, angular_momentum = cross(s, self.moment), self.inertia @ s
-        else:
-            momentum, angular_momentum = self.mass * s, cross(self.moment, s)
-        return self._replace(
-            places=[axis.place, *self.places],
-            momentum=np.column_stack([momentum, self.momentum]),
-            angular_momentum=np.column_stack([angular_momentum, self.angular_momentum]),
-        )
 
 
 class Relative(TreeKinematics):
@@ -107,51 +42,32 @@ class Relative(TreeKinematics):
 
     # M and f
 
-    def inertial_wrench(
-        self, body: int, link: Link, at_pivot: Array, at_center: Array, alpha: Array
-    ) -> tuple[Array, Array]:
-        """Compute the wrench (3,), (3,) about a body's pivot that gives it accelerations against gravity.
-
-        Force m (a - g) and torque J alpha + omega x J omega + h x (a_pivot - g), with J the inertia about the
-        pivot and h = m s the first moment of mass; world frame.
-        """
-        inertia, omega, mass = self.world_inertia(body, link), link.frame.angular_velocity, self.masses[body]
-        gravity = self.scene.gravity
-        torque = inertia @ alpha + cross(omega, inertia @ omega) + cross(mass * link.arm, at_pivot - gravity)
-        return mass * (at_center - gravity), torque
-
     def world_inertia(self, body: int, link: Link) -> Array:
-        """Compute the inertia (3, 3) of a body about its pivot, world frame."""
+        """Compute the inertia (3, 3) of a body about its center of mass, world frame."""
         a = link.frame.rotation
-        half = a @ self.pivot_inertias[body]
-        xx, yy, zz, xy, xz, yz = (half[i] @ a[j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
-        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return a @ self.inertias[body] @ a.T
 
-    def applied_wrenches(self, q: Array, v: Array) -> list[tuple[Array, Array]]:
-        """Compute applied forces and torques (3,) about the pivots of all bodies, ground first."""
+    def inertial_wrench(
+        self, body: int, link: Link, acceleration: Array, alpha: Array
+    ) -> tuple[Array, Array]:
+        """Compute m (a - g) and I alpha + omega x I omega of a body, I in the world frame."""
+        inertia, omega = self.world_inertia(body, link), link.frame.angular_velocity
+        force = self.mechanism.bodies[body].mass * (acceleration - self.scene.gravity)
+        return force, inertia @ alpha + cross(omega, inertia @ omega)
+
+    def body_blocks(self, q: Array, v: Array) -> Iterator[Block]:
+        """Compute the shares of bodies in M and f."""
+        links = self.links(q, v)
         wrenches = body_wrenches(self.scene, self.poses, self.frames(q, v))
-        return [
-            (wrench[:3], wrench[3:] + cross(link.arm, wrench[:3]))
-            for wrench, link in zip(wrenches, self.links(q, v), strict=True)
-        ]
-
-    def subtrees(self, q: Array, v: Array) -> Iterator[tuple[Axis, Subtree]]:
-        """Compute what each axis moves, about the axis's point, from the leaves to the ground."""
-        links, none = self.links(q, v), np.zeros((3, 0))
-        found = []
-        for body, (link, (force, torque)) in enumerate(zip(links, self.applied_wrenches(q, v), strict=True)):
-            f, n = self.inertial_wrench(
-                body, link, link.pivot.acceleration, link.acceleration, link.angular_acceleration
+        for body, link in enumerate(links[1:], start=1):
+            inertia = self.world_inertia(body, link)
+            block = (
+                self.mechanism.bodies[body].mass * (link.linear.T @ link.linear)
+                + link.angular.T @ inertia @ link.angular
             )
-            inertia, mass = self.world_inertia(body, link), self.masses[body]
-            own = mass, mass * link.arm, inertia, force - f, torque - n
-            found.append(Subtree(*own, [], none, none))
-        for joint in reversed(self.tree.joints):
-            subtree = found[joint.child]
-            for axis in reversed(links[joint.child].axes):
-                subtree = subtree.moved(axis.step).driven(axis)
-                yield axis, subtree
-            found[joint.parent] = found[joint.parent].joined(subtree.moved(links[joint.child].offset))
+            f, n = self.inertial_wrench(body, link, link.acceleration, link.angular_acceleration)
+            force, torque = wrenches[body][:3] - f, wrenches[body][3:] - n
+            yield Block(link.path, block, link.linear.T @ force + link.angular.T @ torque)
 
     def actuation(self, q: Array, v: Array) -> Array:
         """Compute the share (nv,) of control laws and springs on joint coordinates in f."""
@@ -161,8 +77,8 @@ class Relative(TreeKinematics):
                 generalized[k] += entry * u
         return generalized
 
-    def rotors(self, q: Array, v: Array) -> Iterator[tuple[Scalar, dict[int, Scalar], Scalar]]:
-        """Compute inertia a, nonzeros of J, and gamma of armatures, an extension: force -a (J vdot - gamma).
+    def rotor_blocks(self, q: Array, v: Array) -> Iterator[Block]:
+        """Compute the shares of armatures a in M and f, an extension: their force is -a (J vdot - gamma).
 
         Armatures of balls have three rows J, of the relative angular velocity's components.
         """
@@ -174,7 +90,8 @@ class Relative(TreeKinematics):
                 seen = measured[armature.key]
                 terms = [(seen.jacobian, seen.gamma)]
             for row, gamma in terms:
-                yield armature.inertia, row, gamma
+                j = np.array(list(row.values()))
+                yield Block(list(row), armature.inertia * np.outer(j, j), armature.inertia * gamma * j)
 
     def _spin_terms(self, joint: str, links: list[Link]) -> list[tuple[dict[int, Scalar], Scalar]]:
         """Compute J and gamma of the angular velocity at a ball, which is three of v if the tree has it."""
@@ -184,6 +101,11 @@ class Relative(TreeKinematics):
         first, second = (links[k] for k in balls.ends(self.mechanism, joint))
         gamma = balls.spin_gamma(first.frame, second.frame) - drift(balls.SPIN, first, second)
         return list(zip(self.project(balls.SPIN, first, second), gamma, strict=True))
+
+    def blocks(self, q: Array, v: Array) -> Iterator[Block]:
+        """Compute the shares of bodies and rotors in M and f."""
+        yield from self.body_blocks(q, v)
+        yield from self.rotor_blocks(q, v)
 
     # J, Phi and gamma
 
@@ -213,27 +135,11 @@ class Relative(TreeKinematics):
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Compute M (nv, nv) and f (nv,)."""
-        mass, force = self.sparse_mass_and_force(q, v)
-        return sparse.to_array(mass, self.nv), force.astype(float)
+        return dense.assemble(self.blocks(q, v), self.actuation(q, v))
 
     def sparse_mass_and_force(self, q: Array, v: Array) -> tuple[Rows, Array]:
         """Compute the nonzeros of M (nv, nv), and f (nv,), over generic scalars."""
-        mass: Rows = [{} for _ in range(self.nv)]
-        force = self.actuation(q, v)
-        for axis, subtree in self.subtrees(q, v):
-            i, s = axis.place, axis.direction
-            turning, pushing = subtree.angular_momentum, subtree.momentum
-            for j, entry in zip(subtree.places, s @ (turning if axis.turns else pushing), strict=True):
-                add(mass[i], j, entry)
-                if i != j:
-                    add(mass[j], i, entry)
-            force[i] = force[i] + s @ (subtree.torque if axis.turns else subtree.force)
-        for inertia, row, gamma in self.rotors(q, v):
-            for i, x in row.items():
-                force[i] = force[i] + inertia * gamma * x
-                for j, y in row.items():
-                    add(mass[i], j, inertia * (x * y))
-        return mass, force
+        return sparse.assemble(self.blocks(q, v), self.actuation(q, v))
 
     def mass_rows(self, q: Array) -> Rows:
         """Compute the nonzeros of M (nv, nv), over generic scalars."""
@@ -293,33 +199,19 @@ class Relative(TreeKinematics):
 
     # Bodies and reactions at a solution
 
-    def accelerations(self, q: Array, v: Array, vdot: Array) -> list[tuple[Array, Array, Array]]:
-        """Compute linear accelerations (3,) of pivots and centers, and angular ones, of all bodies."""
-        links, zero = self.links(q, v), np.zeros(3)
-        shares = [(zero, zero)] * len(links)  # of qddot, in those of pivots and in angular ones
-        found = [(zero, zero, zero)] * len(links)
-        for joint in self.tree.joints:
-            link, (a, alpha) = links[joint.child], shares[joint.parent]
-            a = a + cross(alpha, link.offset)
-            for axis in link.axes:
-                share = axis.direction * vdot[axis.place]
-                a, alpha = (a, alpha + share) if axis.turns else (a + share, alpha)
-                a = a + cross(alpha, axis.step)
-            shares[joint.child] = a, alpha
-            center = link.acceleration + (a + cross(alpha, link.arm))
-            found[joint.child] = link.pivot.acceleration + a, center, link.angular_acceleration + alpha
-        return found
-
     def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:
         """Compute linear and angular accelerations (b, 3): a0 + V qddot and alpha0 + W qddot."""
-        found = self.accelerations(q, v, vdot)
-        return np.array([linear for _, linear, _ in found]), np.array([angular for _, _, angular in found])
+        links = self.links(q, v)
+        return (
+            np.array([k.acceleration + k.linear @ vdot[k.path] for k in links]),
+            np.array([k.angular_acceleration + k.angular @ vdot[k.path] for k in links]),
+        )
 
     def reactions(
         self, q: Array, v: Array, vdot: Array, bodies: tuple[Array, Array], multipliers: Array
     ) -> tuple[Array, Array]:
         """Compute forces and torques (j, 3) of joints about their points, on the second bodies."""
-        frames, measured, (_, angular) = self.frames(q, v), self.measured(q, v), bodies
+        frames, measured, (linear, angular) = self.frames(q, v), self.measured(q, v), bodies
         laws = [(law.joint, law.coordinate) for law in self.scene.joint_forces]
         joint_forces = list(zip(laws, self.joint_forces(measured), strict=True))
         couples = []
@@ -332,15 +224,9 @@ class Relative(TreeKinematics):
                 x_rates = (x * vdot[k] for k, x in seen.jacobian.items())
                 acceleration = sum(x_rates, start=0.0) - seen.gamma
                 joint_forces.append((armature.key, -(armature.inertia * acceleration)))
-        needed = []
-        for body, (link, (force, torque), accelerations) in enumerate(
-            zip(
-                self.links(q, v),
-                self.applied_wrenches(q, v),
-                self.accelerations(q, v, vdot),
-                strict=True,
-            )
-        ):
-            f, n = self.inertial_wrench(body, link, *accelerations)
-            needed.append(np.concatenate([f - force, n - torque]))
-        return tree_reactions(self, self.links(q, v), needed, multipliers, joint_forces, couples)
+        wrenches = body_wrenches(self.scene, self.poses, frames)
+        needed = [
+            np.concatenate(self.inertial_wrench(body, link, linear[body], angular[body])) - wrenches[body]
+            for body, link in enumerate(self.links(q, v))
+        ]
+        return tree_reactions(self, frames, needed, multipliers, joint_forces, couples)
