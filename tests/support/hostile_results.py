@@ -245,8 +245,8 @@ def archive_cases(run: Path) -> Iterator[Refused]:
     )
     yield case("archive of negative shape", "position is an array of", bomb((-6, 4, 3), b"\0" * 100))
 
-    recording = lambda path: path.with_name("four_bar.rrd").write_bytes(b"RRF2")  # noqa: E731
-    yield case("recording of another run", "four_bar.rrd: is not the file", recording)
+    recording = lambda path: path.with_name("scene.rrd").write_bytes(b"RRF2")  # noqa: E731
+    yield case("recording of another run", "scene.rrd: is not the file", recording)
 
 
 def flip(share: float) -> Callable[[Path], None]:

@@ -184,7 +184,8 @@ def read(folder: Path, way: str) -> Scene:
         urdf_text, loops = written_urdf(cut)
         (folder / "four_bar.urdf").write_text(urdf_text)
         (folder / "four_bar.yaml").write_text(loops)
-        return urdf.read.read(folder / "four_bar.urdf", folder / "four_bar.yaml", DURATION, PERIOD).scene
+        asked = {"duration": DURATION, "output_period": PERIOD}
+        return urdf.read.read(folder / "four_bar.urdf", folder / "four_bar.yaml", **asked).scene
     (folder / "four_bar.xml").write_text(written_mjcf(cut, written == "sites"))
     return mjcf.read.read(folder / "four_bar.xml", duration=DURATION, output_period=PERIOD).scene
 

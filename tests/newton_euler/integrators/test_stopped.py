@@ -210,7 +210,7 @@ def test_an_engine_that_stops_is_compared_until_then(capsys, monkeypatch, tmp_pa
     assert (stop["what"], stop["time"]) == ("newton_euler", 5.0)
     assert levels(summary, "newton_euler", "mujoco") >= {"model", "trajectories", "energy"}
     assert {known["engine"] for known in summary["known_figures"]} == {"mujoco"}
-    assert {path.name for path in (tmp_path / "pendulum").iterdir()} == {*FILES, "pendulum.rrd"}
+    assert {path.name for path in tmp_path.iterdir()} == {*FILES, "pendulum.rrd"}
     ends = {name: load_arrays(tmp_path / f"{name}.npz")["time"][-1] for name in ("newton_euler", "mujoco")}
     assert ends == {"newton_euler": 5.0, "mujoco": load("pendulum").duration}
 
@@ -258,7 +258,7 @@ def test_figures_that_need_no_finer_run_are_had_without_it(capsys, monkeypatch, 
     assert f"newton_euler, in a finer run for comparison: {reason}" in verdict
     assert summary["unfinished"][0]["what"] == "comparing runs"
     assert levels(summary, "mujoco") >= {"drift", "energy"}
-    assert {path.name for path in (tmp_path / "pendulum").iterdir()} == {*FILES, "pendulum.rrd"}
+    assert {path.name for path in tmp_path.iterdir()} == {*FILES, "pendulum.rrd"}
 
 
 def test_the_other_engines_run_when_one_breaks(capsys, monkeypatch, tmp_path):
@@ -312,7 +312,7 @@ def test_run_all_tells_what_each_scene_computed(monkeypatch, tmp_path):
     found = outcome("pendulum", ("newton_euler", "mujoco"), tmp_path)
     assert not found.agrees
     assert found.verdict.startswith("UNFINISHED: newton_euler: integration stopped at t = 5 s")
-    assert {path.name for path in (tmp_path / "pendulum").iterdir()} == {*FILES, "pendulum.rrd"}
+    assert {path.name for path in tmp_path.iterdir()} == {*FILES, "pendulum.rrd"}
 
 
 def test_pinocchio_stops_before_the_first_output():
