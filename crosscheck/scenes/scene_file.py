@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import yaml
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes.file_entries import SCENE, content, plain
@@ -42,16 +43,29 @@ def read_scene(path: str) -> Scene:
         scene = SCENE.model_validate(_parse(path, read_text(path, "scene_size"))).build()
         initial_state(scene)  # refused here, with the file's name, if its joints are open
     except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"]) or "file"
-        raise CrosscheckError(
-            f"{path}: {field:.100}: {first['msg']} (got {reprlib.repr(first['input'])})"
-        ) from error
+        found = error.errors()
+        # a key that nothing knows is often the one that is missing, misspelled
+        kinds = ([each for each in found if each["type"] == kind] for kind in ("extra_forbidden", "missing"))
+        first = [each for kind in kinds for each in kind[:2]] or found[:1]
+        raise CrosscheckError(f"{path}: {'; '.join(map(_problem, first))}") from error
     except SourceError as error:
         raise CrosscheckError(str(error)) from error
     except (NewtonEulerError, CrosscheckError) as error:
         raise CrosscheckError(f"{path}: {shortened(str(error))}") from error
     return scene
+
+
+def _problem(error: ErrorDetails) -> str:
+    """Say what is wrong with a field, and what it is unless all of its entry would be shown."""
+    field = ".".join(str(part) for part in error["loc"])[:100]
+    match error["type"]:
+        case "missing":
+            return f"{field}: missing"
+        case "extra_forbidden":
+            return f"{field}: unknown key"
+        case _ if not field:
+            return "not a mapping from keys to values; examples/four_bar.yaml is one to start from"
+    return f"{field}: {error['msg']} (got {reprlib.repr(error['input'])})"
 
 
 def _parse(path: str, text: str) -> Any:

@@ -31,7 +31,7 @@ WRITING = 6e-3
 
 
 def started(folder: Path) -> subprocess.Popen[bytes]:
-    arguments = ["run", "scene.yaml", "--engines", ",".join(ENGINES), "--output", "out"]
+    arguments = ["run", "four_bar.yaml", "--engines", ",".join(ENGINES), "--output", "out"]
     return subprocess.Popen(
         [sys.executable, "-m", "crosscheck", *arguments],
         cwd=folder,
@@ -44,7 +44,7 @@ def started(folder: Path) -> subprocess.Popen[bytes]:
 def finished(tmp_path_factory) -> tuple[Path, float]:
     """A folder with a scene and a complete run of it, and the s that it took, with compiling."""
     folder = tmp_path_factory.mktemp("finished")
-    scene_file(folder, short_example())
+    scene_file(folder, short_example(), "four_bar.yaml")
     begin = time.monotonic()
     assert started(folder).wait(timeout=120) == 0
     return folder, time.monotonic() - begin
@@ -96,7 +96,7 @@ def test_a_killed_run_leaves_complete_files_or_none(tmp_path, finished, seed):
     chance = random.Random(seed)
     number = SIGNALS[seed % 3]
     older = seed % 2 == 1
-    shutil.copy(folder / "scene.yaml", tmp_path)
+    shutil.copy(folder / "four_bar.yaml", tmp_path)
     if older:
         shutil.copytree(folder / "out", tmp_path / "out")
     process, out = started(tmp_path), tmp_path / "out"
@@ -129,7 +129,9 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path, capsys, good):
         path.write_bytes(b"half")
     for path in (*old, *others):
         os.utime(path, times=(time.time() - 2.0 * ABANDONED,) * 2)
-    status, _, _ = run(capsys, "run", scene_file(tmp_path, good), "--engines", "pinocchio", "--output", out)
+    status, _, _ = run(
+        capsys, "run", scene_file(tmp_path, good, "four_bar.yaml"), "--engines", "pinocchio", "--output", out
+    )
     assert status == 0
     files = {"pinocchio.npz", "summary.json", "scene.rrd"}
     # somebody may still be writing the young one
@@ -138,7 +140,7 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path, capsys, good):
 
 def test_a_folder_with_a_summary_is_complete_while_it_is_written(tmp_path, capsys, good, monkeypatch):
     """The old summary goes before the first new file comes, and the new one comes last."""
-    path, out = scene_file(tmp_path, good), tmp_path / "out"
+    path, out = scene_file(tmp_path, good, "four_bar.yaml"), tmp_path / "out"
     arguments = ("run", path, "--engines", "pinocchio", "--output", out)
     assert run(capsys, *arguments)[0] == 0
     came, replace = [], Path.replace
@@ -167,7 +169,7 @@ def check_one_line(done: subprocess.CompletedProcess[str], path: str) -> None:
 
 def test_a_full_disk_keeps_an_older_run(tmp_path, finished):
     shutil.copytree(finished[0], tmp_path, dirs_exist_ok=True)
-    arguments = ("run", "scene.yaml", "--engines", ",".join(ENGINES), "--output", "out")
+    arguments = ("run", "four_bar.yaml", "--engines", ",".join(ENGINES), "--output", "out")
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir()}
     done = command(tmp_path, *arguments, preexec_fn=limited(10_000))
     check_one_line(done, "out/")
@@ -183,17 +185,17 @@ def test_a_full_disk_and_a_report(tmp_path, finished):
 
 @pytest.mark.parametrize("target", ["model.xml", "robot.urdf", "scene2.yaml"])
 def test_a_full_disk_and_a_conversion(tmp_path, good, target):
-    scene_file(tmp_path, good)
-    done = command(tmp_path, "convert", "scene.yaml", target, preexec_fn=limited(500))
+    scene_file(tmp_path, good, "four_bar.yaml")
+    done = command(tmp_path, "convert", "four_bar.yaml", target, preexec_fn=limited(500))
     assert done.returncode == 2
     assert re.fullmatch(rf"crosscheck: error: cannot write '?{target}'?: File too large\n", done.stderr)
-    assert [path.name for path in tmp_path.iterdir()] == ["scene.yaml"]
+    assert [path.name for path in tmp_path.iterdir()] == ["four_bar.yaml"]
 
 
 @pytest.mark.slow
 def test_a_full_disk_and_a_benchmark(tmp_path, good):
-    scene_file(tmp_path, good)
-    done = command(tmp_path, "bench", "scene.yaml", "--rhs", "--output", "out", preexec_fn=limited(500))
+    scene_file(tmp_path, good, "four_bar.yaml")
+    done = command(tmp_path, "bench", "four_bar.yaml", "--rhs", "--output", "out", preexec_fn=limited(500))
     check_one_line(done, "out/rhs.json")
     assert list((tmp_path / "out").iterdir()) == []
 

@@ -29,9 +29,9 @@ from newton_euler.model.trajectory import load_arrays
 ENGINES = "newton_euler,pinocchio"
 
 COMMANDS = {
-    "run": (["run", "scene.yaml", "--engines", ENGINES, "--output", "out"], 4.0),
-    "regress": (["regress", "scene.yaml", "--update", "--reason", "a test"], 12.0),
-    "bench": (["bench", "scene.yaml", "--rhs", "--output", "out"], 12.0),
+    "run": (["run", "four_bar.yaml", "--engines", ENGINES, "--output", "out"], 4.0),
+    "regress": (["regress", "four_bar.yaml", "--update", "--reason", "a test"], 12.0),
+    "bench": (["bench", "four_bar.yaml", "--rhs", "--output", "out"], 12.0),
 }
 """And s that they take at most on a quiet machine."""
 
@@ -68,7 +68,7 @@ def check_complete(folder: Path) -> None:
 def earlier(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which every command has come to its end, with a baseline of an earlier day."""
     folder = tmp_path_factory.mktemp("earlier")
-    scene_file(folder, short_example())
+    scene_file(folder, short_example(), "four_bar.yaml")
     for arguments, _ in COMMANDS.values():
         assert started(folder, arguments).wait(timeout=300) == 0
     return folder
@@ -80,7 +80,7 @@ def test_a_kill_at_any_moment(tmp_path: Path, earlier: Path, seed: int) -> None:
     """Twenty of each command; half of them over what an earlier one left."""
     arguments, longest = [*COMMANDS.values()][seed % 3]
     chance = random.Random(seed)
-    shutil.copy(earlier / "scene.yaml", tmp_path)
+    shutil.copy(earlier / "four_bar.yaml", tmp_path)
     over = seed % 2 == 1
     if over:
         shutil.copytree(earlier, tmp_path, dirs_exist_ok=True)
@@ -154,14 +154,14 @@ def test_no_pickle_is_in_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("count", [2, 8])
 def test_processes_on_one_cold_cache_and_one_folder(tmp_path: Path, count: int) -> None:
     """All end well, and what they leave is one complete run, the same as that of one alone."""
-    scene_file(tmp_path, short_example())
+    scene_file(tmp_path, short_example(), "four_bar.yaml")
     arguments, _ = COMMANDS["run"]
     running = [started(tmp_path, arguments, tmp_path / "cache") for _ in range(count)]
     assert {process.wait(timeout=600) for process in running} == {0}
     check_complete(tmp_path)
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {"newton_euler.npz", "pinocchio.npz", "summary.json", "four_bar.rrd"}
-    alone = newton_euler.simulate(load(str(tmp_path / "scene.yaml")))
+    alone = newton_euler.simulate(load(str(tmp_path / "four_bar.yaml")))
     arrays = load_arrays(tmp_path / "out" / "newton_euler.npz")
     np.testing.assert_array_equal(arrays["position"], alone.position)
     for path in (tmp_path / "cache").iterdir():

@@ -77,7 +77,7 @@ class Page(HTMLParser):
 def finished(tmp_path_factory) -> Path:
     """The folder of a short run of two engines."""
     folder = tmp_path_factory.mktemp("finished")
-    path = scene_file(folder, short_example())
+    path = scene_file(folder, short_example(), "four_bar.yaml")
     with pytest.raises(SystemExit) as ended:
         main(["run", str(path), "--engines", ",".join(ENGINES), "--output", str(folder / "four_bar")])
     assert not ended.value.code
