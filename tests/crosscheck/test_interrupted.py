@@ -22,8 +22,8 @@ from crosscheck.files import ABANDONED
 from newton_euler.model.trajectory import load_arrays
 
 ENGINES = ("newton_euler", "pinocchio")
-FILES = {*(f"{engine}.npz" for engine in ENGINES), "summary.json", "scene.rrd"}
-UNFINISHED = re.compile(r"\.+(newton_euler|pinocchio|summary|scene)(-[0-9a-f]{8})+\.(npz|json|rrd)")
+FILES = {*(f"{engine}.npz" for engine in ENGINES), "summary.json", "four_bar.rrd"}
+UNFINISHED = re.compile(r"\.+(newton_euler|pinocchio|summary|four_bar)(-[0-9a-f]{8})+\.(npz|json|rrd)")
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 
 WRITING = 6e-3
@@ -124,7 +124,7 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path, capsys, good):
     others = [
         out / name for name in (".pinocchio-notes.npz", ".summary-0123abcd.txt", "pinocchio-0123abcd.npz")
     ]
-    young = out / ".scene-0123abcd.rrd"
+    young = out / ".four_bar-0123abcd.rrd"
     for path in (*old, *others, young):
         path.write_bytes(b"half")
     for path in (*old, *others):
@@ -133,7 +133,7 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path, capsys, good):
         capsys, "run", scene_file(tmp_path, good, "four_bar.yaml"), "--engines", "pinocchio", "--output", out
     )
     assert status == 0
-    files = {"pinocchio.npz", "summary.json", "scene.rrd"}
+    files = {"pinocchio.npz", "summary.json", "four_bar.rrd"}
     # somebody may still be writing the young one
     assert {path.name for path in out.iterdir()} == files | {path.name for path in (*others, young)}
 
@@ -152,7 +152,7 @@ def test_a_folder_with_a_summary_is_complete_while_it_is_written(tmp_path, capsy
 
     monkeypatch.setattr(Path, "replace", recorded)
     assert run(capsys, *arguments)[0] == 0
-    assert came == [("scene.rrd", False), ("pinocchio.npz", False), ("summary.json", False)]
+    assert came == [("four_bar.rrd", False), ("pinocchio.npz", False), ("summary.json", False)]
 
 
 def limited(size: int):
@@ -180,7 +180,7 @@ def test_a_full_disk_and_a_report(tmp_path, finished):
     shutil.copytree(finished[0] / "out", tmp_path / "out")
     done = command(tmp_path, "report", "out", preexec_fn=limited(3_000))
     check_one_line(done, "out/report.html")
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["summary.json"]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 
 
 @pytest.mark.parametrize("target", ["model.xml", "robot.urdf", "scene2.yaml"])

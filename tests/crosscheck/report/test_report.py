@@ -143,7 +143,7 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
         assert version in found.words
     assert "DOP853" in found.words
     assert list(found.images) == [
-        "scene: The mechanism at 0, 0.025, 0.05 s, by newton_euler",
+        "four_bar: The mechanism at 0, 0.025, 0.05 s, by newton_euler",
         "Difference from newton_euler, largest over the bodies",
         "Drift: how far joints are open",
         "Energy",
@@ -157,7 +157,7 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
     assert {path.name for path in folder.iterdir()} == {
         *(f"{engine}.npz" for engine in ENGINES),
         "summary.json",
-        "scene.rrd",
+        "four_bar.rrd",
         PAGE,
     }
 
@@ -165,7 +165,7 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
 def test_pictures_by_the_viewer_where_it_runs(folder, monkeypatch):
     taken = lambda rrd, moments: [PNG + str(moment).encode() for moment in moments]  # noqa: E731
     monkeypatch.setattr("crosscheck.recording.screenshot.screenshots", taken)
-    pictures = list(drawing.views(folder / "scene.rrd", "pinocchio", (0.0, 0.5, 1.0)))
+    pictures = list(drawing.views(folder / "four_bar.rrd", "pinocchio", (0.0, 0.5, 1.0)))
     assert [caption for _, caption in pictures] == [f"The recording at {t} s" for t in ("0", "0.025", "0.05")]
 
 
@@ -198,7 +198,7 @@ def test_a_disagreement_is_found_at_a_glance(tmp_path):
     assert '<td class="figure fails" title="worst at the crank">1.2e-01 &gt; 1e-12</td>' in text
 
 
-@pytest.mark.parametrize("name", ["pinocchio.npz", "scene.rrd"])
+@pytest.mark.parametrize("name", ["pinocchio.npz", "four_bar.rrd"])
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -226,12 +226,12 @@ def test_a_recording_elsewhere_is_no_part_of_the_page(tmp_path, capsys):
 
 
 def test_a_recording_that_is_none(folder):
-    (folder / "scene.rrd").write_bytes(b"RRF2 and no more")
-    vouch(folder, "scene.rrd")
+    (folder / "four_bar.rrd").write_bytes(b"RRF2 and no more")
+    vouch(folder, "four_bar.rrd")
     files = json.loads((folder / "summary.json").read_text())["files"]
     change(folder, files={name: known for name, known in files.items() if name != "pinocchio.npz"})
     found = report(folder)
-    assert "No picture of scene: " in found.words
+    assert "No picture of four_bar: " in found.words
     assert "Drift: how far joints are open" in found.images
     assert "Difference from newton_euler, largest over the bodies" not in found.images
 
@@ -286,7 +286,7 @@ def test_progress_counts_the_folders(folder, tmp_path):
     assert said == [
         f"{number} of 2 folders, {what}"
         for number in (1, 2)
-        for what in ("scene: pictures of the recording", "plots")
+        for what in ("four_bar: pictures of the recording", "plots")
     ]
 
 
@@ -360,8 +360,8 @@ def test_a_run_of_other_arrays(folder, capsys):
 
 
 def test_a_drawing_holds_all_bodies(folder):
-    poses, shapes = drawing._read(folder / "scene.rrd", "pinocchio")
+    poses, shapes = drawing._read(folder / "four_bar.rrd", "pinocchio")
     assert set(poses) == {f"/mechanism/pinocchio/{body}" for body in ("crank", "coupler", "rocker")}
     assert set(shapes) >= set(poses)
     with pytest.raises(CrosscheckError, match="no bodies of bullet"):
-        list(drawing.views(folder / "scene.rrd", "bullet", [0.0]))
+        list(drawing.views(folder / "four_bar.rrd", "bullet", [0.0]))

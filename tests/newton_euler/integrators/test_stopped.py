@@ -312,7 +312,7 @@ def test_run_all_tells_what_each_scene_computed(monkeypatch, tmp_path):
     found = outcome("pendulum", ("newton_euler", "mujoco"), tmp_path)
     assert not found.agrees
     assert found.verdict.startswith("UNFINISHED: newton_euler: integration stopped at t = 5 s")
-    assert {path.name for path in tmp_path.iterdir()} == {*FILES, "pendulum.rrd"}
+    assert {path.name for path in (tmp_path / "pendulum").iterdir()} == {*FILES, "pendulum.rrd"}
 
 
 def test_pinocchio_stops_before_the_first_output():
