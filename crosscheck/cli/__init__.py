@@ -11,7 +11,7 @@ import os
 import sys
 import warnings
 from contextlib import suppress
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
 import click
 
@@ -34,6 +34,7 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     NumPy is imported.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    heard = _open_streams()
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold what is no text
     hook = sys.unraisablehook
@@ -44,17 +45,34 @@ def main(arguments: list[str] | None = None) -> NoReturn:
             warnings.simplefilter("ignore")
             status = _invoke(arguments)
     except KeyboardInterrupt:
-        status = _complain("interrupted")
+        status = _complain("interrupted", heard)
     except Exception as error:
         # files are named where they are written
         nameless = isinstance(error, OSError) and error.filename is None and not short_of_memory(error)
         if isinstance(error, OSError) and nameless:
             status = _complain_of_stream(error)
         else:
-            status = _complain(_reason(error))
+            status = _complain(_reason(error), heard)
     finally:
         sys.unraisablehook = hook
     sys.exit(status)
+
+
+def _open_streams() -> list[TextIO]:
+    """Open standard streams that the caller has closed (`2>&-`) on nothing; files would take their numbers.
+
+    Returns:
+        Standard error and standard output, as far as they were open.
+    """
+    heard = [stream for stream in (sys.stderr, sys.stdout) if stream is not None]
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            try:
+                os.fstat(number)  # a file may have its number already
+            except OSError:
+                os.open(os.devnull, os.O_RDWR)  # takes the first number that is free
+            setattr(sys, name, open(os.devnull, "w" if number else "r"))  # noqa: SIM115, as long as it runs
+    return heard
 
 
 def _invoke(arguments: list[str] | None) -> int:
@@ -117,16 +135,15 @@ def _discard_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _complain(message: str) -> int:
-    """Say one line on standard error, or on standard output where that cannot be written.
+def _complain(message: str, streams: list[TextIO]) -> int:
+    """Say one line on the first of the streams that can be written.
 
     What cannot be shown in it is escaped.
     """
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(message.split()))
-    for to_error in (True, False):
+    for stream in streams:
         with suppress(OSError):
-            stream = sys.stderr if to_error else sys.stdout
-            click.echo(wrapped(f"crosscheck: error: {line}", stream), err=to_error)
+            click.echo(wrapped(f"crosscheck: error: {line}", stream), file=stream)
             break
     return BAD_INPUT
 

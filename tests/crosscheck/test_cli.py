@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from dataclasses import replace
 
 import pytest
 from command_line import check_refused, command, run, scene_file
+from urdf_files import CHAIN
 
 from crosscheck.comparison.levels import LEVELS, Figure
 from crosscheck.errors import CrosscheckError
@@ -209,6 +211,24 @@ def test_output_that_nobody_reads(tmp_path, good):
         done = command(tmp_path, "run", "scene.yaml", "--engines", "pinocchio", stdout=closed)
     line = "crosscheck: error: cannot write standard output: Broken pipe\n"
     assert (done.returncode, done.stderr) == (2, line)
+
+
+@pytest.mark.parametrize("closed", ["0<&-", "1>&-", "2>&-", "0<&- 2>&-", "1>&- 2>&-"])
+def test_streams_that_are_closed(tmp_path, closed):
+    """The run is the same without them; errors are on standard output where standard error is closed."""
+    (tmp_path / "robot.urdf").write_text(CHAIN)
+    program = f"{shlex.quote(sys.executable)} -m crosscheck convert robot.urdf"
+    done, refused = (
+        subprocess.run(
+            ["sh", "-c", f"{program} {target} {closed}"], cwd=tmp_path, capture_output=True, text=True
+        )
+        for target in ("out.json", "out.stl")
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "out.json").is_file()
+    assert refused.returncode == 2
+    if closed != "1>&- 2>&-":
+        assert (refused.stdout + refused.stderr).startswith("crosscheck: error: cannot convert to out.stl")
 
 
 def test_an_interrupt_is_one_line(tmp_path, capsys, good, monkeypatch):
