@@ -41,7 +41,7 @@ from newton_euler.verification.import_report import ImportReport
 MOST_NAMED = 12
 """Elements in one line."""
 
-ALL_LISTED = "listed in summary.json and on the page that `crosscheck report` writes"
+ALL_LISTED = "all in summary.json and on the page of `crosscheck report`"
 """Where all untested elements are."""
 
 FAILS = Cell("FAILS", "fails")
@@ -170,11 +170,9 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
     implicit = [name for name, run in result.runs.items() if run.settings.get("integrator") in IMPLICIT]
     if implicit:
         rate, steps = fastest_decay(result.scene), explicit_steps(result.scene)
-        fixed = f" and RK4 a step of {RK4_LIMIT / rate:.2g} s" if "mujoco" in implicit and rate else ""
-        yield (
-            f"stiff: motions die out at {rate:.2g} 1/s at the start, for which DOP853 would need {steps:.0f} "
-            f"steps{fixed} to be stable; an implicit method in {', '.join(implicit)}"
-        )
+        fixed = f", RK4 steps of {RK4_LIMIT / rate:.2g} s" if "mujoco" in implicit and rate else ""
+        needed = f"DOP853 would need {steps:.0f} steps{fixed}"
+        yield f"stiff: fastest decay {rate:.2g} 1/s at the start; {needed}; implicit: {', '.join(implicit)}"
     if result.mapping and result.runs:
         yield _start_line(result)
         yield from _activity_lines(result.mapping)
@@ -186,13 +184,13 @@ def settings_lines(result: Crosscheck) -> Iterator[str]:
         yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
     count, joints = undetermined_joints(result.scene, initial_state(result.scene))
     if count:
-        rows = "a redundant row" if count == 1 else f"{count} redundant rows"
-        yield f"reactions not unique: {rows} at joints {', '.join(joints)}; each engine has its own"
+        rows = "1 redundant constraint" if count == 1 else f"{count} redundant constraints"
+        yield f"reactions not unique: {rows} at joints {_named(joints)}"
     yield from redundancy_lines(result.scene)
     if result.coverage and result.coverage.untested:
         names = [covered.element for covered in result.coverage.untested]
-        more = f" and {len(names) - MOST_NAMED} more, {ALL_LISTED}" if len(names) > MOST_NAMED else ""
-        yield f"untested by the motion, 10 % more would not show: {', '.join(names[:MOST_NAMED])}{more}"
+        listed = f", {ALL_LISTED}" if len(names) > MOST_NAMED else ""
+        yield f"untested by the motion, 10 % more would not show: {_named(names)}{listed}"
     yield from not_compared(result.rows)
     yield from (f"advice, {advice}" for advice in result.advice)
 
@@ -227,13 +225,13 @@ def _start_line(result: Crosscheck) -> str:
     names = list(result.runs)
     runs = list(result.runs.values())
     apart = max((distance(runs[0], run, at=0) for run in runs[1:]), default=0.0)
-    gaps = ", ".join(
+    residuals = ", ".join(
         f"{name} {np.max(run.constraint_violation[0]):.1e}"
         for name, run in zip(names, runs, strict=True)
         if run.constraint_violation is not None
     )
-    same = f"the same pose to {apart:.1e} (m, rad); " if len(runs) > 1 else ""
-    return f"start: {same}joints open there by at most (m, rad): {gaps}"
+    same = f"same pose to {apart:.1e} (m, rad); " if len(runs) > 1 else ""
+    return f"start: {same}largest residual of joints (m, rad): {residuals}"
 
 
 def _rest_line(result: Crosscheck) -> str:
@@ -243,10 +241,13 @@ def _rest_line(result: Crosscheck) -> str:
     q, _ = system.coordinates(initial_state(result.scene))
     basis, _ = admissible_basis(system, q, body_units(result.scene))
     why = "it starts at rest in equilibrium" if basis.shape[1] else "the mechanism has no freedom"
-    return (
-        f"nothing moves: {why}, bodies get from where they start by at most (m, rad): {moved}; "
-        "trajectories and energies test nothing here, and no advice is drawn from them"
-    )
+    return f"nothing moves, as {why}; runs test nothing; largest displacement (m, rad): {moved}"
+
+
+def _named(names: Sequence[str]) -> str:
+    """The first names of a list, and how many more there are."""
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(names[:MOST_NAMED]) + more
 
 
 def _short(value: object) -> object:

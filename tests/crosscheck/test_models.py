@@ -49,9 +49,7 @@ def test_a_motion_that_tests_nothing_is_no_plain_agreement(capsys, tmp_path):
     names = [f"{what} of body 'b{k}'" for k in range(10) for what in ("mass", "inertia")]
     (line,) = [line for line in text.splitlines() if line.startswith("untested by the motion")]
     assert sum(name in line for name in names) == 12
-    assert line.endswith(
-        " and 8 more, listed in summary.json and on the page that `crosscheck report` writes"
-    )
+    assert line.endswith(" and 8 more, all in summary.json and on the page of `crosscheck report`")
     found = json.loads((out / "summary.json").read_text())["report"]
     assert found["judged"] == {"text": "AGREE AT RANDOM STATES ONLY", "verdict": "doubtful", "about": ""}
     (table,) = [part for part in found["parts"] if part["title"].startswith("untested by the motion")]
@@ -80,7 +78,7 @@ def test_an_mjcf_is_run_with_its_report(capsys, tmp_path):
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert {entry["fate"] for entry in summary["mapping"]} == {"exactly", "left out"}
     assert summary["start"][0].startswith("starts from qpos0")
-    (start,) = [line for line in lines if line.startswith("start: the same pose to ")]
+    (start,) = [line for line in lines if line.startswith("start: same pose to ")]
     assert all(f"{engine} " in start for engine in ("newton_euler", "mujoco", "pinocchio"))
     advised = [line for line in lines if line.startswith("advice, ")]
     topics = [entry["topic"] for entry in summary["advice"]]

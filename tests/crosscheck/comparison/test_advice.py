@@ -322,7 +322,7 @@ def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None
     assert [advice.topic for advice in result.advice] == ["redundancy"]  # of the equations, not the run
     (line,) = (line for line in settings_lines(result) if line.startswith("nothing moves"))
     assert "it starts at rest in equilibrium" in line
-    assert "trajectories and energies test nothing" in line
+    assert "runs test nothing" in line
     assert line in terminal(report(result).parts)
 
     # one engine that stands still where another moves has not said that nothing does
