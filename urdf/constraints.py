@@ -132,6 +132,8 @@ class Rows:
 
         Of data after `forwardKinematics` at qddot = 0, `computeJointJacobians`, `updateFramePlacements`.
         """
+        if not len(self.units):
+            return np.zeros((0, self._model.nv)), np.zeros(0)
         rows = self.jacobian(data)
         opening = rows @ v + self.phi_t(time)
         drift = 2.0 * self._alpha * opening + self._alpha**2 * self.phi(data, q, time)

@@ -21,7 +21,6 @@ from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.errors import SingularityError
 from newton_euler.integrators.projection import joint_residuals
 from newton_euler.model.euler_parameters import from_rotation
-from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import weld_loops
@@ -29,7 +28,7 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
 from urdf.constraints import Closures, Rows, frame_jacobian, solve
 from urdf.errors import UrdfError
-from urdf.forces import PointForces, Rotors, energy_at_joint, force_on_joint, power_on_joint
+from urdf.forces import JointLaws, PointForces, Rotors
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia, mass_matrix
 from urdf.proximal import ConstraintDynamics, Units
@@ -94,6 +93,7 @@ class PinocchioSystem:
         self._closures = Closures(self.closed, self.map, length)
         self._rows = Rows(self.closed, self.map, self._couplings, length, alpha)
         self.phi_units = np.concatenate([self._closures.units, self._rows.units])
+        self._laws = JointLaws(scene.joint_forces)
         self._actuators = [
             actuator(scene.mechanism, self._tree, law.joint, law.coordinate) for law in scene.joint_forces
         ]
@@ -147,8 +147,7 @@ class PinocchioSystem:
 
     def power(self, q: Array, v: Array) -> float:
         """Power of what is not in the potential energy, W."""
-        laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
-        power = float(sum(power_on_joint(law, *seen, self.time) for law, seen in laws))
+        power = self._laws.power(self.scene.joint_forces, *self._measured(q, v), self.time)
         if self._forces:
             self._move(q, v)
             power += self._forces.power(self._data)
@@ -162,16 +161,15 @@ class PinocchioSystem:
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
         """Coordinate (m or rad) and rate of each control law."""
-        return self._measured(q, v)[: len(self.scene.control)]
+        return list(zip(*self._measured(q, v), strict=True))[: len(self.scene.control)]
 
-    def _measured(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """The same of `Scene.joint_forces`, as Python's numbers, whose arithmetic is quicker than NumPy's."""
-        return list(zip(q[self._actuated_q].tolist(), v[self._actuated_v].tolist(), strict=True))
+    def _measured(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Coordinates (a,), m or rad, and rates of `Scene.joint_forces`."""
+        return q[self._actuated_q], v[self._actuated_v]
 
     def actuation(self, q: Array, v: Array) -> Array:
         """Forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""
-        laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
-        return np.array([force_on_joint(law, *seen, self.time) for law, seen in laws])
+        return self._laws.force(self.scene.joint_forces, *self._measured(q, v), self.time)
 
     def _move(self, q: Array, v: Array) -> None:
         """Give Pinocchio's joints, Jacobians and frames a state, at accelerations of joints of zero."""
@@ -185,9 +183,10 @@ class PinocchioSystem:
         self._move(q, v)
         force = np.zeros(self.nv)
         np.add.at(force, self._actuated_v, self.actuation(q, v))
-        for push in self._forces.pushes(self._data):
-            wrench = np.concatenate([push.force, push.torque])
-            force += self.map.v_from_pinocchio(wrench @ frame_jacobian(self._model, self._data, push.frame))
+        if pushes := self._forces.pushes(self._data):
+            wrenches = np.array([(*push.force, *push.torque) for push in pushes])
+            frames = [frame_jacobian(self._model, self._data, push.frame) for push in pushes]
+            force += self.map.v_from_pinocchio(wrenches.ravel() @ np.concatenate(frames))
         return force
 
     def acceleration(self, q: Array, v: Array) -> Array:
@@ -382,9 +381,7 @@ class PinocchioSystem:
 
     def _springs_energy(self, q: Array, v: Array) -> float:
         """Energy of all springs, J."""
-        laws = zip(self.scene.joint_forces, self._measured(q, v), strict=True)
-        turned = sum(energy_at_joint(law, x) for law, (x, _) in laws if isinstance(law, JointSpring))
-        return float(turned) + self._forces.energy(self._data)
+        return self._laws.energy(self._measured(q, v)[0]) + self._forces.energy(self._data)
 
     def _fixed_energy(self) -> float:
         """Potential energy of bodies that fixed joints hold to the ground; Pinocchio leaves it out."""

@@ -6,6 +6,7 @@ All are worked out here from their numbers, so that a mistake in newton_euler's 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,33 +14,66 @@ import pinocchio as pin
 
 from newton_euler.equations.balls import ends, spin_rate
 from newton_euler.model.constraints import Frame
-from newton_euler.model.control import PD, Law
+from newton_euler.model.control import PD, Law, Sampled
 from newton_euler.model.forces import BallArmature, BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
-from newton_euler.scalars import Array, Scalar
+from newton_euler.scalars import Array
 from urdf.reactions import Actuator, actuator
 
-
-def force_on_joint(law: Law | JointSpring, x: Scalar, rate: Scalar, time: float) -> Scalar:
-    """Compute the force, N or N m, on a joint coordinate x (m or rad), at its rate and a time in s."""
-    if isinstance(law, JointSpring):
-        return -(law.stiffness * (x - law.rest) + law.damping * rate)
-    if isinstance(law, PD):
-        return law.feedforward_at(time) - (law.stiffness * (x - law.target) + law.damping * rate)
-    return law.held
+ZERO = np.zeros(3)
 
 
-def power_on_joint(law: Law | JointSpring, x: Scalar, rate: Scalar, time: float) -> Scalar:
-    """Compute its power, W; of a spring that of its damper alone."""
-    if isinstance(law, JointSpring):
-        return -law.damping * (rate * rate)
-    return force_on_joint(law, x, rate, time) * rate
+class JointLaws:
+    """Springs and control laws on joint coordinates, in the order of `Scene.joint_forces`.
 
+    All are f = u_0 - (K_p (x - x_0) + K_d dx/dt), eq. (23) with the sign that makes it stable, and are
+    evaluated together; u_0 of a spring is 0, and a sampled controller has u_0 alone.
+    """
 
-def energy_at_joint(spring: JointSpring, x: Scalar) -> Scalar:
-    """Compute the energy of a spring, J, at its joint coordinate x (m or rad)."""
-    return 0.5 * spring.stiffness * ((x - spring.rest) * (x - spring.rest))
+    def __init__(self, laws: Sequence[Law | JointSpring]) -> None:
+        self._stiffness, self._damping, self._rest, self._constant = np.zeros((4, len(laws)))
+        self._is_spring = np.array([isinstance(law, JointSpring) for law in laws], dtype=bool)
+        self._varying: list[int] = []
+        for k, law in enumerate(laws):
+            if isinstance(law, Sampled):
+                self._varying.append(k)
+                continue
+            self._stiffness[k], self._damping[k] = law.stiffness, law.damping
+            self._rest[k] = law.rest if isinstance(law, JointSpring) else law.target
+            if isinstance(law, PD):
+                if isinstance(law.feedforward, TimeFunction):
+                    self._varying.append(k)
+                else:
+                    self._constant[k] = law.feedforward
+
+    def force(self, laws: Sequence[Law | JointSpring], x: Array, rate: Array, time: float) -> Array:
+        """Compute forces (a,), N or N m.
+
+        Args:
+            laws: with the forces that sampled controllers hold at present.
+            x, rate: (a,) joint coordinates, m or rad, and their rates.
+            time: s.
+        """
+        feedforward = self._constant.copy() if self._varying else self._constant
+        for k in self._varying:
+            match laws[k]:
+                case PD() as law:
+                    feedforward[k] = law.feedforward_at(time)
+                case Sampled() as law:
+                    feedforward[k] = law.held
+        return feedforward - (self._stiffness * (x - self._rest) + self._damping * rate)
+
+    def power(self, laws: Sequence[Law | JointSpring], x: Array, rate: Array, time: float) -> float:
+        """Compute the power, W, of control laws and dampers; arguments as of `force`."""
+        force = np.where(self._is_spring, -self._damping * rate, self.force(laws, x, rate, time))
+        return float(force @ rate)
+
+    def energy(self, x: Array) -> float:
+        """Compute the energy of the springs, J, at joint coordinates x (a,)."""
+        stretch = (x - self._rest)[self._is_spring]
+        return float(0.5 * self._stiffness[self._is_spring] @ (stretch * stretch))
 
 
 class Push(NamedTuple):
@@ -112,8 +146,7 @@ class PointForces:
         for spring, (i, j), frames, rest in self._balls:
             turned, spin = self._turned(data, frames, rest), self._spin(data, frames)
             torque = -(spring.stiffness * turned + spring.damping * spin)
-            found.append(Push(i, frames[0], np.zeros(3), -torque))
-            found.append(Push(j, frames[1], np.zeros(3), torque))
+            found += [Push(i, frames[0], ZERO, -torque), Push(j, frames[1], ZERO, torque)]
         return found
 
     def _spring_pushes(self, data: Any) -> list[Push]:
@@ -125,8 +158,7 @@ class PointForces:
             # a spring without rest length and damping may be of no length
             tension = stretch + spring.damping * float(d @ rate) / (length or 1.0)
             pull = tension * d / (length or 1.0)
-            found.append(Push(bodies[0], frames[0], pull, np.zeros(3)))
-            found.append(Push(bodies[1], frames[1], -pull, np.zeros(3)))
+            found += [Push(bodies[0], frames[0], pull, ZERO), Push(bodies[1], frames[1], -pull, ZERO)]
         return found
 
     def _wrench_pushes(self, data: Any) -> list[Push]:
