@@ -53,7 +53,6 @@ def figures_command(output: Path) -> int:
 @click.option(
     "--error", type=float, default=1e-6, show_default=True, help="Error to name the cheapest settings for."
 )
-@click.option("--repeats", type=click.IntRange(3, 1000), default=15, show_default=True)
 @click.option("--rhs", is_flag=True, help="Time one right-hand side of each engine instead of whole runs.")
 @click.option("--scaling", is_flag=True, help="The same over the scene's option N, from 1 to 1000.")
 @click.option(
@@ -70,7 +69,6 @@ def bench_command(
     settings: tuple[str, ...],
     loops: str | None,
     error: float,
-    repeats: int,
     rhs: bool,
     scaling: bool,
     batch: int | None,
@@ -91,7 +89,7 @@ def bench_command(
         elif batch is not None:
             found, written = run.bench_batch(loaded, scene, options, batch, error, output, progress)
         else:
-            found, written = run.bench(loaded, scene, options, error, repeats, output, progress)
+            found, written = run.bench(loaded, scene, options, error, output, progress)
     click.echo(terminal(found.parts), nl=False)
     say("wrote " + ", ".join(str(path) for path in written))
     return AGREE

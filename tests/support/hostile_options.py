@@ -49,7 +49,7 @@ def option_cases() -> Iterator[Refused]:
         (("regress", "pendulum", "--baseline", long), "no baseline"),
         (("bench", "--batch", "10000000"), "--batch 10000000: poses of two outputs already take more than"),
         (("bench", "--batch", "1"), "1 is not in the range"),
-        (("bench", "--repeats", "1e9"), "'1e9' is not a valid"),
+        (("bench", "--batch", "1e9"), "'1e9' is not a valid"),
         (("bench", "scene.json", "--scaling"), "scene 'scene.json' has no option N; choose from"),
         (("bench", "--rhs", "--scaling"), "different benchmarks; choose one"),
         (("run", "four_bar", "--set", "N=1000"), "2002 bodies, at most 2000; to allow it: --set bodies=2002"),

@@ -9,25 +9,40 @@ engine's own, before.
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from functools import partial
+from itertools import product
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.limit import time_limit
 from crosscheck.report.table import Cell, Lines, Report, Rows, Table, figures, texts
-from crosscheck.scenes import load
-from crosscheck.studies.benchmark.batch_engines import RTOL, Choice, MuJoCo, Own, bare, cheapest, references
-from crosscheck.studies.benchmark.engines import JUDGED, poses_only
-from crosscheck.studies.benchmark.work_precision import Progress, machine, steady
+from crosscheck.scenes import load as load_scene
+from crosscheck.studies.benchmark import reference
+from crosscheck.studies.benchmark.ladders import JUDGED, METHODS, SHARES, STEPS, STIFF, poses_only
+from crosscheck.studies.benchmark.reference import pose_errors
+from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, machine, machine_line, steady
+from crosscheck.studies.bisection import smallest
+from newton_euler.batch import Batch, simulate_batch
+from newton_euler.conversion import coordinates
+from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
+from newton_euler.integrators.compiled import FORMULATIONS, STABILIZATIONS
+from newton_euler.integrators.run import load
 from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.scalars import Array
+from newton_euler.simulate import compile_scene, simulate
+from urdf import simulate as simulate_pinocchio
 
 REPEATS = 5
-"""Of every batch, engines and numbers of threads taking turns; the quickest counts, as others' load only
-ever adds."""
+"""Of every batch, engines and numbers of threads taking turns."""
 
 SAMPLE = 20
 """Runs that settings are chosen on."""
@@ -39,52 +54,271 @@ LIMIT = 10.0
 """s that MuJoCo's runs on one thread may take; it makes fewer runs than newton_euler where they would take
 longer."""
 
+RTOL = 1e-12
+"""Of the sample's reference, with atol = 0.01 rtol."""
+
+LONGEST = 20.0
+"""s that a sample may take: settings that are slower are not tried."""
+
+TRIES = 2
+"""How often a sample is run at a setting that reaches the error; the quicker counts."""
+
+Options = Mapping[str, Any]
+Poses = tuple[Array, Array]
+
+
+class Method(NamedTuple):
+    """A way to run a batch; `setting` names and makes the n-th of its settings, 1 to `most`, ever finer."""
+
+    setting: Callable[[int], tuple[str, Options]]
+    most: int
+
+
+class Done(NamedTuple):
+    """A batch that was run.
+
+    Attributes:
+        seconds: what it took.
+        processor: s of processor time where that can be told from loading, else `seconds`; settings are
+            chosen by it, so that others' load does not decide between them.
+        setup: s that it took before to turn states into the engine's own, and to load.
+        poses: works out those of each run; raises what ended one of them.
+        batch: of newton_euler.
+    """
+
+    seconds: float
+    processor: float
+    setup: float
+    poses: Callable[[], list[Poses]]
+    batch: Batch | None = None
+
+
+class Engine(Protocol):
+    """One engine on the states of one scene; `delivers` says what a run's time includes."""
+
+    name: str
+    delivers: str
+
+    def methods(self) -> Iterator[Method]:
+        """Yield all ways to run a batch."""
+
+    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
+        """Run a batch."""
+
+
+class Own:
+    """newton_euler: its adaptive methods. Fixed steps could only favor MuJoCo."""
+
+    name = JUDGED
+    delivers = "poses of all bodies at all outputs"
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+
+    def methods(self) -> Iterator[Method]:
+        for how in product(FORMULATIONS, STABILIZATIONS):
+            self._compile(*how, "DOP853")
+            for share in SHARES:
+                yield Method(partial(self._setting, *how, "DOP853", share), 27)
+            if how == STIFF:
+                self._compile(*how, "Radau")
+                yield Method(partial(self._setting, *how, "Radau", SHARES[1]), 19)
+
+    def _compile(self, formulation: str, stabilization: str, integrator: str) -> None:
+        """Fill the cache of native code: compiling does not count to the time that a sample may take."""
+        compiled = compile_scene(self._scene, formulation=formulation, stabilization=stabilization)
+        load(compiled, integrator)
+
+    def _setting(
+        self, formulation: str, stabilization: str, integrator: str, share: float, n: int
+    ) -> tuple[str, Options]:
+        """Return the setting of the n-th half decade of rtol."""
+        rtol = 10.0 ** (-n / 2)
+        options = {"formulation": formulation, "stabilization": stabilization, "integrator": integrator}
+        name = f"{formulation}, {stabilization}, {integrator}, atol = {share:g} rtol, rtol {rtol:.0e}"
+        return name, {**options, "rtol": rtol, "atol": share * rtol}
+
+    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
+        start = time.perf_counter()
+        batch = simulate_batch(self._scene, states, threads=threads, **options)
+        setup = time.perf_counter() - start - batch.wall_time
+        seconds = batch.wall_time
+        return Done(seconds, seconds, setup, lambda: [(r.position, r.quaternion) for r in batch], batch)
+
+
+class MuJoCo:
+    """`mujoco.rollout`, which writes the full physics state after every step."""
+
+    name = "mujoco"
+    delivers = "time, qpos and qvel after every step, of which qpos at outputs is kept"
+
+    def __init__(self, scene: Scene, period: float) -> None:
+        """Steps are no shorter than in the ladder of runs with outputs of this period, s."""
+        from mjcf.tight import compiled
+
+        self._system = compiled(scene)
+        self._interval = float(scene.times[1] - scene.times[0])
+        self._most = max(1, round(self._interval / period * STEPS[-1]))
+
+    def methods(self) -> Iterator[Method]:
+        for integrator, ratio in METHODS:
+            yield Method(partial(self._setting, integrator, ratio), self._most)
+
+    def _setting(self, integrator: str, ratio: float, n: int) -> tuple[str, Options]:
+        name = f"{integrator}, solref (2 steps, {ratio:g}), step {self._interval / n:.3g} s"
+        return name, {"integrator": integrator, "damping_ratio": ratio, "number": n}
+
+    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
+        from mjcf.tight import Rollout, physics_states
+
+        start = time.perf_counter()
+        rollout = Rollout(self._system, **options, threads=threads)
+        starts = physics_states(self._system, *coordinates(self._system, states))
+        begun, used = time.perf_counter(), time.process_time()
+        runs = rollout(starts)
+        seconds, processor = time.perf_counter() - begun, time.process_time() - used
+        return Done(seconds, processor, begun - start, lambda: [rollout.poses(qpos) for qpos in runs])
+
+
+# Settings
+
+
+class Choice(NamedTuple):
+    """A setting tried on a sample: the largest error (m or rad), and the time of the whole sample, s."""
+
+    name: str
+    options: Options
+    error: float
+    seconds: float
+
+
+def cheapest(
+    engine: Engine, states: Sequence[State], exact: Sequence[Poses], error: float, progress: Progress
+) -> Choice:
+    """Find the setting that runs these states in the least time, none of them further off than `error`.
+
+    Raises:
+        CrosscheckError: if no setting reaches the error.
+    """
+    tried: list[Choice] = []
+    reaching: list[Choice] = []
+    for method in engine.methods():
+        # a method is left where it takes longer than another that reaches the error
+        longest = min((choice.seconds for choice in reaching), default=LONGEST)
+
+        def suffices(n: int, method: Method = method, longest: float = longest) -> bool:
+            name, options = method.setting(n)
+            progress(f"{len(states)} runs of {engine.name}: {name}")
+            tried.append(_try(engine, name, options, states, exact, error))
+            return tried[-1].error <= error or tried[-1].seconds > longest
+
+        smallest(suffices, method.most)
+        reaching = [choice for choice in tried if choice.error <= error]
+    if not reaching:
+        least = min(choice.error for choice in tried)
+        reason = f"does not reach an error of {error:g} on all of {len(states)} runs"
+        raise CrosscheckError(f"{engine.name} {reason}; the least is {least:.1e}")
+    return min(reaching, key=lambda choice: choice.seconds)
+
+
+def _try(
+    engine: Engine,
+    name: str,
+    options: Options,
+    states: Sequence[State],
+    exact: Sequence[Poses],
+    error: float,
+) -> Choice:
+    """Run a sample at a setting; its error is infinite if a run cannot go on."""
+    seconds, worst = math.inf, math.inf
+    for _ in range(TRIES):
+        start = time.perf_counter()
+        try:
+            with steady(), time_limit(LONGEST):
+                done = engine.run(options, states, threads=1)
+            worst = max(max(pose_errors(*pair)) for pair in zip(done.poses(), exact, strict=True))
+        except (NewtonEulerError, CrosscheckError):
+            return Choice(name, options, math.inf, time.perf_counter() - start)
+        seconds = min(seconds, done.processor)
+        if not worst <= error:
+            break
+    return Choice(name, options, worst, seconds)
+
+
+def references(scene: Scene, states: Sequence[State]) -> tuple[dict[int, Poses], float]:
+    """Return Pinocchio's poses at tight tolerances by number of the state, and how far newton_euler's differ.
+
+    A state has none from which one of them cannot go that tightly: its run passes a singular configuration.
+
+    Raises:
+        CrosscheckError: if none has any.
+    """
+    tight: dict[str, Any] = {"rtol": RTOL, "atol": 0.01 * RTOL}
+    found: dict[int, Poses] = {}
+    uncertainty = 0.0
+    for k, state in enumerate(states):
+        started = replace(scene, initial_state=state)
+        try:
+            with time_limit(reference.LIMIT):
+                own, exact = simulate(started, **tight), simulate_pinocchio(started, **tight)
+        except (NewtonEulerError, CrosscheckError) as error:
+            reason = str(error)
+            continue
+        found[k] = exact.position, exact.quaternion
+        uncertainty = max(uncertainty, *pose_errors((own.position, own.quaternion), found[k]))
+    if not found:
+        raise CrosscheckError(f"none of {len(states)} random runs has a reference; the last: {reason}")
+    return found, uncertainty
+
+
+# Rates
+
 
 @dataclass(frozen=True)
-class Throughput:
-    """One engine on some threads; times, s, are of all `runs` together."""
-
-    threads: int
-    runs: int
-    times: tuple[float, ...]
-
-    @property
-    def rate(self) -> float:
-        """Runs per second of the quickest repeat."""
-        return self.runs / min(self.times)
-
-    @property
-    def spread(self) -> float:
-        """How much longer the slowest repeat took than the quickest, as a share of it."""
-        return max(self.times) / min(self.times) - 1.0
-
-
-@dataclass(frozen=True)
-class Side:
-    """One engine.
+class Rate(Timed):
+    """One engine on some threads.
 
     Attributes:
         engine, setting: names.
         error: m or rad, the largest of the sample.
-        delivers: what a run's time includes.
-        setup: s, to turn the states of `throughputs[0].runs` runs into its own, and to load.
+        threads, runs: how many.
+        setup: s, to turn the states of as many runs into the engine's own, and to load.
         failed: runs that could not go on.
-        throughputs: by number of threads.
+        times: s, of all runs together.
     """
 
     engine: str
     setting: str
     error: float
-    delivers: str
+    threads: int
+    runs: int
     setup: float
     failed: int
-    throughputs: tuple[Throughput, ...]
+    times: tuple[float, ...]
+
+    @property
+    def per_second(self) -> float:
+        return self.runs / self.median
+
+    @property
+    def spread(self) -> float:
+        """The difference between the quartiles of the times, as a share of their median."""
+        low, high = self.quartiles
+        return (high - low) / self.median
 
 
 @dataclass(frozen=True)
 class BatchBenchmark:
-    """What was found; `uncertainty`, m or rad, is that of the sample's reference, and `unknown` of the sample
-    have none. `bare` are bare right-hand sides, no runs."""
+    """Rates of both engines.
+
+    Attributes:
+        source, options: of the scene.
+        machine: what it ran on.
+        duration, outputs: s and number of outputs of each run.
+        error: m or rad, what settings had to reach.
+        uncertainty: m or rad, of the sample's reference.
+        sample, unknown: runs of the sample with and without a reference.
+    """
 
     source: str
     options: Mapping[str, str]
@@ -95,17 +329,16 @@ class BatchBenchmark:
     uncertainty: float
     sample: int
     unknown: int
-    bare: tuple[Throughput, ...]
-    sides: tuple[Side, ...]
+    rates: tuple[Rate, ...]
 
 
 def thread_counts() -> tuple[int, ...]:
-    """One thread, and one a core."""
+    """One thread, and one per core."""
     return tuple(sorted({1, os.cpu_count() or 1}))
 
 
 def rarer(scene: Scene, runs: int) -> Scene:
-    """The scene with equal periods between outputs, at least its own, that keep a batch's poses small.
+    """Return the scene with equal periods between outputs, at least its own, that keep a batch's poses small.
 
     Raises:
         CrosscheckError: where even the last poses alone are too many.
@@ -123,11 +356,12 @@ def benchmark_batch(
     """Measure the throughput of both engines at an error; `progress` is told each stage.
 
     Raises:
-        CrosscheckError: for a scene that cannot be benchmarked, or an error that an engine cannot reach.
+        CrosscheckError: for a scene that cannot be benchmarked, an error that an engine cannot reach, or
+            threads that change newton_euler's results.
         NewtonEulerError: for a mechanism that hardly ever closes from nearby.
     """
     where = machine()
-    given = poses_only(load(source, **options))
+    given = poses_only(load_scene(source, **options))
     scene = rarer(given, runs)
     progress(f"{runs} random states")
     states = random_states(scene, runs)
@@ -137,123 +371,100 @@ def benchmark_batch(
     if uncertainty > error:
         raise CrosscheckError(f"--error {error:g}: the reference is known to {uncertainty:.1e} only")
     known, poses = [sample[k] for k in exact], list(exact.values())
-    own, other = Own(scene), MuJoCo(scene, given.output_period)
-    choices = {engine.name: cheapest(engine, known, poses, error, progress) for engine in (own, other)}
-    most = LIMIT * len(known) / choices[other.name].seconds
-    shares = {own.name: states, other.name: states[: max(len(known), int(most))]}
-    times = _in_turns(scene, (own, other), choices, shares, progress)
+    engines: tuple[Engine, ...] = Own(scene), MuJoCo(scene, given.output_period)
+    choices = [cheapest(engine, known, poses, error, progress) for engine in engines]
+    most = LIMIT * len(known) / choices[1].seconds
+    shares = [states, states[: max(len(known), int(most))]]
+    cases = [*product(zip(engines, choices, shares, strict=True), thread_counts())]
+    firsts: dict[str, Done] = {}
+    calls = [partial(_timed, *case, threads, firsts) for case, threads in cases]
+    times = in_turns(calls, [REPEATS] * len(calls), progress)
+    rates = []
+    for ((engine, choice, own), threads), row in zip(cases, times, strict=True):
+        first = firsts[engine.name]
+        failed = len(first.batch.errors) if first.batch is not None else 0
+        rates.append(
+            Rate(engine.name, choice.name, choice.error, threads, len(own), first.setup, failed, row)
+        )
     return BatchBenchmark(
-        source,
-        options,
-        where,
-        scene.duration,
-        len(scene.times),
-        error,
-        uncertainty,
-        len(known),
-        len(sample) - len(known),
-        _throughputs(times, BARE, 1),
-        tuple(
-            Side(
-                engine.name,
-                choices[engine.name].name,
-                choices[engine.name].error,
-                engine.delivers,
-                engine.setup,
-                engine.failed,
-                _throughputs(times, engine.name, len(shares[engine.name])),
-            )
-            for engine in (own, other)
-        ),
+        source=source,
+        options=options,
+        machine=where,
+        duration=scene.duration,
+        outputs=len(scene.times),
+        error=error,
+        uncertainty=uncertainty,
+        sample=len(known),
+        unknown=len(sample) - len(known),
+        rates=tuple(rates),
     )
 
 
-BARE = "right-hand sides"
-
-Times = dict[tuple[str, int], list[float]]
-
-
-def _in_turns(
-    scene: Scene,
-    engines: tuple[Own | MuJoCo, ...],
-    choices: Mapping[str, Choice],
-    states: Mapping[str, Any],
-    progress: Progress,
-) -> Times:
-    """Times of the repeats, s, by engine and number of threads."""
-    times: Times = {}
-    calls = bare(scene)
-    for turn in range(REPEATS):
-        for threads in thread_counts():
-            progress(f"batch {turn + 1} of {REPEATS}: {threads} thread(s)")
-            with steady():
-                times.setdefault((BARE, threads), []).append(calls(threads))
-                for engine in engines:
-                    name = engine.name
-                    seconds = engine.run(choices[name].options, states[name], threads)
-                    times.setdefault((name, threads), []).append(seconds)
-    return times
+def _timed(
+    engine: Engine, choice: Choice, states: Sequence[State], threads: int, firsts: dict[str, Done]
+) -> float:
+    """Return the s of a batch, and keep the first of each engine."""
+    done = engine.run(choice.options, states, threads)
+    first = firsts.setdefault(engine.name, done)
+    if first.batch is not None and done.batch is not None and not identical(first.batch, done.batch):
+        raise CrosscheckError(f"{engine.name}: {threads} threads change the results of a batch")
+    return done.seconds
 
 
-def _throughputs(times: Times, name: str, runs: int) -> tuple[Throughput, ...]:
-    return tuple(Throughput(n, runs, tuple(times[name, n])) for n in thread_counts())
+def identical(one: Batch, other: Batch) -> bool:
+    """Whether two batches are equal to the last bit."""
+    return one.errors.keys() == other.errors.keys() and all(
+        np.array_equal(one.stacked(name), other.stacked(name), equal_nan=True)
+        for name in ("position", "quaternion")
+    )
 
 
 # Report
 
 
 def batch_report(result: BatchBenchmark) -> Report:
-    """Rates by engine and number of threads; ratios are newton_euler's rate over the other's."""
-    own = {t.threads: t.rate for side in result.sides if side.engine == JUDGED for t in side.throughputs}
+    """Return the rates by engine and number of threads; ratios are newton_euler's rate over the other's."""
+    rates = {(rate.engine, rate.threads): rate.per_second for rate in result.rates}
     rows: Rows = [
         [
-            side.engine,
-            side.setting,
-            f"{side.error:.1e}",
-            str(t.threads),
-            str(t.runs),
-            f"{t.rate:.4g}",
-            f"{t.spread:.0%}",
-            f"{t.rate / side.throughputs[0].rate:.2f}",
-            "-" if side.engine == JUDGED else f"{own[t.threads] / t.rate:.3g}",
-            f"{side.setup:.2f}",
+            rate.engine,
+            rate.setting,
+            f"{rate.error:.1e}",
+            str(rate.threads),
+            str(rate.runs),
+            f"{rate.per_second:.4g}",
+            f"{rate.spread:.0%}",
+            f"{rate.per_second / rates[rate.engine, 1]:.2f}",
+            "-" if rate.engine == JUDGED else f"{rates[JUDGED, rate.threads] / rate.per_second:.3g}",
+            f"{rate.setup:.2f}",
         ]
-        for side in result.sides
-        for t in side.throughputs
+        for rate in result.rates
     ]
     names = ("error", "threads", "runs", "runs per s", "spread", "scaling", "ratio", "setup, s")
     table = Table("", [*texts("engine", "setting"), *figures(*names)], rows)
-    return Report("many runs", "", Cell(""), [table, Lines("", _words(result))])
-
-
-def _words(result: BatchBenchmark) -> list[str]:
-    """What was run, and what each engine delivers."""
-    where = result.machine
     period = result.duration / (result.outputs - 1)
-    allowed = ", ".join(f"{t.rate / result.bare[0].rate:.2f} on {t.threads}" for t in result.bare[1:])
     lines = [
-        f"machine: {where['processor']}, {where['cores']} cores, load {where['load']}",
+        machine_line(result.machine),
         f"runs of {result.duration:g} s from random consistent states, {result.outputs} outputs "
         f"{period:.3g} s apart",
         f"settings: the cheapest with no run of a sample of {result.sample} off by more than "
         f"{result.error:g} m or rad; error: the largest of that sample",
         f"the sample's reference is known to {result.uncertainty:.1e}; {result.unknown} more of these runs "
         f"have none at rtol {RTOL:g}",
-        f"rates are of the quickest of {REPEATS} repeats in turns, spread: how much longer the slowest took",
+        f"rates are of the median of {REPEATS} repeats in turns; spread: between the quartiles of the times",
         "newton_euler's results on all numbers of threads are equal to the last bit",
         "setup, not counted: states into each engine's own, loading",
+        *(f"{engine.name} delivers {engine.delivers}" for engine in (Own, MuJoCo)),
+        *(
+            f"{rate.engine}: {rate.failed} runs could not go on"
+            for rate in result.rates
+            if rate.failed and rate.threads == 1
+        ),
     ]
-    if allowed:
-        lines.insert(5, f"scaling of right-hand sides alone, what the machine allows: {allowed} threads")
-    lines += [f"{side.engine} delivers {side.delivers}" for side in result.sides]
-    lines += [f"{s.engine}: {s.failed} runs could not go on" for s in result.sides if s.failed]
-    return lines
+    return Report("many runs", "", Cell(""), [table, Lines("", lines)])
 
 
 def batch_data(result: BatchBenchmark) -> dict[str, Any]:
-    """Everything measured, for JSON."""
-    content = asdict(result)
-    for side, found in zip(content["sides"], result.sides, strict=True):
-        for entry, throughput in zip(side["throughputs"], found.throughputs, strict=True):
-            entry["rate"] = throughput.rate
-    return content
+    """Return everything measured, for JSON."""
+    rates = [asdict(rate) | {"rate": rate.per_second} for rate in result.rates]
+    return asdict(result) | {"rates": rates}

@@ -18,10 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 import newton_euler
+import urdf
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import time_limit
-from crosscheck.studies.benchmark.work_precision import Progress, pose_errors
+from crosscheck.studies.benchmark.timing import Progress
 from newton_euler.errors import NewtonEulerError
+from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
@@ -31,6 +33,12 @@ RTOLS = (5e-14, 1e-11)
 
 LIMIT = 10.0
 """s after which a run is given up."""
+
+
+def pose_errors(poses: tuple[Array, Array], exact: tuple[Array, Array]) -> tuple[float, float]:
+    """Return the largest distance, m, of positions (n, b, 3) and angle, rad, of quaternions (n, b, 4)."""
+    distance = np.linalg.norm(poses[0] - exact[0], axis=-1)
+    return float(np.max(distance)), float(np.max(angle_between(poses[1], exact[1])))
 
 
 class Difference(NamedTuple):
@@ -111,8 +119,6 @@ def _runs(scene: Scene, rtol: float, missing: dict[str, str], progress: Progress
 
 def _ways(scene: Scene, tightest: float) -> dict[str, Callable[[], Trajectory]]:
     """The runs that are compared, the most wanted reference first."""
-    import urdf
-
     ways: dict[str, Callable[[], Trajectory]] = {}
     for rtol in (tightest, 2.0 * tightest):
         ways[f"Pinocchio, DOP853 rtol {rtol:.0e}"] = partial(

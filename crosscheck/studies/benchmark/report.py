@@ -10,8 +10,9 @@ import numpy as np
 
 from crosscheck.report.plots import STYLES
 from crosscheck.report.table import Cell, Column, Lines, Report, Rows, Table, figures, texts
-from crosscheck.studies.benchmark.engines import ENGINES, JUDGED, Benchmark
-from crosscheck.studies.benchmark.work_precision import Measurement
+from crosscheck.studies.benchmark.ladders import ENGINES, JUDGED
+from crosscheck.studies.benchmark.timing import machine_line
+from crosscheck.studies.benchmark.work_precision import Benchmark, Measurement
 from crosscheck.studies.diagram import Diagram, Line
 from newton_euler.scalars import Array
 
@@ -20,8 +21,6 @@ DECADES = tuple(10.0**-power for power in range(3, 12))
 
 SMALLEST = 1e-16
 """Errors are drawn no smaller than this, m or rad: zero has no logarithm."""
-
-OTHERS = tuple(engine for engine in ENGINES if engine != JUDGED)
 
 
 class Row(NamedTuple):
@@ -195,8 +194,7 @@ def preamble(result: Benchmark) -> list[str]:
     versions = ", ".join(f"{package} {version}" for package, version in where["versions"].items())
     lines = [
         f"{result.title}: {result.scene.duration:g} s, {len(result.scene.times)} outputs",
-        f"machine: {where['processor']}, {where['cores']} cores, load {where['load']}, {where['system']}, "
-        f"Python {where['python']}, {versions}",
+        f"{machine_line(where)}, {where['system']}, Python {where['python']}, {versions}",
         f"reference: {reference.name}, known to {reference.uncertainty:.1e} m and rad; it differs by",
     ]
     lines += [
@@ -213,8 +211,8 @@ def preamble(result: Benchmark) -> list[str]:
     return lines
 
 
-def data(result: Benchmark, error: float) -> dict[str, Any]:
-    """Every setting that ran, every one that did not, and the table, for JSON."""
+def data(result: Benchmark) -> dict[str, Any]:
+    """Return every setting that ran and every one that did not, for JSON."""
     reference, measured = result.reference, result.measured
     return {
         "scene": result.scene.name,
@@ -229,19 +227,6 @@ def data(result: Benchmark, error: float) -> dict[str, Any]:
             "differences": {name: d._asdict() for name, d in reference.differences.items()},
             "missing": reference.missing,
         },
-        "answer": answer(result, error),
-        "table": [
-            {
-                "error": found.error,
-                "cheapest": {
-                    engine: m and {"method": m.method, "setting": m.setting, "median": m.median}
-                    for engine, m in found.cheapest.items()
-                },
-                "ratio": {engine: found.ratio(engine) for engine in OTHERS},
-                "notes": found.notes,
-            }
-            for found in rows(result)
-        ],
         "loadings": [asdict(load) for load in measured.loadings],
         "settings": [
             asdict(m) | {"median": m.median, "quartiles": m.quartiles} for m in measured.measurements
@@ -257,9 +242,8 @@ def diagram(result: Benchmark) -> Diagram:
     for engine in ENGINES:
         points = [m for m in result.measured.measurements if m.engine == engine]
         if points:
-            notes = tuple(f"{engine}: {m.name}, {m.error:.1e} in {m.median * 1e3:.3g} ms" for m in points)
             best = _points(frontier(points, engine))
-            lines.append(Line(engine, best, STYLES[engine][0], beside=_points(points), notes=notes))
+            lines.append(Line(engine, best, STYLES[engine][0], beside=_points(points)))
     return Diagram(
         f"{result.title}: {result.scene.duration:g} s, {len(result.scene.times)} outputs",
         "largest error of all bodies and output times, m and rad",

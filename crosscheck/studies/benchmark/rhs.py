@@ -23,12 +23,10 @@ from itertools import repeat
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from crosscheck.report.table import Cell, Lines, Report, Rows, Table, figures, texts
 from crosscheck.scenes import load
-from crosscheck.studies.benchmark.engines import JUDGED, poses_only
-from crosscheck.studies.benchmark.work_precision import Progress, machine, steady
+from crosscheck.studies.benchmark.ladders import JUDGED, poses_only
+from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, machine
 from newton_euler.assemble import initial_state
 from newton_euler.codegen.cache import CACHE_VARIABLE
 from newton_euler.model.scene import Scene
@@ -62,7 +60,7 @@ class RightHandSide(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Timing:
+class Timing(Timed):
     """One way to call an engine's right-hand side.
 
     Attributes:
@@ -83,19 +81,6 @@ class Timing:
     memory: int = 0
     own_memory: int = 0
     reason: str = ""
-
-    @property
-    def median(self) -> float:
-        return float(np.median(self.times))
-
-    def ratio(self, other: Timing) -> float:
-        """How many times as long as the other it takes.
-
-        The median over turns: a machine whose speed changes does so for both of a turn.
-        """
-        if len(self.times) != len(other.times):
-            return self.median / other.median
-        return float(np.median(np.divide(self.times, other.times)))
 
 
 def _newton_euler(scene: Scene, formulation: str) -> RightHandSide:
@@ -177,24 +162,21 @@ def time_right_hand_sides(
         probes[way] = _probe(way, source, options, limit)
         if not probes[way].reason:
             ready[way] = WAYS[way](scene)
-    times = _in_turns(ready, progress)
+    times = dict(zip(ready, _times(list(ready.values()), progress), strict=True))
     return [replace(probe, times=times.get(way, ())) for way, probe in probes.items()]
 
 
-def _in_turns(ready: Mapping[Way, RightHandSide], progress: Progress) -> dict[Way, tuple[float, ...]]:
-    """s a call of each right-hand side, in batches that take turns."""
-    counts = {way: _batch(side.repeat) for way, side in ready.items()}
-    seconds = {way: ready[way].repeat(count) for way, count in counts.items()}
-    rounds = {way: int(min(ROUNDS, max(3.0, TOTAL / seconds[way]))) for way in ready}
-    times: dict[Way, list[float]] = {way: [] for way in ready}
-    most = max(rounds.values(), default=0)
-    for turn in range(most):
-        progress(f"batch {turn + 1} of {most}")
-        for way, side in ready.items():
-            if turn * rounds[way] % most < rounds[way]:
-                with steady():
-                    times[way].append(side.repeat(counts[way]) / counts[way])
-    return {way: tuple(row) for way, row in times.items()}
+def _times(sides: Sequence[RightHandSide], progress: Progress) -> list[tuple[float, ...]]:
+    """Return the s per call of each right-hand side, in batches that take turns."""
+    counts = [_batch(side.repeat) for side in sides]
+    seconds = [side.repeat(count) for side, count in zip(sides, counts, strict=True)]
+    rounds = [int(min(ROUNDS, max(3.0, TOTAL / s))) for s in seconds]
+    calls = [partial(_call, side, count) for side, count in zip(sides, counts, strict=True)]
+    return in_turns(calls, rounds, progress)
+
+
+def _call(side: RightHandSide, count: int) -> float:
+    return side.repeat(count) / count
 
 
 def _batch(calls: Callable[[int], float]) -> int:
@@ -273,7 +255,7 @@ def rhs_report(timings: Sequence[Timing]) -> Report:
         if t.reason:
             rows.append([t.engine, t.way, *["-"] * 7])
             continue
-        low, high = np.quantile(t.times, [0.25, 0.75]) * 1e6
+        low, high = (1e6 * seconds for seconds in t.quartiles)
         rows.append(
             [
                 t.engine,

@@ -9,9 +9,22 @@ from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_no_source, check_writable, write_files
-from crosscheck.report.render import as_json, markdown
+from crosscheck.report.output import check_own
+from crosscheck.report.render import as_json
 from crosscheck.report.table import Report
-from crosscheck.studies.benchmark.work_precision import Progress
+from crosscheck.studies.benchmark.batch import batch_data, batch_report, benchmark_batch
+from crosscheck.studies.benchmark.report import data, diagram, report
+from crosscheck.studies.benchmark.rhs import rhs_data, rhs_report, time_right_hand_sides
+from crosscheck.studies.benchmark.scaling import (
+    check_sizable,
+    measure_sizes,
+    scaling_data,
+    scaling_picture,
+    scaling_report,
+)
+from crosscheck.studies.benchmark.timing import Progress
+from crosscheck.studies.benchmark.work_precision import benchmark
+from crosscheck.studies.diagram import picture
 from newton_euler.model.scene import Scene
 
 SMALLEST_ERROR = 1e-13
@@ -26,7 +39,6 @@ def bench(
     source: str,
     options: Mapping[str, str],
     error: float,
-    repeats: int,
     output: Path | None,
     progress: Progress,
 ) -> Written:
@@ -36,26 +48,17 @@ def bench(
         CrosscheckError: for an impossible error, a scene that cannot be run and files that cannot be
             written.
     """
-    from crosscheck.studies.benchmark.engines import benchmark
-    from crosscheck.studies.benchmark.report import data, diagram, report
-    from crosscheck.studies.diagram import picture, recording
-
     _check_error(error)
-    paths = _paths(scene, source, output, "bench.json", "work_precision.png", "bench.rrd")
-    result = benchmark(scene, source, options, repeats, progress)
+    paths = _paths(scene, source, output, "bench.json", "work_precision.png")
+    result = benchmark(scene, source, options, progress)
     progress("writing")
-    found, drawn = report(result, error), diagram(result)
-    png = picture(drawn)
-    rrd = recording(f"bench {result.title}", [drawn], markdown(found))
-    return _write(paths, data(result, error), found, png, rrd)
+    return _write(paths, data(result), report(result, error), picture(diagram(result)))
 
 
 def bench_rhs(
     scene: Scene, source: str, options: Mapping[str, str], output: Path | None, progress: Progress
 ) -> Written:
     """Benchmark right-hand sides; errors as of `bench`."""
-    from crosscheck.studies.benchmark.rhs import rhs_data, rhs_report, time_right_hand_sides
-
     paths = _paths(scene, source, output, "rhs.json")
     timings = time_right_hand_sides(source, options, progress)
     return _write(paths, rhs_data(source, options, timings), rhs_report(timings))
@@ -71,8 +74,6 @@ def bench_batch(
     progress: Progress,
 ) -> Written:
     """Benchmark many runs; errors as of `bench`."""
-    from crosscheck.studies.benchmark.batch import batch_data, batch_report, benchmark_batch
-
     _check_error(error)
     paths = _paths(scene, source, output, "batch.json")
     result = benchmark_batch(source, options, runs, error, progress)
@@ -83,14 +84,6 @@ def bench_scaling(
     scene: Scene, source: str, options: Mapping[str, str], output: Path | None, progress: Progress
 ) -> Written:
     """Benchmark right-hand sides over size; errors as of `bench`."""
-    from crosscheck.studies.benchmark.scaling import (
-        check_sizable,
-        measure_sizes,
-        scaling_data,
-        scaling_picture,
-        scaling_report,
-    )
-
     check_sizable(source, options)
     paths = _paths(scene, source, output, "scaling.json", "scaling.png")
     result = measure_sizes(source, options, progress)
@@ -112,8 +105,6 @@ def _paths(scene: Scene, source: str, output: Path | None, *names: str) -> list[
     """
     folder = output or Path("output") / "bench" / scene.name
     if output is None:
-        from crosscheck.report.output import check_own
-
         check_own(folder, [source], "benchmark")
     paths = [folder / name for name in names]
     check_no_source(paths, [source])

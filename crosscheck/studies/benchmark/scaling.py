@@ -15,9 +15,9 @@ from crosscheck.report.plots import STYLES
 from crosscheck.report.table import Cell, Column, Lines, Report, Rows, Table, texts
 from crosscheck.scenes import SCENES
 from crosscheck.scenes.options import options_of
-from crosscheck.studies.benchmark.engines import JUDGED
+from crosscheck.studies.benchmark.ladders import JUDGED
 from crosscheck.studies.benchmark.rhs import WAYS, Timing, Way, fastest_other, time_right_hand_sides
-from crosscheck.studies.benchmark.work_precision import Progress, machine
+from crosscheck.studies.benchmark.timing import Progress, machine, machine_line
 from crosscheck.studies.diagram import DASHES, Diagram, Line, picture
 
 SIZES = (1, 10, 100, 1000)
@@ -106,9 +106,8 @@ def scaling_report(result: Scaling) -> Report:
 
 def _words(result: Scaling) -> list[str]:
     """How newton_euler's time grows, what it is in units of the fastest other's, and what could not run."""
-    where = result.machine
     lines = [
-        f"machine: {where['processor']}, {where['cores']} cores, load {where['load']}; growth: exponents "
+        f"{machine_line(result.machine)}; growth: exponents "
         f"between sizes; MB: peak of a fresh process, loading in at most {LIMIT:g} s"
     ]
     for way in WAYS:

@@ -1,29 +1,26 @@
 """Run time against error, for every engine and setting: what is measured and how.
 
 The time of a setting is what it takes to have the motion of all bodies at all output times; loading,
-compiling and the first run are told apart from it. Settings take turns, so that a machine that slows
-down slows all of them down. The error is the largest over all bodies and output times against
-`crosscheck.studies.benchmark.reference`.
+compiling and the first run are told apart from it. The error is the largest over all bodies and output times
+against `crosscheck.studies.benchmark.reference`.
 """
 
 from __future__ import annotations
 
-import gc
-import os
-import platform
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from crosscheck.limit import time_limit
-from newton_euler.model.euler_parameters import angle_between
+from crosscheck.scenes.options import titled
+from crosscheck.studies.benchmark.ladders import ENGINES, Ladder, Models, Setting, poses_only
+from crosscheck.studies.benchmark.reference import Reference, pose_errors, reference
+from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, machine, steady
+from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 LONGEST = 1.5
@@ -33,7 +30,7 @@ LIMIT = 3.0
 """s after which a run is given up."""
 
 BUDGET = 20.0
-"""s after which a model begins no further ladder."""
+"""s of processor time after which a model begins no further ladder: others' load leaves no setting out."""
 
 SHARE = 0.15
 """s that the repeats of one setting should take together, if `LEAST_REPEATS` of them do not take longer."""
@@ -43,55 +40,6 @@ LEAST_REPEATS = 3
 SAMPLE = 0.02
 """s that runs follow one another for one repeat at least; its time is their mean. A single run of less
 than a millisecond would be timed with the processor's caches full of another engine."""
-
-PACKAGES = ("crosscheck", "numpy", "scipy", "llvmlite", "mujoco", "pin")
-"""Whose versions are recorded."""
-
-Progress = Callable[[str], None]
-
-
-class Run(NamedTuple):
-    """One timed run.
-
-    Attributes:
-        seconds: what it took, by its own clock.
-        evaluations: of the equations of motion.
-        poses: works out positions (n, b, 3), m, and quaternions (n, b, 4) of the bodies, ground
-            first, at the output times; not timed.
-    """
-
-    seconds: float
-    evaluations: int
-    poses: Callable[[], tuple[Array, Array]]
-
-
-class Setting(NamedTuple):
-    """One way to run a scene; `run` raises an exception that says why if it cannot.
-
-    `options` say the same to whoever runs many scenes at once.
-    """
-
-    name: str
-    run: Callable[[], Run]
-    options: Mapping[str, Any] = MappingProxyType({})
-
-
-class Ladder(NamedTuple):
-    """Settings of one method, from the coarsest to the finest."""
-
-    method: str
-    settings: tuple[Setting, ...]
-
-
-class Model(NamedTuple):
-    """What an engine has loaded of a scene: its methods, and a remark about the loading."""
-
-    ladders: tuple[Ladder, ...]
-    remark: str
-
-
-Models = Mapping[str, Callable[[], Model]]
-"""How an engine loads a scene in each of the ways it knows, by name."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +63,7 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Measurement:
+class Measurement(Timed):
     """One setting.
 
     Attributes:
@@ -133,7 +81,7 @@ class Measurement:
     error_angle: float
     evaluations: int
     first: float
-    times: tuple[float, ...]
+    times: tuple[float, ...] = ()
 
     @property
     def name(self) -> str:
@@ -144,191 +92,133 @@ class Measurement:
         """The larger of both errors, m or rad."""
         return max(self.error_position, self.error_angle)
 
-    @property
-    def median(self) -> float:
-        """s"""
-        return float(np.median(self.times))
 
-    @property
-    def quartiles(self) -> tuple[float, float]:
-        """s"""
-        low, high = np.quantile(self.times, [0.25, 0.75])
-        return float(low), float(high)
-
-
-@dataclass(frozen=True)
+@dataclass
 class Measured:
-    """All settings of all engines."""
+    """All settings of all engines.
 
-    measurements: tuple[Measurement, ...]
-    loadings: tuple[Loading, ...]
-    failures: tuple[Failure, ...]
-    ended: Mapping[str, str]
-    """Why a ladder ends where it does, by engine and method."""
+    Attributes:
+        ended: why a ladder ends where it does, by engine and method.
+    """
 
-
-class _Climbed(NamedTuple):
-    """A setting that ran."""
-
-    engine: str
-    method: str
-    setting: Setting
-    errors: tuple[float, float]
-    evaluations: int
-    first: float
+    measurements: list[Measurement] = field(default_factory=list)
+    loadings: list[Loading] = field(default_factory=list)
+    failures: list[Failure] = field(default_factory=list)
+    ended: dict[str, str] = field(default_factory=dict)
 
 
-def pose_errors(poses: tuple[Array, Array], reference: tuple[Array, Array]) -> tuple[float, float]:
-    """Largest distance (m) and rotation angle (rad) of positions (n, b, 3) and quaternions (n, b, 4)."""
-    distance = np.linalg.norm(poses[0] - reference[0], axis=-1)
-    return float(np.max(distance)), float(np.max(angle_between(poses[1], reference[1])))
+@dataclass(frozen=True, eq=False)
+class Benchmark:
+    """What a benchmark found.
+
+    Attributes:
+        source: the name or the file that the scene was loaded from.
+        options: of the scene, as they were set.
+        scene: what was run.
+        machine: what it ran on, see `crosscheck.studies.benchmark.timing.machine`.
+        reference: what errors are taken against.
+        measured: all settings.
+    """
+
+    source: str
+    options: Mapping[str, str]
+    scene: Scene
+    machine: dict[str, Any]
+    reference: Reference
+    measured: Measured
+
+    @property
+    def title(self) -> str:
+        return titled(self.scene.name, self.options)
 
 
-def intervals(times: Array) -> list[tuple[int, float]]:
-    """How many equal intervals, s, there are between outputs, and then the last if it is shorter."""
-    first, last = float(times[1] - times[0]), float(times[-1] - times[-2])
-    if abs(first - last) <= 1e-9 * first:
-        return [(len(times) - 1, first)]
-    return [(len(times) - 2, first), (1, last)]
+def benchmark(scene: Scene, source: str, options: Mapping[str, str], progress: Progress) -> Benchmark:
+    """Run every engine and setting over a scene; `progress` is told each stage.
+
+    Raises:
+        CrosscheckError: for a scene that cannot be benchmarked.
+    """
+    scene = poses_only(scene)
+    where = machine()
+    motion = reference(scene, progress)
+    models = {name: engine(scene) for name, engine in ENGINES.items()}
+    return Benchmark(source, options, scene, where, motion, measure(models, motion.poses, progress))
 
 
-def measure(
-    engines: Mapping[str, Models], reference: tuple[Array, Array], repeats: int, progress: Progress
-) -> Measured:
+def measure(engines: Mapping[str, Models], exact: tuple[Array, Array], progress: Progress) -> Measured:
     """Run every setting of every engine once for its error, then in turns for its time.
 
     Args:
         engines: how each loads the scene.
-        reference: positions (n, b, 3) and quaternions (n, b, 4) that errors are taken against.
-        repeats: of a fast setting; slow ones have fewer, `LEAST_REPEATS` at least.
+        exact: positions (n, b, 3) and quaternions (n, b, 4) that errors are taken against.
         progress: is told each stage.
     """
-    loadings: list[Loading] = []
-    failures: list[Failure] = []
-    climbed: list[_Climbed] = []
-    ended: dict[str, str] = {}
+    found = Measured()
+    settings: list[Setting] = []
     for engine, models in engines.items():
         for name, load in models.items():
             progress(f"{engine}: {name}")
-            start = time.perf_counter()
+            begun = time.perf_counter()
             try:
                 model = load()
             except Exception as error:  # whatever an engine has against a scene belongs in the table
-                failures.append(Failure(engine, name, "", _reason(error)))
+                found.failures.append(Failure(engine, name, "", _reason(error)))
                 continue
-            loadings.append(Loading(engine, name, time.perf_counter() - start, model.remark))
-            begun = time.perf_counter()
+            found.loadings.append(Loading(engine, name, time.perf_counter() - begun, model.remark))
+            climbing = time.process_time()
             for ladder in model.ladders:
                 progress(f"{engine}: {ladder.method}")
-                if time.perf_counter() - begun > BUDGET:
-                    end = f"not begun: others of its model have taken {BUDGET:g} s"
-                else:
-                    end = _climb(engine, ladder, reference, climbed, failures)
-                ended[f"{engine}: {ladder.method}"] = end
-    times = _in_turns(climbed, repeats, progress)
-    measurements = tuple(
-        Measurement(
-            c.engine, c.method, c.setting.name, *c.errors, c.evaluations, c.first, tuple(times[index])
-        )
-        for index, c in enumerate(climbed)
-    )
-    return Measured(measurements, tuple(loadings), tuple(failures), ended)
+                end = f"not begun: others of its model have taken {BUDGET:g} s"
+                if time.process_time() - climbing < BUDGET:
+                    end = _climb(engine, ladder, exact, found, settings)
+                found.ended[f"{engine}: {ladder.method}"] = end
+    counts = [repeats_of(m.first) for m in found.measurements]
+    times = in_turns([partial(_sample, setting) for setting in settings], counts, progress)
+    found.measurements = [replace(m, times=row) for m, row in zip(found.measurements, times, strict=True)]
+    return found
 
 
 def _climb(
-    engine: str,
-    ladder: Ladder,
-    reference: tuple[Array, Array],
-    climbed: list[_Climbed],
-    failures: list[Failure],
+    engine: str, ladder: Ladder, exact: tuple[Array, Array], found: Measured, settings: list[Setting]
 ) -> str:
-    """Run the settings of a ladder once each; why it ended."""
+    """Run the settings of a ladder once each, add those that ran to both lists; return why it ended."""
     for setting in ladder.settings:
-        start = time.perf_counter()
+        start = time.process_time()
         try:
             with steady(), time_limit(LIMIT):
                 run = setting.run()
-            errors = pose_errors(run.poses(), reference)
+            errors = pose_errors(run.poses(), exact)
         except Exception as error:
-            failures.append(Failure(engine, ladder.method, setting.name, _reason(error)))
-            seconds = time.perf_counter() - start
+            found.failures.append(Failure(engine, ladder.method, setting.name, _reason(error)))
+            seconds = time.process_time() - start
             if seconds > LONGEST:
                 return f"{setting.name} failed after {seconds:.1f} s, more than {LONGEST:g} s"
             continue
         if not np.all(np.isfinite(errors)):
-            failures.append(Failure(engine, ladder.method, setting.name, "its motion is not finite"))
+            reason = "its motion is not finite"
+            found.failures.append(Failure(engine, ladder.method, setting.name, reason))
             continue
-        climbed.append(_Climbed(engine, ladder.method, setting, errors, run.evaluations, run.seconds))
+        found.measurements.append(
+            Measurement(engine, ladder.method, setting.name, *errors, run.evaluations, run.seconds)
+        )
+        settings.append(setting)
         if run.seconds > LONGEST and setting is not ladder.settings[-1]:
             return f"{setting.name} took {run.seconds:.1f} s, more than {LONGEST:g} s"
     return "its last setting"
 
 
-def _in_turns(climbed: Sequence[_Climbed], repeats: int, progress: Progress) -> list[list[float]]:
-    """Times of the repeats of each setting, s; whoever has fewer repeats has them evenly spread."""
-    counts = [repeats_of(c.first, repeats) for c in climbed]
-    times: list[list[float]] = [[] for _ in climbed]
-    rounds = max(counts, default=0)
-    for turn in range(rounds):
-        progress(f"repeat {turn + 1} of {rounds}")
-        for c, count, row in zip(climbed, counts, times, strict=True):
-            if turn * count % rounds < count:
-                with steady():
-                    row.append(_sample(c.setting))
-    return times
-
-
 def _sample(setting: Setting) -> float:
-    """Mean time of runs one after the other, s."""
+    """Return the mean time of runs one after the other, s."""
     seconds = [setting.run().seconds]
     while sum(seconds) < SAMPLE:
         seconds.append(setting.run().seconds)
     return sum(seconds) / len(seconds)
 
 
-def repeats_of(first: float, repeats: int) -> int:
-    """How often a setting is repeated whose first run took `first` seconds."""
-    return min(repeats, max(LEAST_REPEATS, int(SHARE / max(first, SAMPLE))))
-
-
-@contextmanager
-def steady() -> Iterator[None]:
-    """No garbage collection in what is timed."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
+def repeats_of(first: float) -> int:
+    """Return how often a setting is repeated whose first run took `first` seconds."""
+    return max(LEAST_REPEATS, int(SHARE / max(first, SAMPLE)))
 
 
 def _reason(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return text or type(error).__name__
-
-
-def machine() -> dict[str, Any]:
-    """What it ran on: processor, cores, load by others at the start, system, Python, packages."""
-    versions = {}
-    for package in PACKAGES:
-        with suppress(PackageNotFoundError):
-            versions[package] = version(package)
-    return {
-        "processor": _processor(),
-        "cores": os.cpu_count(),
-        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
-        "system": f"{platform.system()} {platform.machine()}",
-        "python": platform.python_version(),
-        "versions": versions,
-    }
-
-
-def _processor() -> str:
-    """The name of the processor, from where Linux keeps it or as Python knows it."""
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            name, _, value = line.partition(":")
-            if name.strip() == "model name":
-                return value.strip()
-    return platform.processor() or platform.machine()
+    return " ".join(str(error).split()) or type(error).__name__

@@ -16,6 +16,7 @@ import numpy as np
 
 from crosscheck.comparison.energy import Balance, energy_balance
 from crosscheck.scenes import load
+from crosscheck.studies.bisection import smallest
 from crosscheck.studies.stress.cases import SMALLEST, Bound, Case, Curve, Measured
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
@@ -267,25 +268,6 @@ def measure_largest(name: str, setting: Setting) -> Measured:
     if n is None:
         return Measured(float("nan"), "none is small enough")
     return Measured(size(n), "the largest there is to try" if n == 1 else "")
-
-
-def smallest(holds: Callable[[int], bool], most: int) -> int | None:
-    """Return the smallest n from 1 to `most` that holds, within a 32nd, by doubling and bisection.
-
-    All larger ones are taken to hold too, as they do for numbers of steps. None if none does.
-    """
-    low, high = 0, 1
-    while not holds(high):
-        if high >= most:
-            return None
-        low, high = high, min(2 * high, most)
-    while high - low > max(1, high // 32):
-        middle = (low + high) // 2
-        if holds(middle):
-            high = middle
-        else:
-            low = middle
-    return high
 
 
 # (c) Baumgarte's gain against step size: where it is stable, and what it leaves open

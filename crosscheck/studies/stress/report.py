@@ -26,7 +26,7 @@ from crosscheck.report.table import (
     figures,
     texts,
 )
-from crosscheck.studies.diagram import COLORS, DASHES, Diagram, Line, picture, recording
+from crosscheck.studies.diagram import COLORS, DASHES, Diagram, Line, picture
 from crosscheck.studies.stress.cases import PROCESSES, Row
 from crosscheck.studies.stress.soft import recommendation
 from crosscheck.studies.stress.topics import TOPICS
@@ -162,11 +162,11 @@ def diagrams(rows: Sequence[Row]) -> list[Diagram]:
 
 def check_folder(folder: Path) -> None:
     """Raise `CrosscheckError` before a run whose report could not be written after it."""
-    check_writable(folder / "stress.json", folder / "stress.md", folder / "stress.rrd")
+    check_writable(folder / "stress.json", folder / "stress.md")
 
 
 def write(rows: Sequence[Row], found: Report, full: bool, folder: Path) -> list[Path]:
-    """Write stress.json, stress.md, stress.rrd and a picture of each plot into a folder.
+    """Write stress.json, stress.md and a picture of each plot into a folder.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.
@@ -184,7 +184,6 @@ def write(rows: Sequence[Row], found: Report, full: bool, folder: Path) -> list[
     files = {
         "stress.json": render.as_json(results, found, digests),
         "stress.md": text.encode(),
-        "stress.rrd": recording("stress", drawn, text),
         **pictures,
     }
     write_files({folder / name: made for name, made in files.items()})

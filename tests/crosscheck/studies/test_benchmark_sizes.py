@@ -9,10 +9,11 @@ import pytest
 
 import newton_euler
 from crosscheck.errors import CrosscheckError
-from crosscheck.studies.benchmark import batch, rhs, scaling, work_precision
+from crosscheck.studies.benchmark import batch, rhs, scaling
 from crosscheck.studies.benchmark import reference as benchmark_reference
-from crosscheck.studies.benchmark.batch_engines import MuJoCo, Own, cheapest, identical, references
-from crosscheck.studies.benchmark.engines import poses_only
+from crosscheck.studies.benchmark.batch import Done, Method, MuJoCo, Own, cheapest, identical, references
+from crosscheck.studies.benchmark.ladders import intervals, poses_only
+from crosscheck.studies.benchmark.reference import pose_errors
 from crosscheck.studies.benchmark.rhs import (
     Timing,
     fastest_other,
@@ -20,6 +21,7 @@ from crosscheck.studies.benchmark.rhs import (
     rhs_report,
     time_right_hand_sides,
 )
+from crosscheck.studies.benchmark.timing import machine
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.trajectory import IntegrationError
 
@@ -84,7 +86,7 @@ OWN, OTHER = ("newton_euler", "relative"), ("mujoco", "mj_forward")
 SIZES = scaling.Scaling(
     "chain",
     {},
-    work_precision.machine(),
+    machine(),
     {
         1: (timing(OWN, 1e-6), timing(OTHER, 4e-6)),
         10: (timing(OWN, 1e-5), timing(OTHER, 4e-4)),
@@ -132,7 +134,7 @@ def test_outputs_are_as_rare_as_memory_needs(tracker):
     size = 10_000 * len(rare.times) * len(tracker.mechanism.bodies) * 7 * 8
     # one output more would be too much
     assert 0.9 * batch.MOST < size <= batch.MOST
-    assert work_precision.intervals(rare.times) == [(len(rare.times) - 1, pytest.approx(rare.output_period))]
+    assert intervals(rare.times) == [(len(rare.times) - 1, pytest.approx(rare.output_period))]
     with pytest.raises(CrosscheckError, match="--batch 1000000"):
         batch.rarer(tracker, 1_000_000)
 
@@ -154,69 +156,64 @@ def test_rollouts_are_the_runs_one_by_one(short, tracker_states):
     found = rollout(starts)
     for k in (0, 24):
         single = compiled(dataclasses.replace(short, initial_state=states[k]))
-        stepper = Stepper(single, "RK4", work_precision.intervals(short.times), 2, 1.0)
+        stepper = Stepper(single, "RK4", intervals(short.times), 2, 1.0)
         stepper.reset()
         stepper.run()
         # round-off of eight steps
-        assert max(work_precision.pose_errors(rollout.poses(found[k]), stepper.poses())) < 1e-13
+        assert max(pose_errors(rollout.poses(found[k]), stepper.poses())) < 1e-13
 
 
 class MadeUp:
-    """An engine whose runs are off by a known amount, and take a known time, at each setting."""
+    """An engine whose n-th settings are off by a known amount, and take a known time."""
 
     name = "made up"
 
-    def __init__(self, ladders: list[list[dict[str, float]]]) -> None:
-        self._ladders, self.tried = ladders, []  # numbers of what was tried, in turn
+    def __init__(self, methods) -> None:
+        """`methods` are functions of n and the largest n."""
+        self._methods, self.tried = methods, []
 
-    def ladders(self):
-        return iter([(str(setting), setting) for setting in ladder] for ladder in self._ladders)
+    def methods(self):
+        for k, (make, most) in enumerate(self._methods):
+            yield Method(lambda n, k=k, make=make: (f"method {k}, number {n}", {"n": n} | make(n)), most)
 
-    def between(self, coarse, fine):
-        number = (coarse["number"] + fine["number"]) // 2
-        return None if number == coarse["number"] else (f"number {number}", at(number))
-
-    def sample(self, options, states):
-        self.tried.append(options["number"])
+    def run(self, options, states, threads):
+        self.tried.append((options["n"], threads))
         if options["error"] == np.inf:
             raise IntegrationError(0.5, "made up")
         turn = from_rotation_vector(np.array([0.0, 0.0, options["error"]]))
-        exact = np.zeros((1, 1, 3)), np.array([[[1.0, 0.0, 0.0, 0.0]]])
         worst = np.zeros((1, 1, 3)), turn[None, None]
-        return options["seconds"], lambda: [exact] * (len(states) - 1) + [worst]
+        return Done(np.inf, options["seconds"], 0.0, lambda: [EXACT] * (len(states) - 1) + [worst])
 
 
-def at(number, error=None, seconds=None):
-    return {
-        "number": number,
-        "error": 1.0 / number**2 if error is None else error,
-        "seconds": 1e-3 * number if seconds is None else seconds,
-    }
+EXACT = np.zeros((1, 1, 3)), np.array([[[1.0, 0.0, 0.0, 0.0]]])
 
 
-def choice(ladders, error):
-    exact = [(np.zeros((1, 1, 3)), np.array([[[1.0, 0.0, 0.0, 0.0]]]))] * 3
-    engine = MadeUp(ladders)
-    return cheapest(engine, [None] * 3, exact, error, lambda message: None), engine.tried
+def choice(methods, error):
+    engine = MadeUp(methods)
+    return cheapest(engine, [None] * 3, [EXACT] * 3, error, lambda message: None), engine.tried
 
 
 def test_the_setting_is_the_coarsest_that_the_worst_of_the_sample_reaches_the_error_with():
-    # 1/n^2 <= 1e-2 from n = 10 on; 5 fails and 20 does not, so 12, 8, 10, 9 lie between
-    found, tried = choice([[at(1), at(5), at(20), at(100)]], 1.0001e-2)
-    assert found.options["number"] == 10
+    # 1/n^2 <= 1e-2 from n = 10 on; 8 fails and 16 does not, so 12, 10, 9 lie between
+    found, tried = choice([(lambda n: {"error": n**-2.0, "seconds": 1e-3 * n}, 100)], 1.0001e-2)
+    assert found.options["n"] == 10
     assert found.error == pytest.approx(1e-2)
-    assert list(dict.fromkeys(tried)) == [1, 5, 20, 12, 8, 10, 9]
+    assert list(dict.fromkeys(n for n, _ in tried)) == [1, 2, 4, 8, 16, 12, 10, 9]
+    assert {threads for _, threads in tried} == {1}
 
 
 def test_the_setting_is_the_quickest_of_all_methods():
-    slow, quick, failing = at(3, 1e-9, 0.5), at(4, 1e-9, 0.2), at(5, np.inf)
-    found, tried = choice([[slow], [failing, quick], [at(6, 1.0, 0.3), at(7, 1e-9, 0.1)]], 1e-6)
-    assert found.options is quick
-    assert 7 not in tried  # its ladder was slower already where it did not reach the error
+    def method(needed, seconds):
+        return lambda n: {"error": 1e-9 if n >= needed else np.inf, "seconds": seconds}, 8
+
+    slower = lambda n: {"error": 1e-9 if n >= 4 else 1.0, "seconds": 0.3}, 8
+    found, tried = choice([method(1, 0.5), method(2, 0.2), slower], 1e-6)
+    assert (found.name, found.seconds) == ("method 1, number 2", 0.2)
+    assert tried[-1] == (1, 1)  # the last was slower already where it did not reach the error
     with pytest.raises(
         CrosscheckError, match=r"made up does not reach an error of 1e-10 .* least is 1\.0e-09"
     ):
-        choice([[slow], [failing]], 1e-10)
+        choice([method(1, 0.5)], 1e-10)
 
 
 def test_a_batch_is_measured_for_both_engines(monkeypatch):
@@ -225,22 +222,23 @@ def test_a_batch_is_measured_for_both_engines(monkeypatch):
     monkeypatch.setattr(batch, "REPEATS", 2)
     own_setting = {"formulation": "relative", "stabilization": "projection", "rtol": 1e-8}
     other_setting = {"integrator": "RK4", "number": 2, "damping_ratio": 0.6}
-    monkeypatch.setattr(Own, "ladders", lambda self: iter([[("m, a", own_setting)]]))
-    monkeypatch.setattr(MuJoCo, "ladders", lambda self: iter([[("m, b", other_setting)]]))
+    monkeypatch.setattr(Own, "methods", lambda self: iter([Method(lambda n: ("a", own_setting), 1)]))
+    monkeypatch.setattr(MuJoCo, "methods", lambda self: iter([Method(lambda n: ("b", other_setting), 1)]))
     result = batch.benchmark_batch("tracker", {}, 4, 1e-5, lambda message: None)
-    own, other = result.sides
-    assert [(t.threads, t.runs) for t in own.throughputs] == [(n, 4) for n in batch.thread_counts()]
+    counts = batch.thread_counts()
+    own, other = result.rates[: len(counts)], result.rates[len(counts) :]
+    assert [(rate.engine, rate.threads, rate.runs) for rate in own] == [
+        ("newton_euler", n, 4) for n in counts
+    ]
+    assert {rate.engine for rate in other} == {"mujoco"}
     # an order above the tolerances; MuJoCo RK4 at 5 ms is 3e-6 off
-    assert own.error < 1e-6
-    assert own.error < other.error < 1e-5
+    assert own[0].error < 1e-6
+    assert own[0].error < other[0].error < 1e-5
     assert result.uncertainty < 1e-9
-    table = batch.batch_report(result).parts[0]
-    assert len(table.rows) == 2 * len(batch.thread_counts())
-    content = batch.batch_data(result)
-    for side in content["sides"]:
-        for found in side["throughputs"]:
-            assert len(found["times"]) == 2
-            assert found["rate"] == found["runs"] / min(found["times"])
+    assert len(batch.batch_report(result).parts[0].rows) == 2 * len(counts)
+    for found in batch.batch_data(result)["rates"]:
+        assert len(found["times"]) == 2
+        assert found["rate"] == found["runs"] / np.median(found["times"])
 
 
 def test_an_error_below_what_the_reference_is_known_to_is_refused(monkeypatch):

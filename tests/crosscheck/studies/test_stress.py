@@ -353,11 +353,10 @@ def test_the_report_is_written_with_its_plots(rows, tmp_path):
     assert {path.name for path in written} == {
         "stress.json",
         "stress.md",
-        "stress.rrd",
         "stress_a_plot_of_one.png",
     }
     contents = {path.suffix: path.read_bytes()[:4] for path in written}
-    assert (contents[".rrd"], contents[".png"]) == (b"RRF2", b"\x89PNG")
+    assert contents[".png"] == b"\x89PNG"
     text = (tmp_path / "out" / "stress.md").read_text()
     assert "![stress_a_plot_of_one](stress_a_plot_of_one.png)" in text
     page = write_report(tmp_path / "out", lambda _: None).read_text()

@@ -1,0 +1,113 @@
+"""Times of calls that take turns, their medians and spread, and the machine that they were measured on."""
+
+from __future__ import annotations
+
+import gc
+import os
+import platform
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+PACKAGES = ("crosscheck", "numpy", "scipy", "llvmlite", "mujoco", "pin")
+"""Whose versions are recorded."""
+
+Progress = Callable[[str], None]
+
+
+class Timed:
+    """Base of records with times.
+
+    Attributes:
+        times: s, of the repeats.
+    """
+
+    times: tuple[float, ...]
+
+    @property
+    def median(self) -> float:
+        """s"""
+        return float(np.median(self.times))
+
+    @property
+    def quartiles(self) -> tuple[float, float]:
+        """s"""
+        low, high = np.quantile(self.times, [0.25, 0.75])
+        return float(low), float(high)
+
+    def ratio(self, other: Timed) -> float:
+        """Return how many times as long as the other this takes.
+
+        The median over turns: a machine whose speed changes does so for both of a turn.
+        """
+        if len(self.times) != len(other.times):
+            return self.median / other.median
+        return float(np.median(np.divide(self.times, other.times)))
+
+
+def in_turns(
+    calls: Sequence[Callable[[], float]], repeats: Sequence[int], progress: Progress
+) -> list[tuple[float, ...]]:
+    """Make timed calls in turns, so that a machine that slows down slows all of them down.
+
+    Args:
+        calls: each returns the s that it took.
+        repeats: of each call; those of which there are fewer are evenly spread over the turns.
+        progress: told each turn.
+    """
+    times: list[list[float]] = [[] for _ in calls]
+    turns = max(repeats, default=0)
+    for turn in range(turns):
+        progress(f"repeat {turn + 1} of {turns}")
+        for call, count, row in zip(calls, repeats, times, strict=True):
+            if turn * count % turns < count:
+                with steady():
+                    row.append(call())
+    return [tuple(row) for row in times]
+
+
+@contextmanager
+def steady() -> Iterator[None]:
+    """No garbage collection in what is timed."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def machine() -> dict[str, Any]:
+    """Describe the machine: processor, cores, load by others now, system, Python, packages."""
+    versions = {}
+    for package in PACKAGES:
+        with suppress(PackageNotFoundError):
+            versions[package] = version(package)
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "load": os.getloadavg()[0],
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "versions": versions,
+    }
+
+
+def _processor() -> str:
+    """Return the name of the processor, from where Linux keeps it or as Python knows it."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            name, _, value = line.partition(":")
+            if name.strip() == "model name":
+                return value.strip()
+    return platform.processor() or platform.machine()
+
+
+def machine_line(found: dict[str, Any]) -> str:
+    """Return the first line of a report."""
+    return f"machine: {found['processor']}, {found['cores']} cores, load {found['load']}"
