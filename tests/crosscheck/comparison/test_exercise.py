@@ -98,6 +98,13 @@ def test_controls_swing_within_half_of_their_ranges(tmp_path: Path) -> None:
     assert 0.0 < slow.amplitude <= 3.0 * 0.5 * 0.2 / np.hypot(1.0, 0.05 * 2.0 * np.pi * 1.9) * (1 + 1e-12)
 
 
+@pytest.mark.parametrize("dynamics", ["filter", "filterexact", "integrator"])
+def test_an_early_activation_is_read_as_that_of_the_state(tmp_path: Path, dynamics: str) -> None:
+    """MuJoCo takes `actearly` activations from the end of its time step, which no motion in time has."""
+    actuator = f'<general joint="p" dyntype="{dynamics}" dynprm="0.9" gainprm="3" actearly="true"/>'
+    assert verified(reading(tmp_path, model(PAIR, f"<actuator>{actuator}</actuator>"), exercise=True))
+
+
 @pytest.mark.parametrize("exercise", [False, True])
 def test_a_range_without_end_is_read(tmp_path: Path, exercise: bool) -> None:
     """MuJoCo takes controls beyond 1e10 for a mistake, ranges not."""
