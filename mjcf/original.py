@@ -69,7 +69,7 @@ class MjcfOriginal(Original):
         self._model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         for name in DISABLED:
             self._model.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))
-        self._model.actuator_actearly[:] = 0  # forces of the next time step: of a state, there are those of now
+        self._model.actuator_actearly[:] = 0  # which are of the next time step
         self._model.body_sameframe[self._model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         self._data = mujoco.MjData(self._model)
         self._place(key)
