@@ -16,16 +16,9 @@ import numpy as np
 
 from mjcf.layout import Layout, ball_name, coordinate_name
 from mjcf.text import number, numbers
+from newton_euler.model.elements import OnBall, OnCoordinate
 from newton_euler.model.euler_parameters import from_rotation_vector
-from newton_euler.model.forces import (
-    Armature,
-    BallArmature,
-    BallSpring,
-    Force,
-    JointSpring,
-    PointSpring,
-    Wrench,
-)
+from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
@@ -63,11 +56,9 @@ def joint_attributes(scene: Scene) -> dict[str, dict[str, str]]:
     return found
 
 
-def _motion_name(mechanism: Mechanism, on: JointSpring | BallSpring | Armature | BallArmature) -> str:
-    joint = mechanism.joint(on.joint)
-    if isinstance(on, JointSpring | Armature):
-        return coordinate_name(joint, on.coordinate)
-    return ball_name(joint)
+def _motion_name(mechanism: Mechanism, on: OnCoordinate | OnBall) -> str:
+    joint, coordinate = mechanism.joint(on.joint), on.key[1]
+    return ball_name(joint) if on.on_ball else coordinate_name(joint, coordinate)
 
 
 def rests(scene: Scene, tree: SpanningTree, layout: Layout) -> Array:

@@ -6,12 +6,12 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from newton_euler.equations.applied_forces import surroundings
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.couplings import couplings, residuals
 from newton_euler.equations.redundancy import mobility
 from newton_euler.errors import AssemblyError, MechanismError, check_type
 from newton_euler.integrators.projection import project_position, project_velocity
-from newton_euler.model.forces import PointSpring
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -57,9 +57,9 @@ def initial_state(scene: Scene) -> State:
         else:
             _check_joints(scene, state)
             _check_couplings(scene, state)
+        at = surroundings(scene, state)
         for force in scene.forces:
-            if isinstance(force, PointSpring):
-                force.check_apart(scene.mechanism, state.frames())
+            force.check_start(at)
         CHECKED[scene] = state
     return CHECKED[scene]
 

@@ -16,8 +16,8 @@ import numpy as np
 from newton_euler.assemble import VELOCITY_TOLERANCE, initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.errors import MechanismError
+from newton_euler.model.elements import Surroundings
 from newton_euler.model.euler_parameters import conjugate, product
-from newton_euler.model.forces import PointSpring, line_of
 from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import Scene
@@ -238,9 +238,9 @@ def _consistent(scene: Scene, states: Sequence[State]) -> Array:
             rates = np.abs(_floats(equations.jacobian(i, j).rate(i, j), count))
             allowed = VELOCITY_TOLERANCE * speed[:, None] * np.where(equations.is_length, 1.0, 1.0 / size)
             sure &= np.all(rates <= SURE * allowed, axis=1)
-        poses = [body.pose for body in mechanism.bodies]
+        at = Surroundings(mechanism, [body.pose for body in mechanism.bodies], frames, {}, 0.0)
         for force in scene.forces:
-            if isinstance(force, PointSpring) and force.has_direction:
-                d = _floats(line_of(force, mechanism, poses, frames).d, count)
+            for span in force.spans(at):
+                d = _floats(span, count)
                 sure &= np.linalg.norm(d, axis=1) > CLOSURE_TOLERANCE / SURE
         return np.asarray(sure & np.all(np.concatenate(shares, axis=1) <= SURE, axis=1))

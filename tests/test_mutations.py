@@ -131,8 +131,8 @@ MISTAKES = {
     ),
     "reactions on the first body": (
         "newton_euler/equations/reactions.py",
-        "own if kept.forward else -carried",
-        "-carried if kept.forward else own",
+        "sign = 1.0 if kept.forward else -1.0",
+        "sign = -1.0 if kept.forward else 1.0",
         "newton_euler/equations/test_systems.py",
     ),
     "a coupling's acceleration with the wrong sign": (
@@ -143,8 +143,8 @@ MISTAKES = {
     ),
     "a point spring that pushes when it is long": (
         "newton_euler/model/forces.py",
-        "tension = spring.stiffness * (length - spring.rest_length)",
-        "tension = spring.stiffness * (spring.rest_length - length)",
+        "tension = self.stiffness * (length - self.rest_length)",
+        "tension = self.stiffness * (self.rest_length - length)",
         "newton_euler/equations/test_forces.py",
     ),
     "stages at a singular configuration": (
@@ -281,7 +281,7 @@ MISTAKES = {
     ),
     "a kinetic energy without rotors": (
         "newton_euler/equations/formulation.py",
-        "kinetic + rotors_energy(self.scene, frames, measured)",
+        "kinetic + rotors_energy(self.scene, at)",
         "kinetic",
         "newton_euler/equations/test_armature.py::test_a_mass_on_a_spring_swings_slower_and_keeps_its_energy",
     ),

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.equations.balls import ends, spin_rate
+from newton_euler.model.balls import ends, spin_rate
 from newton_euler.model.constraints import Frame
 from newton_euler.model.control import PD, Law, Sampled
 from newton_euler.model.forces import BallArmature, BallSpring, JointSpring, PointSpring, Wrench

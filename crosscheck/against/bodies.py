@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
+from newton_euler.model.forces import Force
 from newton_euler.model.joint import Joint, Motion
 from newton_euler.model.joint_kinds import Fixed
 from newton_euler.model.mechanism import Body, Mechanism
@@ -33,8 +33,6 @@ leaves both on both bodies."""
 
 Members = Mapping[str, tuple[str, ...]]
 """For each body the names of those that it is made of."""
-
-Named = TypeVar("Named", Joint, PointSpring)
 
 
 def merge_fixed(scene: Scene) -> tuple[Scene, Members]:
@@ -108,24 +106,20 @@ def _state(scene: Scene, bodies: list[Body], indices: list[int]) -> State:
     return State(position, start.quaternion[indices], velocity, start.angular_velocity[indices])
 
 
-def with_bodies(thing: Named, names: Mapping[str, str]) -> Named:
-    """A joint or a spring between bodies of other names."""
-    return replace(thing, first=names[thing.first], second=names[thing.second])
+def with_bodies(joint: Joint, names: Mapping[str, str]) -> Joint:
+    """A joint between bodies of other names."""
+    return replace(joint, first=names[joint.first], second=names[joint.second])
 
 
 def forces_with_bodies(forces: tuple[Force, ...], names: Mapping[str, str], ground: str) -> tuple[Force, ...]:
     """Forces on bodies of other names, without those that act within a body or on the ground alone."""
     found: list[Force] = []
     for force in forces:
-        match force:
-            case JointSpring() | BallSpring():
-                found.append(force)
-            case PointSpring():
-                renamed = with_bodies(force, names)
-                if renamed.first != renamed.second:
-                    found.append(renamed)
-            case Wrench() if names[force.body] != ground:
-                found.append(replace(force, body=names[force.body]))
+        renamed: dict[str, Any] = {field: names[getattr(force, field)] for field in force.body_fields}
+        moved = replace(force, **renamed)
+        bodies = {getattr(moved, field) for field in force.body_fields}
+        if len(bodies) == len(force.body_fields) and bodies != {ground}:
+            found.append(moved)
     return tuple(found)
 
 

@@ -23,11 +23,10 @@ from crosscheck.comparison.levels import Level
 from crosscheck.comparison.reactions import undetermined_in_both
 from crosscheck.comparison.samples import Samples, Scales, States
 from newton_euler.assemble import initial_state
-from newton_euler.equations.applied_forces import ball_motion, body_wrenches
-from newton_euler.equations.balls import ends, spin
+from newton_euler.equations.applied_forces import body_wrenches, surroundings
 from newton_euler.equations.couplings import Coupling, couplings
-from newton_euler.model.constraints import Frame
 from newton_euler.model.control import Law
+from newton_euler.model.elements import BALL, OnBall, OnCoordinate
 from newton_euler.model.euler_parameters import angle_between, rotation
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring
 from newton_euler.model.joint import Key
@@ -41,18 +40,15 @@ MOST_NAMED = 4
 """Bodies or joints that are named beside the worst."""
 
 
-BALL = -1
-"""In place of the number of a joint coordinate."""
-
 ROTORS = "rotor momentum, rel"
 
 Acting = Law | Armature | BallArmature | JointSpring | BallSpring
-"""What acts at a joint."""
+"""An element at a joint."""
 
 ACTING: Mapping[str, Callable[[Scene], Iterable[Acting]]] = {
     ROTORS: lambda scene: scene.armatures,
     "actuator force, rel": lambda scene: scene.control,
-    "spring force, rel": lambda scene: [f for f in scene.forces if isinstance(f, JointSpring | BallSpring)],
+    "spring force, rel": lambda scene: [f for f in scene.forces if isinstance(f, OnCoordinate | OnBall)],
 }
 """What acts at joints, by the quantity that it is compared in."""
 
@@ -281,32 +277,14 @@ def _at_joints(
     Returns:
         (n, 1) or (n, 3) by coordinate, N, and N m over the size; of rotors the momentum, N s.
     """
-    found = dict[Key, Array]()
+    found, mechanism = dict[Key, Array](), scene.mechanism
+    places = [surroundings(scene, state) for state in states]
     for element in acting:
-        equations = scene.mechanism.joint_equations(element.joint)
-        bodies = [(state.frames()[equations.first], state.frames()[equations.second]) for state in states]
-        if isinstance(element, BallSpring | BallArmature):
-            key, unit = (element.joint, BALL), size
-            values = [_about_ball(scene, element, state.frames()) for state in states]
-        else:
-            key, coordinate = (element.joint, element.coordinate), equations.coordinates[element.coordinate]
-            unit = 1.0 if coordinate.is_length else size
-            measured = [(coordinate.phi(*e), coordinate.jacobian(*e).rate(*e)) for e in bodies]
-            if isinstance(element, Armature):
-                values = [element.inertia * rate for _, rate in measured]
-            else:
-                values = [np.asarray(element.force(x, rate, 0.0)) for x, rate in measured]
-        found[key] = found.get(key, 0.0) + np.array(values) / unit
+        joint, coordinate = element.key
+        slides = not element.on_ball and mechanism.joint(joint).coordinate_kinds[coordinate] == "slide"
+        values = np.array([np.atleast_1d(element.at_joint(at)) for at in places]) / (1.0 if slides else size)
+        found[element.key] = found.get(element.key, 0.0) + values
     return found
-
-
-def _about_ball(scene: Scene, element: BallSpring | BallArmature, frames: list[Frame]) -> Array:
-    """(3,) N m of a spring, or N m s of a rotor, on the joint's second body, world frame."""
-    if isinstance(element, BallArmature):
-        i, j = ends(scene.mechanism, element.joint)
-        return element.inertia * spin(frames[i], frames[j])
-    poses = [body.pose for body in scene.mechanism.bodies]
-    return element.torque(*ball_motion(scene, element, poses, frames)[1:])
 
 
 def _in_first(aligned: Aligned, found: Mapping[Key, Array]) -> dict[Key, Array]:
@@ -320,10 +298,8 @@ def _in_first(aligned: Aligned, found: Mapping[Key, Array]) -> dict[Key, Array]:
 
 def _on_bodies(scene: Scene, states: Iterable[State], size: float) -> Array:
     """(n, b, 6) N, and N m over the size, of springs between points and wrenches; none on the ground."""
-    poses = [body.pose for body in scene.mechanism.bodies]
-    others = tuple(force for force in scene.forces if not isinstance(force, BallSpring))
-    without = replace(scene, forces=others)
-    found = np.array([body_wrenches(without, poses, state.frames()) for state in states])
+    without = replace(scene, forces=tuple(force for force in scene.forces if not force.on_ball))
+    found = np.array([body_wrenches(without, surroundings(without, state)) for state in states])
     found[:, 0] = 0.0
     found[..., 3:] /= size
     return found

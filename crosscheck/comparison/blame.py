@@ -18,13 +18,12 @@ import numpy as np
 
 from crosscheck.comparison.momentum import momentum_residuals
 from crosscheck.comparison.samples import Samples
-from newton_euler.equations.balls import SPIN, ends
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.system import Evaluation
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.projection import project_position
-from newton_euler.model.control import Law
-from newton_euler.model.forces import BallSpring, JointSpring
+from newton_euler.model.balls import SPIN, ends
+from newton_euler.model.elements import OnBall, OnCoordinate
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
@@ -156,9 +155,9 @@ def _is_gravity(scene: Scene, residuals: Array) -> bool:
     return bool(np.abs(left).max() < EXPLAINED * np.abs(residuals).max())
 
 
-def _at_joints(scene: Scene) -> tuple[Law | JointSpring | BallSpring, ...]:
+def _at_joints(scene: Scene) -> tuple[OnCoordinate | OnBall, ...]:
     """Control laws and springs of joints and of their balls."""
-    return (*scene.joint_forces, *(force for force in scene.forces if isinstance(force, BallSpring)))
+    return (*scene.joint_forces, *(force for force in scene.forces if isinstance(force, OnBall)))
 
 
 def _explains(pushes: Array, residuals: Array) -> bool:
@@ -170,15 +169,15 @@ def _explains(pushes: Array, residuals: Array) -> bool:
     return bool(np.abs(left).max() < EXPLAINED * np.abs(flat).max())
 
 
-def _pushes(equations: Cartesian, law: Law | JointSpring | BallSpring, found: Evaluation) -> Array:
+def _pushes(equations: Cartesian, law: OnCoordinate | OnBall, found: Evaluation) -> Array:
     """(k, b - 1, 6) what one unit force of a law, or three of a ball, do to the bodies, as of `_residual`."""
     q, _ = equations.coordinates(found.state)
     frames = found.state.frames()
-    if isinstance(law, BallSpring):
+    if law.on_ball:
         first, second = ends(equations.mechanism, law.joint)
         jacobian = SPIN
     else:
-        driven = equations.between[law.joint, law.coordinate]
+        driven = equations.between[law.key]
         first, second = driven.first, driven.second
         jacobian = driven.measure(q, frames).jacobian
     r_i, theta_i, r_j, theta_j = jacobian

@@ -20,10 +20,9 @@ from newton_euler.equations.couplings import Coupling, couplings, residuals
 from newton_euler.equations.parameters import numbered, parameter_values, with_values
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Frame, Jacobian
-from newton_euler.model.control import Law, Sampled
+from newton_euler.model.control import Sampled
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
-from newton_euler.model.forces import Armature, BallArmature, BallSpring, Force, JointSpring, Wrench
 from newton_euler.model.joint import Joint, JointEquations
 from newton_euler.model.joint_kinds import Fixed, Screw
 from newton_euler.model.mechanism import Mechanism
@@ -69,31 +68,14 @@ def elements(scene: Scene) -> Iterator[Element]:
     for k, body in enumerate(scene.mechanism.bodies[1:], start=1):
         for what in ("mass", "inertia"):
             yield _of_values(scene, f"{what} of body {body.name!r}", "bodies", k, what)
-    for k, law in enumerate(scene.control):
-        name = f"actuator {_at(law)}"
-        if isinstance(law, Sampled):
-            yield Element(name, partial(_with_controller, number=k), ())
-        else:
-            yield _of_values(scene, name, "control", k, "stiffness", "damping", "feedforward")
-    for k, force in enumerate(scene.forces):
-        if isinstance(force, Wrench):
-            yield _of_values(scene, f"wrench {force.name!r}", "forces", k, "force", "torque")
-            continue
-        for what, attribute in (("spring", "stiffness"), ("damper", "damping")):
-            if getattr(force, attribute):
-                yield _of_values(scene, f"{what} {_at(force)}", "forces", k, attribute)
-    for k, rotor in enumerate(scene.armatures):
-        yield _of_values(scene, f"rotor {_at(rotor)}", "armatures", k, "inertia")
+    for field in ("control", "forces", "armatures"):
+        for k, acting in enumerate(getattr(scene, field)):
+            if isinstance(acting, Sampled):
+                yield Element(f"actuator {acting.where}", partial(_with_controller, number=k), ())
+            for what, attributes in acting.strengths.items():
+                if any(np.any(getattr(acting, attribute)) for attribute in attributes):
+                    yield _of_values(scene, f"{what} {acting.where}", field, k, *attributes)
     yield from _constraints(scene)
-
-
-def _at(element: Law | Force | Armature | BallArmature | PrescribedMotion) -> str:
-    if isinstance(element, BallSpring | BallArmature):
-        return f"of the ball of joint {element.joint!r}"
-    if isinstance(element, Law | JointSpring | Armature | PrescribedMotion):
-        coordinate = f", coordinate {element.coordinate}" if element.coordinate else ""
-        return f"of joint {element.joint!r}{coordinate}"
-    return repr(element.name)
 
 
 def _of_values(scene: Scene, name: str, what: str, number: int, *attributes: str) -> Element:
@@ -208,7 +190,7 @@ def _of_motion(scene: Scene, number: int, motion: PrescribedMotion) -> Element:
     coupled = list(couplings(scene))
     coupled[number] = replace(coupled[number], function=farther)
     violated = partial(_uncoupled, scene.mechanism, coupled, number)
-    return Element(f"motion {_at(motion)}", changed, violated=violated)
+    return Element(f"motion {motion.where}", changed, violated=violated)
 
 
 def _uncoupled(

@@ -34,7 +34,6 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
-from newton_euler.model.forces import JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.motions import Polynomial, Sine, Sum, TimeFunction
 from newton_euler.model.scene import Scene
@@ -120,31 +119,15 @@ def _changes(scene: Scene) -> Iterator[tuple[str, list[Plant]]]:
         push = law.feedforward
         changed = {name: more * getattr(law, name) for name in ("stiffness", "damping")}
         changed["feedforward"] = _more(push) if isinstance(push, TimeFunction) else more * push
-        yield f"actuator {_where(law.joint, law.coordinate)}", [plant.entry("control", k, **changed)]
-    for k, force in enumerate(scene.forces):
-        if isinstance(force, Wrench):
-            vectors: dict[str, Any] = {"force": more * force.force, "torque": more * force.torque}
-            yield f"wrench {force.name!r}", [plant.entry("forces", k, **vectors)]
-            continue
-        if isinstance(force, PointSpring):
-            where = repr(force.name)
-        elif isinstance(force, JointSpring):
-            where = _where(force.joint, force.coordinate)
-        else:
-            where = f"of the ball of joint {force.joint!r}"
-        for what, name in (("spring", "stiffness"), ("damper", "damping")):
-            if value := getattr(force, name):
-                yield f"{what} {where}", [plant.entry("forces", k, **{name: more * value})]
-    for k, rotor in enumerate(scene.armatures):
-        coordinate = getattr(rotor, "coordinate", None)
-        of_ball = f"of the ball of joint {rotor.joint!r}"
-        where = of_ball if coordinate is None else _where(rotor.joint, coordinate)
-        yield f"rotor {where}", [plant.entry("armatures", k, inertia=more * rotor.inertia)]
+        yield f"actuator {law.where}", [plant.entry("control", k, **changed)]
+    for field in ("forces", "armatures"):
+        for k, acting in enumerate(getattr(scene, field)):
+            for what, attributes in acting.strengths.items():
+                values = {attribute: getattr(acting, attribute) for attribute in attributes}
+                if any(np.any(value) for value in values.values()):
+                    larger = {attribute: more * value for attribute, value in values.items()}
+                    yield f"{what} {acting.where}", [plant.entry(field, k, **larger)]
     yield from _constraints(scene)
-
-
-def _where(joint: str, coordinate: int) -> str:
-    return f"of joint {joint!r}" + (f", coordinate {coordinate}" if coordinate else "")
 
 
 def _constraints(scene: Scene) -> Iterator[tuple[str, list[Plant]]]:
@@ -165,7 +148,7 @@ def _constraints(scene: Scene) -> Iterator[tuple[str, list[Plant]]]:
     for number, motion in enumerate(scene.motions):
         start = Polynomial((-SIZE * float(motion.function.value(0.0)),))
         farther = Sum((_more(motion.function), start))
-        where = _where(motion.joint, motion.coordinate)
+        where = motion.where
         yield f"motion {where}", [plant.entry("motions", number, function=farther)]
 
 

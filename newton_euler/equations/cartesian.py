@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.equations import balls, dense, sparse
+from newton_euler.equations import dense, sparse
 from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.joint_coordinates import Measured
@@ -30,9 +30,9 @@ from newton_euler.equations.redundancy import rows_left_out, without
 from newton_euler.equations.sparse import Rows, RowsInUse, Solution, add, spread, to_array
 from newton_euler.equations.system import fastest_joint
 from newton_euler.errors import SingularityError
+from newton_euler.model import balls
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.euler_parameters import matrix_g, matrix_l, rotation
-from newton_euler.model.forces import BallArmature
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import Scene
@@ -205,13 +205,12 @@ class Cartesian(Formulation):
         wrenches = [
             wrench + np.concatenate([body.mass * self.scene.gravity, np.zeros(3)])
             for body, wrench in zip(
-                self.mechanism.bodies, body_wrenches(self.scene, self.poses, frames), strict=True
+                self.mechanism.bodies, body_wrenches(self.scene, self.seen(q, qdot)), strict=True
             )
         ]
         measured = self.measured(q, qdot)
         for law, u in zip(self.scene.joint_forces, self.joint_forces(measured), strict=True):
-            key = law.joint, law.coordinate
-            (r_i, theta_i, r_j, theta_j), driven = measured[key].jacobian, self.between[key]
+            (r_i, theta_i, r_j, theta_j), driven = measured[law.key].jacobian, self.between[law.key]
             for body, r, theta in ((driven.first, r_i, theta_i), (driven.second, r_j, theta_j)):
                 wrenches[body] = wrenches[body] + u * np.concatenate([r[0], theta[0]])
         parts = [np.zeros(0)]
@@ -226,7 +225,7 @@ class Cartesian(Formulation):
         frames, measured = self.frames(q, qdot), self.measured(q, qdot)
         found = Rotors([], [], [], [])
         for armature in self.scene.armatures:
-            if isinstance(armature, BallArmature):
+            if armature.on_ball:
                 first, second = balls.ends(self.mechanism, armature.joint)
                 jacobian, gammas = balls.SPIN, balls.spin_gamma(frames[first], frames[second])
             else:

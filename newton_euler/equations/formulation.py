@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from newton_euler.equations.applied_forces import Surroundings, energies, power, rotors_energy, springs_energy
+from newton_euler.equations.applied_forces import energies, forces_energy, power, rotors_energy
 from newton_euler.equations.couplings import couplings, needed_coordinates, revolutions, row_owners, row_units
 from newton_euler.equations.joint_coordinates import (
     Measured,
@@ -23,7 +23,7 @@ from newton_euler.equations.joint_coordinates import (
 from newton_euler.equations.sparse import Rows, RowsInUse, Solution, to_array
 from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.model.constraints import Frame
-from newton_euler.model.forces import Armature
+from newton_euler.model.elements import Surroundings
 from newton_euler.model.joint import JointEquations, Key, Pose
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -83,7 +83,7 @@ class Formulation:
         self.phi_units = row_units(constrained, self.couplings, self.mechanism.size)
         self.row_owners = row_owners(constrained, self.couplings)
         counted = needed_coordinates(scene, self.couplings)
-        rotors = (armature.key for armature in scene.armatures if isinstance(armature, Armature))
+        rotors = (armature.key for armature in scene.armatures if not armature.on_ball)
         self.places = {key: self.place(key) for key in [*counted, *rotors]}
         cut = {
             key: equations[self.mechanism.joint_index(key[0])]
@@ -272,20 +272,21 @@ class Formulation:
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
         """Compute the coordinate (m or rad) and its rate of each control law."""
         measured = self.measured(q, v)
-        return [measured[law.joint, law.coordinate][:2] for law in self.scene.control]
+        return [measured[law.key][:2] for law in self.scene.control]
 
-    def joint_forces(self, measured: Mapping[Key, Measured]) -> Iterator[Scalar]:
+    def joint_forces(self, measured: Mapping[Key, Sequence[Any]]) -> Iterator[Scalar]:
         """Compute the forces of control laws and of springs on joint coordinates, N or N m."""
         for law in self.scene.joint_forces:
-            yield law.force(*measured[law.joint, law.coordinate][:2], self.time)
+            x, rate = measured[law.key][:2]
+            yield law.force(x, rate, self.time)
 
     def seen(self, q: Array, v: Array) -> Surroundings:
         """Compute what the forces depend on."""
-        return self.poses, self.frames(q, v), self.measured(q, v), self.time
+        return Surroundings(self.mechanism, self.poses, self.frames(q, v), self.measured(q, v), self.time)
 
     def power(self, q: Array, v: Array) -> Scalar:
         """Compute the power, W, of what has no potential energy; that of constraints is -lambda . Phi_t."""
-        total = power(self.scene, *self.seen(q, v))
+        total = power(self.scene, self.seen(q, v))
         if not self.scene.motions:
             return total
         if self.in_use is None:
@@ -316,17 +317,17 @@ class Formulation:
         return self._evaluation(q, v, vdot, multipliers), solution.pivot_ratio
 
     def _evaluation(self, q: Array, v: Array, vdot: Array, multipliers: Array) -> Evaluation:
-        frames, measured = self.frames(q, v), self.measured(q, v)
+        at = self.seen(q, v)
         bodies = self.body_accelerations(q, v, vdot)
         forces, torques = self.reactions(q, v, vdot, bodies, multipliers)
-        kinetic, potential = energies(self.scene, frames, self.inertias)
+        kinetic, potential = energies(self.scene, list(at.frames), self.inertias)
         return Evaluation(
             self.state(q, v),
             *bodies,
             forces,
             torques,
-            np.array(list(self.joint_forces(measured))[: len(self.scene.control)]),
-            kinetic + rotors_energy(self.scene, frames, measured),
-            potential + springs_energy(self.scene, self.poses, frames, measured),
+            np.array(list(self.joint_forces(at.measured))[: len(self.scene.control)]),
+            kinetic + rotors_energy(self.scene, at),
+            potential + forces_energy(self.scene, at),
             q[self.work][0] if self.scene.tracks_work else None,
         )

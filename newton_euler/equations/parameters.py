@@ -31,33 +31,12 @@ import numpy as np
 
 from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.model.control import Law
-from newton_euler.model.forces import (
-    Armature,
-    BallArmature,
-    BallSpring,
-    Force,
-    JointSpring,
-    PointSpring,
-    Wrench,
-)
 from newton_euler.model.mechanism import Body
 from newton_euler.model.motions import Polynomial, Sine, Sum, TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 T = TypeVar("T")
-
-
-def place_of(force: Law | Force | Armature | BallArmature) -> str:
-    """What names of a control law's, force's or armature's parameters begin with."""
-    if isinstance(force, PointSpring | Wrench):
-        return force.name
-    if isinstance(force, BallSpring | BallArmature):
-        return f"{force.joint}.ball{'.rotor' if isinstance(force, BallArmature) else ''}"
-    place = force.joint if force.coordinate == 0 else f"{force.joint}.{force.coordinate}"
-    kinds = {JointSpring: ".spring", Armature: ".rotor"}
-    return place + kinds.get(type(force), "")
 
 
 Owner = tuple[str, int, str]
@@ -81,7 +60,7 @@ def _owners(scene: Scene) -> dict[str, list[Owner]]:
         for k, element in enumerate(elements):
             if what == "bodies" and k == 0:
                 continue  # the ground
-            place = element.name if what == "bodies" else place_of(element)
+            place = element.name if what == "bodies" else element.prefix
             for attribute in ("mass", "inertia") if what == "bodies" else element.parameters or ("held",):
                 found.setdefault(f"{place}.{attribute}", []).append((what, k, attribute))
                 found[numbered(what, k, attribute)] = [(what, k, attribute)]

@@ -24,14 +24,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from newton_euler.equations import balls, dense, sparse
+from newton_euler.equations import dense, sparse
 from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.equations.kinematics import Link, TreeKinematics, drift
 from newton_euler.equations.reactions import tree_reactions
 from newton_euler.equations.redundancy import rows_left_out, without
 from newton_euler.equations.sparse import Block, Rows, RowsInUse, Solution
 from newton_euler.errors import SingularityError
-from newton_euler.model.forces import BallArmature
+from newton_euler.model import balls
 from newton_euler.scalars import Array, Scalar, cross, zeros
 
 
@@ -58,7 +58,7 @@ class Relative(TreeKinematics):
     def body_blocks(self, q: Array, v: Array) -> Iterator[Block]:
         """Compute the shares of bodies in M and f."""
         links = self.links(q, v)
-        wrenches = body_wrenches(self.scene, self.poses, self.frames(q, v))
+        wrenches = body_wrenches(self.scene, self.seen(q, v))
         for body, link in enumerate(links[1:], start=1):
             inertia = self.world_inertia(body, link)
             block = (
@@ -73,7 +73,7 @@ class Relative(TreeKinematics):
         """Compute the share (nv,) of control laws and springs on joint coordinates in f."""
         measured, generalized = self.measured(q, v), zeros(self.nv, q, v)
         for law, u in zip(self.scene.joint_forces, self.joint_forces(measured), strict=True):
-            for k, entry in measured[law.joint, law.coordinate].jacobian.items():
+            for k, entry in measured[law.key].jacobian.items():
                 generalized[k] += entry * u
         return generalized
 
@@ -84,7 +84,7 @@ class Relative(TreeKinematics):
         """
         measured = self.measured(q, v)
         for armature in self.scene.armatures:
-            if isinstance(armature, BallArmature):
+            if armature.on_ball:
                 terms = self._spin_terms(armature.joint, self.links(q, v))
             else:
                 seen = measured[armature.key]
@@ -212,11 +212,11 @@ class Relative(TreeKinematics):
     ) -> tuple[Array, Array]:
         """Compute forces and torques (j, 3) of joints about their points, on the second bodies."""
         frames, measured, (linear, angular) = self.frames(q, v), self.measured(q, v), bodies
-        laws = [(law.joint, law.coordinate) for law in self.scene.joint_forces]
+        laws = [law.key for law in self.scene.joint_forces]
         joint_forces = list(zip(laws, self.joint_forces(measured), strict=True))
         couples = []
         for armature in self.scene.armatures:
-            if isinstance(armature, BallArmature):
+            if armature.on_ball:
                 ends = balls.ends(self.mechanism, armature.joint)
                 couples.append((ends, -armature.inertia * balls.spin_rate(frames, angular, ends)))
             else:
@@ -224,7 +224,7 @@ class Relative(TreeKinematics):
                 x_rates = (x * vdot[k] for k, x in seen.jacobian.items())
                 acceleration = sum(x_rates, start=0.0) - seen.gamma
                 joint_forces.append((armature.key, -(armature.inertia * acceleration)))
-        wrenches = body_wrenches(self.scene, self.poses, frames)
+        wrenches = body_wrenches(self.scene, self.seen(q, v))
         needed = [
             np.concatenate(self.inertial_wrench(body, link, linear[body], angular[body])) - wrenches[body]
             for body, link in enumerate(self.links(q, v))

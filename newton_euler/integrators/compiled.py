@@ -22,7 +22,7 @@ from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.parameters import parameter_values, place_of, with_values
+from newton_euler.equations.parameters import parameter_values, with_values
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import RowsInUse, least_squares
@@ -100,7 +100,7 @@ class Code:
         self.formulation, self.stabilization, self.alpha = formulation, stabilization, alpha
         self._alpha = baumgarte_alpha(stabilization, alpha)
         self.system = formulate(scene, formulation, self._alpha)
-        names = [*parameters, *(f"{place_of(law)}.held" for law in scene.sampled)]
+        names = [*parameters, *(f"{law.prefix}.held" for law in scene.sampled)]
         self.parameters = {name: value.shape for name, value in parameter_values(scene, names).items()}
         self.size = self.system.nq + self.system.nv
         self.inputs = self.size + 1 + sum(int(np.prod(shape)) for shape in self.parameters.values())

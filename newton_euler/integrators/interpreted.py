@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from newton_euler.equations.applied_forces import strongest_force
+from newton_euler.equations.applied_forces import strongest, surroundings
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.system import System, at_time, blamed, fastest_joint
 from newton_euler.errors import NewtonEulerError
@@ -100,7 +100,11 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
 def _with_blame(system: System, time: float, y: Array, reason: str) -> str:
     """Add the joint that moves fastest and the largest force at a time in s to a reason."""
     state = system.state(y[: system.nq], y[system.nq :])
-    return blamed(reason, fastest_joint(system.mechanism, state), strongest_force(system.scene, state, time))
+    return blamed(
+        reason,
+        fastest_joint(system.mechanism, state),
+        strongest(system.scene, surroundings(system.scene, state, time)),
+    )
 
 
 Derivative = Callable[[float, Array], Array]

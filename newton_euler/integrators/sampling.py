@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from newton_euler.equations.parameters import place_of, with_values
+from newton_euler.equations.parameters import with_values
 from newton_euler.errors import is_finite_number
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
@@ -88,7 +88,7 @@ def sample(due: tuple[Sampled, ...], time: float, x: Array, x_rate: Array) -> di
         if not is_finite_number(force):
             reason = f"controller of joint {law.joint!r} returned {force!r:.200}"
             raise IntegrationError(time, _one_line(reason))
-        forces[f"{place_of(law)}.held"] = float(force)
+        forces[f"{law.prefix}.held"] = float(force)
     return forces
 
 

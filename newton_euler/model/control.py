@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
+from newton_euler.model.elements import CoordinateForce
 from newton_euler.model.motions import TimeFunction
 from newton_euler.scalars import Array, Scalar
 
 
 @dataclass(frozen=True)
-class PD:
+class PD(CoordinateForce):
     """u = u_0 - (K_p e + K_d de/dt) with e = x - target, eq. (23) with the sign that makes it stable.
 
     Attributes:
@@ -34,17 +35,14 @@ class PD:
     coordinate: int = 0
     feedforward: float | TimeFunction = 0.0
 
-    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "target", "feedforward")
+    noun = "control"
+    parameters = ("stiffness", "damping", "target", "feedforward")
+    strengths: ClassVar = {"actuator": ("stiffness", "damping", "feedforward")}
 
     def __post_init__(self) -> None:
         where = self.element
         set_numbers(self, where, self.parameters[: 3 if self.is_driven else 4])
         check_key(where, self.joint, self.coordinate)
-
-    @property
-    def element(self) -> str:
-        """What errors call it."""
-        return f"control of joint {self.joint!r}"
 
     @property
     def is_driven(self) -> bool:
@@ -57,12 +55,7 @@ class PD:
         return u_0.value(time) if isinstance(u_0, TimeFunction) else u_0
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        """The generalized force (N or N m) at coordinate x (m or rad), its rate, and a time in s."""
         return self.feedforward_at(time) - (self.stiffness * (x - self.target) + self.damping * x_rate)
-
-    def power(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        """Power of the actuator, W."""
-        return self.force(x, x_rate, time) * x_rate
 
 
 Controller = Callable[[float, Array, Array], float]
@@ -74,7 +67,7 @@ SHORTEST_PERIOD = 1e-6
 
 
 @dataclass(frozen=True)
-class Sampled:
+class Sampled(CoordinateForce):
     """A controller in discrete time: called at its period, its force held in between.
 
     Attributes:
@@ -95,7 +88,9 @@ class Sampled:
     coordinate: int = 0
     held: float = 0.0
 
-    parameters: ClassVar[tuple[str, ...]] = ()
+    noun = "control"
+    parameters = ()
+    strengths: ClassVar = {}
 
     def __post_init__(self) -> None:
         where = self.element
@@ -107,18 +102,9 @@ class Sampled:
         object.__setattr__(self, "period", float(self.period))
         check_key(where, self.joint, self.coordinate)
 
-    @property
-    def element(self) -> str:
-        """What errors call it."""
-        return f"control of joint {self.joint!r}"
-
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        """The generalized force (N or N m): what is held."""
+        """Return the force (N or N m) that is held."""
         return self.held
-
-    def power(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        """Power of the actuator, W."""
-        return self.held * x_rate
 
 
 Law = PD | Sampled

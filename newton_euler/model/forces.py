@@ -1,15 +1,14 @@
 """Forces: springs and dampers at joints and between points, constant wrenches, and inertias of rotors.
 
 Points are given in the world at the mechanism's initial pose, like those of joints, and move with
-their bodies. What a force is at a state is worked out here over generic scalars (Nikravesh,
+their bodies. Each kind states its wrenches on bodies, energy and power over generic scalars (Nikravesh,
 Computer-Aided Analysis of Mechanical Systems, 1988, chapter 9, for the elements between two points);
-for what all of a scene do together see `newton_euler.equations.applied_forces`.
+`newton_euler.equations.applied_forces` adds up those of a scene.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, NamedTuple
 
@@ -23,14 +22,26 @@ from newton_euler.errors import (
     set_arrays,
     set_numbers,
 )
-from newton_euler.model.constraints import Frame
-from newton_euler.model.joint import Key, Pose
-from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate, check_name
+from newton_euler.model import balls
+from newton_euler.model.elements import (
+    AppliedForce,
+    CoordinateForce,
+    OnBall,
+    OnBodies,
+    OnCoordinate,
+    Surroundings,
+)
+from newton_euler.model.mechanism import Mechanism, check_name
 from newton_euler.scalars import Array, Scalar, cross, sqrt
+
+SPRING_AND_DAMPER = {"spring": ("stiffness",), "damper": ("damping",)}
+"""Strengths of springs with dampers."""
+
+ROTOR = {"rotor": ("inertia",)}
 
 
 @dataclass(frozen=True)
-class JointSpring:
+class JointSpring(CoordinateForce):
     """A spring and damper on a joint's hinge or slide: -(k (x - rest) + d dx/dt), N or N m.
 
     The joint need not be actuated; damping alone is viscous friction.
@@ -52,44 +63,36 @@ class JointSpring:
     rest: float = 0.0
     coordinate: int = 0
 
-    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "rest")
+    noun = "spring"
+    parameters = ("stiffness", "damping", "rest")
+    strengths = SPRING_AND_DAMPER
+    kind_of_parameters = ".spring"
 
     def __post_init__(self) -> None:
         set_numbers(self, self.element, ("stiffness", "damping"), 0.0)
         set_numbers(self, self.element, ("rest",))
         check_key(self.element, self.joint, self.coordinate)
 
-    @property
-    def element(self) -> str:
-        """What errors call it."""
-        return f"spring of joint {self.joint!r}"
-
-    def check(self, mechanism: Mechanism) -> None:
-        """Raise `MechanismError` unless the mechanism has its joint coordinate."""
-        check_known(self.element, "acts on an unknown joint", self.joint, mechanism.joint_names)
-        joint = mechanism.joint(self.joint)
-        check_coordinate(self.element, joint, self.coordinate)
-
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        """The generalized force (N or N m) at coordinate x (m or rad) and its rate, at any time."""
         return -(self.stiffness * (x - self.rest) + self.damping * x_rate)
 
-    def power(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        """Power of the damper, W."""
-        return -self.damping * (x_rate * x_rate)
-
-    def energy(self, x: Scalar) -> Scalar:
-        """Energy of the spring, J."""
+    def energy(self, at: Surroundings) -> Scalar:
+        x, _ = self.measure(at)
         return 0.5 * self.stiffness * ((x - self.rest) * (x - self.rest))
+
+    def powers(self, at: Surroundings) -> Iterator[Scalar]:
+        """Compute the power of the damper, W."""
+        _, rate = self.measure(at)
+        yield -self.damping * (rate * rate)
 
 
 @dataclass(frozen=True, eq=False)
-class BallSpring:
+class BallSpring(OnBall, AppliedForce):
     """A torsion spring and damper on a joint's ball, the same about all axes: -(k theta + d omega), N m.
 
     theta is the rotation vector of the second body against the first, from where the spring rests, and
     omega their relative angular velocity; the torque is that on the second body. theta is below half a
-    turn: there the torque of a spring jumps to the other side.
+    revolution: there the torque of a spring jumps to the other side.
 
     Attributes:
         joint: name of the joint it acts on.
@@ -107,37 +110,60 @@ class BallSpring:
     damping: float = 0.0
     rest: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
 
-    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "damping", "rest")
+    noun = "spring"
+    parameters = ("stiffness", "damping", "rest")
+    strengths = SPRING_AND_DAMPER
 
     def __post_init__(self) -> None:
         check_texts(self.element, self, "joint")
         set_numbers(self, self.element, ("stiffness", "damping"), 0.0)
         set_arrays(self, self.element, rest=(3,))
 
-    @property
-    def element(self) -> str:
-        """What errors call it."""
-        return f"spring of the ball of joint {self.joint!r}"
+    def theta(self, at: Surroundings) -> Array:
+        """Compute the rotation vector theta (3,), rad, world frame."""
+        i, j = balls.ends(at.mechanism, self.joint)
+        return balls.rotation_between(at.poses[i], at.poses[j], self.rest, (at.frames[i], at.frames[j]))
 
-    def check(self, mechanism: Mechanism) -> None:
-        """Raise `MechanismError` unless the mechanism has its joint, with a ball."""
-        check_ball(self.element, self.joint, mechanism)
-
-    def torque(self, theta: Array, omega: Array) -> Array:
-        """(3,) N m on the second body at a turn theta (3,) rad and its rate omega (3,) rad/s."""
+    def at_joint(self, at: Surroundings) -> Array:
+        """Compute the torque (3,) on the second body, N m, world frame."""
+        theta, omega = self.theta(at), self.spin(at)
         return -(self.stiffness * theta + self.damping * omega)
 
-    def power(self, omega: Array) -> Scalar:
-        """Power of the damper, W."""
-        return -self.damping * (omega @ omega)
+    def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
+        i, j = balls.ends(at.mechanism, self.joint)
+        couple = np.concatenate([np.zeros(3), self.at_joint(at)])
+        yield i, -couple
+        yield j, couple
 
-    def energy(self, theta: Array) -> Scalar:
-        """Energy of the spring, J."""
+    def energy(self, at: Surroundings) -> Scalar:
+        theta = self.theta(at)
         return 0.5 * self.stiffness * (theta @ theta)
+
+    def powers(self, at: Surroundings) -> Iterator[Scalar]:
+        """Compute the power of the damper, W."""
+        omega = self.spin(at)
+        yield -self.damping * (omega @ omega)
+
+    def magnitude(self, at: Surroundings) -> float:
+        return float(np.max(np.abs(self.at_joint(at)))) / at.mechanism.size
+
+
+class Line(NamedTuple):
+    """The two points of a spring at a state; world frame."""
+
+    first: int
+    second: int
+    s_i: Array
+    """(3,) from the first body's center of mass to its point, m."""
+    s_j: Array
+    d: Array
+    """(3,) from the first point to the second, m."""
+    rate: Array
+    """(3,) of d, m/s."""
 
 
 @dataclass(frozen=True, eq=False)
-class PointSpring:
+class PointSpring(OnBodies, AppliedForce):
     """A spring and damper between points of two bodies; tension k (l - l0) + d dl/dt along their line.
 
     Attributes:
@@ -161,7 +187,10 @@ class PointSpring:
     rest_length: float = field(kw_only=True)
     damping: float = field(default=0.0, kw_only=True)
 
-    parameters: ClassVar[tuple[str, ...]] = ("stiffness", "rest_length", "damping")
+    noun = "point spring"
+    parameters = ("stiffness", "rest_length", "damping")
+    strengths = SPRING_AND_DAMPER
+    body_fields = ("first", "second")
 
     def __post_init__(self) -> None:
         check_name("point spring", self.name)
@@ -169,37 +198,68 @@ class PointSpring:
         set_arrays(self, self.element, point_on_first=(3,), point_on_second=(3,))
         set_numbers(self, self.element, self.parameters, 0.0)
 
-    @property
-    def element(self) -> str:
-        """What errors call it."""
-        return f"point spring {self.name!r}"
-
     def check(self, mechanism: Mechanism) -> None:
         """Raise `MechanismError` unless the mechanism has its two bodies."""
-        for body in (self.first, self.second):
-            check_known(self.element, "acts on an unknown body", body, mechanism.body_names)
+        super().check(mechanism)
         if self.first == self.second:
             raise MechanismError(self.element, f"connects {self.first!r} to itself", "two bodies")
 
     @property
     def has_direction(self) -> bool:
-        """Whether it needs its line; a spring of rest length 0 pulls in proportion to the distance."""
+        """True if it needs its line; a spring of rest length 0 pulls in proportion to the distance."""
         return not (self.rest_length == 0.0 and self.damping == 0.0)
 
-    def check_apart(self, mechanism: Mechanism, frames: Sequence[Frame]) -> None:
-        """Raise `MechanismError` if it has no direction where bodies with these frames are."""
-        poses = [body.pose for body in mechanism.bodies]
-        d = line_of(self, mechanism, poses, frames).d
-        if self.has_direction and np.linalg.norm(d) <= CLOSURE_TOLERANCE:
-            raise MechanismError(
-                self.element,
-                "its points coincide in the initial state",
-                "points apart, or a spring of rest_length 0 without damping",
-            )
+    def line(self, at: Surroundings) -> Line:
+        """Compute the two points of the spring."""
+        poses, frames = at.poses, at.frames
+        i, j = at.mechanism.body_index(self.first), at.mechanism.body_index(self.second)
+        s_i = frames[i].rotation @ poses[i].point_to_body(self.point_on_first)
+        s_j = frames[j].rotation @ poses[j].point_to_body(self.point_on_second)
+        d = frames[j].position + s_j - frames[i].position - s_i
+        rate = (
+            frames[j].velocity
+            + cross(frames[j].angular_velocity, s_j)
+            - frames[i].velocity
+            - cross(frames[i].angular_velocity, s_i)
+        )
+        return Line(i, j, s_i, s_j, d, rate)
+
+    def pull(self, line: Line) -> Array:
+        """Compute the force (3,), N, on the first body's point; the opposite acts on the second's."""
+        if not self.has_direction:
+            return np.asarray(self.stiffness * line.d)
+        length = sqrt(line.d @ line.d)
+        along = line.d / length
+        tension = self.stiffness * (length - self.rest_length) + self.damping * (along @ line.rate)
+        return np.asarray(tension * along)
+
+    def spans(self, at: Surroundings) -> tuple[Array, ...]:
+        return (self.line(at).d,) if self.has_direction else ()
+
+    def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
+        line = self.line(at)
+        pull = self.pull(line)
+        yield line.first, np.concatenate([pull, cross(line.s_i, pull)])
+        yield line.second, -np.concatenate([pull, cross(line.s_j, pull)])
+
+    def energy(self, at: Surroundings) -> Scalar:
+        d = self.line(at).d
+        stretch = sqrt(d @ d) - self.rest_length
+        return 0.5 * self.stiffness * (stretch * stretch)
+
+    def powers(self, at: Surroundings) -> Iterator[Scalar]:
+        """Compute the power of the damper, W."""
+        line = self.line(at)
+        if self.has_direction:
+            along = line.d @ line.rate
+            yield -(self.damping * (along * along) / (line.d @ line.d))
+
+    def magnitude(self, at: Surroundings) -> float:
+        return float(np.max(np.abs(self.pull(self.line(at)))))
 
 
 @dataclass(frozen=True, eq=False)
-class Wrench:
+class Wrench(OnBodies, AppliedForce):
     """A constant force at a point of a body and a constant torque, constant in the world or the body.
 
     Attributes:
@@ -221,7 +281,10 @@ class Wrench:
     torque: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     frame: Literal["world", "body"] = "world"
 
-    parameters: ClassVar[tuple[str, ...]] = ("force", "torque")
+    noun = "wrench"
+    parameters = ("force", "torque")
+    strengths: ClassVar = {"wrench": ("force", "torque")}
+    body_fields = ("body",)
 
     def __post_init__(self) -> None:
         check_name("wrench", self.name)
@@ -230,112 +293,41 @@ class Wrench:
         if not isinstance(self.frame, str) or self.frame not in ("world", "body"):
             raise MechanismError(self.element, f"frame is {self.frame!r}", "'world' or 'body'")
 
-    @property
-    def element(self) -> str:
-        """What errors call it."""
-        return f"wrench {self.name!r}"
-
     def check(self, mechanism: Mechanism) -> None:
         """Raise `MechanismError` unless the mechanism has its body, a moving one."""
-        check_known(self.element, "acts on an unknown body", self.body, mechanism.body_names)
+        super().check(mechanism)
         if mechanism.body_index(self.body) == 0:
             raise MechanismError(self.element, f"acts on the ground {self.body!r}", "a body that moves")
+
+    def parts(self, at: Surroundings) -> tuple[int, Array, Array, Array]:
+        """Return the body's number, and the force, the torque and the arm of its point (3,), world frame."""
+        k = at.mechanism.body_index(self.body)
+        pose, frame = at.poses[k], at.frames[k]
+        arm = frame.rotation @ pose.point_to_body(self.point)
+        if self.frame == "world":
+            return k, self.force, self.torque, arm
+        force, torque = pose.vector_to_body(self.force), pose.vector_to_body(self.torque)
+        return k, frame.rotation @ force, frame.rotation @ torque, arm
+
+    def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
+        k, force, torque, arm = self.parts(at)
+        yield k, np.concatenate([force, torque + cross(arm, force)])
+
+    def powers(self, at: Surroundings) -> Iterator[Scalar]:
+        k, force, torque, arm = self.parts(at)
+        omega = at.frames[k].angular_velocity
+        yield force @ (at.frames[k].velocity + cross(omega, arm))
+        yield torque @ omega
+
+    def magnitude(self, at: Surroundings) -> float:
+        return float(np.max(np.abs([self.force, self.torque / at.mechanism.size])))
 
 
 Force = JointSpring | BallSpring | PointSpring | Wrench
 
 
-def check_known(element: str, problem: str, name: str, known: Sequence[str]) -> None:
-    """Raise `MechanismError` with a problem, and the name, unless that is among the known ones."""
-    if name not in known:
-        raise MechanismError(element, f"{problem} {name!r:.100}", f"one of {', '.join(known)}")
-
-
-def check_ball(element: str, joint: str, mechanism: Mechanism) -> None:
-    """Raise `MechanismError` unless the mechanism has a joint of that name, and that a ball."""
-    check_known(element, "is on an unknown joint", joint, mechanism.joint_names)
-    found = mechanism.joint(joint)
-    if not any(motion.kind == "ball" for motion in found.motions):
-        needed = "a joint with a ball: spherical, free, or compound with one"
-        raise MechanismError(element, f"is on a {found.kind} joint", needed)
-
-
-class Line(NamedTuple):
-    """The two points of a spring at a state; world frame."""
-
-    first: int
-    second: int
-    s_i: Array
-    """(3,) from the first body's centre of mass to its point, m."""
-    s_j: Array
-    d: Array
-    """(3,) from the first point to the second, m."""
-    rate: Array
-    """(3,) of d, m/s."""
-
-
-def line_of(
-    spring: PointSpring, mechanism: Mechanism, poses: Sequence[Pose], frames: Sequence[Frame]
-) -> Line:
-    """The two points of a spring where bodies have these frames; `poses` are the frames' initial ones."""
-    i, j = mechanism.body_index(spring.first), mechanism.body_index(spring.second)
-    s_i = frames[i].rotation @ poses[i].point_to_body(spring.point_on_first)
-    s_j = frames[j].rotation @ poses[j].point_to_body(spring.point_on_second)
-    d = frames[j].position + s_j - frames[i].position - s_i
-    rate = (
-        frames[j].velocity
-        + cross(frames[j].angular_velocity, s_j)
-        - frames[i].velocity
-        - cross(frames[i].angular_velocity, s_i)
-    )
-    return Line(i, j, s_i, s_j, d, rate)
-
-
-def pull_along(spring: PointSpring, line: Line) -> Array:
-    """(3,) N, what the spring does to the first body's point; the opposite acts on the second's."""
-    if not spring.has_direction:
-        return np.asarray(spring.stiffness * line.d)
-    length = sqrt(line.d @ line.d)
-    along = line.d / length
-    tension = spring.stiffness * (length - spring.rest_length) + spring.damping * (along @ line.rate)
-    return np.asarray(tension * along)
-
-
-def wrench_at(wrench: Wrench, body: int, poses: Sequence[Pose], frames: Sequence[Frame]) -> tuple[Array, ...]:
-    """Force, torque and arm of its point (3,) each, world frame."""
-    pose, frame = poses[body], frames[body]
-    arm = frame.rotation @ pose.point_to_body(wrench.point)
-    if wrench.frame == "world":
-        return wrench.force, wrench.torque, arm
-    force, torque = pose.vector_to_body(wrench.force), pose.vector_to_body(wrench.torque)
-    return frame.rotation @ force, frame.rotation @ torque, arm
-
-
-def _identity(force: Force) -> str:
-    """What no two forces of a scene may have in common."""
-    if isinstance(force, JointSpring):
-        return f"spring of coordinate {force.coordinate} of joint {force.joint!r}"
-    if isinstance(force, BallSpring):
-        return force.element
-    return f"force {force.name!r}"
-
-
-def check_forces(forces: Sequence[Force], mechanism: Mechanism) -> None:
-    """Check forces against a mechanism.
-
-    Raises:
-        MechanismError: naming the force at fault.
-    """
-    for force in forces:
-        force.check(mechanism)
-    for element, count in Counter(map(_identity, forces)).items():
-        if count > 1:
-            needed = "unique names, and one spring a joint coordinate or ball"
-            raise MechanismError(element, f"{count} of that name", needed)
-
-
 @dataclass(frozen=True)
-class Armature:
+class Armature(OnCoordinate):
     """The inertia of a rotor that a joint coordinate turns through a gear, reflected to the joint.
 
     It is a generalized force -a d2x/dt2 on a joint's hinge or slide x, and kinetic energy 1/2 a (dx/dt)^2:
@@ -356,25 +348,28 @@ class Armature:
     inertia: float
     coordinate: int = 0
 
-    parameters: ClassVar[tuple[str, ...]] = ("inertia",)
+    noun = "armature"
+    parameters = ("inertia",)
+    strengths = ROTOR
+    kind_of_parameters = ".rotor"
 
     def __post_init__(self) -> None:
         _set_inertia(self)
         check_key(self.element, self.joint, self.coordinate)
 
-    @property
-    def element(self) -> str:
-        """What errors call it."""
-        return f"armature of joint {self.joint!r}"
+    def at_joint(self, at: Surroundings) -> Scalar:
+        """Compute the momentum, kg m/s or kg m^2/s."""
+        return self.inertia * self.measure(at)[1]
 
-    @property
-    def key(self) -> Key:
-        """The joint coordinate that it is on."""
-        return self.joint, self.coordinate
+    def energy(self, at: Surroundings) -> Scalar:
+        """Compute the kinetic energy, J."""
+        _, rate = self.measure(at)
+        square = rate * rate
+        return 0.5 * self.inertia * square
 
 
 @dataclass(frozen=True)
-class BallArmature:
+class BallArmature(OnBall):
     """A rotor inertia on a joint's ball, the same about all axes: kinetic energy 1/2 a |omega|^2.
 
     omega is the angular velocity of the joint's second body against the first. The torque on the second
@@ -391,16 +386,24 @@ class BallArmature:
     joint: str
     inertia: float
 
-    parameters: ClassVar[tuple[str, ...]] = ("inertia",)
+    noun = "armature"
+    parameters = ("inertia",)
+    strengths = ROTOR
+    kind_of_parameters = ".rotor"
 
     def __post_init__(self) -> None:
         _set_inertia(self)
         check_texts(self.element, self, "joint")
 
-    @property
-    def element(self) -> str:
-        """What errors call it."""
-        return f"armature of the ball of joint {self.joint!r}"
+    def at_joint(self, at: Surroundings) -> Array:
+        """Compute the momentum (3,), kg m^2/s, of what turns with the second body, world frame."""
+        return np.asarray(self.inertia * self.spin(at))
+
+    def energy(self, at: Surroundings) -> Scalar:
+        """Compute the kinetic energy, J."""
+        omega = self.spin(at)
+        square = omega @ omega
+        return 0.5 * self.inertia * square
 
 
 def _set_inertia(armature: Armature | BallArmature) -> None:
@@ -408,24 +411,3 @@ def _set_inertia(armature: Armature | BallArmature) -> None:
     if not is_finite_number(inertia) or inertia <= 0.0:
         raise MechanismError(armature.element, f"inertia is {inertia!r:.100}", "a positive finite number")
     object.__setattr__(armature, "inertia", float(inertia))
-
-
-def check_armatures(armatures: Sequence[Armature | BallArmature], mechanism: Mechanism) -> None:
-    """Raise `MechanismError` unless the mechanism has the joint coordinates and balls, each once."""
-    for armature in armatures:
-        if isinstance(armature, BallArmature):
-            check_ball(armature.element, armature.joint, mechanism)
-        else:
-            check_known(armature.element, "is on an unknown joint", armature.joint, mechanism.joint_names)
-            joint = mechanism.joint(armature.joint)
-            check_coordinate(armature.element, joint, armature.coordinate)
-    for element, count in Counter(map(_rotor_identity, armatures)).items():
-        if count > 1:
-            raise MechanismError(element, f"{count} for one coordinate", "one a coordinate or ball")
-
-
-def _rotor_identity(armature: Armature | BallArmature) -> str:
-    """What no two armatures of a scene may have in common."""
-    if isinstance(armature, BallArmature):
-        return armature.element
-    return f"armature of coordinate {armature.coordinate} of joint {armature.joint!r}"

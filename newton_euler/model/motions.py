@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
+from newton_euler.model.elements import OnCoordinate
 from newton_euler.scalars import Scalar, cos, sin
 
 HIGHEST = 1e15
@@ -140,7 +141,7 @@ TimeFunction = Polynomial | Sine | Sum
 
 
 @dataclass(frozen=True)
-class PrescribedMotion:
+class PrescribedMotion(OnCoordinate):
     """A joint coordinate that follows a function of time, whatever force that takes: x = f(t).
 
     Attributes:
@@ -156,8 +157,10 @@ class PrescribedMotion:
     function: TimeFunction
     coordinate: int = 0
 
+    noun = "motion"
+
     def __post_init__(self) -> None:
-        where = f"motion of joint {self.joint!r}"
+        where = self.element
         if not isinstance(self.function, TimeFunction):
             raise MechanismError(where, f"function is {self.function!r:.100}", "a Polynomial, Sine or Sum")
         check_key(where, self.joint, self.coordinate)

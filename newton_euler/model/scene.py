@@ -13,15 +13,8 @@ import numpy as np
 
 from newton_euler.errors import MechanismError, check_choice, elements_of, is_finite_number, set_arrays
 from newton_euler.model.control import Law, Sampled
-from newton_euler.model.forces import (
-    Armature,
-    BallArmature,
-    BallSpring,
-    Force,
-    JointSpring,
-    check_armatures,
-    check_forces,
-)
+from newton_euler.model.elements import CoordinateForce, OnBall, check_elements
+from newton_euler.model.forces import Armature, BallArmature, Force, JointSpring
 from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate
 from newton_euler.model.motions import PrescribedMotion
@@ -127,8 +120,8 @@ class Scene:
         self._check_motions()
         if self.initial_state is not None:
             self._check_state(self.initial_state)
-        check_forces(self.forces, self.mechanism)
-        check_armatures(self.armatures, self.mechanism)
+        check_elements(self.forces, self.mechanism)
+        check_elements(self.armatures, self.mechanism)
 
     def _check_texts(self) -> None:
         name, description = self.name, self.description
@@ -226,15 +219,18 @@ class Scene:
 
     @cached_property
     def joint_forces(self) -> tuple[Law | JointSpring, ...]:
-        """All that acts on joint coordinates: the control laws, then the springs of joints."""
-        return (*self.control, *(force for force in self.forces if isinstance(force, JointSpring)))
+        """The forces on joint coordinates: the control laws, then the springs of joints."""
+        return (*self.control, *(force for force in self.forces if isinstance(force, CoordinateForce)))
+
+    @property
+    def body_forces(self) -> tuple[Force, ...]:
+        """The forces on bodies: springs of balls and between points, and wrenches."""
+        return tuple(force for force in self.forces if not isinstance(force, CoordinateForce))
 
     @property
     def loaded_balls(self) -> frozenset[str]:
         """Names of the joints on whose balls there is a spring, a damper or an armature."""
-        springs = (force.joint for force in self.forces if isinstance(force, BallSpring))
-        rotors = (armature.joint for armature in self.armatures if isinstance(armature, BallArmature))
-        return frozenset((*springs, *rotors))
+        return frozenset(each.joint for each in (*self.forces, *self.armatures) if isinstance(each, OnBall))
 
     @property
     def tracks_work(self) -> bool:

@@ -11,11 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from newton_euler.equations.applied_forces import body_wrenches
-from newton_euler.equations.balls import SPIN, ends
+from newton_euler.equations.applied_forces import body_wrenches, surroundings
 from newton_euler.equations.dense import least_squares
+from newton_euler.model.balls import SPIN, ends
 from newton_euler.model.control import PD, Law
-from newton_euler.model.forces import BallArmature, JointSpring, Wrench
+from newton_euler.model.forces import JointSpring, Wrench
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
@@ -184,7 +184,7 @@ def _acting(placed: Placed, place: Place, scenes: tuple[Scene, Scene, Scene]) ->
 def _wrenches(scene: Scene, state: State) -> tuple[Array, Array]:
     """(b, 6) what all of a scene but gravity does to its bodies, and the sum of what there is."""
     mechanism, frames = scene.mechanism, state.frames()
-    total = np.array(body_wrenches(scene, [body.pose for body in mechanism.bodies], frames))
+    total = np.array(body_wrenches(scene, surroundings(scene, state)))
     magnitude = np.abs(total)
     for law in scene.joint_forces:
         equations = mechanism.joint_equations(law.joint)
@@ -216,7 +216,7 @@ def _spins(placed: Placed, place: Place) -> Array:
     mechanism, frames = placed.mechanism, place.rest.frames()
     found = [np.zeros((0, len(frames), 6))]
     for armature in placed.scene.armatures:
-        if isinstance(armature, BallArmature):
+        if armature.on_ball:
             first, second = ends(mechanism, armature.joint)
             rows = SPIN
         else:

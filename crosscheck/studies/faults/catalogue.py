@@ -12,7 +12,7 @@ from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
 from newton_euler.equations.couplings import couplings
 from newton_euler.model.control import PD
-from newton_euler.model.forces import BallArmature, BallSpring, JointSpring
+from newton_euler.model.elements import OnBodies
 from newton_euler.model.joint import Joint, perpendicular_pair
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
@@ -126,9 +126,9 @@ def _sized(scene: Scene, size: float) -> Iterator[Fault]:
         if isinstance(law, PD):
             yield from _of_law(scene, index, law, size)
     for index, force in enumerate(scene.forces):
-        if isinstance(force, JointSpring | BallSpring):
+        if not isinstance(force, OnBodies):
             right = frozenset({force.joint})
-            detail = "spring" if isinstance(force, JointSpring) else "spring of its ball"
+            detail = "spring of its ball" if force.on_ball else "spring"
             for kind, name in (("gain", "stiffness"), ("damping", "damping")):
                 if value := getattr(force, name):
                     other = plant.entry("forces", index, **{name: (1.0 + size) * value})
@@ -137,7 +137,7 @@ def _sized(scene: Scene, size: float) -> Iterator[Fault]:
         other = plant.entry("armatures", index, inertia=(1.0 + size) * rotor.inertia)
         joint = scene.mechanism.joint(rotor.joint)
         right = bodies_at(joint) | {rotor.joint}  # what turns there is as heavy to turn as with more inertia
-        detail = "of its ball" if isinstance(rotor, BallArmature) else ""
+        detail = "of its ball" if rotor.on_ball else ""
         yield Fault("armature", rotor.joint, detail, size, other, right)
 
 

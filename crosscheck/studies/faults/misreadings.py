@@ -20,9 +20,10 @@ from crosscheck.studies.faults.catalogue import SKEW, Fault, bodies_at, other_ki
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.compound_joint import Compound
-from newton_euler.model.control import PD, Law
+from newton_euler.model.control import PD, Law, Sampled
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
-from newton_euler.model.forces import BallArmature, BallSpring, Force, JointSpring, PointSpring, Wrench
+from newton_euler.model.elements import OnBodies, OnCoordinate
+from newton_euler.model.forces import Force, Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Fixed
 from newton_euler.model.mechanism import Body
@@ -59,7 +60,7 @@ def misreadings(scene: Scene) -> Iterator[Fault]:
                 other = plant.entry("armatures", index, inertia=factor * rotor.inertia)
                 yield _fault("armature", rotor.joint, what, other)
         yield _fault("armature", rotor.joint, "dropped", plant.without("armatures", index))
-        if not isinstance(rotor, BallArmature):
+        if isinstance(rotor, OnCoordinate):
             for k in _others(scene, rotor.joint, rotor.coordinate):
                 moved = plant.entry("armatures", index, coordinate=k)
                 yield _fault("armature", rotor.joint, f"on coordinate {k}", moved)
@@ -237,7 +238,7 @@ def _of_force(scene: Scene, field: str, index: int, force: Law | Force) -> Itera
     if isinstance(force, Wrench):
         other = "body" if force.frame == "world" else "world"
         yield _of_value(field, index, force, "frame", f"taken for that of the {other}", other)
-    if isinstance(force, PD | JointSpring):
+    if isinstance(force, OnCoordinate):
         for k in _others(scene, force.joint, force.coordinate):
             yield _of_value(field, index, force, "coordinate", f"taken for {k}", k)
     yield _fault(type(force).__name__, _element(force), "dropped", plant.without(field, index))
@@ -245,7 +246,7 @@ def _of_force(scene: Scene, field: str, index: int, force: Law | Force) -> Itera
 
 def _is_slack(force: Law | Force) -> bool:
     """True of a force or a law that rests anywhere."""
-    return isinstance(force, PD | JointSpring | BallSpring) and not force.stiffness
+    return not isinstance(force, OnBodies | Sampled) and not force.stiffness
 
 
 def _of_value(field: str, index: int, force: Law | Force, name: str, what: str, value: object) -> Fault:
@@ -254,10 +255,10 @@ def _of_value(field: str, index: int, force: Law | Force, name: str, what: str, 
 
 
 def _is_length(scene: Scene, force: Law | Force) -> bool:
-    if isinstance(force, PD | JointSpring):
+    if isinstance(force, OnCoordinate):
         joint = scene.mechanism.joint(force.joint)
         return joint.coordinate_kinds[force.coordinate] == "slide"
-    return not isinstance(force, BallSpring)
+    return not force.on_ball
 
 
 def _others(scene: Scene, joint: str, coordinate: int) -> Iterator[int]:
@@ -267,7 +268,7 @@ def _others(scene: Scene, joint: str, coordinate: int) -> Iterator[int]:
 
 
 def _element(force: Law | Force) -> str:
-    return force.name if isinstance(force, PointSpring | Wrench) else force.joint
+    return force.name if isinstance(force, OnBodies) else force.joint
 
 
 def _other_couplings(scene: Scene, coupling: JointCoupling) -> Iterator[tuple[str, JointCoupling | None]]:

@@ -285,7 +285,7 @@ def test_gears_and_motions_are_those_of_their_classes(tmp_path):
         (
             ("forces", 0, "joint"),
             "engine",
-            "spring of joint 'engine': acts on an unknown joint 'engine'; needed",
+            "spring of joint 'engine': is on an unknown joint 'engine'; needed",
         ),
         (("forces", 1, "stiffness"), -1.0, "point spring 'tie': stiffness is -1.0; needed"),
         (("forces", 2, "frame"), "moon", "Input should be 'world' or 'body'"),

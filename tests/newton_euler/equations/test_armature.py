@@ -106,7 +106,10 @@ def test_coordinates_of_a_compound_joint_have_the_rates_and_gammas_they_say(name
             lambda: replace(pendulum(), armatures=(Armature("pivot", 1.0, 1),)),
             "coordinate is 1; needed: an index",
         ),
-        (lambda: replace(pendulum(), armatures=(Armature("pivot", 1.0),) * 2), "2 for one coordinate"),
+        (
+            lambda: replace(pendulum(), armatures=(Armature("pivot", 1.0),) * 2),
+            "armature of coordinate 0 .* 2 of that name",
+        ),
         (lambda: replace(pendulum(), armatures=("pivot",)), "armatures holds"),
         (
             lambda: Compound("j", "a", "b", [0, 0, 0], hinges=[[1, 0, 0], [1, 0, 0]]),

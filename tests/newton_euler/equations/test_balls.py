@@ -15,11 +15,11 @@ import newton_euler
 import urdf
 from newton_euler import Armature, BallArmature, BallSpring, Body, JointSpring, Mechanism, Scene
 from newton_euler.codegen.expression import Graph, differentiate
-from newton_euler.equations.balls import rotation_by, rotation_vector, spin, spin_rate
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.exercise import random_states
 from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.model.balls import rotation_by, rotation_vector, spin, spin_rate
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint_kinds import Free, Spherical
 from newton_euler.model.spanning_tree import SpanningTree, weld_loops
@@ -206,7 +206,7 @@ def test_a_loaded_ball_stays_in_the_tree() -> None:
         (lambda: sphere(BallSpring("ball"), BallSpring("ball")), "spring of the ball .* 2 of that name"),
         (
             lambda: replace(sphere(), armatures=(BallArmature("ball", 1.0),) * 2),
-            "armature of the ball of joint 'ball': 2 for one coordinate; needed: one a coordinate or ball",
+            "armature of the ball of joint 'ball': 2 of that name; needed: unique names, and one spring",
         ),
         (lambda: replace(sphere(), forces=(JointSpring("ball"),)), "coordinate is 0; needed: a joint with a"),
         (lambda: replace(sphere(), armatures=(Armature("ball", 1.0),)), "coordinate is 0; needed: a joint"),

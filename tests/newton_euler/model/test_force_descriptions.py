@@ -115,7 +115,7 @@ STRETCHED = PointSpring("s", *ENDS, stiffness=1.0, rest_length=1.0)
         ([PD("rail", 1.0, 1.0, 0.0)], "forces holds PD("),
         (
             [JointSpring("axle")],
-            "spring of joint 'axle': acts on an unknown joint 'axle'; needed: one of rail",
+            "spring of joint 'axle': is on an unknown joint 'axle'; needed: one of rail",
         ),
         ([JointSpring("rail", coordinate=1)], "coordinate is 1; needed: an index below 1"),
         ([JointSpring("rail", coordinate=-1)], "coordinate is -1"),

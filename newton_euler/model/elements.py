@@ -1,0 +1,258 @@
+"""Elements of a scene, by the place where they act: joint coordinates, balls of joints, and points of bodies.
+
+Control laws, forces (`newton_euler.model.forces`) and armatures are such elements. Each measures its
+`Surroundings`, and has a name for messages and one for its parameters.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from newton_euler.errors import MechanismError
+from newton_euler.model import balls
+from newton_euler.model.constraints import Frame
+from newton_euler.model.joint import Key, Pose
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate
+from newton_euler.scalars import Array, Scalar
+
+BALL = -1
+"""In place of the number of a joint coordinate: all three freedoms of the joint's ball."""
+
+
+class Surroundings(NamedTuple):
+    """What elements depend on at a state, over generic scalars; world frame, SI.
+
+    Attributes:
+        mechanism: the bodies and joints.
+        poses: of all bodies, the reference poses of their frames at the initial pose.
+        frames: of all bodies, ground first.
+        measured: joint coordinates (m or rad), their rates, and further values that are not used here.
+        time: s.
+    """
+
+    mechanism: Mechanism
+    poses: Sequence[Pose]
+    frames: Sequence[Frame]
+    measured: Mapping[Key, Sequence[Any]]
+    time: Scalar
+
+
+class Element:
+    """An element that acts in a scene.
+
+    Attributes:
+        noun: messages begin with it.
+        parameters: attributes that may change from run to run without a new compilation.
+        strengths: attributes that the element is proportional to, by what they are the strength of.
+        body_fields: attributes that are names of bodies.
+    """
+
+    noun: ClassVar[str]
+    parameters: ClassVar[tuple[str, ...]]
+    strengths: ClassVar[Mapping[str, tuple[str, ...]]]
+    body_fields: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def key(self) -> Key | None:
+        """The joint coordinate, or the `BALL` of a joint, that it acts on; None for one on bodies."""
+        return None
+
+    @property
+    def on_ball(self) -> bool:
+        """True if it acts on the ball of a joint."""
+        return False
+
+    @property
+    def element(self) -> str:
+        """The element as errors call it."""
+        return f"{self.noun} {self.where}"
+
+    @property
+    def where(self) -> str:
+        """The place or the name of the element, for messages."""
+        raise NotImplementedError
+
+    @property
+    def identity(self) -> str:
+        """The part of the element's description that no other element of its kind in a scene has."""
+        return self.element
+
+    @property
+    def prefix(self) -> str:
+        """The beginning of names of the element's parameters, see `newton_euler.equations.parameters`."""
+        raise NotImplementedError
+
+    def check(self, mechanism: Mechanism) -> None:
+        """Raise `MechanismError` unless the mechanism has the place where it acts."""
+        raise NotImplementedError
+
+
+class OnCoordinate(Element):
+    """An element on a hinge or slide of a joint."""
+
+    joint: str
+    coordinate: int
+    kind_of_parameters: ClassVar[str] = ""
+    """Suffix of `prefix`."""
+
+    @property
+    def key(self) -> Key:
+        return self.joint, self.coordinate
+
+    @property
+    def element(self) -> str:
+        return f"{self.noun} of joint {self.joint!r}"
+
+    @property
+    def where(self) -> str:
+        return f"of joint {self.joint!r}" + (f", coordinate {self.coordinate}" if self.coordinate else "")
+
+    @property
+    def identity(self) -> str:
+        return f"{self.noun} of coordinate {self.coordinate} of joint {self.joint!r}"
+
+    @property
+    def prefix(self) -> str:
+        place = self.joint if self.coordinate == 0 else f"{self.joint}.{self.coordinate}"
+        return place + self.kind_of_parameters
+
+    def check(self, mechanism: Mechanism) -> None:
+        check_known(self.element, "is on an unknown joint", self.joint, mechanism.joint_names)
+        check_coordinate(self.element, mechanism.joint(self.joint), self.coordinate)
+
+    def measure(self, at: Surroundings) -> tuple[Scalar, Scalar]:
+        """Return the coordinate, m or rad from the initial pose, and its rate."""
+        x, rate = at.measured[self.key][:2]
+        return x, rate
+
+
+class OnBall(Element):
+    """An element on the ball of a joint, the same about all axes."""
+
+    joint: str
+    kind_of_parameters: ClassVar[str] = ""
+    """Suffix of `prefix`."""
+
+    @property
+    def key(self) -> Key:
+        return self.joint, BALL
+
+    @property
+    def on_ball(self) -> bool:
+        return True
+
+    @property
+    def where(self) -> str:
+        return f"of the ball of joint {self.joint!r}"
+
+    @property
+    def prefix(self) -> str:
+        return f"{self.joint}.ball{self.kind_of_parameters}"
+
+    def check(self, mechanism: Mechanism) -> None:
+        check_known(self.element, "is on an unknown joint", self.joint, mechanism.joint_names)
+        joint = mechanism.joint(self.joint)
+        if not any(motion.kind == "ball" for motion in joint.motions):
+            needed = "a joint with a ball: spherical, free, or compound with one"
+            raise MechanismError(self.element, f"is on a {joint.kind} joint", needed)
+
+    def spin(self, at: Surroundings) -> Array:
+        """Compute the angular velocity (3,) of the second body against the first, rad/s, world frame."""
+        i, j = balls.ends(at.mechanism, self.joint)
+        return balls.spin(at.frames[i], at.frames[j])
+
+
+class OnBodies(Element):
+    """An element with a name, on points of bodies."""
+
+    name: str
+
+    @property
+    def where(self) -> str:
+        return repr(self.name)
+
+    @property
+    def identity(self) -> str:
+        return f"force {self.name!r}"
+
+    @property
+    def prefix(self) -> str:
+        return self.name
+
+    def check(self, mechanism: Mechanism) -> None:
+        for field in self.body_fields:
+            body = getattr(self, field)
+            check_known(self.element, "acts on an unknown body", body, mechanism.body_names)
+
+
+class AppliedForce(Element):
+    """A force or a control law: does nothing, but for the methods that a kind of its own redefines."""
+
+    def spans(self, at: Surroundings) -> tuple[Array, ...]:
+        """Compute the vectors (3,), m, whose directions the force needs, so that they may not be zero."""
+        return ()
+
+    def check_start(self, at: Surroundings) -> None:
+        """Raise `MechanismError` if one of `spans` is zero at the initial state."""
+        if any(np.linalg.norm(d) <= CLOSURE_TOLERANCE for d in self.spans(at)):
+            raise MechanismError(
+                self.element,
+                "its points coincide in the initial state",
+                "points apart, or a spring of rest_length 0 without damping",
+            )
+
+    def wrenches(self, at: Surroundings) -> Iterable[tuple[int, Array]]:
+        """Compute what acts on bodies, by their numbers: force and torque (6,) about the center of mass."""
+        return ()
+
+    def energy(self, at: Surroundings) -> Scalar:
+        """Compute the potential energy, J."""
+        return 0.0
+
+    def powers(self, at: Surroundings) -> Iterable[Scalar]:
+        """Compute the terms of the power, W, of what has no potential energy, in the order to add them in."""
+        raise NotImplementedError
+
+    def magnitude(self, at: Surroundings) -> float:
+        """Compute how large the force is, N; torques over the mechanism's size."""
+        raise NotImplementedError
+
+
+class CoordinateForce(OnCoordinate, AppliedForce):
+    """A force on a joint coordinate; it acts through the coordinate, and so has no wrenches of its own."""
+
+    def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
+        """Compute the force (N or N m) at coordinate x (m or rad), its rate, and a time in s."""
+        raise NotImplementedError
+
+    def at_joint(self, at: Surroundings) -> Scalar:
+        """Compute the force, N or N m."""
+        return self.force(*self.measure(at), at.time)
+
+    def powers(self, at: Surroundings) -> Iterator[Scalar]:
+        x, rate = self.measure(at)
+        yield self.force(x, rate, at.time) * rate
+
+    def magnitude(self, at: Surroundings) -> float:
+        turns = at.mechanism.joint(self.joint).coordinate_kinds[self.coordinate] == "hinge"
+        return float(abs(self.at_joint(at)) / (at.mechanism.size if turns else 1.0))
+
+
+def check_known(element: str, problem: str, name: str, known: Sequence[str]) -> None:
+    """Raise `MechanismError` with a problem, and the name, unless that is among the known ones."""
+    if name not in known:
+        raise MechanismError(element, f"{problem} {name!r:.100}", f"one of {', '.join(known)}")
+
+
+def check_elements(elements: Sequence[Element], mechanism: Mechanism) -> None:
+    """Raise `MechanismError` for an element whose place the mechanism lacks, or that is there twice."""
+    for element in elements:
+        element.check(mechanism)
+    for identity, count in Counter(element.identity for element in elements).items():
+        if count > 1:
+            needed = "unique names, and one spring and one armature per joint coordinate or ball"
+            raise MechanismError(identity, f"{count} of that name", needed)
