@@ -40,6 +40,7 @@ LIMITS = {
     ),
     "closures": Limit(100, "closures", "of loops: joints, equalities, gears, mimics; they are dense"),
     "bodies": Limit(2000, "bodies", "of a file, fixed ones included"),
+    "mass_ratio": Limit(1e12, "kg per kg", "of the heaviest body to the lightest; round-off hides more"),
     "forces": Limit(1000, "force elements", "actuators, control laws, springs, dampers, wrenches and rotors"),
     "terms": Limit(1000, "terms", "sines and coefficients of all prescribed motions"),
     "cycles": Limit(1000, "cycles", "revolutions and periods of a prescribed motion or control law in a run"),

@@ -125,9 +125,10 @@ def load_scene(
 
     if is_model(scene):
         loaded, mapping = read_model(scene, options, verified)
+        check_scene(loaded, scene)
     else:
         loaded, mapping = load(scene, **options), None
-    check_scene(loaded)
+        check_scene(loaded)
     return loaded, mapping
 
 

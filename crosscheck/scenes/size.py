@@ -20,9 +20,13 @@ LEAST_DURATION = 1e-6
 """s; in less, gravity moves a body by less than 5e-12 m, which engines hold joints closed to."""
 
 
-def check_scene(scene: Scene) -> None:
-    """Raise `CrosscheckError` for a scene too large, or too short, to be run by all engines and compared."""
-    where = f"scene {scene.name!r}"
+def check_scene(scene: Scene, file: str = "") -> None:
+    """Raise `CrosscheckError` for a scene too large, or too short, to be run by all engines and compared.
+
+    Args:
+        file: that it was read from, to be named instead of the scene.
+    """
+    where = file or f"scene {scene.name!r}"
     if scene.duration < LEAST_DURATION:
         least = f"{LEAST_DURATION:g} s, in which bodies move by more than round-off"
         raise CrosscheckError(f"{where}: duration is {scene.duration!r} s; needed: at least {least}")
@@ -35,12 +39,15 @@ def check_scene(scene: Scene) -> None:
 
 
 def check_mechanism(where: str, mechanism: Mechanism) -> None:
-    """Raise `CrosscheckError` for a mechanism that cannot move, or with too many velocities or loops."""
+    """Raise `CrosscheckError` for a mechanism that cannot move, is too large, or has too different masses."""
     tree = SpanningTree(mechanism)
     if tree.nv == 0:
         raise CrosscheckError(f"{where}: no body can move; needed: a joint that lets one")
     loops = len(tree.cuts) + len(mechanism.couplings)
     check_counts(where, {"closures": loops, "velocities": tree.nv, "products": _products(tree)})
+    bodies = sorted(mechanism.bodies[1:], key=lambda body: body.mass)
+    light, heavy = bodies[0], bodies[-1]
+    check_counts(f"{where}: {heavy.name!r} to {light.name!r}", {"mass_ratio": heavy.mass / light.mass})
 
 
 def _products(tree: SpanningTree) -> int:

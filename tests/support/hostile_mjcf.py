@@ -185,6 +185,7 @@ MJCF_EDITS: dict[str, Edit] = {
     "negative stiffness": ('damping="0.1"', 'stiffness="-10"', "joint 'axle': stiffness is -10.0; needed: a"),
     "negative rotor": ('damping="0.1"', 'armature="-1"', "armature of joint 'axle': inertia is -1.0; needed"),
     "angle of 1e14": ('damping="0.1"', 'ref="1e14"', "equality 'close' cannot be closed from start: open by"),
+    "mass of 1e14": ('mass="0.5"', 'mass="1e14"', "model.xml: 'coupler' to 'crank': "),
     "mass of nearly nothing": (
         'mass="0.5" diaginertia="0.001 0.004 0.004"',
         'mass="1e-14" diaginertia="1e-16 1e-16 1e-16"',

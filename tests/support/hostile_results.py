@@ -284,12 +284,12 @@ def written(file: str, content: object) -> Prepare:
 
 def size_cases() -> Iterator[Refused]:
     """Yield models that are too large, with the limit that says so; see `test_size` for those of scenes."""
-    function = {"kind": "polynomial", "coefficients": [0, 1e5]}
+    function = {"kind": "polynomial", "coefficients": [0, 1e6]}
     content = short_example() | {"control": [], "motions": [{"joint": "motor", "function": function}]}
     for command in (("run", "large.json", "--output", "new"), ("convert", "large.json", "new.yaml")):
-        message = "large.json: file: .*--set cycles=796"
+        message = "large.json: file: .*--set cycles=7958"
         prepare = written("large.json", content)
-        yield Refused(f"a motion of 1e5 in a loop, {command[0]}", command, message, prepare)
+        yield Refused(f"a motion of 1e6 rad/s in a loop, {command[0]}", command, message, prepare)
     motor, connect = '<motor joint="motor"/>', '<connect site1="tip" site2="end"/>'
     plain = MJCF.replace('<mesh name="wedge" file="wedge.obj"/>', "")
     plain = plain.replace('<geom type="mesh" mesh="wedge"/>', '<geom size="0.1"/>')

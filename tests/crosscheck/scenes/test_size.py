@@ -42,6 +42,7 @@ def test_what_cannot_move_is_refused():
         ("velocities", 2, load("chain", N=3)),
         ("products", 4, load("chain", N=3)),
         ("closures", 1, load("tracker")),
+        ("mass_ratio", 1.5, load("tracker")),
         ("forces", 1, replace(RAIL, forces=(JointSpring("rail", 1.0),), control=(PD("rail", 1, 1, 0),))),
         ("terms", 2, driven(Sine(1.0, 1.0), Polynomial((0.0, 1.0)))),
         ("cycles", 3, driven(Sine(0.1, 30.0))),
