@@ -118,7 +118,7 @@ def test_mujoco_takes_an_implicit_integrator_where_rk4_diverges() -> None:
     assert result.runs["mujoco"].settings["integrator"] == "implicitfast"
     assert result.agrees, result.verdict
     (line,) = [line for line in settings_lines(result) if line.startswith("stiff: ")]
-    assert "and RK4 a step of 2.8e-07 s to be stable; an implicit method in newton_euler, mujoco" in line
+    assert line.endswith(", RK4 steps of 2.8e-07 s; implicit: newton_euler, mujoco")
 
 
 def without_end(scene: Scene) -> Trajectory:
