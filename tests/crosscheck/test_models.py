@@ -14,7 +14,7 @@ from command_line import check_refused, run
 from elements import ELEMENTS as SCENES
 from mechanisms import GRAVITY
 from mjcf_models import ELEMENTS, FOUR_BARS
-from urdf_files import CHAIN
+from urdf_files import CHAIN, joint, link, robot
 
 import mjcf
 import urdf.read
@@ -58,6 +58,15 @@ def test_a_motion_that_tests_nothing_is_no_plain_agreement(capsys, tmp_path):
     page = (out / "report.html").read_text()
     assert "untested by the motion: 10 % more of these does not show" in page
     assert all(page.count(name.replace("'", "&#39;")) >= 1 for name in names)
+
+
+def test_an_inertia_that_no_mass_has_is_named(capsys, tmp_path):
+    """A URDF may have one, so that it is run, but not in silence."""
+    path = tmp_path / "arm.urdf"
+    arm = robot(link("a"), joint("first", "continuous", "base", "a"))
+    path.write_text(arm.replace('izz="0.025"', 'izz="0.25"'))
+    _, text, _ = run(capsys, "run", path, "--engines", "newton_euler", "--output", tmp_path / "out")
+    assert "inertia that no mass has, two principal moments together less than the third: a" in text
 
 
 def test_an_mjcf_is_run_with_its_report(capsys, tmp_path):
