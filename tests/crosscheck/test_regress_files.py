@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -127,6 +128,20 @@ def test_the_action_runs_a_command_that_exists():
     assert not any("${{" in step.get("run", "") for step in action["runs"]["steps"])
     for step in action["runs"]["steps"]:
         assert "shell" in step or "run" not in step
+
+
+def test_the_inputs_of_the_action_reach_the_command(tmp_path):
+    """Options with blanks, one a line, and a model that begins with a dash."""
+    action = yaml.safe_load((ROOT / "action.yml").read_text())
+    (step,) = [step for step in action["runs"]["steps"] if "crosscheck regress" in step.get("run", "")]
+    given = {"OPTIONS": "root=my parts\nbodies=3000\n", "BASELINE": "", "LOOPS": "a.yaml", "MODEL": "-x.xml"}
+    assert set(given) == set(step["env"])
+    shown = 'crosscheck() { printf "%s\\n" "$@"; }\n' + step["run"]
+    command = ["bash", "--noprofile", "--norc", "-eo", "pipefail", "-c", shown]
+    done = subprocess.run(command, cwd=tmp_path, env=given, capture_output=True, text=True, check=True)
+    words = done.stdout.splitlines()
+    assert words[-4:] == ["--set", "bodies=3000", "--", "-x.xml"]
+    assert words[words.index("--loops") : -4] == ["--loops", "a.yaml", "--set", "root=my parts"]
 
 
 def test_the_guide_is_a_workflow_of_ten_lines_that_fits_the_action():
