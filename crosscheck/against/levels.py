@@ -114,7 +114,7 @@ def differences(aligned: Aligned) -> Iterator[Difference]:
     length = ROUND_OFF * reach(first, initial_state(first).position)
     masses = [abs(two.mass - one.mass) / one.mass for one, two in pairs]
     yield Difference("mass, rel", np.array(masses), ROUND_OFF, bodies)
-    yield Difference("centre of mass, m", np.linalg.norm(aligned.centers[1:], axis=1), length, bodies)
+    yield Difference("center of mass, m", np.linalg.norm(aligned.centers[1:], axis=1), length, bodies)
     inertias = [inertia_apart(one.inertia, two.inertia) for one, two in pairs]
     yield Difference("inertia, rel", np.array(inertias), ROUND_OFF, bodies)
     if joints := tuple(aligned.joints):

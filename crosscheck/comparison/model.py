@@ -28,7 +28,7 @@ def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterat
     center = np.abs(a.center_of_mass - b.center_of_mass)[1:].max(axis=1)
     length = ROUND_OFF * reach(scene, a.center_of_mass)
     yield row("mass, rel", mass, ROUND_OFF, names)
-    yield row("centre of mass, m", center, length, names)
+    yield row("center of mass, m", center, length, names)
     yield row("inertia, rel", inertia, ROUND_OFF, names)
     turned = angle_between(first.initial_orientations, second.initial_orientations)[1:]
     yield row("body frame, rad", turned, ROUND_OFF, names)

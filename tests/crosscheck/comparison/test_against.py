@@ -116,7 +116,7 @@ def edited(text: str, element: str, attribute: str, entry: int) -> str:
     ("element", "attribute", "entry", "quantity", "where"),
     [
         ('body name="coupler"', "mass", 0, "mass", "coupler"),
-        ('joint name="a"', "pos", 1, "centre of mass", "crank"),
+        ('joint name="a"', "pos", 1, "center of mass", "crank"),
         ('joint name="d"', "fullinertia", 3, "inertia", "rocker"),
         ('joint name="d"', "axis", 0, "joint axes", "d"),
         ('joint name="a"', "axis", 2, "joint axes", "a"),

@@ -51,8 +51,8 @@ def elsewhere(index: int) -> Scene:
     ("fault", "quantity", "where"),
     [
         (plant.mass("coupler", FAULT), "mass", "coupler"),
-        (plant.center_of_mass("coupler", np.array([0.0, FAULT, 0.0])), "centre of mass", "coupler"),
-        (plant.center_of_mass("crank", np.array([0.0, 0.0, FAULT])), "centre of mass", "crank"),
+        (plant.center_of_mass("coupler", np.array([0.0, FAULT, 0.0])), "center of mass", "coupler"),
+        (plant.center_of_mass("crank", np.array([0.0, 0.0, FAULT])), "center of mass", "crank"),
         (plant.inertia_entry("rocker", 0, 1, FAULT), "inertia", "rocker"),
     ],
 )
