@@ -148,7 +148,7 @@ def swings(scene: Scene, forces: Sequence[Mapping[Key, float]]) -> Iterator[Swin
 
 def _at(scene: Scene, key: Key) -> tuple[float, float, float]:
     """Stiffness and damping at a joint coordinate, SI, and the stiffness of the control law alone."""
-    found = [law for law in scene.joint_forces if (law.joint, law.coordinate) == key]
+    found = [law for law in scene.joint_forces if law.key == key]
     gains = [law for law in found if isinstance(law, PD | JointSpring)]
     servo = sum(law.stiffness for law in gains if isinstance(law, PD))
     return sum(law.stiffness for law in gains), sum(law.damping for law in gains), max(servo, 0.0)

@@ -101,7 +101,7 @@ def couplings(scene: Scene) -> tuple[Coupling, ...]:
     found = []
     for motion in scene.motions:
         slides = _kind(mechanism, motion.joint, motion.coordinate) == "slide"
-        factors = {(motion.joint, motion.coordinate): 1.0}
+        factors = {motion.key: 1.0}
         what, name = "motion of joint", motion.joint
         found.append(Coupling(what, name, name, factors, motion.function, slides))
     for joint in mechanism.joints:

@@ -8,12 +8,25 @@ from typing import ClassVar
 
 from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
 from newton_euler.model.elements import CoordinateForce
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import TimeFunction
 from newton_euler.scalars import Array, Scalar
 
 
+class ControlLaw(CoordinateForce):
+    """A control law of an actuated joint."""
+
+    noun = "control"
+
+    def check(self, mechanism: Mechanism) -> None:
+        """Raise `MechanismError` unless the mechanism has its joint coordinate, an actuated one."""
+        super().check(mechanism)
+        if not mechanism.joint(self.joint).actuated:
+            raise MechanismError(self.element, "the joint is not actuated", "an actuated joint")
+
+
 @dataclass(frozen=True)
-class PD(CoordinateForce):
+class PD(ControlLaw):
     """u = u_0 - (K_p e + K_d de/dt) with e = x - target, eq. (23) with the sign that makes it stable.
 
     Attributes:
@@ -35,7 +48,6 @@ class PD(CoordinateForce):
     coordinate: int = 0
     feedforward: float | TimeFunction = 0.0
 
-    noun = "control"
     parameters = ("stiffness", "damping", "target", "feedforward")
     strengths: ClassVar = {"actuator": ("stiffness", "damping", "feedforward")}
 
@@ -67,7 +79,7 @@ SHORTEST_PERIOD = 1e-6
 
 
 @dataclass(frozen=True)
-class Sampled(CoordinateForce):
+class Sampled(ControlLaw):
     """A controller in discrete time: called at its period, its force held in between.
 
     Attributes:
@@ -88,7 +100,6 @@ class Sampled(CoordinateForce):
     coordinate: int = 0
     held: float = 0.0
 
-    noun = "control"
     parameters = ()
     strengths: ClassVar = {}
 

@@ -254,5 +254,5 @@ def check_elements(elements: Sequence[Element], mechanism: Mechanism) -> None:
         element.check(mechanism)
     for identity, count in Counter(element.identity for element in elements).items():
         if count > 1:
-            needed = "unique names, and one spring and one armature per joint coordinate or ball"
+            needed = "unique names, and one of a kind per joint coordinate or ball"
             raise MechanismError(identity, f"{count} of that name", needed)

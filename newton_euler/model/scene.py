@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +15,7 @@ from newton_euler.model.control import Law, Sampled
 from newton_euler.model.elements import CoordinateForce, OnBall, check_elements
 from newton_euler.model.forces import Armature, BallArmature, Force, JointSpring
 from newton_euler.model.geometry import UNIT_TOLERANCE
-from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate
+from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
@@ -67,7 +66,7 @@ class Scene:
 
     Raises:
         MechanismError: naming the field, body or joint at fault.
-        UnknownNameError: for a law of an unknown joint and for an unknown output.
+        UnknownNameError: for an unknown output.
     """
 
     name: str
@@ -115,13 +114,11 @@ class Scene:
             check_choice("output", output, OUTPUTS)
         object.__setattr__(self, "outputs", frozenset(self.outputs))
         for field, kinds in PARTS.items():
-            object.__setattr__(self, field, elements_of(where, field, getattr(self, field), *kinds))
-        self._check_control()
-        self._check_motions()
+            elements = elements_of(where, field, getattr(self, field), *kinds)
+            check_elements(elements, self.mechanism)
+            object.__setattr__(self, field, elements)
         if self.initial_state is not None:
             self._check_state(self.initial_state)
-        check_elements(self.forces, self.mechanism)
-        check_elements(self.armatures, self.mechanism)
 
     def _check_texts(self) -> None:
         name, description = self.name, self.description
@@ -132,27 +129,6 @@ class Scene:
             raise MechanismError(
                 f"scene {name!r}", f"description is {description!r:.150}", "one line of printable text"
             )
-
-    def _check_control(self) -> None:
-        driven = Counter((law.joint, law.coordinate) for law in self.control)
-        for law in self.control:
-            where = f"control of joint {law.joint!r}"
-            joint = self.mechanism.joint(law.joint)
-            if not joint.actuated:
-                raise MechanismError(where, "the joint is not actuated", "an actuated joint")
-            if driven[law.joint, law.coordinate] > 1:
-                raise MechanismError(where, "has several laws for one coordinate", "one law a coordinate")
-            check_coordinate(where, joint, law.coordinate)
-
-    def _check_motions(self) -> None:
-        driven = Counter((motion.joint, motion.coordinate) for motion in self.motions)
-        for motion in self.motions:
-            where = f"motion of joint {motion.joint!r}"
-            joint = self.mechanism.joint(motion.joint)
-            check_coordinate(where, joint, motion.coordinate)
-            if driven[motion.joint, motion.coordinate] > 1:
-                problem = "has several functions for one coordinate"
-                raise MechanismError(where, problem, "one motion a coordinate")
 
     @np.errstate(all="ignore")  # a norm may overflow
     def check_numbers(self, state: object, where: str) -> None:

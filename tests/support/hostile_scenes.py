@@ -32,7 +32,11 @@ SCENE_EDITS: dict[str, tuple[Keys, object, str]] = {
     "a body twice": (("bodies", 1, "name"), "crank", "body 'crank': 2 of that name; needed: unique names"),
     "a joint twice": (("joints", 1, "name"), "motor", "joint 'motor': 2 of that name; needed: unique names"),
     "an unknown body": (("joints", 1, "second"), "x", "joint 'elbow': connects an unknown body 'x'"),
-    "an unknown joint": (("control", 0, "joint"), "x", "unknown joint 'x'; choose from"),
+    "an unknown joint": (
+        ("control", 0, "joint"),
+        "x",
+        "control of joint 'x': is on an unknown joint 'x'; needed: one of",
+    ),
     "an unknown kind": (("joints", 1, "kind"), "x", "joints.1: Input tag 'x' found using 'kind'"),
     "a joint to itself": (("joints", 1, "second"), "crank", "joint 'elbow': connects 'crank' to itself"),
     "an open loop": (("joints", 1, "point_on_second"), [0, 0, 9], "joint 'elbow': is open by"),

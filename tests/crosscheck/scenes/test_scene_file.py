@@ -57,7 +57,11 @@ BAD_SCENES = {
     "duplicate joint": (("joints", 1, "name"), "motor", "joint 'motor': 2 of that name"),
     "unusable name": (("bodies", 1, "name"), "a/b <c>", "has an unusable name"),
     "control of a passive joint": (("joints", 0, "actuated"), False, "the joint is not actuated"),
-    "control of an unknown joint": (("control", 0, "joint"), "engine", "unknown joint 'engine'; choose"),
+    "control of an unknown joint": (
+        ("control", 0, "joint"),
+        "engine",
+        "is on an unknown joint 'engine'; needed",
+    ),
     "zero duration": (("duration",), 0.0, "duration is 0.0; needed: a positive number of seconds"),
     "a million outputs and more": (("output_period",), 1e-9, "more than 1000000 outputs"),
     "endless duration": (("duration",), 1e90, "at most 1e+07"),

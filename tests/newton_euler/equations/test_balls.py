@@ -206,7 +206,7 @@ def test_a_loaded_ball_stays_in_the_tree() -> None:
         (lambda: sphere(BallSpring("ball"), BallSpring("ball")), "spring of the ball .* 2 of that name"),
         (
             lambda: replace(sphere(), armatures=(BallArmature("ball", 1.0),) * 2),
-            "armature of the ball of joint 'ball': 2 of that name; needed: unique names, and one spring",
+            "armature of the ball of joint 'ball': 2 of that name; needed: unique names, and one of",
         ),
         (lambda: replace(sphere(), forces=(JointSpring("ball"),)), "coordinate is 0; needed: a joint with a"),
         (lambda: replace(sphere(), armatures=(Armature("ball", 1.0),)), "coordinate is 0; needed: a joint"),

@@ -280,7 +280,7 @@ def test_gears_and_motions_name_what_is_wrong():
     motion = PrescribedMotion("shaft_1", Polynomial([0.0]))
     with pytest.raises(MechanismError, match=r"'shaft_1': coordinate is 1; .*below 1"):
         replace(scene, motions=(PrescribedMotion("shaft_1", Polynomial([0.0]), 1),))
-    with pytest.raises(MechanismError, match="several functions"):
+    with pytest.raises(MechanismError, match=r"motion of coordinate 0 .* 2 of that name"):
         replace(scene, motions=(motion, motion))
     with pytest.raises(MechanismError, match="a tuple of PrescribedMotion"):
         replace(scene, motions=(1.0,))
