@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from newton_euler.model.euler_parameters import angle_between, conjugate, product
+from crosscheck.comparison.runs import orientations_apart, positions_apart
+from newton_euler.model.euler_parameters import conjugate, product
 from newton_euler.model.geometry import Box
 from newton_euler.model.joint import Joint, Motion
 from newton_euler.model.mechanism import Mechanism
@@ -193,10 +194,8 @@ def _agreement_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
     (reference, first), *others = trajectories.items()
     distances, angles = {}, {}
     for engine, run in others:
-        end = min(len(run.time), len(first.time))  # a run may have stopped
-        one, two = first.first(end), run.first(end)
-        distances[engine] = np.max(np.linalg.norm(two.position - one.position, axis=2), axis=1)
-        angles[engine] = np.max(angle_between(one.quaternion, two.quaternion), axis=1)
+        distances[engine] = np.max(positions_apart(first, run), axis=1)
+        angles[engine] = np.max(orientations_apart(first, run), axis=1)
     drift = _present(
         trajectories,
         lambda run: None if run.constraint_violation is None else np.max(run.constraint_violation, axis=1),

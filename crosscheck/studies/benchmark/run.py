@@ -115,10 +115,6 @@ def _paths(scene: Scene, source: str, output: Path | None, *names: str) -> list[
 def _write(paths: list[Path], data: Mapping[str, object], found: Report, *others: bytes) -> Written:
     """Write data and report as JSON to the first path, other contents to the others."""
     beside = dict(zip(paths[1:], others, strict=True))
-    digests = {
-        path.name: hashlib.sha256(content).hexdigest()
-        for path, content in beside.items()
-        if path.suffix == ".png"
-    }
+    digests = {path.name: hashlib.sha256(content).hexdigest() for path, content in beside.items()}
     write_files({paths[0]: as_json(data, found, digests), **beside})
     return found, paths

@@ -10,6 +10,7 @@ import numpy as np
 
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.couplings import JointCoupling
+from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint import Joint, perpendicular_pair
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
@@ -200,10 +201,8 @@ def coupling(index: int, other: JointCoupling | None) -> Plant:
 
 
 def turned_about(axis: Array, angle: float) -> Array:
-    """(3, 3) rotation about a unit axis; O. Rodrigues' formula."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
+    """Return the (3, 3) rotation about a unit axis by an angle, rad."""
+    return rotation(from_rotation_vector(angle * axis))
 
 
 def tilted(joint: Joint, angle: float) -> dict[str, Plant]:

@@ -14,15 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crosscheck.comparison.energy import Balance, energy_balance
 from crosscheck.scenes import load
 from crosscheck.studies.bisection import smallest
 from crosscheck.studies.stress.cases import SMALLEST, Bound, Case, Curve, Measured
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
-    FORMULATIONS,
     TIGHT,
     Setting,
+    balance,
     distance,
     formulations,
     largest_drift,
@@ -33,6 +32,7 @@ from crosscheck.studies.stress.runs import (
 )
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
+from newton_euler.integrators.compiled import FORMULATIONS
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -132,15 +132,15 @@ def measure_energy(name: str, duration: float, setting: Setting) -> Measured:
     """
     scene = lasting(load(name), duration, OUTPUTS, "violation", "energy", "velocities")
     run = setting.simulate(scene)
-    balance = _balance(scene, run)
-    unit = max(balance.exchanged, _exchanged(name))
-    errors = np.abs(balance.residual) / unit
+    found = balance(scene, run)
+    unit = max(found.exchanged, _exchanged(name))
+    errors = np.abs(found.residual) / unit
     curve, grows = _over_time(f"energy error, {name}", "rel", setting, scene.times, errors)
     note = f"drift {largest_drift(run):.1e} m or rad; {grows}"
     if np.max(errors) < ENERGY.survives:
         other = off_in_the_last_digit(scene)
-        residual = _balance(other, setting.simulate(other)).residual
-        rounding = float(np.max(np.abs(residual - balance.residual))) / unit
+        residual = balance(other, setting.simulate(other)).residual
+        rounding = float(np.max(np.abs(residual - found.residual))) / unit
         note = f"accumulated round-off {rounding:.1e}; {note}"
     return Measured(float(np.max(errors)), note, curve)
 
@@ -153,17 +153,11 @@ def off_in_the_last_digit(scene: Scene) -> Scene:
     return replace(scene, gravity=more * scene.gravity, initial_state=state)
 
 
-def _balance(scene: Scene, run: Trajectory) -> Balance:
-    balance = energy_balance(scene, run)
-    assert balance is not None
-    return balance
-
-
 @lru_cache
 def _exchanged(name: str) -> float:
     """Return the energy, J, that a scene's first seconds exchange; outputs minutes apart do not show it."""
     scene = load(name)
-    return _balance(scene, newton_euler().simulate(scene)).exchanged
+    return balance(scene, newton_euler().simulate(scene)).exchanged
 
 
 def measure_drift(name: str, duration: float, setting: Setting) -> Measured:

@@ -13,7 +13,6 @@ from crosscheck.studies.stress.cases import Bound, Case, Measured
 from crosscheck.studies.stress.integration import ENERGY
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
-    FORMULATIONS,
     ONE_EACH,
     TIGHT,
     Setting,
@@ -23,6 +22,7 @@ from crosscheck.studies.stress.runs import (
     symmetric_top,
     top_error,
 )
+from newton_euler.integrators.compiled import FORMULATIONS
 from newton_euler.model.control import PD
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism

@@ -11,8 +11,10 @@ import numpy as np
 
 import mjcf
 import urdf
-from crosscheck.comparison.energy import energy_balance
+from crosscheck.comparison.energy import Balance, energy_balance
+from crosscheck.comparison.runs import positions_apart
 from newton_euler.assemble import initial_state
+from newton_euler.integrators.compiled import FORMULATIONS
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector
 from newton_euler.model.euler_parameters import product as quaternion_product
 from newton_euler.model.joint_kinds import Free
@@ -71,8 +73,6 @@ def pinocchio(**options: Any) -> Setting:
     return Setting("pinocchio", options)
 
 
-FORMULATIONS = ("relative", "cartesian")
-
 COMBINATIONS = tuple(
     newton_euler(formulation, stabilization)
     for formulation, stabilization in product(FORMULATIONS, ("projection", "baumgarte", "none"))
@@ -96,11 +96,17 @@ def lasting(scene: Scene, duration: float, outputs: int, *names: str) -> Scene:
     return replace(scene, duration=duration, output_period=duration / outputs, outputs=frozenset(names))
 
 
+def balance(scene: Scene, run: Trajectory) -> Balance:
+    """Return the energy balance of a run that saved energies and velocities."""
+    found = energy_balance(scene, run)
+    assert found is not None
+    return found
+
+
 def energy_errors(scene: Scene, run: Trajectory) -> Array:
     """(n,) how far the energy's balance is off, of the largest energy that was exchanged."""
-    balance = energy_balance(scene, run)
-    assert balance is not None
-    return np.abs(balance.residual) / balance.exchanged
+    found = balance(scene, run)
+    return np.abs(found.residual) / found.exchanged
 
 
 def largest_drift(run: Trajectory) -> float:
@@ -111,7 +117,7 @@ def largest_drift(run: Trajectory) -> float:
 
 def distance(first: Trajectory, second: Trajectory) -> float:
     """The largest between positions of bodies at equal times, m."""
-    return float(np.max(np.linalg.norm(first.position - second.position, axis=2)))
+    return float(np.max(positions_apart(first, second)))
 
 
 def parallelogram_angle(scene: Scene) -> Array:
