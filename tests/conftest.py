@@ -29,7 +29,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-os.environ.pop("COLUMNS", None)  # lines of output would wrap there
+# lines of output would wrap there; GNU readline, which pytest loads, sets it without Python's knowledge
+os.environ.pop("COLUMNS", None)
+os.unsetenv("COLUMNS")
 
 
 @pytest.fixture(scope="session", autouse=True)
