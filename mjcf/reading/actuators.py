@@ -89,6 +89,7 @@ class Actuators:
         self.armatures: dict[Key, float] = {}
         self.drives: dict[int, Drive] = {}
         self._told: list[tuple[int, str, str, str, tuple[int, ...]]] = []
+        self._pushed: list[int] = []  # MuJoCo's bodies with wrenches of actuators
         mujoco.mj_fwdActuation(self._model, self._data)
         for actuator in range(self._model.nactuator):
             self._add(actuator)
@@ -272,25 +273,46 @@ class Actuators:
         model, data, dof = self._model, self._data, int(self._model.jnt_dofadr[joint])
         key, element = self._joints.keys.get(joint), self._joints.element(joint)
         low, high = (float(x) for x in model.jnt_actfrcrange[joint])
+        why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
         law = None if key is None else self._acting.get(key)
-        force = 0.0 if law is None else law.constant - law.damping * float(data.qvel[dof])
+        others = self._others(joint)
+        if key is None or law is None or others:
+            if others or data.qfrc_actuator[dof]:
+                why = f"{why}, which counts {others}" if others else why
+                self._report.left_out(element, why, topic=topic)
+            return False
+        force = law.constant - law.damping * float(data.qvel[dof])
         held = min(max(force, low), high)
-        if key is None or law is None or held == force:
-            if law is not None or data.qfrc_actuator[dof]:
-                why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
-                watches = []
-                if key is not None and law is not None:
-                    gains = -law.stiffness, -law.damping
-                    moving = swinging(law.constant, law.swings)
-                    watches.append(Bounds(((key, 1.0),), low, high, "N or N m", moving, *gains))
-                self._report.left_out(element, why, topic=topic, watches=watches)
+        if held == force:
+            gains = -law.stiffness, -law.damping
+            moving = swinging(law.constant, law.swings)
+            watch = Bounds(((key, 1.0),), low, high, "N or N m", moving, *gains)
+            self._report.left_out(element, why, topic=topic, watches=[watch])
             return False
         self._acting[key] = Acting(constant=held)
         why = (
             f"its actuators' force would be {force:.4g} at the start and is held at its limit there, {held:g}"
         )
-        self._report.approximated(element, why, became=CONTROL, topic="limit of actuator forces")
+        self._report.approximated(element, why, became=CONTROL, topic=topic)
         return True
+
+    def _others(self, joint: int) -> str:
+        """What a joint's limit of actuator forces counts beside its control law, in words."""
+        model, found = self._model, []
+        if any(self._moves(joint, body) for body in self._pushed):
+            found.append("forces on sites")
+        if model.jnt_actgravcomp[joint] and any(
+            self._moves(joint, int(body)) for body in np.flatnonzero(model.body_gravcomp)
+        ):
+            found.append("gravity compensation")
+        return " and ".join(found)
+
+    def _moves(self, joint: int, body: int) -> bool:
+        """Whether one of MuJoCo's joints moves one of its bodies; parents have lower numbers."""
+        above = int(self._model.jnt_bodyid[joint])
+        while body > above:
+            body = int(self._model.body_parentid[body])
+        return body == above
 
     def _report_damping(self, actuator: int, element: str) -> None:
         model = self._model
@@ -416,6 +438,7 @@ class Actuators:
         force, torque = law.constant * (gear.reshape(2, 3) @ axes.T)
         own = model.actuator(actuator).name.removeprefix("wrench ")
         name = self._forces.name(own, f"actuator_{actuator}")
+        self._pushed.append(int(model.site_bodyid[site]))
         frame: Any = "body" if turning else "world"
         self._forces.forces.append(Wrench(name, body, data.site_xpos[site].copy(), force, torque, frame))
         self._tell(actuator, f"wrench {name!r}, constant in the {frame}", FORCE, limited)

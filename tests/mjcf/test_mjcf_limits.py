@@ -111,6 +111,36 @@ def test_only_what_is_left_out_is_taken_away(tmp_path: Path) -> None:
     assert [e for e in damped.report.of("left out") if e.how.endswith("damping that is not linear")]
 
 
+COMPENSATED = PAIR.replace('name="p"', 'name="p" actuatorgravcomp="true" actuatorfrcrange="-1 1"').replace(
+    'name="one"', 'name="one" gravcomp="1"'
+)
+PUSHED = PAIR.replace('name="p"', 'name="p" actuatorfrcrange="-1 1"')
+
+
+@pytest.mark.parametrize("control", [0, 3], ids=["within", "beyond"])
+@pytest.mark.parametrize(
+    ("text", "actuators", "others"),
+    [
+        (COMPENSATED, "", "gravity compensation"),
+        (PUSHED, '<motor site="s1" gear="0 0 50 0 0 0"/>', "forces on sites"),
+    ],
+)
+def test_a_limit_that_counts_more_than_a_law_is_left_out_whatever_that_does(
+    text: str, actuators: str, others: str, control: int, tmp_path: Path
+) -> None:
+    key = f'<keyframe><key ctrl="{control}{" 1" * bool(actuators)}"/></keyframe>'
+    found = reading(tmp_path, model(text, f'<actuator><motor joint="p"/>{actuators}</actuator>{key}'))
+    assert verified(found)
+    (number,) = (k for k, e in enumerate(found.report.entries) if e.topic == "limit of actuator forces")
+    entry = found.report.entries[number]
+    assert (entry.fate, entry.how) == (
+        "left out",
+        f"its limit of actuator forces, -1 to 1, which counts {others}",
+    )
+    assert number not in found.report.watches
+    assert not found.report.of("approximated")
+
+
 SHEET = (
     '<flexcomp name="f" type="grid" count="4 1 1" spacing=".1 .1 .1" pos="0 0 3" mass="1" radius="0.01" '
     'dim="1"><edge stiffness="10"/><contact selfcollide="none"/></flexcomp>'
