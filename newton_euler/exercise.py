@@ -156,8 +156,7 @@ def _at(scene: Scene, key: Key) -> tuple[float, float, float]:
 
 def _reach(scene: Scene, key: Key) -> float:
     """How far a joint coordinate is to move, m or rad."""
-    joint = scene.mechanism.joint(key[0])
-    return SHIFT * scene.mechanism.size if joint.coordinate_kinds[key[1]] == "slide" else SWING
+    return SHIFT * scene.mechanism.size if scene.mechanism.is_slide(*key) else SWING
 
 
 def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:

@@ -280,8 +280,7 @@ def _at_joints(
     found, mechanism = dict[Key, Array](), scene.mechanism
     places = [surroundings(scene, state) for state in states]
     for element in acting:
-        joint, coordinate = element.key
-        slides = not element.on_ball and mechanism.joint(joint).coordinate_kinds[coordinate] == "slide"
+        slides = not element.on_ball and mechanism.is_slide(*element.key)
         values = np.array([np.atleast_1d(element.at_joint(at)) for at in places]) / (1.0 if slides else size)
         found[element.key] = found.get(element.key, 0.0) + values
     return found

@@ -90,7 +90,6 @@ def _actuator_units(samples: Samples) -> Array:
     scene, scales = samples.states.scene, Scales(samples)
     units = []
     for law in scene.control:
-        joint = scene.mechanism.joint(law.joint)
-        turns = joint.coordinate_kinds[law.coordinate] == "hinge"
-        units.append(scales.force * (scales.size if turns else 1.0))
+        slides = scene.mechanism.is_slide(*law.key)
+        units.append(scales.force * (1.0 if slides else scales.size))
     return np.maximum(units, np.abs(samples.stack("actuator_force")).max(axis=0))

@@ -100,7 +100,7 @@ def couplings(scene: Scene) -> tuple[Coupling, ...]:
     mechanism = scene.mechanism
     found = []
     for motion in scene.motions:
-        slides = _kind(mechanism, motion.joint, motion.coordinate) == "slide"
+        slides = mechanism.is_slide(*motion.key)
         factors = {motion.key: 1.0}
         what, name = "motion of joint", motion.joint
         found.append(Coupling(what, name, name, factors, motion.function, slides))
@@ -111,7 +111,7 @@ def couplings(scene: Scene) -> tuple[Coupling, ...]:
     for coupling in mechanism.couplings:
         factors = coupling.factors()
         first = next(iter(factors))
-        slides = _kind(mechanism, *first) == "slide"
+        slides = mechanism.is_slide(*first)
         found.append(Coupling(coupling.kind, coupling.name, first[0], factors, None, slides))
     return tuple(found)
 
@@ -121,10 +121,6 @@ def needed_coordinates(scene: Scene, couplings: Sequence[Coupling]) -> list[Key]
     forces = [force.key for force in scene.joint_forces]
     coupled = [key for coupling in couplings for key in coupling.factors]
     return list(dict.fromkeys([*forces, *coupled]))
-
-
-def _kind(mechanism: Mechanism, joint: str, coordinate: int) -> str:
-    return mechanism.joint(joint).coordinate_kinds[coordinate]
 
 
 def row_units(equations: Sequence[JointEquations], couplings: Sequence[Coupling], size: float) -> Array:
@@ -250,8 +246,7 @@ class TreeCouplings:
                 assert place is not None
                 self._on_q[key], on_v = place
                 row[on_v] = factor
-                joint = scene.mechanism.joint(key[0])
-                if joint.coordinate_kinds[key[1]] == "hinge":
+                if not scene.mechanism.is_slide(*key):
                     self._angles.add(key)
         size = scene.mechanism.size
         self.units = np.array([size if coupling.is_length else 1.0 for coupling in self.couplings])

@@ -57,11 +57,6 @@ class Element:
     body_fields: ClassVar[tuple[str, ...]] = ()
 
     @property
-    def key(self) -> Key | None:
-        """The joint coordinate, or the `BALL` of a joint, that it acts on; None for one on bodies."""
-        return None
-
-    @property
     def on_ball(self) -> bool:
         """True if it acts on the ball of a joint."""
         return False
@@ -101,6 +96,7 @@ class OnCoordinate(Element):
 
     @property
     def key(self) -> Key:
+        """The joint coordinate."""
         return self.joint, self.coordinate
 
     @property
@@ -139,6 +135,7 @@ class OnBall(Element):
 
     @property
     def key(self) -> Key:
+        """The joint, and `BALL` in place of a coordinate."""
         return self.joint, BALL
 
     @property
@@ -238,8 +235,8 @@ class CoordinateForce(OnCoordinate, AppliedForce):
         yield self.force(x, rate, at.time) * rate
 
     def magnitude(self, at: Surroundings) -> float:
-        turns = at.mechanism.joint(self.joint).coordinate_kinds[self.coordinate] == "hinge"
-        return float(abs(self.at_joint(at)) / (at.mechanism.size if turns else 1.0))
+        slides = at.mechanism.is_slide(*self.key)
+        return float(abs(self.at_joint(at)) / (1.0 if slides else at.mechanism.size))
 
 
 def check_known(element: str, problem: str, name: str, known: Sequence[str]) -> None:

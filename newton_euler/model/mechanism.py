@@ -278,6 +278,10 @@ class Mechanism:
         """Return a joint by its name; raises `UnknownNameError`."""
         return self.joints[self.joint_index(name)]
 
+    def is_slide(self, joint: str, coordinate: int) -> bool:
+        """Return True if the coordinate of a joint is a slide, in m, False for a hinge, in rad."""
+        return self.joint(joint).coordinate_kinds[coordinate] == "slide"
+
     def joint_equations(self, name: str) -> JointEquations:
         """Return the equations of a joint by its name; raises `UnknownNameError`."""
         return self.equations[self.joint_index(name)]
