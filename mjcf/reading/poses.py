@@ -31,6 +31,7 @@ class Poses:
         self.model: Any = copy.copy(start.model)
         for bit in ("CONTACT", "CONSTRAINT"):
             self.model.opt.disableflags &= ~int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{bit}"))
+        self._take_override()
         model, data = self.model, start.data
         numbers = {name: k for k, name in enumerate(body.name for body in bodies.bodies)}
         of_bodies = np.array([numbers[name] for name in bodies.names])
@@ -48,6 +49,15 @@ class Poses:
             arms = getattr(data, points) - centers[self._owners[points]]
             local = into @ arms[:, :, None], into @ getattr(data, axes).reshape(-1, 3, 3)
             self._local[points] = local[0][:, :, 0], local[1]
+
+    def _take_override(self) -> None:
+        """Let margins be those that a file overrides them by, so that what is added to them counts."""
+        override = int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
+        if self.model.opt.enableflags & override:
+            self.model.opt.enableflags &= ~override
+            self.model.pair_margin[:] = self.model.opt.o_margin
+            for each in ("geom", "body", "flex"):  # those of both sides add up
+                getattr(self.model, f"{each}_margin")[:] = 0.5 * self.model.opt.o_margin
 
     @cached_property
     def data(self) -> Any:
@@ -126,11 +136,14 @@ class Touching:
         model, most = self._poses.model, 2.0 * float(np.max(reach, initial=0.0))
         if not np.isfinite(most):
             return 0.0
-        margins = model.geom_margin.copy(), model.pair_margin.copy()
-        model.geom_margin += 0.5 * most  # those of both geoms add up
-        model.pair_margin += most
+        # those of both geoms add up; MuJoCo looks at geoms of bodies that are within the bodies' own margins
+        shares = {"pair_margin": most, "geom_margin": 0.5 * most, "body_margin": 0.5 * most}
+        kept = {name: getattr(model, name).copy() for name in shares}
+        for name, share in shares.items():
+            getattr(model, name)[:] += share
         mujoco.mj_collision(model, data)
-        model.geom_margin[:], model.pair_margin[:] = margins
+        for name, margins in kept.items():
+            getattr(model, name)[:] = margins
         contact = data.contact
         room = contact.dist - (contact.includemargin - most)
         near = np.where(contact.geom >= 0, reach[contact.geom], 0.5 * most).sum(axis=1)  # or a flex

@@ -115,11 +115,34 @@ SHOT = """<mujoco><option gravity="0 0 0"/><worldbody><geom type="box" size="1 1
 """A ball that moves by 1 m from output to output, with a plate in its way, 0.5 m from the nearest of them."""
 
 
+PLATE, BALL = '<geom type="box" size="1 1 0.001" pos="0 0 0"/>', '<geom type="sphere" size="0.02" mass="1"/>'
+
+PLATES = "".join(f'<geom type="box" size="1 0.1 0.001" pos="0 {0.2 * k} 0"/>' for k in range(8))
+
+ROWS = [
+    (PLATE, f'<body><joint type="slide"/>{PLATES}</body>'),
+    (BALL, "".join(f'<geom type="sphere" size="0.02" pos="0 {0.2 * k} 0" mass="1"/>' for k in range(8))),
+    ('qpos="', 'qpos="0 '),
+    ("0 1.5 1", "0 1.6 1"),  # nothing touches in the middle of any step
+    ('qvel="', 'qvel="0 '),
+]
+"""Several geoms on each of two moving bodies, between which MuJoCo looks for contacts in another way."""
+
+OVERRIDDEN = [("<worldbody>", '<option o_margin="0"><flag override="enable"/></option><worldbody>')]
+
+
 @pytest.mark.parametrize(("x", "fate"), [(0, "left out"), (1.1, "inactive")])
-def test_contacts_between_outputs_are_seen(x, fate, tmp_path):
-    found, how = told(after(mjcf(tmp_path, SHOT.format(x=x, plate=0)), 0.03), "2 geoms that can touch")
+@pytest.mark.parametrize(
+    ("changes", "geoms"), [([], 2), (ROWS, 16), (OVERRIDDEN, 2)], ids=["plain", "several geoms", "override"]
+)
+def test_contacts_between_outputs_are_seen(x, fate, changes, geoms, tmp_path):
+    text = SHOT.format(x=x, plate=0)
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    found, how = told(after(mjcf(tmp_path, text), 0.03), f"{geoms} geoms that can touch")
     assert found == fate
-    assert ("active between output times, at 0.015 s" in how) == (fate == "left out")
+    assert ("active between output times, at 0.015" in how) == (fate == "left out")
 
 
 @pytest.mark.parametrize(
