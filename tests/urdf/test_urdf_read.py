@@ -173,6 +173,15 @@ def test_there_and_back(name: str, tmp_path: Path) -> None:
             assert back.mechanism.bodies[i].center_of_mass == pytest.approx(body.center_of_mass, abs=1e-14)
 
 
+def test_an_inertia_without_a_mass_is_refused(tmp_path: Path) -> None:
+    text = robot(link("a"), link("rotor", 0.0), joint("moves", "revolute", "base", "a"),
+                 joint("spins", "revolute", "a", "rotor"))  # fmt: skip
+    with pytest.raises(UrdfError, match="link 'rotor': a mass of 0 kg with principal moments of inertia"):
+        reading(tmp_path, text)
+    # a fixed joint lets it be part of a body that has one
+    assert reading(tmp_path, text.replace('name="spins" type="revolute"', 'name="spins" type="fixed"'))
+
+
 def test_joints_that_move_no_mass_are_held_and_reported(tmp_path: Path) -> None:
     text = robot(link("a"), '<link name="tip"/>', joint("moves", "revolute", "base", "a"),
                  joint("idle", "revolute", "a", "tip", '<mimic joint="moves"/>'))  # fmt: skip

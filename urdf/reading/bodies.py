@@ -42,6 +42,7 @@ class Tree:
             if self._model.inertias[index].mass > 0.0:
                 self._add(chain, motors, report)
             else:
+                self._check_massless(index)
                 waiting[index] = chain
         for chain in waiting.values():
             for index in chain:
@@ -56,6 +57,16 @@ class Tree:
         model: Any = self._model
         links = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
         return str(next(links, model.frames[0]).name)
+
+    def _check_massless(self, joint: int) -> None:
+        """Raise `SourceError` for what moves with a joint and has inertia, but no mass: bodies need both."""
+        inertia = self._model.inertias[joint].inertia
+        if np.any(inertia):
+            moments = ", ".join(f"{moment:.6g}" for moment in np.linalg.eigvalsh(inertia))
+            problem = (
+                f"link {self._link(joint)!r}: a mass of 0 kg with principal moments of inertia {moments}"
+            )
+            raise SourceError(self._path, f"{problem} kg m^2; needed: a mass above 0, or no inertia")
 
     def _add(self, chain: list[int], motors: set[str], report: ImportReport) -> None:
         model, data = self._model, self._start.data
