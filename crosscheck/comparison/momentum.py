@@ -1,7 +1,7 @@
 """Level 7, momentum: whether accelerations and reactions satisfy Newton's and Euler's equations of each body.
 
-Masses, inertias and what acts on the bodies are the scene's, everything else is an engine's own answer, so
-that neither another engine nor its own equations of motion are asked.
+Masses, inertias and what acts on the bodies are the scene's, by its numbers. Everything else is an engine's
+own answer, so that neither another engine nor its own equations of motion are asked.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ import numpy as np
 
 from crosscheck.comparison.figure import Figure, round_off
 from crosscheck.comparison.samples import Samples, Scales
-from newton_euler.equations.cartesian import Cartesian
-from newton_euler.equations.sparse import to_array
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross
+from newton_euler.verification.wrenches import Wrenches
 
 
 def momentum_row(name: str, samples: Samples) -> Figure:
@@ -33,35 +33,29 @@ def momentum_row(name: str, samples: Samples) -> Figure:
 
 def momentum_residuals(samples: Samples) -> Array:
     """(n, b - 1, 6) of the bodies that move: N, world frame, and N m over the size, body frame."""
-    equations = Cartesian(samples.states.scene)
-    return np.array([_residual(equations, evaluation) for evaluation in samples.evaluations])
+    scene = samples.states.scene
+    return np.array([_residual(scene, evaluation) for evaluation in samples.evaluations])
 
 
-def _residual(equations: Cartesian, found: Evaluation) -> Array:
+def _residual(scene: Scene, found: Evaluation) -> Array:
     """(b - 1, 6): m a - f of each body that moves, and J' domega' + omega' x J' omega' - n' over the size."""
-    state, mechanism = found.state, equations.mechanism
-    q, v = equations.coordinates(state)
-    frames = state.frames()
-    spins = [frame.rotation.T @ frame.angular_velocity for frame in frames]
-    rates = [
-        frame.rotation.T @ alpha for frame, alpha in zip(frames, found.angular_acceleration, strict=True)
-    ]
-    needed = np.array(
-        [
-            [*(body.mass * a), *(body.inertia @ rate + cross(spin, body.inertia @ spin))]
-            for body, a, rate, spin in zip(
-                mechanism.bodies, found.linear_acceleration, rates, spins, strict=True
-            )
-        ]
-    )
-    applied = equations.g(q, v).reshape(-1, 6)
-    accelerations = np.hstack([found.linear_acceleration, rates])[1:].ravel()
-    inertias, _, rows, gammas = equations.rotors(q, v)
-    for inertia, row, gamma in zip(inertias, to_array(rows, accelerations.size), gammas, strict=True):
-        applied = applied - (inertia * (row @ accelerations - gamma) * row).reshape(-1, 6)
-    left = (needed - _reaction_wrenches(equations.mechanism, found))[1:] - applied
-    left[:, 3:] /= mechanism.size
-    return left
+    mechanism = scene.mechanism
+    applied = Wrenches(mechanism, found.state)
+    applied.add_forces(scene)
+    applied.add_rotors(scene, found.linear_acceleration, found.angular_acceleration)
+    reactions = _reaction_wrenches(mechanism, found)
+    left = []
+    for k, (body, frame) in enumerate(zip(mechanism.bodies, applied.frames, strict=True)):
+        spin, rate, torque = (
+            frame.rotation.T @ vector
+            for vector in (frame.angular_velocity, found.angular_acceleration[k], applied.total[k, 3:])
+        )
+        force = body.mass * (found.linear_acceleration[k] - scene.gravity) - applied.total[k, :3]
+        moment = body.inertia @ rate + cross(spin, body.inertia @ spin) - torque
+        left.append(np.concatenate([force, moment]) - reactions[k])
+    balance = np.array(left)[1:]
+    balance[:, 3:] /= mechanism.size
+    return balance
 
 
 def _reaction_wrenches(mechanism: Mechanism, found: Evaluation) -> Array:

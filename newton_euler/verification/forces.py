@@ -1,7 +1,6 @@
 """Forces and armatures of a scene against those of a file's own model, in the file's independent velocities.
 
-Bodies are where the file has them. Laws of joint coordinates are worked out here from their numbers, and not
-by the methods that newton_euler's equations use: a mistake there is that engine's, not the reading's.
+Bodies are where the file has them.
 """
 
 from __future__ import annotations
@@ -11,17 +10,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from newton_euler.equations.applied_forces import body_wrenches, surroundings
 from newton_euler.equations.dense import least_squares
 from newton_euler.model.balls import SPIN, ends
-from newton_euler.model.control import PD, Law
-from newton_euler.model.forces import JointSpring, Wrench
+from newton_euler.model.forces import Wrench
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 from newton_euler.verification.figure import SPREAD, Figure, figure, positive, worst
 from newton_euler.verification.original import KINDS, Original
 from newton_euler.verification.placed import Place, Placed
+from newton_euler.verification.wrenches import Wrenches
 
 ALIKE = 1e-3
 """Share of a difference (of squares) that what is blamed may leave unexplained."""
@@ -183,32 +181,9 @@ def _acting(placed: Placed, place: Place, scenes: tuple[Scene, Scene, Scene]) ->
 
 def _wrenches(scene: Scene, state: State) -> tuple[Array, Array]:
     """(b, 6) what all of a scene but gravity does to its bodies, and the sum of what there is."""
-    mechanism, frames = scene.mechanism, state.frames()
-    total = np.array(body_wrenches(scene, surroundings(scene, state)))
-    magnitude = np.abs(total)
-    for law in scene.joint_forces:
-        equations = mechanism.joint_equations(law.joint)
-        coordinate = equations.coordinates[law.coordinate]
-        first, second = frames[equations.first], frames[equations.second]
-        rows = coordinate.jacobian(first, second)
-        u = _law(law, coordinate.phi(first, second)[0], rows.rate(first, second)[0])
-        for body, r, theta in (
-            (equations.first, rows.r_first, rows.theta_first),
-            (equations.second, rows.r_second, rows.theta_second),
-        ):
-            push = u * np.concatenate([r[0], theta[0]])
-            total[body] += push
-            magnitude[body] += np.abs(push)
-    return total, magnitude
-
-
-def _law(law: Law | JointSpring, x: float, rate: float) -> float:
-    """Force on a joint coordinate at time 0 by the law's numbers, not by the law, which engines evaluate."""
-    if isinstance(law, JointSpring):
-        return law.stiffness * (law.rest - x) - law.damping * rate
-    if isinstance(law, PD):
-        return float(law.feedforward_at(0.0)) + law.stiffness * (law.target - x) - law.damping * rate
-    return law.held
+    found = Wrenches(scene.mechanism, state)
+    found.add_forces(scene)
+    return found.total, found.magnitude
 
 
 def _spins(placed: Placed, place: Place) -> Array:

@@ -17,6 +17,7 @@ import urdf
 from crosscheck.comparison.diagnosis import FILE, READING, diagnose
 from crosscheck.comparison.figure import LEVELS, Figure
 from crosscheck.comparison.levels import compare_equations
+from crosscheck.comparison.momentum import momentum_row
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.each_run import as_far_as_it_goes
 from crosscheck.engines import ENGINES
@@ -33,7 +34,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.model.control import PD
-from newton_euler.model.forces import JointSpring
+from newton_euler.model.forces import JointSpring, PointSpring
 from newton_euler.verification.import_report import ImportReport
 
 LINKAGE = EXAMPLE.parent / "linkage.xml"
@@ -274,6 +275,24 @@ def test_a_law_that_newton_euler_gets_wrong_is_blamed_on_it(law, force, tmp_path
     (first,) = result.diagnosis
     assert (first.odd, first.fault) == (NE, "model")
     assert first.agree == (MJ, PIN, FILE)
+
+
+@pytest.mark.parametrize("other", [MJ, PIN])
+@pytest.mark.parametrize(
+    ("scene_name", "kind", "method"),
+    [("tracker", PD, "force"), ("andrews", PointSpring, "pull")],
+)
+def test_of_two_engines_the_one_with_wrong_forces_is_blamed(scene_name, kind, method, other, monkeypatch):
+    """The balance of momentum, which settles it, works forces out apart from newton_euler's equations."""
+    scene = load(scene_name)
+    right = getattr(kind, method)
+    monkeypatch.setattr(kind, method, lambda self, *of: 1.01 * right(self, *of))
+    states = States(scene, (initial_state(scene), *random_states(scene, finding.STATES)))
+    engines = [engine for engine in RIGID if engine.name in (NE, other)]
+    samples = {engine.name: [Samples(s, states) for s in engine.systems(scene)] for engine in engines}
+    rows = [*compare_equations(engines, samples), *(momentum_row(name, samples[name][0]) for name in samples)]
+    (found,) = diagnose((NE, other), rows)
+    assert (found.odd, found.fault) == (NE, "model")
 
 
 def misread(fault, found):

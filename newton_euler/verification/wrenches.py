@@ -1,0 +1,129 @@
+"""Wrenches of a scene's forces and rotors on its bodies, by their numbers alone.
+
+Apart from the methods of forces, which newton_euler's equations use: a mistake there is that engine's, not
+the reading's of a file nor another engine's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from newton_euler.model.control import PD, Law
+from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.scalars import Array
+
+
+class Wrenches:
+    """Sums of wrenches on bodies.
+
+    Attributes:
+        mechanism: of the bodies.
+        frames: of the bodies.
+        total: (b, 6) forces and torques about the centers of mass, N and N m, world frame.
+        magnitude: (b, 6) sums of the absolute values.
+    """
+
+    def __init__(self, mechanism: Mechanism, state: State) -> None:
+        self.mechanism, self.frames = mechanism, state.frames()
+        self.total, self.magnitude = np.zeros((2, len(self.frames), 6))
+
+    def _add(self, body: int, force: Array, torque: Array) -> None:
+        wrench = np.concatenate([force, torque])
+        self.total[body] += wrench
+        self.magnitude[body] += np.abs(wrench)
+
+    def _turn(self, body: int) -> Array:
+        """Return the rotation (3, 3) of a body since the initial pose."""
+        return np.asarray(self.frames[body].rotation @ self.mechanism.bodies[body].pose.rotation.T)
+
+    def _arm(self, body: int, point: Array) -> Array:
+        """Return (3,) m from the center of mass to a point given at the initial pose."""
+        return np.asarray(self._turn(body) @ (point - self.mechanism.bodies[body].pose.position))
+
+    def add_forces(self, scene: Scene) -> None:
+        """Add all forces of a scene but gravity, at time 0."""
+        for law in scene.joint_forces:
+            first, second, rows, x, rate = self._coordinate(law.joint, law.coordinate)
+            push = _law(law, x, rate) * rows
+            self._add(first, push[:3], push[3:6])
+            self._add(second, push[6:9], push[9:])
+        for force in scene.forces:
+            match force:
+                case PointSpring():
+                    self._add_point_spring(force)
+                case BallSpring():
+                    self._add_ball_spring(force)
+                case Wrench():
+                    body = self.mechanism.body_index(force.body)
+                    turn = self._turn(body) if force.frame == "body" else np.eye(3)
+                    pull, torque = turn @ force.force, turn @ force.torque
+                    self._add(body, pull, torque + np.cross(self._arm(body, force.point), pull))
+
+    def _coordinate(self, joint: str, coordinate: int) -> tuple[int, int, Array, float, float]:
+        """Return the bodies of a joint, the Jacobian (12,) of a coordinate, its value and its rate."""
+        equations = self.mechanism.joint_equations(joint)
+        constraint = equations.coordinates[coordinate]
+        first, second = self.frames[equations.first], self.frames[equations.second]
+        jacobian = constraint.jacobian(first, second)
+        x, rate = constraint.phi(first, second)[0], jacobian.rate(first, second)[0]
+        return equations.first, equations.second, np.concatenate(jacobian, axis=1)[0], x, rate
+
+    def _add_point_spring(self, spring: PointSpring) -> None:
+        ends = [self.mechanism.body_index(name) for name in (spring.first, spring.second)]
+        points = spring.point_on_first, spring.point_on_second
+        arms = [self._arm(body, point) for body, point in zip(ends, points, strict=True)]
+        (place, velocity), (other, other_velocity) = (
+            (frame.position + arm, frame.velocity + np.cross(frame.angular_velocity, arm))
+            for frame, arm in zip((self.frames[body] for body in ends), arms, strict=True)
+        )
+        line = other - place
+        length = float(np.linalg.norm(line))
+        along = line / (length or 1.0)  # a spring without rest length and damping may be of no length
+        stretch_rate = float(along @ (other_velocity - velocity))
+        pull = (spring.stiffness * (length - spring.rest_length) + spring.damping * stretch_rate) * along
+        for body, arm, force in zip(ends, arms, (pull, -pull), strict=True):
+            self._add(body, force, np.cross(arm, force))
+
+    def _add_ball_spring(self, spring: BallSpring) -> None:
+        from scipy.spatial.transform import Rotation
+
+        equations = self.mechanism.joint_equations(spring.joint)
+        first, second = equations.first, equations.second
+        rest = Rotation.from_rotvec(spring.rest.copy()).as_matrix()  # refuses read-only arrays
+        between = self._turn(first).T @ self._turn(second) @ rest.T
+        theta = self._turn(first) @ Rotation.from_matrix(between).as_rotvec()
+        omega = self.frames[second].angular_velocity - self.frames[first].angular_velocity
+        torque = -spring.stiffness * theta - spring.damping * omega
+        self._add(first, np.zeros(3), -torque)
+        self._add(second, np.zeros(3), torque)
+
+    def add_rotors(self, scene: Scene, linear: Array, angular: Array) -> None:
+        """Add the wrenches of a scene's armatures at accelerations (b, 3) each, m/s^2 and rad/s^2."""
+        for armature in scene.armatures:
+            equations = self.mechanism.joint_equations(armature.joint)
+            i, j = equations.first, equations.second
+            if armature.on_ball:
+                turning = np.cross(self.frames[j].angular_velocity, self.frames[i].angular_velocity)
+                torque = -armature.inertia * (angular[j] - angular[i] + turning)
+                self._add(i, np.zeros(3), -torque)
+                self._add(j, np.zeros(3), torque)
+                continue
+            _, coordinate = armature.key
+            *_, rows, _, _ = self._coordinate(armature.joint, coordinate)
+            rates = np.concatenate([linear[i], angular[i], linear[j], angular[j]])
+            gamma = equations.coordinates[coordinate].gamma(self.frames[i], self.frames[j])[0]
+            push = -armature.inertia * (float(rows @ rates) - gamma) * rows
+            self._add(i, push[:3], push[3:6])
+            self._add(j, push[6:9], push[9:])
+
+
+def _law(law: Law | JointSpring, x: float, rate: float) -> float:
+    """Compute the force of a law on a joint coordinate, N or N m, at time 0."""
+    if isinstance(law, JointSpring):
+        return law.stiffness * (law.rest - x) - law.damping * rate
+    if isinstance(law, PD):
+        return float(law.feedforward_at(0.0)) + law.stiffness * (law.target - x) - law.damping * rate
+    return law.held
