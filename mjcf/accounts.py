@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import CONTACTS, FRICTION, LIMITS, ImportReport
+from newton_euler.verification.import_report import CONTACTS, FRICTION, LIMITS, ImportReport, approximated
 
 
 def name_of(model: Any, kind: str, number: int) -> str:
@@ -47,11 +48,44 @@ def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Itera
     ):
         for topic, has in ((LIMITS, limited), (FRICTION, friction)):
             for k in np.flatnonzero(has).tolist():
-                if (name_of(model, kind, k), topic) not in topics:
-                    yield f"{name_of(model, kind, k)}: {topic}"
+                yield from _told(name_of(model, kind, k), topic, topics)
+    yield from _limits_of_forces(model, topics, without_force(report) | approximated(report))
     touching = np.any(model.geom_contype) or np.any(model.geom_conaffinity) or model.npair
     if touching and CONTACTS not in {topic for _, topic in topics}:
         yield "contacts"
+
+
+def without_force(report: ImportReport) -> set[str]:
+    """Elements that a report says are left out with all that they do."""
+    return {entry.element for entry in report.of("left out") if not entry.topic}
+
+
+def _limits_of_forces(model: Any, topics: set[tuple[str, str]], known: set[str]) -> Iterator[str]:
+    """Limits of forces that are no topics of a report; `known` are elements that need none."""
+    on_tendons = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+    on_joints = np.isin(
+        model.actuator_trntype, [mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT]
+    )
+    for k, target in enumerate(model.actuator_trnid[:, 0].tolist()):
+        name = name_of(model, "actuator", k)
+        if name in known:
+            continue
+        if model.actuator_forcelimited[k]:
+            yield from _told(name, "limit of the force", topics)
+        if on_tendons[k] and model.tendon_actfrclimited[target]:
+            yield from _told(name, "limit of its tendon", topics)
+        joints = [target] if on_joints[k] else []
+        if on_tendons[k]:
+            wraps = slice(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
+            joints = model.wrap_objid[wraps][model.wrap_type[wraps] == mujoco.mjtWrap.mjWRAP_JOINT].tolist()
+        for joint in joints:
+            if model.jnt_actfrclimited[joint]:
+                yield from _told(name_of(model, "joint", joint), "limit of actuator forces", topics)
+
+
+def _told(element: str, topic: str, topics: set[tuple[str, str]]) -> Iterator[str]:
+    if (element, topic) not in topics:
+        yield f"{element}: {topic}"
 
 
 def switch_off(model: Any, kind: str, k: int, topic: str) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjcf.accounts import name_of, straighten, switch_off, unaccounted
+from mjcf.accounts import name_of, straighten, switch_off, unaccounted, without_force
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross
@@ -73,6 +73,7 @@ class MjcfOriginal(Original):
         self._model.body_sameframe[self._model.body_simple == 0] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         self._data = mujoco.MjData(self._model)
         self._place(key)
+        stated = self._data.act.copy()
         if controls is not None:
             self._data.ctrl[:], self._data.act[:] = controls
         mujoco.mj_normalizeQuat(self._model, self._data.qpos)
@@ -82,6 +83,7 @@ class MjcfOriginal(Original):
         self._measure(scene)
         self.unaccounted = tuple(unaccounted(self._model, self._roots, report))
         self.begin(scene)
+        self.unaccounted += tuple(self._changing(report, self._data.act == stated))
         self._leave_out(report)
         self.keep_offsets()
 
@@ -120,6 +122,17 @@ class MjcfOriginal(Original):
             if np.sum(hinges & (model.jnt_bodyid == model.jnt_bodyid[joint])) > 1:
                 self.ranges[dof] = SEVERAL_HINGES
         self.units = np.where(self.lengths, self.size, 1.0)
+
+    def _changing(self, report: ImportReport, kept: Array) -> Iterator[str]:
+        """Actuators in the scene whose activations change, those apart that are not `kept` (na,)."""
+        model, data, without = self._model, self._data, without_force(report)
+        self._go(self.start, self._velocity)
+        for k in np.flatnonzero(model.actuator_actnum).tolist():
+            first, name = int(model.actuator_actadr[k]), name_of(model, "actuator", k)
+            rows = slice(first, first + int(model.actuator_actnum[k]))
+            # MuJoCo's rates of what rests are differences of equal numbers
+            if name not in without and np.any(data.act_dot[rows][kept[rows]]):
+                yield f"{name}: its activation, which does not rest"
 
     def _leave_out(self, report: ImportReport) -> None:
         """Switch off or replace what a report says is not in the scene as it is, at the start."""

@@ -254,12 +254,13 @@ class Actuators:
         if not on_tendons[actuator] or not model.tendon_actfrclimited[tendon]:
             return force
         low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
-        total = self._pull(tendon)
-        if not np.any(np.isclose(total, [low, high], rtol=AT_LIMIT, atol=0.0)):
-            why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
-            self._report.left_out(element, why, topic="limit of its tendon")
-            return force
-        return float(data.actuator_force[model.actuator_outadr[actuator]])
+        share = float(data.actuator_force[model.actuator_outadr[actuator]])
+        at_limit = np.any(np.isclose(self._pull(tendon), [low, high], rtol=AT_LIMIT, atol=0.0))
+        if at_limit and share != force:
+            return share
+        why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
+        self._report.left_out(element, why, topic="limit of its tendon")
+        return force
 
     def _pull(self, tendon: int) -> float:
         """Of all actuators on a tendon together, which MuJoCo has scaled already where it is limited."""

@@ -143,6 +143,49 @@ def test_a_reader_at_fault_is_refused(
         reading(tmp_path, ZOO)
 
 
+LIMITED = model(
+    f'<body><joint name="a" axis="0 1 0" actuatorfrcrange="-9 9"/>{BOX.format("0.1 0 0")}</body>',
+    '<tendon><fixed name="t" actuatorfrcrange="0 8"><joint joint="a" coef="1"/></fixed></tendon><actuator>'
+    '<general name="slow" joint="a" dyntype="filter" dynprm="0.05" gainprm="5"/>'
+    '<motor name="m" joint="a" forcerange="-7 7"/><motor name="pull" tendon="t"/></actuator>'
+    '<keyframe><key ctrl="1 0 0" act="0"/></keyframe>',
+)
+"""Each limit of forces, and an actuator whose activation goes to 1."""
+
+
+@pytest.mark.parametrize("exercise", [False, True])
+def test_dynamics_of_actuators_that_are_lost_are_found(
+    exercise: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert reading(tmp_path, LIMITED, exercise=exercise).report.originals[0][0].unaccounted == ()
+    monkeypatch.setattr(
+        Actuators, "_activation", lambda self, k: float(self._data.act[0]) if k == 0 else self._control(k)
+    )
+    with pytest.raises(MjcfError, match=r"'slow': its activation, which does not rest: .* unaccounted"):
+        reading(tmp_path, LIMITED, exercise=exercise)
+
+
+@pytest.mark.parametrize(
+    ("element", "lost"),
+    [
+        ("actuator 'm'", "limit of the force"),
+        ("actuator 'pull'", "limit of its tendon"),
+        ("joint 'a'", "limit of actuator forces"),
+    ],
+)
+def test_limits_of_forces_that_are_lost_are_found(
+    element: str, lost: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def left_out(self: Any, element: str, why: str, topic: str = "", **rest: Any) -> None:
+        if topic != lost:
+            kept(self, element, why, topic, **rest)
+
+    kept = ImportReport.left_out
+    monkeypatch.setattr(ImportReport, "left_out", left_out)
+    with pytest.raises(MjcfError, match=f"{element}: {lost}: .* elements unaccounted for"):
+        reading(tmp_path, LIMITED)
+
+
 POSE = "0 0 0 0.2 2 1 0.8 0.2 -0.4 0.4 1 0 0 0 0.1 0.2 -0.08 -0.2"
 
 SPEEDS = "0 0 0 1 0 0 0 2 0 0 0 3 1 2 -0.8 -2"
