@@ -58,7 +58,7 @@ class Option(NamedTuple):
     read: Callable[[str, str], Any]
 
 
-_SECONDS = _number("a number of seconds")
+_SECONDS = _number("a positive number of seconds")
 
 
 def _switch(name: str, value: str) -> bool:

@@ -56,7 +56,7 @@ def check_complete(folder: Path) -> None:
             continue
         if path.suffix == ".npz":
             assert len(load_arrays(path)["time"]) == 6
-        elif path.name == "scene.baseline.json":
+        elif path.name == "four_bar.baseline.json":
             assert read(path, "").scene == "four_bar"
         elif path.suffix == ".json":
             json.loads(path.read_text())
@@ -89,7 +89,7 @@ def test_a_kill_at_any_moment(tmp_path: Path, earlier: Path, seed: int) -> None:
     process.send_signal(chance.choice((signal.SIGKILL, signal.SIGTERM, signal.SIGINT)))
     process.wait(timeout=60)
     check_complete(tmp_path)
-    assert not over or (tmp_path / "scene.baseline.json").exists()
+    assert not over or (tmp_path / "four_bar.baseline.json").exists()
 
 
 def truncated(path: Path, chance: random.Random) -> None:

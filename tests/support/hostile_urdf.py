@@ -149,7 +149,7 @@ def urdf_cases() -> Iterator[Case]:
         yield Case(f"URDF: {name}", "robot.urdf", content, message, slow=True)
     options = (
         (("--set", "key=start"), "robot.urdf has no option 'key'; choose from: duration, output_period"),
-        (("--set", "duration=inf"), "duration is inf; needed: a positive number of seconds"),
+        (("--set", "duration=inf"), "duration is 'inf'; needed: a positive number of seconds"),
         (("--loops", "none.yaml"), "none.yaml: cannot be read: No such file or directory"),
         (("--loops", "parts"), "parts: not a regular file"),
         (("--loops", "parts/wedge.obj"), "parts/wedge.obj: document: not a mapping"),
