@@ -13,7 +13,7 @@ class CrosscheckError(Exception):
 
 
 def short_of_memory(error: BaseException | None) -> bool:
-    """Whether an error, or one that it comes from, is that memory or threads are not to be had."""
+    """True if an error, or one that it comes from, is that memory or threads are not to be had."""
     while error is not None:
         if isinstance(error, MemoryError) or getattr(error, "errno", None) in (errno.ENOMEM, errno.EAGAIN):
             return True
@@ -24,7 +24,7 @@ def short_of_memory(error: BaseException | None) -> bool:
 
 
 def reason_of(error: Exception) -> str:
-    """What to say of an error, in one line; one that nobody foresaw has its type named."""
+    """Word an error in one line; one that nobody foresaw has its type named."""
     from newton_euler.errors import NewtonEulerError  # which the command line starts without
 
     if isinstance(error, CrosscheckError | NewtonEulerError):

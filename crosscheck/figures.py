@@ -1,7 +1,7 @@
 """Figures 5 to 9 of the paper, redrawn from the three engines.
 
 matplotlib draws them, without a display. newton_euler runs the paper's own method here: Cartesian
-coordinates and Euler parameters under Baumgarte's stabilisation with alpha = 10.
+coordinates and Euler parameters under Baumgarte's stabilization with alpha = 10.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def sliders(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
 
 
 def violation(scene: Scene, runs: dict[str, Trajectory]) -> Figure:
-    """Figure 6: how far the joints are open, by engine; below, by stabilisation, at coarse steps."""
+    """Figure 6: how far the joints are open, by engine; below, by stabilization, at coarse steps."""
     labels = ["engines\nlargest |Phi|, m or rad", "newton_euler, RK4 at 10 ms\nlargest |Phi|, m or rad"]
     figure, axes = _axes("Figure 6: kinematic constraints", 2, labels)
 

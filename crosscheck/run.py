@@ -44,7 +44,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Crosscheck:
-    """What a crosscheck found.
+    """Result of a crosscheck.
 
     Attributes:
         source: the name or the file that the scene was loaded from.
@@ -86,22 +86,22 @@ class Crosscheck:
 
     @property
     def rests(self) -> bool:
-        """Whether nothing moves in the runs, so that trajectories and energies test nothing."""
+        """True if nothing moves in the runs, so that trajectories and energies test nothing."""
         return rests(self.scene, self.engines, self.runs)
 
     @property
     def deserted(self) -> bool:
-        """Whether several engines were asked for and only one can express the scene."""
+        """True if several engines were asked for and only one can express the scene."""
         return len(self.engines) == 1 and bool(self.left_out)
 
     @property
     def differs(self) -> bool:
-        """Whether any figure exceeds its tolerance."""
+        """True if any figure exceeds its tolerance."""
         return not all(row.agrees for row in self.rows) or not all(known.agrees for known in self.measured)
 
     @property
     def agrees(self) -> bool:
-        """Whether all came to an end and every figure is within its tolerance; never of a deserted engine."""
+        """True if all came to an end and every figure is within its tolerance; never of a deserted engine."""
         return not (self.deserted or self.unfinished or self.differs)
 
     @cached_property
@@ -143,7 +143,7 @@ class Crosscheck:
 
     @property
     def _alone(self) -> bool:
-        """Whether one engine has nothing to be compared with but its own figures."""
+        """True if one engine has nothing to be compared with but its own figures."""
         compared = any(len(row.between) > 1 for row in self.rows if not row.agrees)
         return len(self.engines) == 1 and not compared and all(known.agrees for known in self.measured)
 
@@ -164,7 +164,7 @@ class Crosscheck:
 
     @property
     def _failed(self) -> str:
-        """How many figures fail."""
+        """Word the number of figures that fail."""
         failed = sum(not row.agrees for row in self.rows)
         if failed:
             return f"{failed} of {self._judged} figures fail"
@@ -173,7 +173,7 @@ class Crosscheck:
 
     @property
     def _beside(self) -> str:
-        """What there is to say of figures that hold."""
+        """Word what there is to say of figures that hold."""
         said = f", and the reference in all {len(self.measured)}" if self.measured else ""
         said += not_judged(self.rows)
         said += "; nothing moves" if self.rests else ""
@@ -213,7 +213,7 @@ class Crosscheck:
         }
 
     def _ran(self, name: str) -> dict[str, Any]:
-        """How an engine ran, for JSON."""
+        """Return settings and counts of an engine's run, for JSON."""
         if name not in self.runs:
             return {"settings": {}, "wall_time": None}
         return {"settings": self.runs[name].settings, "wall_time": self.runs[name].wall_time}

@@ -36,7 +36,7 @@ class Worst:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one scene.
+    """Outcome of one scene.
 
     Attributes:
         scene: its name.

@@ -1,4 +1,4 @@
-"""Which method and step a scene is run with, by how fast its motions die out or swing.
+"""Method and step for a scene, by how fast its motions die out or swing.
 
 An explicit method is stable as long as its step times the fastest rate of decay stays below a number of its
 own, 6.3 for DOP853 (measured on models with damped joints of little inertia, whose runs take just as many
@@ -75,7 +75,7 @@ def fastest_decay(scene: Scene) -> float:
 
 
 def explicit_steps(scene: Scene) -> float:
-    """How many steps stability alone would cost DOP853 over a scene's duration."""
+    """Count the steps that stability alone would cost DOP853 over a scene's duration."""
     return fastest_decay(scene) * scene.duration / STABLE
 
 
@@ -90,7 +90,7 @@ def modes_of_run(scene: Scene, run: Trajectory | None) -> Array:
 
 
 def is_stable_in_rk4(modes: Array, step: float) -> bool:
-    """Whether no motion grows faster in RK4 at a step, s, than it does."""
+    """True if no motion grows faster in RK4 at a step, s, than it does."""
     z = step * modes
     growth = 1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0)))
     # an undamped motion's real part is round-off of either sign

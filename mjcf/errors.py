@@ -1,4 +1,4 @@
-"""What can go wrong with MuJoCo, all under `MjcfError`."""
+"""Errors of MuJoCo's side, all under `MjcfError`."""
 
 from __future__ import annotations
 

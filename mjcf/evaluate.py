@@ -1,4 +1,4 @@
-"""What MuJoCo says at a state, once accelerations and multipliers are known.
+"""MuJoCo's evaluation of a state, once accelerations and multipliers are known.
 
 Shared by rigid and soft constraints: the same reactions follow from either's accelerations.
 """
@@ -63,7 +63,7 @@ def constraint_jacobian(compiled: CompiledScene) -> Array:
 
 
 def body_accelerations(compiled: CompiledScene) -> tuple[Array, Array]:
-    """(b, 3) of the centres of mass and (b, 3) angular, once they are known."""
+    """(b, 3) of the centers of mass and (b, 3) angular, once they are known."""
     count = len(compiled.mechanism.bodies)
     linear, angular = np.zeros((2, count, 3))
     for k, index in enumerate(compiled.body_id[1:count], start=1):
@@ -148,7 +148,7 @@ def _ball_torque(model: mujoco.MjModel, data: mujoco.MjData, ball: int) -> Array
 
 
 def motor_wrenches(compiled: CompiledScene) -> Array:
-    """(nbody, 6) force, and torque about the centre of mass, by the motors of wrenches; world frame."""
+    """(nbody, 6) force, and torque about the center of mass, by the motors of wrenches; world frame."""
     model, data = compiled.model, compiled.data
     wrenches = np.zeros((model.nbody, 6))
     for motor in range(len(compiled.scene.control), model.nu):

@@ -1,4 +1,4 @@
-"""What a compiled model holds, for comparisons: joints, the terms of the equations of motion, closures."""
+"""Contents of a compiled model, for comparisons: joints, terms of the equations of motion, closures."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ class Loop:
 
 
 def closes(model: Any, index: int) -> bool:
-    """Whether an equality closes a loop; others couple joint coordinates, through a tendon if several."""
+    """True if an equality closes a loop; others couple joint coordinates, through a tendon if several."""
     kind = model.eq_type[index]
     if kind == mujoco.mjtEq.mjEQ_TENDON:
         first = model.wrap_type[model.tendon_adr[model.eq_obj1id[index]]]

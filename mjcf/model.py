@@ -75,7 +75,7 @@ class CompiledScene:
         mujoco.mj_resetData(model, self.data)
 
     def mass_properties(self) -> MassProperties:
-        """What the bodies weigh in the compiled model; halves of a body are put together."""
+        """Return masses and inertias in the compiled model; halves of a body are put together."""
         model, data = self.model, self.data
         data.qpos[:] = model.qpos0
         mujoco.mj_kinematics(model, data)
@@ -148,7 +148,7 @@ class CompiledScene:
         mechanism = self.welded.mechanism
         point = mechanism.joints[joint].reaction_point
         second = mechanism.equations[joint].second
-        if second == 0:  # the world body, whose origin is not the ground's centre of mass
+        if second == 0:  # the world body, whose origin is not the ground's center of mass
             return point
         index = self.body_id[second]
         arm = mechanism.bodies[second].pose.point_to_body(point)

@@ -19,7 +19,7 @@ from newton_euler.scalars import Array
 
 
 class SoftMuJoCo(CompiledScene):
-    """What `mj_forward` says: accelerations and constraint forces of soft constraints.
+    """Equations by `mj_forward`: accelerations and constraint forces of soft constraints.
 
     Attributes:
         moved: (m,) places in MuJoCo's velocities of the joint coordinates that follow prescribed motions.
@@ -74,7 +74,7 @@ class SoftMuJoCo(CompiledScene):
             mujoco.set_mjcb_control(before)
 
     def _act(self, model: Any, data: Any) -> None:
-        """What MuJoCo calls in each evaluation."""
+        """Callback of MuJoCo in each evaluation."""
         if len(self.driven):  # of the others those that are sampled have changed since
             data.ctrl[self.driven] = np.array(controls(self.scene, data.time))[self.driven]
         if len(self.moved):

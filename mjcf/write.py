@@ -1,6 +1,6 @@
 """Scene -> MJCF.
 
-Body frames are the mechanism's own: origin at the centre of mass, orientation `Body.quaternion`.
+Body frames are the mechanism's own: origin at the center of mass, orientation `Body.quaternion`.
 The mechanism's ground is MuJoCo's world body. Loops close at `<connect>` and `<weld>` equality
 constraints, rods are tendons that an equality holds at their length, gears and screws are equalities of
 joints. MuJoCo has no equality that depends on time: where a motion is prescribed, the file holds the
@@ -60,7 +60,7 @@ REALISABLE_SLACK = 1e-12
 SMALL_TURN = 1e-5
 """rad, between axes of a body and principal ones, below which inertias are written in the latter."""
 
-COLOURS = (
+COLORS = (
     "0.12 0.47 0.71 1",
     "1 0.5 0.05 1",
     "0.17 0.63 0.17 1",
@@ -70,12 +70,12 @@ COLOURS = (
     "0.89 0.47 0.76 1",
     "0.09 0.75 0.81 1",
 )
-"""Colours of the moving bodies, in turn."""
+"""Colors of the moving bodies, in turn."""
 
 DEEPEST = 490
 """Bodies that hang from each other: MuJoCo's parser takes 500 nested elements."""
 
-GROUND_COLOUR = "0.6 0.6 0.6 1"
+GROUND_COLOR = "0.6 0.6 0.6 1"
 
 
 def write(scene: Scene, path: str | os.PathLike[str]) -> None:
@@ -195,7 +195,7 @@ def _world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
     root.append(world)
     in_world = Pose(np.zeros(3), np.eye(3))
     for shape in scene.mechanism.shapes(0):
-        _geom(world, shape, GROUND_COLOUR, in_world, np.array([1.0, 0.0, 0.0, 0.0]))
+        _geom(world, shape, GROUND_COLOR, in_world, np.array([1.0, 0.0, 0.0, 0.0]))
     elements = {0: world}
     springs = joint_attributes(scene)
     for kept in layout.order:
@@ -203,9 +203,9 @@ def _world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
         elements[kept.child] = element
         if kept.child < len(scene.mechanism.bodies):
             body = scene.mechanism.bodies[kept.child]
-            colour = COLOURS[(kept.child - 1) % len(COLOURS)]
+            color = COLORS[(kept.child - 1) % len(COLORS)]
             for shape in scene.mechanism.shapes(kept.child):
-                _geom(element, shape, colour, body.pose, body.quaternion)
+                _geom(element, shape, color, body.pose, body.quaternion)
     add_sites(elements, scene)
     for rod in rods(welded):
         for end, point in ((rod.first, rod.point), (rod.second, rod.reaction_point)):
@@ -262,7 +262,7 @@ def _inertial(element: ET.Element, body: Body) -> None:
 
 
 def _nearly_principal(inertia: Array) -> bool:
-    """Whether MuJoCo would drop products of inertia: its principal axes take no turn of 1e-6 rad."""
+    """True if MuJoCo would drop products of inertia: its principal axes take no turn of 1e-6 rad."""
     rows, columns = np.triu_indices(3, 1)
     products = np.abs(inertia[rows, columns])
     moments = np.diag(inertia)
@@ -277,7 +277,7 @@ def principal(inertia: Array) -> tuple[Array, Array]:
     return moments, axes
 
 
-def _geom(element: ET.Element, shape: Shape, colour: str, pose: Pose, quaternion: Array) -> None:
+def _geom(element: ET.Element, shape: Shape, color: str, pose: Pose, quaternion: Array) -> None:
     """A shape in the frame of its body."""
     if isinstance(shape, Box):
         ET.SubElement(
@@ -287,7 +287,7 @@ def _geom(element: ET.Element, shape: Shape, colour: str, pose: Pose, quaternion
             pos=numbers(pose.point_to_body(shape.center)),
             quat=numbers(product(conjugate(quaternion), shape.quaternion)),
             size=numbers(shape.half_sizes),
-            rgba=colour,
+            rgba=color,
         )
     else:
         ends = [pose.point_to_body(shape.start), pose.point_to_body(shape.end)]
@@ -297,7 +297,7 @@ def _geom(element: ET.Element, shape: Shape, colour: str, pose: Pose, quaternion
             type="capsule",
             fromto=numbers(np.concatenate(ends)),
             size=number(shape.radius),
-            rgba=colour,
+            rgba=color,
         )
 
 
@@ -407,7 +407,7 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
 
 
 def controls(scene: Scene, time: float) -> list[float]:
-    """What MuJoCo's actuators get as ctrl at a time in s, see `_control`; 1 for wrenches."""
+    """Return the ctrl of MuJoCo's actuators at a time in s, see `_control`; 1 for wrenches."""
     return [_control(law, time) for law in scene.control] + [1.0] * len(wrenches(scene))
 
 

@@ -98,7 +98,7 @@ def _check_velocities(scene: Scene, state: State) -> None:
 
 
 def _is_closed_but_for_noise(scene: Scene, state: State) -> bool:
-    """Whether a state opens nearly redundant joints alone, and no more than it has to."""
+    """True if a state opens nearly redundant joints alone, and no more than it has to."""
     if mobility(scene).residual == 0.0:
         return False
     try:

@@ -159,7 +159,7 @@ class _TreeOverStacks(SpanningTree):
             parent, child = frames[kept.parent], frames[kept.child]
             for motion in kept.motions:
                 if motion.kind == "ball":
-                    q.extend(_normalised(product(conjugate(turns[kept.parent]), turns[kept.child])))
+                    q.extend(_normalized(product(conjugate(turns[kept.parent]), turns[kept.child])))
                     v.extend(child.rotation.T @ (child.angular_velocity - parent.angular_velocity))
                 else:
                     coordinate, rate = next(single)
@@ -168,7 +168,7 @@ class _TreeOverStacks(SpanningTree):
         return objects(q), objects(v)
 
 
-def _normalised(p: Array) -> list[Stack]:
+def _normalized(p: Array) -> list[Stack]:
     """Scale Euler parameters (4,) to norm 1 with e0 >= 0."""
     values = np.array([scalar.values for scalar in p])
     values *= np.where(values[0] < 0.0, -1.0, 1.0) / np.linalg.norm(values, axis=0)

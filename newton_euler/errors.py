@@ -1,4 +1,4 @@
-"""What can go wrong, one class a kind, all under `NewtonEulerError`.
+"""Errors, one class per kind, all under `NewtonEulerError`.
 
 Every error keeps the raw values it was raised with as attributes and reads as one line.
 """
@@ -37,7 +37,7 @@ class MechanismError(NewtonEulerError):
 
 
 def is_finite_number(value: object) -> bool:
-    """Whether a value is a real number of Python or NumPy that a float can hold; truth values are none."""
+    """True if a value is a real number of Python or NumPy that a float can hold; truth values are none."""
     try:
         return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))
     except OverflowError:
@@ -56,7 +56,7 @@ def plain_number(text: str) -> float:
 
 
 def is_count(value: object) -> bool:
-    """Whether a value is a whole number of Python or NumPy, 1 or more; truth values are none."""
+    """True if a value is a whole number of Python or NumPy, 1 or more; truth values are none."""
     return isinstance(value, Integral) and not isinstance(value, bool) and int(value) >= 1
 
 

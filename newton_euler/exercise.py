@@ -155,7 +155,7 @@ def _at(scene: Scene, key: Key) -> tuple[float, float, float]:
 
 
 def _reach(scene: Scene, key: Key) -> float:
-    """How far a joint coordinate is to move, m or rad."""
+    """Return the amplitude of a joint coordinate's motion, m or rad."""
     return SHIFT * scene.mechanism.size if scene.mechanism.is_slide(*key) else SWING
 
 

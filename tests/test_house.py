@@ -144,3 +144,15 @@ def test_importing_a_package_loads_nothing_heavy(package):
     code = f"import sys, {package}; print(*sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
     assert done.stdout.strip() == ""
+
+
+def test_docstrings_open_with_a_verb_or_a_noun_phrase():
+    found = []
+    for package in ALLOWED:
+        for name, path in modules(package).items():
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+                    words = (ast.get_docstring(node) or "").split(maxsplit=1)
+                    if words and words[0] in {"What", "Which", "How", "Where", "When", "Whether"}:
+                        found.append(f"{name}: {getattr(node, 'name', 'module')}")
+    assert found == []

@@ -128,7 +128,7 @@ class Rows:
         self.units = np.concatenate([np.full(len(self._rods), length), couplings.units])
 
     def equations(self, data: Any, q: Array, v: Array, time: float) -> tuple[Array, Array]:
-        """Phi_q (r, nv) and the stabilised gamma (r,) at tree coordinates q and velocities v.
+        """Phi_q (r, nv) and the stabilized gamma (r,) at tree coordinates q and velocities v.
 
         Of data after `forwardKinematics` at qddot = 0, `computeJointJacobians`, `updateFramePlacements`.
         """
@@ -172,7 +172,7 @@ class Rows:
         return np.concatenate([-np.array(products), self._couplings.acceleration(time)])
 
     def rod_wrenches(self, data: Any, multipliers: Array) -> list[Any]:
-        """What rods do to their second bodies, about the world's origin."""
+        """Compute wrenches of rods on their second bodies, about the world's origin."""
         wrenches = []
         for rod, multiplier in zip(self._rods, multipliers, strict=False):
             force = multiplier * self._direction(data, rod)

@@ -1,7 +1,7 @@
 """The equations of motion of a scene by Pinocchio, from its URDF and loop file.
 
 Accelerations are those of `pinocchio.constraintDynamics`: rigid closures by the sparse Cholesky
-factorisation of Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of Constrained
+factorization of Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of Constrained
 Dynamic Equations", RSS 2021. Its iterations take noise of redundant closures for constraints, and cannot
 leave rows out: where there is such noise, the closures that are kept are eliminated with Pinocchio's own mass
 matrix, Jacobians and bias forces.
@@ -108,7 +108,7 @@ class PinocchioSystem:
             self._proximal = self._constraint_dynamics()
 
     def _add_body_frames(self) -> list[int]:
-        """Add the frames of the bodies: at the centre of mass, turned by `Body.quaternion`."""
+        """Add the frames of the bodies: at the center of mass, turned by `Body.quaternion`."""
         data = self._model.createData()
         pin.framesForwardKinematics(self._model, data, pin.neutral(self._model))
         added = []
@@ -243,7 +243,7 @@ class PinocchioSystem:
         return acceleration
 
     def _closure_wrenches(self, multipliers: Array) -> list[Any]:
-        """What cuts do to their second bodies, about the world's origin, SI units, in the tree's order."""
+        """Compute wrenches of cuts on their second bodies, about the world's origin, in the tree's order."""
         if self._noisy:
             wrenches = self._closures.wrenches(self._data, self._multipliers)
         else:
@@ -280,7 +280,7 @@ class PinocchioSystem:
     # Between Pinocchio and what everybody understands
 
     def mass_properties(self) -> MassProperties:
-        """What the bodies weigh in Pinocchio's model; halves of a body are put together."""
+        """Return masses and inertias in Pinocchio's model; halves of a body are put together."""
         pin.framesForwardKinematics(self._model, self._data, pin.neutral(self._model))
         found = MassProperties.of(self.mechanism)  # of the ground, which has no inertia in a URDF
         names = self._welded.mechanism.body_names

@@ -1,4 +1,4 @@
-"""What can go wrong with URDF models, all under `UrdfError`."""
+"""Errors of URDF models, all under `UrdfError`."""
 
 from __future__ import annotations
 

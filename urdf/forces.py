@@ -138,7 +138,7 @@ class PointForces:
         return bool(self._balls or self._springs or self._wrenches)
 
     def pushes(self, data: Any) -> list[Push]:
-        """What they do to the bodies."""
+        """Compute the forces and torques on the bodies."""
         return [*self._ball_pushes(data), *self._spring_pushes(data), *self._wrench_pushes(data)]
 
     def _ball_pushes(self, data: Any) -> list[Push]:
@@ -172,7 +172,7 @@ class PointForces:
         return found
 
     def wrenches(self, data: Any) -> list[Any]:
-        """What they do to each body of the scene, about the world's origin."""
+        """Sum the wrenches on each body of the scene, about the world's origin."""
         found = [pin.Force.Zero() for _ in range(self._bodies)]
         for push in self.pushes(data):
             origin = pin.SE3(np.eye(3), data.oMf[push.frame].translation)
@@ -250,7 +250,7 @@ class Rotors:
                 self.inertias[on.on_v] = armature.inertia
 
     def forces(self, vdot: Array) -> list[tuple[Actuator, float]]:
-        """What those of hinges and slides drive, and the force, N or N m, at accelerations (nv,)."""
+        """Compute forces of rotors of hinges and slides, N or N m, at accelerations (nv,)."""
         return [(on, -inertia * vdot[on.on_v]) for on, inertia in self._single]
 
     def torques(self, frames: list[Frame], angular: Array) -> list[tuple[int, Array]]:

@@ -1,4 +1,4 @@
-"""What a Pinocchio model holds, for comparisons: joints and the terms of the equations of motion."""
+"""Contents of a Pinocchio model, for comparisons: joints and the terms of the equations of motion."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ With J M^-1 J^T regularized by mu, each proximal iteration leaves mu / (mu + lam
 an eigenvector of eigenvalue lambda (Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of
 Constrained Dynamic Equations", RSS 2021, section III).
 
-mu is the same for rows in metres and rows in radians. It has a copy of the model in units of the mechanism's
+mu is the same for rows in meters and rows in radians. It has a copy of the model in units of the mechanism's
 size and mass, in which they weigh alike: in SI units accelerations of a loop of 1 cm are off by 1e-8.
 """
 

@@ -21,7 +21,7 @@ from newton_euler.scalars import Array
 
 
 class Actuator(NamedTuple):
-    """What a control law or a spring of a joint drives.
+    """Joint coordinate that a control law or a spring drives.
 
     Attributes:
         joint: index of the joint.
@@ -38,7 +38,7 @@ class Actuator(NamedTuple):
 
 
 def actuator(mechanism: Mechanism, tree: SpanningTree, joint: str, coordinate: int) -> Actuator:
-    """What drives a joint coordinate; the tree has it, balls at most are ever cut."""
+    """Return the actuator of a joint coordinate; the tree has it, balls at most are ever cut."""
     index = mechanism.joint_index(joint)
     place = tree.place(joint, coordinate)
     assert place is not None
@@ -92,7 +92,7 @@ def joint_points(scene: Scene, state: State) -> Array:
 
 
 def external_forces(model: Any, data: Any, wrenches: Iterable[tuple[int, Any]]) -> Any:
-    """What `rnea` takes: forces on Pinocchio's joints, in their frames.
+    """Collect external forces for `rnea`: on Pinocchio's joints, in their frames.
 
     Args:
         model, data: Pinocchio's, with joint placements.
@@ -115,7 +115,7 @@ def joint_wrenches(
     state: State,
     accelerations: Array,
 ) -> Array:
-    """What each joint of the welded mechanism does to its second body, actuators and springs included.
+    """Compute the wrench of each joint of the welded mechanism on its second body, forces included.
 
     Args:
         scene: for its gravity.
@@ -155,7 +155,7 @@ def joint_wrenches(
 def _needed_wrench(
     scene: Scene, welded: WeldedMechanism, index: int, state: State, accelerations: Array
 ) -> Array:
-    """What all joints of a body together do to it: Newton's and Euler's equations."""
+    """Compute the wrench of all joints of a body together: Newton's and Euler's equations."""
     body, whole = welded.mechanism.bodies[index], welded.origin[index]
     a = rotation(state.quaternion[whole])
     omega = state.angular_velocity[whole]

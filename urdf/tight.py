@@ -30,10 +30,10 @@ from urdf.dynamics import PinocchioSystem
 from urdf.errors import UrdfError
 
 PROXIMAL = ((0.0, 1), (1e-8, 1), (1e-8, 3), (1e-6, 3), (1e-6, 10), (1e-6, 30), (1e-4, 30))
-"""Regularisations (mu, iterations) of `constraintDynamics`, cheapest first; redundant closures need one."""
+"""Regularizations (mu, iterations) of `constraintDynamics`, cheapest first; redundant closures need one."""
 
 ACCURATE = 1e-9
-"""Relative error of accelerations that a regularisation may leave."""
+"""Relative error of accelerations that a regularization may leave."""
 
 MOST_STEPS = 1000
 """Of LSODA from one output to the next, and a tenth of what scipy's own solvers may make altogether."""
@@ -136,7 +136,7 @@ def _checked_equations(system: PinocchioSystem) -> Equations:
 
 
 def _outside(scene: Scene) -> list[str]:
-    """What is not gravity, a closure of Pinocchio's or an affine law of joint coordinates."""
+    """Name what is not gravity, a closure of Pinocchio's or an affine law of joint coordinates."""
     found = [force.element for force in scene.forces if not isinstance(force, JointSpring)]
     found += [law.element for law in scene.control if isinstance(law, PD) and law.is_driven]
     found += [f"joint {joint.name!r}" for joint in scene.mechanism.joints if isinstance(joint, Rod)]
@@ -168,7 +168,7 @@ def _proximal(mu: float, iterations: int) -> Any:
 
 
 def _chosen(system: PinocchioSystem, accelerate: Callable[[Any], Array]) -> Any:
-    """Plain elimination for independent closures, else the cheapest regularisation that is accurate."""
+    """Plain elimination for independent closures, else the cheapest regularization that is accurate."""
     q, v = system.coordinates(initial_state(system.scene))
     exact = system.map.v_to_pinocchio(system.acceleration(q, v))
     for mu, iterations in PROXIMAL:  # plain elimination makes NaN of redundant closures
@@ -289,7 +289,7 @@ def _semi_implicit_euler(rates: Rates, t: float, y: Array, h: float, nq: int) ->
 
 
 class Kinematics:
-    """Where joints are at every output, through a view of Pinocchio's placements that is kept.
+    """Poses of joints at every output, through a view of Pinocchio's placements that is kept.
 
     A placement is 12 numbers: the columns of its rotation matrix and its translation, m, world frame.
     """

@@ -1,4 +1,4 @@
-"""Shapes of bodies as URDF visuals, for the eye only: in nanometres, through roll, pitch and yaw."""
+"""Shapes of bodies as URDF visuals, for the eye only: in nanometers, through roll, pitch and yaw."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COLORS = {
     "vermilion": (0.8, 0.4, 0.0),
     "reddish_purple": (0.8, 0.6, 0.7),
 }
-"""Colours that everybody can tell apart (Okabe and Ito, Color Universal Design, 2008)."""
+"""Colors that everybody can tell apart (Okabe and Ito, Color Universal Design, 2008)."""
 
 
 def numbers(values: Iterable[float]) -> str:

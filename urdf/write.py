@@ -139,7 +139,7 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
 
 
 def loops_path(path: str | os.PathLike[str]) -> Path:
-    """Where the loop file of a URDF is."""
+    """Return the path of a URDF's loop file."""
     return Path(path).with_suffix(".loops.yaml")
 
 
@@ -162,7 +162,7 @@ def _coordinate_name(scene: Scene, joint: str, coordinate: int) -> str:
 
 
 def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> None:
-    """Mass, centre of mass and inertia in the link's frame, which `rotation` takes the body's to."""
+    """Mass, center of mass and inertia in the link's frame, which `rotation` takes the body's to."""
     inertial = SubElement(link, "inertial")
     SubElement(inertial, "origin", xyz=numbers(center), rpy="0 0 0")
     SubElement(inertial, "mass", value=repr(body.mass))

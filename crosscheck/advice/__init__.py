@@ -1,4 +1,4 @@
-"""What to do about what a crosscheck has measured, in words and with the numbers of that run."""
+"""Advice on what a crosscheck has measured, in words and with the numbers of that run."""
 
 from crosscheck.advice.advise import advise
 from crosscheck.advice.measured import WANTED, Advice, Found

@@ -18,7 +18,7 @@ FROM_EQUATIONS = (redundancy_advice,)
 
 
 def advise(found: Found) -> tuple[Advice, ...]:
-    """What to do about what was measured, in words; nothing where nothing is to be done.
+    """Give advice on what was measured, in words; none where nothing is to be done.
 
     Runs in which nothing moves are no ground for any: what they are off says nothing about a motion.
     """

@@ -1,4 +1,4 @@
-"""Which engine reaches an error at the least cost, as far as one run knows."""
+"""The engine that reaches an error at the least cost, as far as one run knows."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def cost_advice(found: Found) -> Iterator[Advice]:
 
 
 def _setup(name: str, settings: Mapping[str, Any]) -> str:
-    """What an engine compiles before its first run, where it says so."""
+    """Return the s that an engine compiles before its first run, where it says so."""
     if "compile_time" not in settings:
         return ""
     traced, compiled = settings["trace_time"], settings["compile_time"]

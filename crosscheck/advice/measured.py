@@ -1,4 +1,4 @@
-"""What pieces of advice are made of: the runs of a crosscheck and how far they are off."""
+"""Measurements that advice is made from: the runs of a crosscheck and their errors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Advice:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a crosscheck has at hand when its figures are known.
+    """Runs and figures of a crosscheck.
 
     Attributes:
         scene: what was run.
@@ -86,7 +86,7 @@ class Found:
 
     @property
     def models_agree(self) -> bool:
-        """Whether all that was compared of the engines before their runs agrees."""
+        """True if all that was compared of the engines before their runs agrees."""
         runs = ("trajectories", "drift", "energy")
         before = [row for row in self.rows if not row.level.startswith(runs)]
         return bool(before) and all(row.agrees for row in before)

@@ -72,7 +72,7 @@ def redundancy_advice(found: Found) -> Iterator[Advice]:
 
 
 def _redundant(mechanism: Mechanism, states: list[State]) -> int:
-    """How many rows are redundant in all of the states."""
+    """Count the constraint rows that are redundant in all of the states."""
     scene = Scene("tried", mechanism, 1.0, 1.0)
     return min(undetermined(scene, state).shape[1] for state in states)
 
@@ -115,7 +115,7 @@ def _changes(
 
 
 def _options(joint: Joint, driven: bool) -> Iterator[tuple[str, Joint | None]]:
-    """What may stand in a joint's place; one that is driven keeps its hinge or slide."""
+    """List the joints that may replace a joint; one that is driven keeps its hinge or slide."""
     if not driven:
         yield f"joint {joint.name!r} left out", None
     for kind in SOFTER.get(joint.kind, ()):

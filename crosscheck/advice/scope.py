@@ -1,4 +1,4 @@
-"""Which model advice is about, where a file holds more than what is compared."""
+"""The model that advice is about, where a file holds more than what is compared."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def _step_advice(found: Found, error: float, finer: float) -> Advice:
 
 
 def has_equalities(scene: Scene) -> bool:
-    """Whether MuJoCo has soft constraints in a scene: loops, gears, screws or prescribed motions."""
+    """True if MuJoCo has soft constraints in a scene: loops, gears, screws or prescribed motions."""
     return bool(SpanningTree(scene.mechanism).cuts or couplings(scene))
 
 

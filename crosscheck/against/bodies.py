@@ -124,7 +124,7 @@ def forces_with_bodies(forces: tuple[Force, ...], names: Mapping[str, str], grou
 
 
 class Carried(NamedTuple):
-    """What a body carries of one of its joints, in the body frame, from the center of mass."""
+    """A joint's side on a body, in the body frame, from the center of mass."""
 
     point: Array
     """(3,) m."""
@@ -140,7 +140,7 @@ class Carried(NamedTuple):
 
 
 def carried(body: Body, joint: Joint) -> Carried:
-    """What a body carries of a joint.
+    """Return a joint's side on a body.
 
     Slides turn nothing, so that a body carries the axis of a motion if only slides and hinges parallel to it
     are between the two.
@@ -196,7 +196,7 @@ def _normal(a: Array, b: Array) -> Array:
 
 
 class Features(NamedTuple):
-    """What a body carries in all, and where it starts."""
+    """All that a body carries, and its start."""
 
     inertia: Array
     joints: tuple[Carried, ...]
@@ -279,7 +279,7 @@ def _line(start: Carried, end: Carried | None) -> Array:
 
 
 def _distances(first: Features, second: Features, way: Placed, size: float) -> Iterator[float]:
-    """How far apart everything is that a body carries, in sizes, rad and shares."""
+    """Compute the distances between all that two bodies carry, in sizes, rad and shares."""
     yield float(np.linalg.norm(way.center)) / size
     yield inertia_apart(first.inertia, way.turn.T @ second.inertia @ way.turn)
     for a, b in zip(first.joints, second.joints, strict=True):
@@ -300,7 +300,7 @@ def points_apart(a: Carried, b: Carried) -> float:
 
 
 def across(vector: Array, *loose: Array) -> Array:
-    """What is left of a vector without these directions, (3, n) each."""
+    """Remove directions from a vector, (3, n) each."""
     u, s, _ = np.linalg.svd(np.hstack([np.zeros((3, 1)), *loose]))
     span = u[:, : int(np.sum(s > 1e-3))]  # axes a little apart are one direction
     return np.asarray(vector - span @ (span.T @ vector))

@@ -78,12 +78,12 @@ class Unsimulated(NamedTuple):
 
     text: str
     moves: bool
-    """Whether it makes the mechanism itself move otherwise; else it is how a tool runs or shows it."""
+    """True if it makes the mechanism itself move otherwise; else it is how a tool runs or shows it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Against(Crosscheck):
-    """What a comparison of two models found; runs are by the models' names, in the first's terms.
+    """Result of a comparison of two models; runs are by the models' names, in the first's terms.
 
     Attributes:
         models: the two.
@@ -101,7 +101,7 @@ class Against(Crosscheck):
 
     @property
     def differs(self) -> bool:
-        """Whether any figure exceeds its tolerance, or anything else differs that moves the mechanism."""
+        """True if any figure exceeds its tolerance, or anything else differs that moves the mechanism."""
         return super().differs or any(other.moves for other in self.unsimulated)
 
     @cached_property
@@ -150,7 +150,7 @@ class Against(Crosscheck):
 
 
 def together(models: tuple[Model, Model]) -> str:
-    """What the two are called together, in files."""
+    """Return the name of a pair of models in files."""
     return "_against_".join(model.name for model in models)[:100]
 
 

@@ -96,7 +96,7 @@ class Difference(NamedTuple):
 
     @property
     def note(self) -> str:
-        """What differs where several bodies or joints do; empty if at most one does."""
+        """Say what differs where several bodies or joints do; empty if at most one does."""
         order = [int(k) for k in np.argsort(-self.gap) if not self.gap[k] <= self.tolerance]
         named = ", ".join(f"{self.names[k]} {self.gap[k]:.1e}" for k in order[:MOST_NAMED])
         more = f" and {len(order) - MOST_NAMED} more" if len(order) > MOST_NAMED else ""
@@ -187,7 +187,7 @@ def functions_apart(scene: Scene, one: Coupling, two: Coupling, scale: float) ->
 
 
 def _start(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Figure]:
-    """Where the bodies start and how fast they move then; tolerances are round-off times the condition of
+    """Compare starting poses and velocities of bodies; tolerances are round-off times the condition of
     the constraints, which starts are assembled by."""
     scene, share = aligned.first, round_off(first.condition)
     here, there = (initial_state(each) for each in aligned.both)
@@ -272,7 +272,7 @@ def _dynamics(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> 
 def _at_joints(
     scene: Scene, acting: Iterable[Acting], states: Sequence[State], size: float
 ) -> dict[Key, Array]:
-    """What some elements do at n states along joint coordinates, or about the axes of a `BALL`.
+    """Sum the forces of some elements at n states along joint coordinates, or about the axes of a `BALL`.
 
     Returns:
         (n, 1) or (n, 3) by coordinate, N, and N m over the size; of rotors the momentum, N s.
@@ -287,7 +287,7 @@ def _at_joints(
 
 
 def _in_first(aligned: Aligned, found: Mapping[Key, Array]) -> dict[Key, Array]:
-    """What acts along the second model's coordinates along those of the first; others keep their own."""
+    """Express forces along the second model's coordinates along those of the first; others keep their own."""
     ways = {partner.key: (key, partner.sense) for key, partner in aligned.coordinates.items()}
     for name, other in aligned.joints.items():
         one, two = aligned.joint_pair(name)

@@ -1,1 +1,1 @@
-"""What the figures of the library's scenes were, a file for each scene; `crosscheck regress` reads them."""
+"""Figures of the library's scenes, a file for each scene; `crosscheck regress` reads them."""

@@ -123,7 +123,7 @@ def _check_cache() -> None:
 
 
 def _reason(error: Exception) -> str:
-    """What to say of an error, click's own among them."""
+    """Word an error, click's own among them."""
     if isinstance(error, click.ClickException):
         return error.format_message()
     return reason_of(error)

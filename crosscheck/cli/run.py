@@ -155,7 +155,7 @@ def _run(
 
 
 def _own_folder(name: str, sources: Sequence[str]) -> Path:
-    """Where the results of these models go unless told otherwise; an error if another's are there."""
+    """Return the default folder of these models' results; an error if another's are there."""
     from crosscheck.report.output import check_own
 
     check_own(OUTPUT / name, sources)

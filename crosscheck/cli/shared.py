@@ -1,4 +1,4 @@
-"""What the commands share: the group, options, scenes and models, tables, exit statuses."""
+"""Parts that all commands share: the group, options, scenes and models, tables, exit statuses."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def cli() -> None:
 
 
 def setting_options(command: Callable[..., int]) -> Callable[..., int]:
-    """What `scene_options` takes; limits that are set hold until the command ends."""
+    """Parse what `scene_options` takes; limits that are set hold until the command ends."""
     loops = click.option("--loops", metavar="FILE", default=None, help="Loop file (YAML) of a URDF.")
     settings = click.option(
         "--set",

@@ -1,1 +1,1 @@
-"""What engines are compared by: levels, energy, reactions, known figures."""
+"""Comparison of engines: levels, energy, reactions, known figures."""

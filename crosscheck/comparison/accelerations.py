@@ -68,7 +68,7 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
 
 
 def _is_another_point(torque: Array, force: Array) -> bool:
-    """Whether differences of torques (n, j, 3) are those of one joint that is seen from another point.
+    """True if differences of torques (n, j, 3) are those of one joint that is seen from another point.
 
     Then they are arms times forces (n, j, 3), perpendicular to the forces in every state.
     """
@@ -81,7 +81,7 @@ def _is_another_point(torque: Array, force: Array) -> bool:
 
 
 def softness_row(name: str, soft: Evaluation, rigid: Samples) -> Figure:
-    """What soft constraints of an engine do to its reaction forces at the start."""
+    """Compare reaction forces of an engine's soft constraints at the start."""
     states = rigid.states
     force = rigid.evaluations[0].reaction_force
     floor = states.energy / states.scene.mechanism.size

@@ -44,7 +44,7 @@ SHARES = (1 / 64, 1 / 16, 1 / 4, 1)
 
 @dataclass(frozen=True)
 class Covered:
-    """How much of an element shows in a run.
+    """Coverage of an element: how much a change of it shows in a run.
 
     Attributes:
         element: kind and name, such as "mass of body 'crank'".
@@ -57,7 +57,7 @@ class Covered:
 
     @property
     def tested(self) -> bool:
-        """Whether a change of 10 % would be seen."""
+        """True if a change of 10 % would be seen."""
         return self.share > 1.0
 
 
@@ -200,14 +200,14 @@ class _Runs:
         return self._apart(_run(lambda: simulate(changed, **self._settings)))
 
     def _apart(self, run: Trajectory | None) -> float:
-        """How far a run is from the scene's own, in what engines may differ by; infinite for none."""
+        """Measure a run's distance from the scene's own, in what engines may differ by; infinite for none."""
         if run is None:
             return np.inf
         gaps = positions_apart(self.run, run) / self._length, orientations_apart(self.run, run) / self._angle
         return float(np.max(gaps))
 
     def _has_same_motion(self, changed: Scene) -> bool:
-        """Whether accelerations along the run are the same under the equations of a changed scene."""
+        """True if accelerations along the run are the same under the equations of a changed scene."""
         if changed.sampled:
             return False  # their forces are no function of the states
         own, other = Relative(self._scene), Relative(changed)
@@ -228,7 +228,7 @@ Motion = tuple[Array, Array, Array]
 
 
 def _motion(system: System, state: State) -> Motion:
-    """What a system makes of the state that it can be in next to a given one."""
+    """Evaluate a system at the state that it can be in next to a given one."""
     found = system.evaluate(*system.coordinates(state))
     own = found.state
     return (
@@ -239,7 +239,7 @@ def _motion(system: System, state: State) -> Motion:
 
 
 def _is_same(own: Motion, other: Motion, scene: Scene) -> bool:
-    """Whether two motions are one but for round-off."""
+    """True if two motions are one but for round-off."""
     floors = max(1.0, scene.mechanism.size), 0.0, float(np.max(np.abs(scene.gravity)))
     return all(
         bool(np.max(np.abs(x - y)) <= ROUND_OFF * max(floor, float(np.max(np.abs(x)))))

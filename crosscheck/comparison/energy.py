@@ -40,7 +40,7 @@ def energy_scale(scene: Scene, states: list[State]) -> float:
 
 
 def energy_balance(scene: Scene, run: Trajectory) -> Balance | None:
-    """Whether the energy of a run changes by the work done on the mechanism.
+    """True if the energy of a run changes by the work done on the mechanism.
 
     The work is what the engine integrated beside the motion, `Trajectory.work`. None if the run holds
     no energies, or no work where the scene has something that may do work.

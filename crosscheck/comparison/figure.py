@@ -117,7 +117,7 @@ def in_full(parts: Iterable[Iterator[Figure]]) -> Iterator[Figure]:
 
 
 def not_judged(rows: Sequence[Figure]) -> str:
-    """What a verdict says of figures that are not judged; empty if there are none."""
+    """Word the figures that are not judged for a verdict; empty if there are none."""
     found = [row.unsettled for row in rows if row.unsettled]
     names = list(dict.fromkeys(found))
     count = "1 more is" if len(found) == 1 else f"{len(found)} more are"

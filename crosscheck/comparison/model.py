@@ -14,7 +14,7 @@ from newton_euler.scalars import Array
 
 
 def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
-    """Masses, centres of mass, inertias and frames of bodies; kinds, axes and points of joints."""
+    """Masses, centers of mass, inertias and frames of bodies; kinds, axes and points of joints."""
     scene = first.states.scene
     a, b = first.mass_properties, second.mass_properties
     names = scene.mechanism.body_names[1:]

@@ -59,7 +59,7 @@ def _residual(scene: Scene, found: Evaluation) -> Array:
 
 
 def _reaction_wrenches(mechanism: Mechanism, found: Evaluation) -> Array:
-    """(b, 6) force, world, and torque about the centre of mass, body frame, by the joints on each body."""
+    """(b, 6) force, world, and torque about the center of mass, body frame, by the joints on each body."""
     frames = found.state.frames()
     wrenches = np.zeros((len(frames), 6))
     for k, equations in enumerate(mechanism.equations):

@@ -23,12 +23,12 @@ from newton_euler.scalars import Array
 
 
 class Place(NamedTuple):
-    """Where a joint's reaction is told: the number of the joint, the body it acts on, and the point on it."""
+    """Place of a joint's reaction: the number of the joint, the body it acts on, and the point on it."""
 
     joint: int
     body: int
     arm: Array
-    """(3,) from the body's centre of mass, world frame, m."""
+    """(3,) from the body's center of mass, world frame, m."""
 
 
 def undetermined(scene: Scene, state: State) -> Array:
@@ -73,7 +73,7 @@ def _places(scene: Scene, state: State) -> dict[str, Place]:
 
 
 class _Columns(NamedTuple):
-    """What constraints put on bodies and joints."""
+    """Columns of constraint forces on bodies and joints."""
 
     rows: Array
     """(k, 6 b) of the bodies; 0 of the ground, which takes anything."""
@@ -143,7 +143,7 @@ def determined(force: Array, torque: Array, free: Sequence[Array], size: float) 
 
 
 def undetermined_joints(scene: Scene, state: State) -> tuple[int, list[str]]:
-    """How many constraints are redundant at a state, and the joints whose reactions are not unique for it."""
+    """Count redundant constraints at a state, and name the joints whose reactions are not unique for it."""
     basis = undetermined(scene, state)
     parts = np.split(np.linalg.norm(basis, axis=1), len(scene.mechanism.joints))
     names = scene.mechanism.joint_names

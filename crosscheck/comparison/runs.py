@@ -90,7 +90,7 @@ def displacements(runs: Mapping[str, Trajectory]) -> dict[str, float]:
 
 
 def rests(scene: Scene, engines: Sequence[Engine], runs: Mapping[str, Trajectory]) -> bool:
-    """Whether in no run of a rigid engine anything moves but by round-off of the reach, or of 1 m and 1 rad.
+    """True if in no run of a rigid engine anything moves but by round-off of the reach, or of 1 m and 1 rad.
 
     Soft constraints give way a little even so: engines that have them are asked if there are no others.
     """
@@ -144,7 +144,7 @@ def compare_runs(
             finer[engine.name] = error.partial
 
     def own_change(engine: Engine, apart: Gap) -> float:
-        """How far an engine's run is from its finer one."""
+        """Measure an engine's run against its finer one."""
         if engine.name not in finer:
             refine(engine)
         return float(np.max(apart(runs[engine.name], finer[engine.name])))

@@ -86,7 +86,7 @@ class States:
     def mass_condition(self) -> float:
         """The largest of all states, of the tree's mass matrix with unit diagonal.
 
-        Factorising it loses as many digits as after the best choice of units (N. J. Higham, Accuracy and
+        Factorizing it loses as many digits as after the best choice of units (N. J. Higham, Accuracy and
         Stability of Numerical Algorithms, 2nd ed., 2002, section 10.1.1).
         """
         with solved(self._system, "the condition of the mass matrix"):
@@ -109,7 +109,7 @@ class States:
         return energy_scale(self.scene, list(self.all))
 
     def name(self, index: int) -> str:
-        """What people call a state."""
+        """Name a state for people."""
         return "the initial state" if index == 0 else f"random state {index}"
 
 
@@ -154,7 +154,7 @@ class Samples:
 
     @property
     def closes(self) -> bool:
-        """Whether the system has constraints beside what its coordinates are."""
+        """True if the system has constraints beside what its coordinates are."""
         return len(self.system.phi_units) > 0
 
     @cached_property
@@ -258,7 +258,7 @@ def free_motion(
 
 
 def _opening(system: System, coordinates: list[tuple[Array, Array]]) -> float:
-    """How far a system's own constraints are open at some states, in sizes or rad."""
+    """Measure a system's own constraint residuals at some states, in sizes or rad."""
     units = system.phi_units
     return max(float(np.max(np.abs(system.phi(q)) / units, initial=0.0)) for q, _ in coordinates)
 
@@ -288,7 +288,7 @@ def _on_wrenches(state: State, velocities: Array) -> Array:
 
 
 class Scales:
-    """What differences at a number of states are relative to: the largest there, with physical floors.
+    """Scales of differences at a number of states: the largest values there, with physical floors.
 
     Angular quantities count at the mechanism's size, so that a ball's torque, which vanishes, is held
     against its force.

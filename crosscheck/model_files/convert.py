@@ -26,7 +26,7 @@ def check_target(path: Path) -> None:
 
 
 def files_of(path: Path) -> list[Path]:
-    """What `write_as` writes."""
+    """List the files that `write_as` writes."""
     return [path, loops_path(path)] if path.suffix == ".urdf" else [path]
 
 

@@ -92,12 +92,12 @@ LONGEST_NAMES = 150
 
 
 def is_model(name: str) -> bool:
-    """Whether a name is that of a model file."""
+    """True if a name is that of a model file."""
     return Path(name).suffix.lower() in SUFFIXES
 
 
 def is_urdf(name: str) -> bool:
-    """Whether it is that of a URDF, which may have a loop file."""
+    """True if it is that of a URDF, which may have a loop file."""
     return Path(name).suffix.lower() == ".urdf"
 
 

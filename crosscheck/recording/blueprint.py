@@ -1,4 +1,4 @@
-"""How the viewer lays a recording out."""
+"""Layout of a recording in the viewer."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _row(plots: list[Plot], row: int) -> rrb.Tabs:
 
 
 def _group(name: str, plots: list[Plot]) -> rrb.Grid:
-    """Plots side by side; engines have the same colours in all, so one legend is enough."""
+    """Plots side by side; engines have the same colors in all, so one legend is enough."""
     corner = rrb.Corner2D.RightBottom if plots[0].lines_coincide else rrb.Corner2D.RightTop
     views = [
         rrb.TimeSeriesView(

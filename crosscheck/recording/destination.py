@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Destination:
-    """What was chosen on the command line; a file if nothing was.
+    """Destination chosen on the command line; a file if none was.
 
     Attributes:
         save: the recording's file, if one was named.

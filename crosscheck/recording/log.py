@@ -40,7 +40,7 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
 COLORS = ((230, 159, 0), (86, 180, 233), (204, 121, 167), (0, 158, 115))
-"""One colour an engine: M. Okabe and K. Ito, Color Universal Design, 2008."""
+"""One color an engine: M. Okabe and K. Ito, Color Universal Design, 2008."""
 
 GROUND_COLOR = (128, 128, 128)
 JOINT_COLOR = (240, 240, 240)
@@ -75,7 +75,7 @@ class Clock(NamedTuple):
 
 
 def application_id(scene: Scene) -> str:
-    """What recordings of a scene have in common."""
+    """Return the identifier that recordings of a scene have in common."""
     return f"crosscheck_{scene.name}"
 
 
@@ -164,7 +164,7 @@ def write_recording(
 
 
 def _styles(engines: list[str], size: float) -> dict[str, Style]:
-    """How the engines are drawn so that those that agree can still be told apart.
+    """Choose styles by which engines that agree can still be told apart.
 
     The first is solid and the others are wireframes around it. The viewer draws lines in the order
     of their names, so each is thinner than the one before it in that order.
@@ -252,7 +252,7 @@ def _log_normal(
 
 
 def _arrow_scale(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> float | None:
-    """Metres a newton; None without reactions."""
+    """Meters a newton; None without reactions."""
     forces = [run.reaction_force for run in trajectories.values() if run.reaction_force is not None]
     if not forces:
         return None

@@ -1,4 +1,4 @@
-"""What a recording plots over time: one `Plot` a quantity, one line in it an engine."""
+"""Plots of a recording over time: one `Plot` per quantity, one line per engine."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Plot:
 
     @property
     def lines_coincide(self) -> bool:
-        """Whether engines that agree draw one line over the other."""
+        """True if engines that agree draw one line over the other."""
         return self.row < 2
 
 
@@ -88,9 +88,9 @@ def rotation_vector(quaternion: Array) -> Array:
 
 
 def slide_position(mechanism: Mechanism, joint: Joint, motion: Motion, run: Trajectory) -> Array:
-    """(n,) m: the second body's centre of mass along the axis, which turns with the first body.
+    """(n,) m: the second body's center of mass along the axis, which turns with the first body.
 
-    It is measured from the first body's centre of mass, or from the world's origin if the first
+    It is measured from the first body's center of mass, or from the world's origin if the first
     body is the ground.
     """
     first, second = mechanism.body_index(joint.first), mechanism.body_index(joint.second)

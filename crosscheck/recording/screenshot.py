@@ -38,7 +38,7 @@ def screenshot(rrd: str | os.PathLike[str], png: str | os.PathLike[str], time_se
 
 
 def screenshots(rrd: str | os.PathLike[str], times: Sequence[float]) -> list[bytes]:
-    """What the viewer shows of a recording at times on its timeline `time`, s, as PNG; errors as above."""
+    """Take PNGs of a recording in the viewer at times on its timeline `time`, s; errors as above."""
     pictures = []
     try:
         if not RrdReader(Path(rrd)).recordings():

@@ -1,4 +1,4 @@
-"""How bodies are drawn in a recording."""
+"""Shapes of bodies in a recording."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HULL_OPACITY = 70
 
 
 class Style(NamedTuple):
-    """How one engine is drawn."""
+    """Color and line width of one engine."""
 
     color: tuple[int, int, int]
     line_width: float

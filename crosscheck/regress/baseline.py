@@ -162,7 +162,7 @@ class Baseline(_Strict):
 
     @property
     def made(self) -> Record:
-        """When and why the figures were last made."""
+        """Return when and why the figures were last made."""
         return self.history[-1]
 
     @property

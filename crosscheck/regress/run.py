@@ -49,7 +49,7 @@ class Guarded:
 
     @property
     def command(self) -> str:
-        """What makes the baseline."""
+        """Return the command that makes the baseline."""
         words = ["crosscheck", "regress", self.source]
         for option, value in self.options.items():
             words += ["--set", f"{option}={value}"]
@@ -90,7 +90,7 @@ def made_with(source: str, path: Path, options: dict[str, str]) -> dict[str, str
 
 
 def usual_path(source: str) -> Path:
-    """Where a baseline is unless told otherwise: in this package for the library, else beside the file."""
+    """Return a baseline's default path: in this package for the library, else beside the file."""
     if source in SCENES:
         return Path(__file__).parents[1] / "baselines" / f"{source}.json"
     return Path(source).with_suffix(".baseline.json")

@@ -137,7 +137,7 @@ def _balance(runs: Runs) -> Iterator[tuple[bytes, str]]:
 
 
 def _paths(runs: Runs) -> Iterator[tuple[bytes, str]]:
-    """Centres of mass of the bodies that move the furthest."""
+    """Centers of mass of the bodies that move the furthest."""
     first = next(iter(runs.values()))
     moved = np.ptp(first["position"], axis=0).max(axis=1)
     furthest = [int(k) for k in np.argsort(-moved, kind="stable")[:MOST_BODIES] if moved[k] > 0.0]
@@ -148,7 +148,7 @@ def _paths(runs: Runs) -> Iterator[tuple[bytes, str]]:
             for axis, letter in enumerate("xyz")
             for engine, run in runs.items()
         ]
-        yield from _drawn(lines, f"Centre of mass of {name}")
+        yield from _drawn(lines, f"Center of mass of {name}")
 
 
 def _control(runs: Runs) -> Iterator[tuple[bytes, str]]:

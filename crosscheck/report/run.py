@@ -160,7 +160,7 @@ def _measured_table(measured: Sequence[Measured]) -> Table:
 
 
 def settings_lines(result: Crosscheck) -> Iterator[str]:
-    """What each engine ran with and how long, or why it did not run; reactions not unique; advice."""
+    """Word each engine's settings and run time, or why it did not run; reactions not unique; advice."""
     for name, run in result.runs.items():
         settings = ", ".join(f"{key} {_short(value)}" for key, value in run.settings.items())
         yield f"{name}: {settings}; {run.wall_time:.2g} s"
@@ -209,7 +209,7 @@ def redundancy_lines(scene: Scene) -> Iterator[str]:
 
 
 def _activity_lines(mapping: ImportReport) -> Iterator[str]:
-    """Which of the limits, contacts and dry friction that were left out did nothing in the run."""
+    """List the limits, contacts and dry friction that were left out and did nothing in the run."""
     watched = {number: mapping.entries[number] for number in mapping.watches}
     inactive = [entry for entry in watched.values() if entry.fate == "inactive"]
     for entry in watched.values():
@@ -221,7 +221,7 @@ def _activity_lines(mapping: ImportReport) -> Iterator[str]:
 
 
 def _start_line(result: Crosscheck) -> str:
-    """What each engine starts from: the same pose, closed as far as its own run says at its first output."""
+    """Word the start of each engine: the same pose, closed as far as its own run says at its first output."""
     names = list(result.runs)
     runs = list(result.runs.values())
     apart = max((distance(runs[0], run, at=0) for run in runs[1:]), default=0.0)

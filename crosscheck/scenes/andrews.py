@@ -45,7 +45,7 @@ MASSES = {
 """Of the bodies K1 to K7, kg."""
 
 INERTIAS = (2.194e-6, 4.410e-7, 5.255e-6, 5.667e-7, 1.169e-5, 5.667e-7, 1.912e-5)
-"""About their centres of mass along z, kg m^2; what they are across z plays no part."""
+"""About their centers of mass along z, kg m^2; what they are across z plays no part."""
 
 TORQUE = 0.033
 """On the crank, N m."""

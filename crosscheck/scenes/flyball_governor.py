@@ -101,7 +101,7 @@ def flyball_governor() -> Scene:
 def _arm(name: str, hinge: Array, along: Array) -> Body:
     """An arm with its ball, from its hinge along a unit vector (3,)."""
     mass = BAR_MASS + BALL_MASS
-    lever = (0.5 * BAR_MASS + BALL_MASS) * BAR_LENGTH / mass  # of the centre of mass
+    lever = (0.5 * BAR_MASS + BALL_MASS) * BAR_LENGTH / mass  # of the center of mass
     parts = BAR_MASS * (lever - 0.5 * BAR_LENGTH) ** 2 + BALL_MASS * (BAR_LENGTH - lever) ** 2
     axial = np.outer(along, along)
     inertia = AXIAL * axial + (ACROSS + parts) * (np.eye(3) - axial)

@@ -2,7 +2,7 @@
 
 M. Geradin, A. Cardona, Flexible Multibody Dynamics, 2001; parameters as in Z. Terze, A. Muller,
 D. Zlatar, Singularity-free time integration of rotational quaternions using non-redundant ordinary
-differential equations, Multibody System Dynamics 38, 2016. The moments of inertia are about the centre of
+differential equations, Multibody System Dynamics 38, 2016. The moments of inertia are about the center of
 mass; the initial spin is in the body frame and -4.61538 rad/s as printed.
 """
 
@@ -20,7 +20,7 @@ MASS = 15.0
 """kg."""
 
 MOMENTS = (0.234375, 0.46875, 0.234375)
-"""About the centre of mass, kg m^2."""
+"""About the center of mass, kg m^2."""
 
 CENTER_OF_MASS = np.array([0.0, 1.0, 0.0])
 """From the fixed point, m."""
@@ -52,4 +52,4 @@ FIGURES: dict[str, Quantity] = {
     **components(("omega_x", "omega_y", "omega_z"), lambda run: spin(run, "top")),
     **components(("q0", "q1", "q2", "q3"), lambda run: quaternion(run, "top")),
 }
-"""Centre of mass (m), angular velocity in the body frame (rad/s), orientation w-x-y-z."""
+"""Center of mass (m), angular velocity in the body frame (rad/s), orientation w-x-y-z."""

@@ -1,4 +1,4 @@
-"""What figures of scenes are made of: points and angles of bodies over the output times of a run."""
+"""Points and angles of bodies over the output times of a run, for figures of scenes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Quantities = Mapping[str, Quantity]
 
 
 def position(run: Trajectory, body: str, offset: Array) -> Array:
-    """(n, 3) m, world: the point that lies at `offset` (3,) m from the centre of mass in the body frame."""
+    """(n, 3) m, world: the point that lies at `offset` (3,) m from the center of mass in the body frame."""
     index = run.body_names.index(body)
     return np.asarray(run.position[:, index] + rotations(run.quaternion[:, index]) @ offset)
 

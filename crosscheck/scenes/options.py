@@ -29,7 +29,7 @@ class Choice:
 
     @property
     def wanted(self) -> str:
-        """What an error message tells to do."""
+        """The values that an error message asks for."""
         return f"choose from: {', '.join(self.texts)}"
 
     def read(self, value: str | int) -> str | None:
@@ -49,7 +49,7 @@ class Range:
 
     @property
     def wanted(self) -> str:
-        """What an error message tells to do."""
+        """The values that an error message asks for."""
         return f"choose a whole number from {self.first} to {self.last}"
 
     def read(self, value: str | int) -> int | None:

@@ -3,7 +3,7 @@
 Problem A01 of the IFToMM library of computational benchmark problems (M. Gonzalez, D. Dopico, U. Lugris,
 J. Cuadrado, A benchmarking system for MBS simulation software, Multibody System Dynamics 16, 2006).
 
-A point has no inertia about its centre of mass, and no rigid body is like that. The body here is exactly
+A point has no inertia about its center of mass, and no rigid body is like that. The body here is exactly
 equivalent: a dumbbell with a second point of the same mass at the pivot, which never moves, so that motion,
 moment of inertia and energy are those of the point mass alone. The pivot carries the second point's weight
 besides the bar; `bar_tension` leaves it out.

@@ -14,7 +14,7 @@ LENGTH = 1.0
 """m."""
 
 INERTIA = MASS * LENGTH**2 / 12.0
-"""About the centre of mass across the rod, kg m^2: that of a thin rod."""
+"""About the center of mass across the rod, kg m^2: that of a thin rod."""
 
 AXIAL_INERTIA = 1e-3
 """About the rod itself, kg m^2: that of a solid one 9 cm thick. A line has none, and no rigid body can."""

@@ -153,7 +153,7 @@ def _body(body: Body) -> dict[str, Any]:
 
 
 def _joint(joint: Joint) -> dict[str, Any]:
-    """What of a joint is not as usual."""
+    """Return the entries of a joint that are not as usual."""
     found = {"name": joint.name} | content(joint)
     if np.array_equal(joint.point, joint.reaction_point):
         del found["point_on_second"]
@@ -166,7 +166,7 @@ def _joint(joint: Joint) -> dict[str, Any]:
 
 
 def _state(scene: Scene) -> dict[str, dict[str, list[float]]]:
-    """What of the initial state is not the initial pose at rest."""
+    """Return the entries of the initial state that are not the initial pose at rest."""
     rest, found = State.initial(scene.mechanism), dict[str, dict[str, list[float]]]()
     state = rest if scene.initial_state is None else scene.initial_state
     for field in fields(State):

@@ -26,7 +26,7 @@ MASSES = {"crank": 0.12, "rod": 0.5, "slider": 2.0}
 """kg."""
 
 CRANK_MOMENTS = (1e-4, 1e-4, 1e-5)
-"""About the centre of mass; z is along the crank, kg m^2."""
+"""About the center of mass; z is along the crank, kg m^2."""
 
 ROD_MOMENTS = {"A": (4e-4, 4e-3, 4e-3), "B": (4e-3, 4e-3, 4e-4)}
 """Along the rod, along the rod's own axis of the universal joint, and across both, kg m^2."""

@@ -29,7 +29,7 @@ def _circle(radius: float, degrees: tuple[float, ...], height: float) -> Array:
 
 
 HOME = 2.0 * Z
-"""Centre of mass of the platform at first, m, in the plane of its joints."""
+"""Center of mass of the platform at first, m, in the plane of its joints."""
 
 BASE = _circle(3.0, (-2.5, 2.5, 117.5, 122.5, 237.5, 242.5), 0.0)
 PLATFORM = _circle(1.0, (-50.0, 50.0, 70.0, 170.0, 190.0, 290.0), HOME[2])
@@ -115,5 +115,5 @@ FIGURES: dict[str, Quantity] = {
     **components(("wx", "wy", "wz"), lambda run: angular_velocity(run, "platform")),
     **{f"leg{k + 1}_length": _leg_length(k) for k in range(6)},
 }
-"""Of the platform: centre of mass (m), velocity (m/s), orientation w-x-y-z, angular velocity (rad/s, world);
+"""Of the platform: center of mass (m), velocity (m/s), orientation w-x-y-z, angular velocity (rad/s, world);
 lengths of the legs between their joints (m)."""

@@ -19,7 +19,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 TARGET_HEIGHT = 0.046
-"""Wanted height of both sliders' centres of mass, m (section 4)."""
+"""Wanted height of both sliders' centers of mass, m (section 4)."""
 
 STIFFNESS = 50.0
 """K_p of both actuators, N/m (section 5)."""

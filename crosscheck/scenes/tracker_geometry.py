@@ -1,4 +1,4 @@
-"""Where the tracker's joints are: identified from the paper's tables, which print no joint at all.
+"""The tracker's joints, identified from the paper's tables, which print no joint at all.
 
 Run `python -m crosscheck.scenes.tracker_geometry` to repeat the identification and see its residuals.
 
@@ -9,7 +9,7 @@ at (-a, b, c) and (a, b, c) of the panel; the legs are equally long; and with bo
 the paper's target, the column is upright and the panel horizontal with a yaw of 45 degrees.
 
 That leaves eleven lengths and ratios, which least squares fits to fifteen published numbers: the
-centres of mass of bodies 4 to 7 and the orientation of body 7. A last step then moves the joint
+centers of mass of bodies 4 to 7 and the orientation of body 7. A last step then moves the joint
 points the least so that both poses close exactly: the published one and the horizontal one.
 """
 
@@ -51,9 +51,9 @@ PARAMETERS = (
     "universal joint in the panel, zeta",
     "balls in the panel, a",
     "balls in the panel, c",
-    "height of the column's centre of mass above its hinge",
-    "place of leg 5's centre of mass along the leg, share",
-    "place of leg 6's centre of mass along the leg, share",
+    "height of the column's center of mass above its hinge",
+    "place of leg 5's center of mass along the leg, share",
+    "place of leg 6's center of mass along the leg, share",
 )
 GUESS = np.array([0.016, 0.018, 0.046, 0.09, -0.03, -0.015, 0.05, -0.01, 0.053, 0.5, 0.5])
 
@@ -82,7 +82,7 @@ class Design:
         return slider, foot, np.array([0.0, eta, zeta]), np.array([-a, a + eta, c]), np.array([a, a + eta, c])
 
     def panel(self, lean: float, pitch: float, roll: float) -> tuple[Array, Array]:
-        """Centre of mass and rotation of the panel at given angles of the hinge and universal joint."""
+        """Center of mass and rotation of the panel at given angles of the hinge and universal joint."""
         _, foot, universal, _, _ = self.points()
         column = turn(HINGE_AXIS, lean)
         top = foot + column @ [0.0, 0.0, self.parameters[3]]
@@ -90,7 +90,7 @@ class Design:
         return top - orientation @ universal, orientation
 
     def predict(self) -> tuple[Array, Array]:
-        """Centres of mass (4, 3) of bodies 4 to 7 and rotation of body 7 at the initial position."""
+        """Centers of mass (4, 3) of bodies 4 to 7 and rotation of body 7 at the initial position."""
         slider, foot, _, ball_6, ball_5 = self.points()
         upright, yaw = self.panel(0.0, 0.0, 0.0)
         up = np.array([0.0, 0.0, RISE])
@@ -142,7 +142,7 @@ def fit() -> Design:
 def close_exactly(design: Design) -> dict[str, Array]:
     """Joint points (world, initial position) nearest to the design's that close both poses exactly.
 
-    Unknown are the points and the horizontal pose: panel centre and column angle. The points are
+    Unknown are the points and the horizontal pose: panel center and column angle. The points are
     seen on the published bodies. Six equations: the universal joint's point goes with the column,
     both legs keep their length, leg 6 stays in its plane.
     """

@@ -30,7 +30,7 @@ CENTER_OF_MASS = 1e-3 * np.array(
         [-34.28, 42.89, 136.56],
     ]
 )
-"""Table 2, m: centres of mass in the world at the initial position."""
+"""Table 2, m: centers of mass in the world at the initial position."""
 
 EULER_PARAMETERS = np.array([[1.0, 0.0, 0.0, 0.0]] * 6 + [[0.89043, -0.19791, -0.10481, 0.39619]])
 """Table 3: orientations at the initial position."""
@@ -177,7 +177,7 @@ ERRATA = (
         "eq. (22)",
         "Baumgarte terms on Phi only",
         "on p^T p - 1 as well",
-        "the Cartesian formulation stabilises both",
+        "the Cartesian formulation stabilizes both",
     ),
     Erratum(
         12,

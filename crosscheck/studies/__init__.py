@@ -1,1 +1,1 @@
-"""What measures the project itself; nothing else imports it."""
+"""Measurements of the project itself; nothing else imports them."""

@@ -1,4 +1,4 @@
-"""Whether elements that a run is said to test show when they are changed by 10 %, and no others do.
+"""True if elements that a run is said to test show when they are changed by 10 %, and no others do.
 
     python -m crosscheck.studies.coverage SCENE... --duration 0.3 --engine pinocchio
 
@@ -46,7 +46,7 @@ SIZE = 0.1
 
 @dataclass(frozen=True)
 class Checked:
-    """What became of the elements of a scene.
+    """Elements of a scene, confirmed and not.
 
     Attributes:
         coverage: what the run is said to test.

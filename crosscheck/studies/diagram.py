@@ -99,5 +99,5 @@ def _draw(ax: Any, diagram: Diagram) -> None:
         (ax.xaxis, ax.yaxis), np.sort(diagram.points, axis=0)[[0, -1]].T, strict=True
     ):
         axis.set_major_formatter(lambda value, _: f"{value:.0e}")  # formulas on ticks take long
-        if high > 100.0 * low:  # two decades at least are labelled
+        if high > 100.0 * low:  # two decades at least are labeled
             axis.set_minor_locator(NullLocator())

@@ -1,4 +1,4 @@
-"""What a compiled scene consists of: what was kept, what was left out, and what each feature costs."""
+"""Contents of a compiled scene: what was kept, what was left out, and what each feature costs."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def duration(compiled: Code, name: str) -> float:
 
 
 def left_out(compiled: Code) -> Iterator[str]:
-    """What a general program would compute and this one does not, in joint coordinates."""
+    """List what a general program would compute and this one does not, in joint coordinates."""
     scene, system = compiled.scene, compiled.system
     assert isinstance(system, Relative)
     trace = Trace(compiled)
@@ -256,7 +256,7 @@ def left_out(compiled: Code) -> Iterator[str]:
 
 
 def _varying(scalars: Any) -> bool:
-    """Whether anything among them depends on the state."""
+    """True if anything among them depends on the state."""
     return any(isinstance(x, Expression) for x in np.ravel(scalars))
 
 

@@ -71,7 +71,7 @@ class Repository(BaseModel):
 
 
 class Found(BaseModel):
-    """What a run found.
+    """Result of a run.
 
     Attributes:
         verdict: one of `VERDICTS`.

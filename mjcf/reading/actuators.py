@@ -138,7 +138,7 @@ class Actuators:
             self._leave(actuator, element, f"no control law acts {self._through(actuator, kind)}")
 
     def _moments(self, actuator: int, kind: mujoco.mjtTrn) -> dict[int, float] | None:
-        """What it makes of its force on each joint; None if it acts on others than hinges and slides."""
+        """Return its moment on each joint; None if it acts on others than hinges and slides."""
         target, gear = int(self._model.actuator_trnid[actuator, 0]), self._model.actuator_gear[actuator, 0]
         weights: dict[int, float] | None = None
         if kind in TO_JOINTS:
@@ -150,7 +150,7 @@ class Actuators:
         return {joint: weight * float(gear) for joint, weight in weights.items()}
 
     def _through(self, actuator: int, kind: mujoco.mjtTrn) -> str:
-        """What a transmission that no control law has is."""
+        """Name a transmission that no control law has."""
         if kind not in TO_JOINTS:
             return f"through its transmission, {kind.name.removeprefix('mjTRN_').lower()}"
         joint = int(self._model.actuator_trnid[actuator, 0])
@@ -270,7 +270,7 @@ class Actuators:
         return float(np.sum(self._data.actuator_force[outputs]))
 
     def _limit(self, joint: int) -> bool:
-        """Whether what drives a joint is above the joint's limit at the start, and so held there."""
+        """True if what drives a joint is above the joint's limit at the start, and so held there."""
         model, data, dof = self._model, self._data, int(self._model.jnt_dofadr[joint])
         key, element = self._joints.keys.get(joint), self._joints.element(joint)
         low, high = (float(x) for x in model.jnt_actfrcrange[joint])
@@ -298,7 +298,7 @@ class Actuators:
         return True
 
     def _others(self, joint: int) -> str:
-        """What a joint's limit of actuator forces counts beside its control law, in words."""
+        """Word what a joint's limit of actuator forces counts beside its control law."""
         model, found = self._model, []
         if any(self._moves(joint, body) for body in self._pushed):
             found.append("forces on sites")
@@ -309,7 +309,7 @@ class Actuators:
         return " and ".join(found)
 
     def _moves(self, joint: int, body: int) -> bool:
-        """Whether one of MuJoCo's joints moves one of its bodies; parents have lower numbers."""
+        """True if one of MuJoCo's joints moves one of its bodies; parents have lower numbers."""
         above = int(self._model.jnt_bodyid[joint])
         while body > above:
             body = int(self._model.body_parentid[body])
@@ -361,7 +361,7 @@ class Actuators:
         return float(self._model.actuator_gainprm[actuator, 0]) if fixed_gain else 0.0
 
     def _of_control(self, actuator: int, share: float) -> Iterator[Sine]:
-        """What the swing of its control adds to a force of `share` times its own."""
+        """Return what the swing of its control adds to a force of `share` times its own."""
         if swing := self._swings.get(actuator):
             yield replace(swing, amplitude=share * self._gain(actuator) * swing.amplitude)
 
@@ -375,7 +375,7 @@ class Actuators:
         return f"{what} {self._activation(actuator):g} + {sine}"
 
     def _is_direct(self, actuator: int) -> bool:
-        """Whether it has no dynamics."""
+        """True if it has no dynamics."""
         return DYNAMICS(self._model.actuator_dyntype[actuator]) == DYNAMICS.mjDYN_NONE
 
     def _note_drive(self, actuator: int, shares: dict[Key, float], moments: dict[int, float]) -> None:

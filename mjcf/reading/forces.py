@@ -22,7 +22,7 @@ NOT_LINEAR = "the part of its stiffness or damping that is not linear"
 
 
 class Forces:
-    """What acts on joints and bodies beside gravity and actuators.
+    """Forces on joints and bodies beside gravity and actuators.
 
     Attributes:
         forces: springs and wrenches.
@@ -254,7 +254,7 @@ def reduced_inertia(
 
 
 def _one_branch(start: Start, one: int, two: int) -> bool:
-    """Whether one of two hinges or slides is above the other in the tree, or the same."""
+    """True if one of two hinges or slides is above the other in the tree, or the same."""
     model: Any = start.model
     low, high = (int(x) for x in sorted((model.jnt_dofadr[one], model.jnt_dofadr[two])))
     while high > low:

@@ -47,7 +47,7 @@ class Joints:
                 report.exactly(self.element(number), self._became(number, joint))
 
     def element(self, number: int) -> str:
-        """What reports call one of MuJoCo's joints."""
+        """Name one of MuJoCo's joints for reports."""
         return f"joint {self._model.joint(number).name or number!r}"
 
     def _became(self, number: int, joint: Joint) -> str:

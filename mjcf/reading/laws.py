@@ -1,4 +1,4 @@
-"""What actuators are made into: forces of one, of all on a joint coordinate, and what may drive it."""
+"""Forces of an actuator, of all on a joint coordinate, and what may drive it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a compiled model holds beyond rigid bodies and bilateral constraints: listed, not compared."""
+"""Elements beyond rigid bodies and bilateral constraints: listed, not compared."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ RIGID = "held rigidly, where MuJoCo's solref and solimp let it give way"
 
 
 class Loops:
-    """What closes loops and couples joints.
+    """Closures of loops and couplings of joints.
 
     Attributes:
         joints: of connects, welds and tendons of constant length.

@@ -15,7 +15,7 @@ FIRST_HIDDEN_GROUP = 3
 """Geom groups from here on are not shown at first; models keep shapes for collisions there."""
 
 UNSET_COLOR = (0.5, 0.5, 0.5, 1.0)
-"""What a geom has whose colour is that of its material."""
+"""What a geom has whose color is that of its material."""
 
 
 def visible_geoms(model: Any, bodies: Array) -> Iterator[int]:

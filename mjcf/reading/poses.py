@@ -80,7 +80,7 @@ class Poses:
             yield float(time), self.put(centers, quaternions)
 
     def reach(self, moves: Array, turns: Array, points: str, radii: Array | float = 0.0) -> Array:
-        """How far points or geoms get, m, where bodies (b,) move by so much, m, and turn, rad."""
+        """Bound the way of points or geoms, m, where bodies (b,) move by so much, m, and turn, rad."""
         owners, (arms, _) = self._owners[points], self._local[points]
         return np.asarray(moves[owners] + turns[owners] * (np.linalg.norm(arms, axis=1) + radii))
 

@@ -83,7 +83,7 @@ class Start:
         return lines
 
     def disabled(self, feature: str) -> bool:
-        """Whether the file itself switches a feature off."""
+        """True if the file itself switches a feature off."""
         return bool(self._disabled & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature}")))
 
     def _place(self, key: str | None) -> str:
@@ -152,7 +152,7 @@ class Start:
         return (first, second), (p, q)
 
     def _units(self) -> Units:
-        """What makes the equalities' rows dimensionless, after `gaps`."""
+        """Return the units of the equalities' rows, after `gaps`."""
         model, data = self.model, self.data
         movable = data.xipos[np.flatnonzero(model.body_weldid)]
         turning = np.any(data.cdof[:, :3] != 0.0, axis=1)
@@ -221,7 +221,7 @@ class Start:
         return self.model.joint(number).name or f"number {number}"
 
     def equality(self, index: int) -> str:
-        """What reports call an equality."""
+        """Name an equality for reports."""
         return f"equality {self.model.equality(index).name or index!r}"
 
     def _finish(self) -> None:

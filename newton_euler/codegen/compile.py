@@ -62,7 +62,7 @@ class NativeModule:
         identity: str,
         text: Callable[[], str],
         functions: Mapping[str, Signature],
-        optimise: bool = False,
+        optimize: bool = False,
     ) -> None:
         """Compile LLVM text, or take its machine code from the cache.
 
@@ -70,12 +70,12 @@ class NativeModule:
             identity: all that the text depends on, or the text itself.
             text: makes the text.
             functions: signatures of the functions that others call, by name.
-            optimise: for code with variables, which are to live in registers; a program has none.
+            optimize: for code with variables, which are to live in registers; a program has none.
         """
         llvm = llvm_binding()
         processor, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
         made_by = Path(__file__).read_text(encoding="utf-8")
-        versions = (made_by, optimise, llvm.llvm_version_info, sys.version, processor, features)
+        versions = (made_by, optimize, llvm.llvm_version_info, sys.version, processor, features)
         key = cache_key(identity, *versions)
         code = read_cache(key)
         self.from_cache = code is not None
@@ -84,7 +84,7 @@ class NativeModule:
         )
         if code is None:
             module = llvm.parse_assembly(text())
-            if optimise:
+            if optimize:
                 # LLVM's own selection of passes takes ten times as long and gains nothing
                 passes = llvm.create_new_module_pass_manager()
                 passes.add_sroa_pass()

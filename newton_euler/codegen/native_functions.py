@@ -35,7 +35,7 @@ class NativeFunctions:
         """Compile them."""
         signatures = {function.__name__: signature_of(function) for function in functions}
         identity = " ".join(signatures) + sources(functions)
-        self.module = NativeModule(identity, lambda: text(functions), signatures, optimise=True)
+        self.module = NativeModule(identity, lambda: text(functions), signatures, optimize=True)
         self._calls = {
             name: _ctypes(signature)(self.module.addresses[name]) for name, signature in signatures.items()
         }

@@ -319,7 +319,7 @@ class Cartesian(Formulation):
             force[angular] = force[angular] - term  # g - b
             spread(mass[linear], linear.start, body.mass * np.eye(3))  # N_i
             spread(mass[angular], angular.start, body.inertia)  # J'_i
-        factor = sparse.factorise(mass, range(len(mass)))
+        factor = sparse.factorize(mass, range(len(mass)))
         for k, scale in enumerate(scales):
             for i in range(6 * k + 3, 6 * k + 6):
                 factor.inverse_pivots[i] = factor.inverse_pivots[i] / scale

@@ -60,7 +60,7 @@ class Coupling:
         joint: name of the joint that errors blame for its residual.
         factors: of the joint coordinates.
         function: f; None for 0.
-        is_length: True for an equation in metres, False for one in radians.
+        is_length: True for an equation in meters, False for one in radians.
     """
 
     what: str

@@ -16,7 +16,7 @@ from newton_euler.equations.sparse import (
     Rows,
     add,
     dot,
-    factorise,
+    factorize,
     gram,
     pattern_order,
     sparse_vector,
@@ -67,7 +67,7 @@ def independent(rows: Rows, tolerance: float) -> Independent:
     products = gram(rows, rows)
     order = [i for i in pattern_order(products) if rows[i]]
     certain = max(CERTAIN, (LEAST_RATIO * tolerance) ** 2)
-    factor = factorise(products, order, scales=[1.0] * len(rows), drop=certain)
+    factor = factorize(products, order, scales=[1.0] * len(rows), drop=certain)
     used = set(factor.order)
     doubtful = [i for i in order if i not in used]
     least = float(np.sqrt(min((factor.pivots[i] for i in factor.order), default=1.0)))
@@ -88,7 +88,7 @@ def independent(rows: Rows, tolerance: float) -> Independent:
         else:
             strong = least
         doubtful.remove(found)
-        factor = factorise(products, [*factor.order, found])
+        factor = factorize(products, [*factor.order, found])
     return Independent(factor, weak, strong, noise)
 
 

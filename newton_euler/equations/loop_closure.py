@@ -38,8 +38,8 @@ NEAR_DEAD_CENTER = 1e-3
 
 SIDES = {
     True: "joints {1} bend the same way as in {0}",
-    False: "joints {1} bend the other way than in {0}: a dead centre lies between it and the closed pose",
-    None: "{0} or the closed pose is so near to a dead centre that either way of bending is as near",
+    False: "joints {1} bend the other way than in {0}: a dead center lies between it and the closed pose",
+    None: "{0} or the closed pose is so near to a dead center that either way of bending is as near",
 }
 """Sentences on two configurations, with a name of the first and the joints in question."""
 

@@ -44,7 +44,7 @@ Owner = tuple[str, int, str]
 
 
 def _parts(scene: Scene) -> dict[str, list[Any]]:
-    """What has parameters."""
+    """Yield what has parameters."""
     return {
         "bodies": list(scene.mechanism.bodies),
         "control": list(scene.control),
@@ -54,7 +54,7 @@ def _parts(scene: Scene) -> dict[str, list[Any]]:
 
 
 def _owners(scene: Scene) -> dict[str, list[Owner]]:
-    """Where what a name stands for is; all but gravity."""
+    """Find what a name stands for; all but gravity."""
     found: dict[str, list[Owner]] = {}
     for what, elements in _parts(scene).items():
         for k, element in enumerate(elements):
@@ -73,7 +73,7 @@ def numbered(what: str, k: int, attribute: str) -> str:
 
 
 def _owner(owners: dict[str, list[Owner]], name: str) -> Owner:
-    """Where a parameter is; raises `UnknownNameError`, or `MechanismError` if the name stands for two."""
+    """Find a parameter; raises `UnknownNameError`, or `MechanismError` if the name stands for two."""
     if name not in owners:
         raise UnknownNameError("parameter", name, ("gravity", *_named(owners)))
     if len(owners[name]) > 1:
@@ -160,7 +160,7 @@ def _substitute(scene: Scene, values: Mapping[str, Any], change: Callable[..., A
 
 
 def _linear(function: TimeFunction) -> list[float]:
-    """What a function of time is linear in."""
+    """Return what a function of time is linear in."""
     if isinstance(function, Sum):
         return [value for term in function.terms for value in _linear(term)]
     return (

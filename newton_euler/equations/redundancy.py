@@ -327,10 +327,8 @@ def _examine(system: TreeKinematics) -> tuple[list[Configuration], set[int]]:
         best = max(seen, key=lambda at: at.rank)
         if number > 0 and best.rank == len(alive):
             break  # all that can be
-        if number == 0 and not np.array_equal(own, q):
-            q = own
-        else:
-            q = _neighbour(system, best.q, next(directions))
+        moved = number == 0 and not np.array_equal(own, q)
+        q = own if moved else _neighbor(system, best.q, next(directions))
     return seen, alive
 
 
@@ -358,7 +356,7 @@ def _directions(system: TreeKinematics, v: Array) -> Iterator[Array]:
         yield system.velocity_units * rng.uniform(-1.0, 1.0, system.nv)
 
 
-def _neighbour(system: TreeKinematics, q: Array, direction: Array) -> Array:
+def _neighbor(system: TreeKinematics, q: Array, direction: Array) -> Array:
     """Find another configuration that meets the independent constraints, some way off in a direction."""
     tolerance, unit = system.scene.redundancy_tolerance, system.velocity_units
     step = REACH * direction

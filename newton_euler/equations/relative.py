@@ -188,7 +188,7 @@ class Relative(TreeKinematics):
         """
         mass, force = self.sparse_mass_and_force(q, v)
         jacobian, right = self.constraints(q, v)
-        factor = sparse.factorise(mass, range(self.nv - 1, -1, -1), rows.mass_scales)
+        factor = sparse.factorize(mass, range(self.nv - 1, -1, -1), rows.mass_scales)
         return sparse.solve_constrained(
             factor, sparse.sparse_vector(force), jacobian, right, rows, refine=False
         )

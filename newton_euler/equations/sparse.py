@@ -148,7 +148,7 @@ class Factor:
         return self.upper(self.scaled(self.lower(right)))
 
 
-def factorise(
+def factorize(
     matrix: Rows, order: Sequence[int], scales: Sequence[float] | None = None, drop: float = 0.0
 ) -> Factor:
     """Eliminate the rows of a symmetric matrix in the given order.
@@ -283,7 +283,7 @@ def solve_constrained(
     for n, i in enumerate(kept):
         if i in soft:
             add(schur[n], n, soft[i])
-    complement = factorise(schur, pattern_order(schur), rows.scales)
+    complement = factorize(schur, pattern_order(schur), rows.scales)
     right = {n: gamma[i] - dot(weighted[n], total) for n, i in enumerate(kept)}
     multipliers: dict[int, Any] = {}
     for _ in range(2 if refine else 1):
@@ -305,7 +305,7 @@ def solve_constrained(
 def least_squares(rows: Rows, right: Array) -> tuple[dict[int, Any], Scalar]:
     """Compute the shortest x with rows @ x = right (k,), and the pivot ratio of the Gram matrix."""
     products = gram(rows, rows)
-    factor = factorise(products, pattern_order(products), [1.0] * len(rows))
+    factor = factorize(products, pattern_order(products), [1.0] * len(rows))
     weights = factor.solve(sparse_vector(right))
     x: dict[int, Any] = {}
     for i, weight in weights.items():

@@ -1,1 +1,1 @@
-"""What every engine shares: bodies, joints, couplings, forces, the scene, its states and trajectories."""
+"""Description that all engines share: bodies, joints, couplings, forces, scene, states, trajectories."""

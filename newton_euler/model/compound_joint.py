@@ -108,7 +108,7 @@ class Compound(Joint):
         return (*self._placed(first, second), *self._oriented(first, second))
 
     def _placed(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """What the slides leave of the equations of a common point."""
+        """Return the equations of a common point that the slides leave."""
         normals: tuple[Array, ...] = ()
         match len(self.slides):
             case 0 if np.any(self._between):
@@ -123,7 +123,7 @@ class Compound(Joint):
         return tuple(self._displacement(normal, 0.0, first, second) for normal in normals)
 
     def _oriented(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        """What the hinges leave of the equations of a common orientation."""
+        """Return the equations of a common orientation that the hinges leave."""
         if self.ball or len(self.hinges) == 3:
             return ()
         if len(self.hinges) == 2:
@@ -151,7 +151,7 @@ class Compound(Joint):
     def _displacement(
         self, axis: Array, offset: float, first: Pose, second: Pose
     ) -> Displacement | RowDisplacement:
-        """How far the second body is along an axis of the first, less an offset, m."""
+        """Compute the second body's displacement along an axis of the first, less an offset, m."""
         a = first.vector_to_body(axis)
         if np.any(self._between):
             return RowDisplacement(a, self._separation(first, second), offset)

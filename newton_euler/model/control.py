@@ -58,7 +58,7 @@ class PD(ControlLaw):
 
     @property
     def is_driven(self) -> bool:
-        """Whether the law depends on time."""
+        """True if the law depends on time."""
         return isinstance(self.feedforward, TimeFunction)
 
     def feedforward_at(self, time: Scalar) -> Scalar:

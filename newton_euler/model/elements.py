@@ -24,7 +24,7 @@ BALL = -1
 
 
 class Surroundings(NamedTuple):
-    """What elements depend on at a state, over generic scalars; world frame, SI.
+    """State that elements depend on, over generic scalars; world frame, SI.
 
     Attributes:
         mechanism: the bodies and joints.

@@ -1,6 +1,6 @@
-"""What a body looks like. Shapes carry no mass; viewers and model files draw them.
+"""Shapes of bodies. They carry no mass; viewers and model files draw them.
 
-All coordinates are in the world at the mechanism's initial pose, metres, like those of joints.
+All coordinates are in the world at the mechanism's initial pose, meters, like those of joints.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ UNIT_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box of half sizes (3,) along the axes of a frame with the given centre and quaternion w-x-y-z.
+    """A box of half sizes (3,) along the axes of a frame with the given center and quaternion w-x-y-z.
 
     Raises:
         MechanismError: naming the attribute at fault.

@@ -1,4 +1,4 @@
-"""What joints have in common.
+"""Joint: the base of all joint kinds.
 
 A `Joint` is a description in the world frame at the mechanism's initial pose. `attach` ties it to
 the two bodies' reference poses and gives `JointEquations`: Phi, Phi_q and gamma of its constraint

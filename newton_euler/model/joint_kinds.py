@@ -314,7 +314,7 @@ class Part(NamedTuple):
         name: for errors.
         kind: "hinge", "slide" or "ball".
         axis: (3,) unit; unused for a ball.
-        anchor: (3,) a point on the axis of a hinge, the centre of a ball.
+        anchor: (3,) a point on the axis of a hinge, the center of a ball.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """Body and Mechanism: the one description that every engine's model is built from.
 
 Everything is given in the world frame at one initial pose, in SI units. The frame of a body has
-its origin at the centre of mass, as in the paper, and the orientation `Body.quaternion`.
+its origin at the center of mass, as in the paper, and the orientation `Body.quaternion`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from newton_euler.model.joint import Joint, JointEquations, Pose
 from newton_euler.scalars import Array
 
 CLOSURE_TOLERANCE = 1e-9
-"""How far (metres or radians) a joint may be open at an initial pose."""
+"""How far (meters or radians) a joint may be open at an initial pose."""
 
 LEAST = 1e-150
 """kg and kg m^2, of a mass and a principal moment of inertia, so that products with squares of lengths keep
@@ -36,7 +36,7 @@ _NAME = re.compile(r"[A-Za-z0-9_.\-]+")
 
 
 def spread(points: Sequence[Array]) -> float:
-    """How far points (3,) lie from their mean at most, m; 1 if they are one."""
+    """Compute the largest distance of points (3,) from their mean, m; 1 if they are one."""
     found = float(np.max(np.linalg.norm(np.array(points) - np.mean(points, axis=0), axis=1)))
     return found if found > 0.0 else 1.0
 
@@ -65,9 +65,9 @@ class Body:
         name: unique in its mechanism; letters, digits, `_`, `.` and `-`.
         mass: kg.
         center_of_mass: (3,) r, world at the initial pose, m.
-        inertia: (3, 3) J' about the centre of mass in the body frame, kg m^2.
+        inertia: (3, 3) J' about the center of mass in the body frame, kg m^2.
         quaternion: (4,) p, w-x-y-z, orientation of the body frame at the initial pose.
-        shapes: what it looks like; bars from the centre of mass to the joints if empty.
+        shapes: what it looks like; bars from the center of mass to the joints if empty.
         allow_unrealisable_inertia: accept principal moments that break A + B >= C, which no mass
             distribution has, so that a published table can be run as printed.
         meshes: what it looks like in more detail, for viewers; model files get the shapes.
@@ -234,12 +234,12 @@ class Mechanism:
 
     @cached_property
     def size(self) -> float:
-        """A characteristic length, m: how far joint points and centres of mass lie from their mean."""
+        """A characteristic length, m: how far joint points and centers of mass lie from their mean."""
         return spread([*(body.center_of_mass for body in self.bodies[1:]), *(j.point for j in self.joints)])
 
     @cached_property
     def longest(self) -> float:
-        """How far the longest body goes from its centre of mass, m: to a joint with equations, or on average
+        """Compute the longest body's extent from its center of mass, m: to a joint with rows, or on average
         (root of the mean square over its mass). Unlike `size` it does not depend on where bodies float."""
         lengths = [float(np.sqrt(0.5 * np.trace(body.inertia) / body.mass)) for body in self.bodies[1:]]
         for equations in self.equations:
@@ -309,7 +309,7 @@ class Mechanism:
         return self.attach([body.pose for body in self.bodies])
 
     def shapes(self, index: int) -> tuple[Shape, ...]:
-        """What body number `index` looks like: its own shapes, or bars from its centre to its joints."""
+        """Return shapes of body number `index`: its own, or bars from its center to its joints."""
         body = self.bodies[index]
         if body.shapes or index == 0:
             return body.shapes

@@ -210,7 +210,7 @@ class Scene:
 
     @property
     def tracks_work(self) -> bool:
-        """Whether runs carry the work of what is not in the potential energy as one more state."""
+        """True if runs carry the work of what is not in the potential energy as one more state."""
         return "energy" in self.outputs and len(self.control) + len(self.forces) + len(self.motions) > 0
 
     @cached_property

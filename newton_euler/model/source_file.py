@@ -17,7 +17,7 @@ LONGEST_PROBLEM = 1000
 
 
 class ReadOptions(TypedDict, total=False):
-    """What is asked of a reader of model files, as keywords; see `Request`."""
+    """Options of a reader of model files, as keywords; see `Request`."""
 
     duration: float
     output_period: float
@@ -28,7 +28,7 @@ class ReadOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a reader of model files.
+    """Options of a reader of model files.
 
     Attributes:
         duration, output_period: of the scene, s; files say nothing about either.

@@ -79,7 +79,7 @@ class SpanningTree:
     Of joints with as many it rather keeps those that are actuated or have `loaded` balls.
 
     Rods are always cut. A body that only they reach floats: the tree has a free joint for it, after
-    the joints of the mechanism, at its centre of mass.
+    the joints of the mechanism, at its center of mass.
 
     Attributes:
         joints: kept joints, parents before children.
@@ -192,7 +192,7 @@ class SpanningTree:
         return units
 
     def place(self, joint: str, coordinate: int) -> tuple[int, int] | None:
-        """Where a joint's hinge or slide number `coordinate` is in q and in v; None if it is cut."""
+        """Return the places in q and v of a joint's hinge or slide number `coordinate`; None if cut."""
         kept = self._kept.get(self.mechanism.joint_index(joint))
         if kept is None:
             return None
@@ -200,7 +200,7 @@ class SpanningTree:
         return single[coordinate if kept.forward else -1 - coordinate]
 
     def ball_place(self, joint: str) -> slice | None:
-        """Where in v the angular velocity of a joint's ball is; None if it is cut."""
+        """Return the place in v of the angular velocity of a joint's ball; None if it is cut."""
         kept = self._kept.get(self.mechanism.joint_index(joint))
         if kept is None:
             return None
@@ -347,7 +347,7 @@ def _names_of_cut(joint: str, whole: str, bodies: list[Body], joints: list[Joint
 
 
 def unweld_loops(mechanism: Mechanism) -> Mechanism:
-    """What `weld_loops` has halved put together again, known by its names; joints are as they were."""
+    """Put halves of `weld_loops` together again, known by their names; joints are as they were."""
     bodies, joints = {body.name: body for body in mechanism.bodies}, list(mechanism.joints)
     for weld in mechanism.joints:
         cut = weld.name.removesuffix("_weld")

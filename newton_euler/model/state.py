@@ -17,9 +17,9 @@ class State:
     """Poses and velocities of all b bodies, ground first; world frame, SI.
 
     Attributes:
-        position: (b, 3) centres of mass, m.
+        position: (b, 3) centers of mass, m.
         quaternion: (b, 4) w-x-y-z.
-        linear_velocity: (b, 3) of the centres of mass, m/s.
+        linear_velocity: (b, 3) of the centers of mass, m/s.
         angular_velocity: (b, 3) rad/s.
     """
 

@@ -62,11 +62,11 @@ class Trajectory:
     body_names: tuple[str, ...]
     joint_names: tuple[str, ...]
     position: Array
-    """(n, b, 3) centres of mass, m."""
+    """(n, b, 3) centers of mass, m."""
     quaternion: Array
     """(n, b, 4) w-x-y-z, continuous in sign."""
     linear_velocity: Array | None = None
-    """(n, b, 3) of the centres of mass, m/s."""
+    """(n, b, 3) of the centers of mass, m/s."""
     angular_velocity: Array | None = None
     """(n, b, 3) rad/s."""
     reaction_force: Array | None = None

@@ -148,14 +148,14 @@ class Course:
 
 
 class Judged(NamedTuple):
-    """What was seen of an element."""
+    """Observation of an element."""
 
     active: bool
     words: str
 
 
 class Watch(Protocol):
-    """What tells whether an element is active."""
+    """Watch that tells whether an element is active."""
 
     def judge(self, course: Course) -> Judged:
         """Look at all output times."""

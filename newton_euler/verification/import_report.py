@@ -51,7 +51,7 @@ class ImportedElement:
 
 
 class ImportReport:
-    """What became of every element, filled while a file is read.
+    """Fate of every element, filled while a file is read.
 
     Attributes:
         entries: in the order in which they were added.
@@ -103,7 +103,7 @@ class ImportReport:
         return [entry for entry in self.entries if entry.fate == fate]
 
     def counts(self) -> str:
-        """How many elements were approximated, inactive and left out that could move something, in words.
+        """Count the elements approximated, inactive and left out that could move something, in words.
 
         Each element counts once, as the worst that became of it; "" if there are none. Those of `ACTING` that
         are left out are named: without them a model moves otherwise from the start.

@@ -113,7 +113,7 @@ def test_module_and_version():
         (["tracker", "--engines", ","], "no engine named"),
         (["tracker", "--set", "panel_inertia"], "--set 'panel_inertia' is not of the form OPTION=VALUE"),
         (["tracker", "--set", "panel_inertia=round"], "choose from: realisable, literal"),
-        (["tracker", "--set", "colour=red"], "unknown option 'colour'"),
+        (["tracker", "--set", "color=red"], "unknown option 'color'"),
         (["tracker", "--set", "name=red"], "unknown option 'name'"),
         (["tracker", "--set", "panel_inertia=literal", "--set", "panel_inertia=realisable"], "given twice"),
         (["tracker", "--fast"], "No such option"),

@@ -128,7 +128,7 @@ def test_each_keyframe_is_assembled_the_way_its_elbow_bends(tmp_path: Path) -> N
     keyframes = up.report.start[3]
     assert keyframes.startswith("keyframes of the file, as they stand, in m or rad: up open by 0.02")
     assert "; across open by 1.75 at equality 'c'" in keyframes
-    assert "bend the other way than in across: a dead centre lies between" in across.report.start[2]
+    assert "bend the other way than in across: a dead center lies between" in across.report.start[2]
 
 
 def test_velocities_of_a_keyframe(tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ def test_a_path_that_cannot_be_written_is_named(tracker: Scene, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("panel_inertia", ["realisable", "literal"])
-def test_compiled_masses_centres_and_inertias(panel_inertia: Any) -> None:
+def test_compiled_masses_centers_and_inertias(panel_inertia: Any) -> None:
     scene = make_tracker(panel_inertia=panel_inertia)
     found, wanted = CompiledScene(scene).mass_properties(), MassProperties.of(scene.mechanism)
     assert np.array_equal(found.mass, wanted.mass)

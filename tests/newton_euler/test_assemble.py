@@ -26,7 +26,7 @@ def test_velocities_must_meet_the_joints():
         initial_state(replace(scene, initial_state=sideways))
     assert "joint 'pivot': opens at 0.5 m/s in the initial state" in str(caught.value)
     assert "newton_euler.assemble(scene, guess)" in str(caught.value)
-    # about its centre's path: the pivot stays, but the hinge tilts
+    # about its center's path: the pivot stays, but the hinge tilts
     tilting = moved(initial_state(scene), "linear_velocity", 1, [0.0, 1.0, 0.0])
     tilting = moved(tilting, "angular_velocity", 1, [0.0, 0.0, 2.0])
     with pytest.raises(MechanismError, match="joint 'pivot': opens at 2 rad/s"):

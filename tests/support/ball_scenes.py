@@ -46,7 +46,7 @@ SCENES = {
 
 
 def sphere(*forces: BallSpring, rotor: float = 0.0, spin: float = 0.0, **fields: object) -> Scene:
-    """A body of moment of inertia 0.5 kg m^2 about all axes, on a ball at its centre of mass."""
+    """A body of moment of inertia 0.5 kg m^2 about all axes, on a ball at its center of mass."""
     turn = from_rotation_vector(np.array([0.4, -0.7, 1.1]))  # of its frame: no matter
     body = Body("globe", 2.0, [0.1, 0.2, 0.3], 0.5 * np.eye(3), turn)
     mechanism = Mechanism([Body.ground(), body], [Spherical("ball", "ground", "globe", [0.1, 0.2, 0.3])])

@@ -208,7 +208,7 @@ def driven_gears() -> Scene:
 
 
 def forced(scene: Scene) -> Scene:
-    """Springs on all joint coordinates and between all neighbours, wrenches of both kinds on all bodies."""
+    """Springs on all joint coordinates and between all neighbors, wrenches of both kinds on all bodies."""
     mechanism, rng = scene.mechanism, np.random.default_rng(3)
     forces: list[Force] = []
     for joint in mechanism.joints:

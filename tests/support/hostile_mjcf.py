@@ -236,8 +236,8 @@ def mjcf_cases() -> Iterator[Case]:
         yield Case(f"MJCF: {name}", "model.xml", text.encode(), message, slow=True)
     options = (
         (("--set", "key=up"), "no keyframe 'up'; choose from: qpos0, start"),
-        (("--set", "colour=red"), "model.xml has no option 'colour'; choose from: duration"),
-        (("--set", "duration=long"), "duration is 'long'; needed: a number of seconds"),
+        (("--set", "color=red"), "model.xml has no option 'color'; choose from: duration"),
+        (("--set", "duration=long"), "duration is 'long'; needed: a positive number of seconds"),
         (("--set", "duration=nan"), "duration is 'nan'; needed: a positive number of seconds"),
         (("--set", "duration=-1"), "duration is -1.0; needed: a positive number"),
         (("--set", "output_period=0"), "output_period is 0.0; needed: a positive number"),

@@ -29,7 +29,7 @@ def random_inertia(rng: np.random.Generator, moments: Array) -> Array:
 def random_joint(
     kind: str, name: str, first: str, second: str, rng: np.random.Generator, actuated: bool
 ) -> Joint:
-    """A joint anywhere within a metre, its two points apart where the kind allows it."""
+    """A joint anywhere within a meter, its two points apart where the kind allows it."""
     axis, point = unit(rng.normal(size=3)), 0.3 * rng.normal(size=3)
     more: dict[str, Any] = {"actuated": actuated}
     if kind == "universal":

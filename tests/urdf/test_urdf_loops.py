@@ -47,7 +47,7 @@ def at_rest(scene: Scene) -> Evaluation:
 
 def same_motion(one: Reading, two: Reading) -> None:
     first, second = at_rest(one.scene), at_rest(two.scene)
-    # 1e-11: accelerations of order 10 through two factorisations
+    # 1e-11: accelerations of order 10 through two factorizations
     assert first.linear_acceleration == pytest.approx(second.linear_acceleration, abs=1e-11)
     assert first.angular_acceleration == pytest.approx(second.angular_acceleration, abs=1e-11)
 
@@ -152,7 +152,7 @@ def about_y(name: str, parent: str, child: str, x: float, turn: float) -> str:
 
 @pytest.fixture
 def parallelogram(tmp_path: Path) -> Scene:
-    """Its last hinge is a light pin that is welded in: redundant, and so regularised."""
+    """Its last hinge is a light pin that is welded in: redundant, and so regularized."""
     pin_link = (
         '<link name="pin"><inertial><mass value="1e-3"/>'
         '<inertia ixx="1e-6" iyy="1e-6" izz="1e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>'

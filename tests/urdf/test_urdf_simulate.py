@@ -152,7 +152,7 @@ def test_tight_equations_are_those_of_runs(scene):
         y = np.concatenate([system.map.q_to_pinocchio(q), system.map.v_to_pinocchio(v)])
         wanted = system.map.v_to_pinocchio(system.acceleration(q, v))
         found = equations.rates(0.1, y)[equations.nq :]
-        # 1e-8: redundant closures are regularised in other ways
+        # 1e-8: redundant closures are regularized in other ways
         assert found == pytest.approx(wanted, abs=1e-8 * max(1.0, np.max(np.abs(wanted))))
 
 

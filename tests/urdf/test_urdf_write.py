@@ -91,7 +91,7 @@ def test_urdf_is_a_tree_of_links_parallel_to_the_world(build_scene):
 
 
 @pytest.mark.parametrize("build_scene", scenes())
-def test_pinocchio_reads_masses_centres_and_inertias(build_scene):
+def test_pinocchio_reads_masses_centers_and_inertias(build_scene):
     """1e-15 of mass; 2e-15 of lengths of 1 m, and of the inertia about the frame's origin: numbers
     written with all digits, moved to the world and back, and halves of bodies added up."""
     scene = build_scene()
@@ -123,7 +123,7 @@ def test_pinocchio_reads_the_tracker_to_the_last_bit(tracker):
 
 @pytest.mark.parametrize("build_scene", scenes())
 def test_axes_and_joint_points_at_the_start(build_scene):
-    """Axes to 1e-15: Pinocchio normalises them once more. Points to 1e-15 m: sums of offsets."""
+    """Axes to 1e-15: Pinocchio normalizes them once more. Points to 1e-15 m: sums of offsets."""
     scene = build_scene()
     welded = weld_loops(scene.mechanism)
     model = build(urdf.to_urdf(scene), parse_loops(urdf.to_loops(scene), "loops")).model
@@ -147,7 +147,7 @@ def test_axes_and_joint_points_at_the_start(build_scene):
     assert checked == len(welded.tree.motions)
 
 
-def test_visuals_draw_every_shape_in_its_bodys_colour(tracker):
+def test_visuals_draw_every_shape_in_its_bodys_color(tracker):
     robot = ElementTree.fromstring(urdf.to_urdf(tracker))
     defined = {material.get("name") for material in robot.findall("material")}
     colors = set()

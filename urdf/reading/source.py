@@ -44,7 +44,7 @@ def read_loop_text(path: str) -> str:
 
 
 def read_loops(path: str, text: str) -> Loops:
-    """What the text of a loop file says; raises `LoopFileError`."""
+    """Parse the text of a loop file; raises `LoopFileError`."""
     loops = parse_loops(text, path)
     for key in ("closed_loop", "coupled"):
         if problem := exceeded("closures", len(getattr(loops, key))):

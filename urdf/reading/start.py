@@ -99,14 +99,14 @@ class Start:
         return moved
 
     def place(self, name: str) -> int | None:
-        """Where the velocity of a joint of one motion is; None if there is no such joint."""
+        """Return the place of the velocity of a joint of one motion; None if there is no such joint."""
         if not self.model.existJointName(name):
             return None
         joint = self.model.joints[self.model.getJointId(name)]
         return int(joint.idx_v) if joint.nv == 1 else None
 
     def displacement(self, name: str) -> float:
-        """How far a hinge or slide starts from zero, rad or m; 0 if there is no such joint."""
+        """Return the starting coordinate of a hinge or slide, rad or m; 0 if there is no such joint."""
         place = self.place(name)
         moved = pin.difference(self.model, pin.neutral(self.model), self.q)
         return 0.0 if place is None else float(moved[place])
@@ -130,7 +130,7 @@ class Start:
         return phi, np.vstack([self._closures.jacobian(self.data), self._linear])
 
     def _units(self) -> Units:
-        """What makes residuals dimensionless, after `_residual`."""
+        """Return the units of residuals, after `_residual`."""
         model, data = self.model, self.data
         points = [*self._places()[1:], *(placement.translation for placement in list(data.oMi)[1:])]
         velocities = np.where(np.any(data.J[3:] != 0.0, axis=0), 1.0, spread(points))
@@ -186,6 +186,6 @@ class Start:
         return str(next(name for name, joint in named if joint.idx_v <= dof < joint.idx_v + joint.nv))
 
     def _places(self) -> Array:
-        """(n, 3) centres of mass of Pinocchio's bodies, m."""
+        """(n, 3) centers of mass of Pinocchio's bodies, m."""
         poses = zip(self.data.oMi, self.model.inertias, strict=True)
         return np.array([pose.act(inertia.lever) for pose, inertia in poses])

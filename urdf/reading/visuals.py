@@ -1,4 +1,4 @@
-"""What the links of a URDF look like: boxes, round bars and meshes, for the eye only."""
+"""Shapes of a URDF's links: boxes, round bars and meshes, for the eye only."""
 
 from __future__ import annotations
 

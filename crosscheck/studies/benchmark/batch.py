@@ -412,7 +412,7 @@ def _timed(
 
 
 def identical(one: Batch, other: Batch) -> bool:
-    """Whether two batches are equal to the last bit."""
+    """True if two batches are equal to the last bit."""
     return one.errors.keys() == other.errors.keys() and all(
         np.array_equal(one.stacked(name), other.stacked(name), equal_nan=True)
         for name in ("position", "quaternion")

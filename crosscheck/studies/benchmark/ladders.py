@@ -62,7 +62,7 @@ class Ladder(NamedTuple):
 
 
 class Model(NamedTuple):
-    """What an engine has loaded of a scene: its methods, and a remark about the loading."""
+    """A scene as loaded by an engine: its methods, and a remark about the loading."""
 
     ladders: tuple[Ladder, ...]
     remark: str

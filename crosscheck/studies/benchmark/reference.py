@@ -100,7 +100,7 @@ def reference(scene: Scene, progress: Progress) -> Reference:
 
 
 def _runs(scene: Scene, rtol: float, missing: dict[str, str], progress: Progress) -> dict[str, Trajectory]:
-    """What could be run at a tolerance; reasons for the rest are added to `missing`."""
+    """Run what can be run at a tolerance; reasons for the rest are added to `missing`."""
     runs: dict[str, Trajectory] = {}
     for name, run in _ways(scene, rtol).items():
         progress(f"reference: {name}")

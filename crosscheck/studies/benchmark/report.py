@@ -37,7 +37,7 @@ class Row(NamedTuple):
     notes: tuple[str, ...]
 
     def ratio(self, engine: str) -> float | None:
-        """How many times longer an engine takes than `newton_euler`."""
+        """Compute an engine's time as a multiple of `newton_euler`'s."""
         own, other = self.cheapest[JUDGED], self.cheapest[engine]
         return None if own is None or other is None else other.median / own.median
 
@@ -63,7 +63,7 @@ def frontier(measurements: Iterable[Measurement], engine: str) -> list[Measureme
 
 
 def row(measurements: Sequence[Measurement], error: float, uncertainty: float) -> Row:
-    """What each engine needs to reach an error."""
+    """Return the row of the time that each engine needs to reach an error."""
     found = {engine: cheapest(measurements, engine, error, uncertainty) for engine in ENGINES}
     if uncertainty > error:
         return Row(error, found, (f"not resolved: the reference is known to {uncertainty:.1e} only",))
@@ -188,7 +188,7 @@ def _cells(found: Row) -> list[str | Cell]:
 
 
 def preamble(result: Benchmark) -> list[str]:
-    """What was run, on what, against what, and what the times are of."""
+    """Say what was run, on what, against what, and what the times are of."""
     reference = result.reference
     where = result.machine
     versions = ", ".join(f"{package} {version}" for package, version in where["versions"].items())
@@ -203,7 +203,7 @@ def preamble(result: Benchmark) -> list[str]:
     lines += [f"  (could not run {name}: {reason})" for name, reason in reference.missing.items()]
     lines.append(
         "times: one thread, medians of interleaved repeats, without loading and first run. All hold the "
-        "poses of all bodies at all outputs as the engine has them: newton_euler centres of mass and "
+        "poses of all bodies at all outputs as the engine has them: newton_euler centers of mass and "
         "quaternions, MuJoCo the positions and quaternions of its bodies, Pinocchio translations and "
         "rotation matrices of its joints. What turns those of MuJoCo and Pinocchio into the first for the "
         "comparison is not counted"

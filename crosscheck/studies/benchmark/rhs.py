@@ -4,7 +4,7 @@ Each engine is called in its cheapest way: newton_euler from a native loop, MuJo
 Python and by `mj_step` with its loop in C (which also integrates), Pinocchio from Python, the only way
 there is, so a call of its binding is in its time. Ways take turns. Peak memory and loading are those of a
 fresh process that loads the scene, makes the right-hand side without a compilation cache and calls it once;
-Pinocchio's hold a second and a third model, in other units, that choose the regularisation.
+Pinocchio's hold a second and a third model, in other units, that choose the regularization.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def _call(side: RightHandSide, count: int) -> float:
 
 
 def _batch(calls: Callable[[int], float]) -> int:
-    """How many calls take about `BATCH`."""
+    """Estimate the number of calls that take about `BATCH`."""
     count = 1
     while (seconds := calls(count)) < 0.2 * BATCH:
         count *= 4
@@ -214,7 +214,7 @@ def _probe(way: Way, source: str, options: Mapping[str, str], limit: float) -> T
 
 
 def probe(engine: str, way: str, source: str, options: Mapping[str, str]) -> dict[str, Any]:
-    """What `Timing` says of loading, for this process."""
+    """Measure what `Timing` says of loading, for this process."""
     scene = poses_only(load(source, **options))
     before = _peak_memory()
     start = time.perf_counter()

@@ -31,7 +31,7 @@ LIMIT = 180.0
 
 @dataclass(frozen=True)
 class Scaling:
-    """What was found: the timings of each size; `options` are the scene's others."""
+    """Timings of a scene at each size; `options` are the scene's others."""
 
     source: str
     options: Mapping[str, str]
@@ -105,7 +105,7 @@ def scaling_report(result: Scaling) -> Report:
 
 
 def _words(result: Scaling) -> list[str]:
-    """How newton_euler's time grows, what it is in units of the fastest other's, and what could not run."""
+    """Word the growth of newton_euler's time, its ratio to the fastest other's, and what could not run."""
     lines = [
         f"{machine_line(result.machine)}; growth: exponents "
         f"between sizes; MB: peak of a fresh process, loading in at most {LIMIT:g} s"

@@ -44,7 +44,7 @@ than a millisecond would be timed with the processor's caches full of another en
 
 @dataclass(frozen=True)
 class Loading:
-    """How long one model took to load, s."""
+    """Load time of one model, s."""
 
     engine: str
     model: str
@@ -109,7 +109,7 @@ class Measured:
 
 @dataclass(frozen=True, eq=False)
 class Benchmark:
-    """What a benchmark found.
+    """Result of a benchmark.
 
     Attributes:
         source: the name or the file that the scene was loaded from.

@@ -16,7 +16,7 @@ from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.studies.faults import PLANTED_IN
-from crosscheck.studies.faults.catalogue import SIZES, Fault, catalogue
+from crosscheck.studies.faults.catalog import SIZES, Fault, catalog
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System
@@ -137,7 +137,7 @@ def find_faults(
     engines = [sound.engines[name] for name in names if name in sound.engines]
     if not engines:
         raise sound.refusals[names[0]]
-    faults = catalogue(scene, sizes)
+    faults = catalog(scene, sizes)
     found = []
     for number, fault in enumerate(faults):
         if number % PROGRESS == 0:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from crosscheck.studies.faults import plant
-from crosscheck.studies.faults.catalogue import SKEW, Fault, bodies_at, other_kinds
+from crosscheck.studies.faults.catalog import SKEW, Fault, bodies_at, other_kinds
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.compound_joint import Compound

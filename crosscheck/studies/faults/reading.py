@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from crosscheck.comparison.levels import compare_pair
 from crosscheck.comparison.samples import Samples
-from crosscheck.studies.faults.catalogue import Fault
+from crosscheck.studies.faults.catalog import Fault
 from crosscheck.studies.faults.find import MOTION, samples_of
 from crosscheck.studies.faults.misreadings import EVERYTHING, misreadings
 from newton_euler.equations.relative import Relative

@@ -97,7 +97,7 @@ class Comparison:
 
     @property
     def bound(self) -> float:
-        """What its condition number allows."""
+        """Return the tolerance that its condition number allows."""
         return ROUND_OFF * self.condition
 
     @property
@@ -136,7 +136,7 @@ def equations_of_motion(scene: Scene) -> tuple[Array, int]:
 
 
 def joint_wrenches(scene: Scene, evaluation: Evaluation) -> Array:
-    """(b, 6) J^T lambda: N and N m about the centre of mass that all joints put on each moving body."""
+    """(b, 6) J^T lambda: N and N m about the center of mass that all joints put on each moving body."""
     mechanism, frames = scene.mechanism, initial_state(scene).frames()
     total = np.zeros((len(frames), 6))
     for number, joint in enumerate(mechanism.joints):
@@ -151,7 +151,7 @@ def joint_wrenches(scene: Scene, evaluation: Evaluation) -> Array:
 
 
 def _quantities(scene: Scene, evaluation: Evaluation) -> dict[str, Array]:
-    """What is compared, (n, 6) each: m/s^2, and N; angular parts count at the mechanism's size."""
+    """Collect what is compared, (n, 6) each: m/s^2, and N; angular parts count at the mechanism's size."""
     size = scene.mechanism.size
     units = np.array([1.0] * 3 + [size] * 3)
     motion = np.hstack([evaluation.linear_acceleration, evaluation.angular_acceleration])

@@ -94,7 +94,7 @@ def off_state(scene: Scene, offset: float) -> State:
 
 
 def measure_assembly(offset: float, setting: Setting) -> Measured:
-    """What stays open of the joints; in words how far bodies are moved."""
+    """Measure the residual of the joints; in words how far bodies are moved."""
     scene = load("tracker")
     guess = off_state(scene, offset)
     state = assemble(scene, guess)
@@ -106,14 +106,14 @@ def measure_assembly(offset: float, setting: Setting) -> Measured:
 
 
 def measure_scene(offset: float, setting: Setting) -> Measured:
-    """What a scene with that state is open by, if it can be made."""
+    """Measure the residual of a scene with that state, if it can be made."""
     scene = load("tracker")
     changed = replace(scene, initial_state=off_state(scene, offset))
     return Measured(float(np.max(joint_violations(scene.mechanism, initial_state(changed)))))
 
 
 def measure_start(offset: float, setting: Setting) -> Measured:
-    """What is open at the end of a run that begins there."""
+    """Measure the residual at the end of a run that begins there."""
     scene = lasting(load("tracker"), DURATION, OUTPUTS, "violation")
     # past the check of initial states, to see what engines do by themselves
     state = off_state(scene, offset)
@@ -130,7 +130,7 @@ def measure_start(offset: float, setting: Setting) -> Measured:
 # (h) Singular configurations: through them, from them, and to the ends of travel
 
 POSITION = Bound(
-    "position error", "m", 1e-6, 1e-2, "no plot would show less; a centimetre of 0.4 m of travel can be seen"
+    "position error", "m", 1e-6, 1e-2, "no plot would show less; a centimeter of 0.4 m of travel can be seen"
 )
 
 WINDOWS = (1, 2, 10)
@@ -149,7 +149,7 @@ SETTINGS: tuple[Setting, ...] = (
 )
 
 CRANK, ROD, CRANK_SPEED = 0.2, 0.7, 12.0
-"""m, m and rad/s, of `centred_slider_crank`."""
+"""m, m and rad/s, of `centerd_slider_crank`."""
 
 TARGETS = (-0.2, 0.2)
 """m from the initial pose; the sliders travel less than half as far."""
@@ -165,18 +165,18 @@ def singular(full: bool) -> Iterator[Case]:
                 name = f"four_bar N = {windows}, {seconds} s, {how} flat bars"
                 yield Case(name, setting, ANGLE, partial(measure, windows), limit=limit)
     for setting in settings:
-        name = "slider-crank, 2 s, its crank driven through seven dead centres"
-        yield Case(name, setting, POSITION, measure_dead_centre_passage, limit=12.0)
+        name = "slider-crank, 2 s, its crank driven through seven dead centers"
+        yield Case(name, setting, POSITION, measure_dead_center_passage, limit=12.0)
     for target in TARGETS:
         for setting in settings:
-            name = f"tracker, 2 s, drawn to {target:+g} m, past its dead centres"
-            yield Case(name, setting, ENERGY, partial(measure_dead_centre, target), limit=20.0)
+            name = f"tracker, 2 s, drawn to {target:+g} m, past its dead centers"
+            yield Case(name, setting, ENERGY, partial(measure_dead_center, target), limit=20.0)
 
 
-def centred_slider_crank() -> Scene:
+def centerd_slider_crank() -> Scene:
     """A crank of 0.2 m at 12 rad/s about y, a rod of 0.7 m and a slider on x, outstretched at first.
 
-    Crank and rod are in line twice a turn, where the slider comes to rest: dead centres for what drives
+    Crank and rod are in line twice a turn, where the slider comes to rest: dead centers for what drives
     the slider, and regular for what drives the crank.
     """
     x, y, z = np.eye(3)
@@ -199,9 +199,9 @@ def centred_slider_crank() -> Scene:
     return Scene("slider_crank", mechanism, 2.0, 0.02, -GRAVITY * z, motions=(motion,), outputs=outputs)
 
 
-def measure_dead_centre_passage(setting: Setting) -> Measured:
-    """The slider against r cos a + sqrt(l^2 - r^2 sin^2 a), over seven dead centres."""
-    scene = centred_slider_crank()
+def measure_dead_center_passage(setting: Setting) -> Measured:
+    """The slider against r cos a + sqrt(l^2 - r^2 sin^2 a), over seven dead centers."""
+    scene = centerd_slider_crank()
     run = setting.simulate(scene)
     angle = CRANK_SPEED * run.time
     wanted = CRANK * np.cos(angle) + np.sqrt(ROD**2 - (CRANK * np.sin(angle)) ** 2)
@@ -237,7 +237,7 @@ def from_flat(scene: Scene, windows: int) -> Scene:
     return replace(scene, initial_state=state)
 
 
-def measure_dead_centre(target: float, setting: Setting) -> Measured:
+def measure_dead_center(target: float, setting: Setting) -> Measured:
     """Both sliders are drawn further than the mechanism reaches; it swings to and fro at its ends."""
     scene = load("tracker")
     control = tuple(replace(law, target=target) for law in scene.control if isinstance(law, PD))

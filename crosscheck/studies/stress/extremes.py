@@ -44,7 +44,7 @@ CLOSE = Bound(
     "m",
     1e-5,
     1e-3,
-    "a hundredth of a millimetre on a machine of 0.1 m; a millimetre can be seen",
+    "a hundredth of a millimeter on a machine of 0.1 m; a millimeter can be seen",
 )
 
 CONTROLLED: tuple[Setting, ...] = (

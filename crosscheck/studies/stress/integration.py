@@ -49,7 +49,7 @@ LAST_DIGIT = 4.0 * np.finfo(float).eps
 ENERGY = Bound(
     "energy error", "rel", 1e-6, 1e-2, "no plot would show less; more than a hundredth is another motion"
 )
-DRIFT = Bound("drift", "m or rad", 1e-6, 1e-4, "a thousandth of a millimetre on a machine of 0.1 m")
+DRIFT = Bound("drift", "m or rad", 1e-6, 1e-4, "a thousandth of a millimeter on a machine of 0.1 m")
 
 LONG_RUNS: dict[str, tuple[float, dict[float, tuple[Setting, ...]]]] = {
     "pendulum": (

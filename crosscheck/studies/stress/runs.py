@@ -77,7 +77,7 @@ COMBINATIONS = tuple(
     newton_euler(formulation, stabilization)
     for formulation, stabilization in product(FORMULATIONS, ("projection", "baumgarte", "none"))
 )
-"""newton_euler's formulations under all stabilisations, at its default tolerance."""
+"""newton_euler's formulations under all stabilizations, at its default tolerance."""
 
 TIGHT = newton_euler("relative", rtol=1e-13, atol=1e-15)
 """The nearest to the answer that newton_euler comes."""
@@ -110,7 +110,7 @@ def energy_errors(scene: Scene, run: Trajectory) -> Array:
 
 
 def largest_drift(run: Trajectory) -> float:
-    """How far joints open, m or rad."""
+    """Measure the largest drift of joints, m or rad."""
     assert run.constraint_violation is not None
     return float(np.max(run.constraint_violation))
 
@@ -150,7 +150,7 @@ def parallelogram_angle(scene: Scene) -> Array:
 
 
 def bar_angles(position: Array, bodies: tuple[Body, ...]) -> Array:
-    """(n,) rad: clockwise from upright, within a turn, of the first bar by its centre of mass (n, b, 3)."""
+    """(n,) rad: clockwise from upright, within a turn, of the first bar by its center of mass (n, b, 3)."""
     foot = bodies[1].center_of_mass * [1.0, 0.0, 0.0]
     along = position[:, 1] - foot
     return np.asarray(np.arctan2(along[:, 0], along[:, 1]))

@@ -28,7 +28,7 @@ SOFTNESS = Bound(
     "m",
     1e-5,
     1e-3,
-    "a hundredth of a millimetre on a machine of 0.1 m; a millimetre can be seen",
+    "a hundredth of a millimeter on a machine of 0.1 m; a millimeter can be seen",
 )
 STEP = replace(SOFTNESS, quantity="step error at two steps")
 REACTIONS = Bound("reaction error", "rel", 1e-2, 1e-1, "a sensor of forces has one per cent")

@@ -106,7 +106,7 @@ OWN_FILE = """
 
 
 def plain_mujoco(text: str, scene: Scene) -> np.ndarray:
-    """(n, bodies, 3) centres of mass at the outputs by MuJoCo, of a file as it is."""
+    """(n, bodies, 3) centers of mass at the outputs by MuJoCo, of a file as it is."""
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     bodies = [model.body(name).id for name in scene.mechanism.body_names[1:]]

@@ -22,7 +22,7 @@ from crosscheck.model_files.read import read_model
 from crosscheck.scenes import load
 from crosscheck.scenes.scene_file import write_scene
 from crosscheck.studies.faults import plant
-from crosscheck.studies.faults.catalogue import catalogue
+from crosscheck.studies.faults.catalog import catalog
 from crosscheck.studies.faults.find import Sound, find
 from crosscheck.studies.faults.plant import Plant
 from mjcf.motion import body_acceleration
@@ -201,7 +201,7 @@ def test_lcaba_has_no_place_for_springs_of_balls() -> None:
     system = PinocchioSystem(rotor)
     exact = system.map.v_to_pinocchio(system.acceleration(*system.coordinates(initial_state(rotor))))
     quick = equations_of(rotor, 0.0, (1e-4, 30)).acceleration()
-    assert quick == pytest.approx(exact, rel=1e-9, abs=1e-9)  # what the regularisation leaves
+    assert quick == pytest.approx(exact, rel=1e-9, abs=1e-9)  # what the regularization leaves
 
 
 def test_numbers_of_a_spring_vary_in_a_batch() -> None:
@@ -247,7 +247,7 @@ def test_two_models_are_told_apart_by_the_joint_of_the_ball(change: Plant, quant
 def test_faults_of_balls_are_found_and_blamed(size: float) -> None:
     scene = twisted_loop()
     own = Sound(scene)
-    of_balls = [fault for fault in catalogue(scene, (size,)) if "its ball" in fault.detail]
+    of_balls = [fault for fault in catalog(scene, (size,)) if "its ball" in fault.detail]
     assert [fault.kind for fault in of_balls] == ["gain", "damping", "armature"]
     for fault in of_balls:
         for name in ("mujoco", "pinocchio"):

@@ -25,7 +25,7 @@ from crosscheck.run import crosscheck
 from crosscheck.scenes import load
 from crosscheck.studies.faults import find as finding
 from crosscheck.studies.faults import plant
-from crosscheck.studies.faults.catalogue import catalogue
+from crosscheck.studies.faults.catalog import catalog
 from crosscheck.studies.faults.misreadings import misreadings
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
@@ -245,7 +245,7 @@ FEW = ("mass", "joint point", "axis direction", "gravity", "gain")
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_planted_fault_is_blamed_on_its_engine(name):
-    faults = catalogue(load(str(EXAMPLE)), (1e-4,))
+    faults = catalog(load(str(EXAMPLE)), (1e-4,))
     for fault in [next(fault for fault in faults if fault.kind == kind) for kind in FEW]:
         check_blamed(with_fault(str(EXAMPLE), fault, name), name)
 

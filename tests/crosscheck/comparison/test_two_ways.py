@@ -64,7 +64,7 @@ PARTS = {
         ("rocker", 1.5, (0.95, 0.04, 0.35), (0.02, 0.035, 0.03, -0.002, 0.001, 0.002)),
     )
 }
-"""None of them symmetric, their centres of mass out of the plane: no reaction is zero by itself."""
+"""None of them symmetric, their centers of mass out of the plane: no reaction is zero by itself."""
 
 RING = ("a", "crank", "b", "coupler", "c", "rocker", "d")
 
@@ -294,7 +294,7 @@ def test_rigid_mujoco_does_not_depend_on_the_cut(way: tuple[Scene, Trajectory]) 
 
 
 def test_the_comparison_notices_another_mechanism(tmp_path: Path) -> None:
-    """A hinge point off by a micrometre is far outside of what is asserted above."""
+    """A hinge point off by a micrometer is far outside of what is asserted above."""
     (tmp_path / "four_bar.xml").write_text(
         written_mjcf("c", False).replace('pos="1 0 0"', 'pos="1.000001 0 0"')
     )

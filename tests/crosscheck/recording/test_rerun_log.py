@@ -175,7 +175,7 @@ def test_engines_are_drawn_apart(scene: Scene, recording: Recording) -> None:
     assert long > 1.2 * short
 
 
-def test_an_engine_has_one_colour_and_its_name_in_every_plot(recording: Recording) -> None:
+def test_an_engine_has_one_color_and_its_name_in_every_plot(recording: Recording) -> None:
     for engine in ("zeta", "alpha"):
         color = recording.static[f"/mechanism/{engine}/lid", "Boxes3D:colors"]
         lines = [p for p in MOVING if p.startswith("/plots/") and p.endswith(f"/{engine}")]

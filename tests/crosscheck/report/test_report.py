@@ -148,9 +148,9 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
         "Drift: how far joints are open",
         "Energy",
         "Energy balance",
-        "Centre of mass of crank",
-        "Centre of mass of coupler",
-        "Centre of mass of rocker",
+        "Center of mass of crank",
+        "Center of mass of coupler",
+        "Center of mass of rocker",
         "Control",
     ]
     assert all(content.startswith(PNG) and len(content) > 5000 for content in found.images.values())

@@ -11,13 +11,13 @@ from test_report import report
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
-from crosscheck.studies.faults.catalogue import catalogue
+from crosscheck.studies.faults.catalog import catalog
 
 
 def test_planted_faults(tmp_path, capsys, monkeypatch):
     """What the command says, as a page."""
-    few = catalogue(load(str(EXAMPLE)), (1e-1, 1e-3))[::15]
-    monkeypatch.setattr("crosscheck.studies.faults.find.catalogue", lambda scene, sizes: few)
+    few = catalog(load(str(EXAMPLE)), (1e-1, 1e-3))[::15]
+    monkeypatch.setattr("crosscheck.studies.faults.find.catalog", lambda scene, sizes: few)
     status, out, _ = run(capsys, "faults", EXAMPLE, "--engine", "pinocchio", "--output", tmp_path)
     assert status == 0
     found, content = report(tmp_path), json.loads((tmp_path / "faults.json").read_text())

@@ -177,7 +177,7 @@ def test_everything_that_a_scene_file_can_hold(tmp_path, good):
     content["bodies"][0]["inertia"][2][2] = 0.01
     content["bodies"][0]["allow_unrealisable_inertia"] = True
     content["outputs"] = ["energy", "velocities"]
-    # the coupler may turn about the line from elbow to wrist; both of them and its centre stay in place
+    # the coupler may turn about the line from elbow to wrist; both of them and its center stay in place
     line = [0.6, 0.1, 0.1]
     content["bodies"][1]["center_of_mass"] = [0.3, 0.05, 0.25]
     content["joints"][2] |= {"kind": "spherical"}

@@ -66,7 +66,7 @@ def test_erratum_8_makes_j7_realisable_within_the_rounding_of_the_print():
     assert corrected[0, 2] == printed[0, 2]
 
 
-def test_erratum_9_normalises_p7():
+def test_erratum_9_normalizes_p7():
     assert np.linalg.norm(Tables.as_printed().euler_parameters[6]) == pytest.approx(0.9999928, abs=1e-7)
     assert np.linalg.norm(after(9).euler_parameters[6]) == pytest.approx(1.0, abs=1e-15)
     used = load("tracker").mechanism.bodies[6].quaternion
@@ -156,7 +156,7 @@ def test_identification_repeats_the_fit_and_its_residuals():
     assert np.sqrt(np.mean(residuals**2)) == pytest.approx(0.066, abs=5e-4)  # published with the scene
     assert np.abs(residuals).max() < 0.2
     share_5, share_6 = design.parameters[-2:]
-    # a check that was not fitted to: both centres of mass lie at mid-leg
+    # a check that was not fitted to: both centers of mass lie at mid-leg
     assert share_5 == pytest.approx(0.5, abs=0.01)
     assert share_6 == pytest.approx(0.5, abs=0.01)
 

@@ -15,7 +15,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from crosscheck.studies.faults import PLANTED_IN, plant
 from crosscheck.studies.faults import find as finding
-from crosscheck.studies.faults.catalogue import SIZES, Fault, catalogue, most_of
+from crosscheck.studies.faults.catalog import SIZES, Fault, catalog, most_of
 from crosscheck.studies.faults.find import REFUSED, Found, Search, Sighting, Sound, find, find_faults
 from crosscheck.studies.faults.report import SMALLEST, Count, by_motion, holds, in_all, lines
 from newton_euler import Armature, Body, JointSpring, Mechanism, Scene
@@ -24,7 +24,7 @@ from newton_euler.model.joint_kinds import Fixed
 
 KINDS = {
     "mass",
-    "centre of mass",
+    "center of mass",
     "inertia entry",
     "frame of inertia",
     "joint point",
@@ -101,7 +101,7 @@ def test_the_mass_of_a_body_fixed_to_the_ground(gravity, observable):
 
 
 def test_an_open_closure_is_refused_or_seen(example, own):
-    (fault,) = (f for f in catalogue(example, (1e-6,)) if f.kind == "closure point" and f.detail == "y")
+    (fault,) = (f for f in catalog(example, (1e-6,)) if f.kind == "closure point" and f.detail == "y")
     refused = find(fault, ENGINES["pinocchio"], own)
     assert refused.seen.level == REFUSED
     planted = find(fault, ENGINES["mujoco"], own)
@@ -119,7 +119,7 @@ def test_an_open_closure_is_refused_or_seen(example, own):
 def test_springs_are_told_from_bodies(kind):
     """By motion alone: what the engine's forces leave over is what the spring's joint could do."""
     scene = replace(pendulum(), forces=(JointSpring("pivot", 3.0, 0.5),))
-    (fault,) = (f for f in catalogue(scene, (1e-3,)) if f.kind == kind)
+    (fault,) = (f for f in catalog(scene, (1e-3,)) if f.kind == kind)
     for name in PLANTED_IN:
         result = find(fault, ENGINES[name], Sound(scene))
         assert result.seen.level == "dynamics"
@@ -128,7 +128,7 @@ def test_springs_are_told_from_bodies(kind):
 
 def test_an_armature_is_found_at_its_joint_or_the_body_that_it_turns():
     scene = replace(pendulum(), armatures=(Armature("pivot", 0.3),))
-    (fault,) = (f for f in catalogue(scene, (1e-3,)) if f.kind == "armature")
+    (fault,) = (f for f in catalog(scene, (1e-3,)) if f.kind == "armature")
     for name in PLANTED_IN:
         result = find(fault, ENGINES[name], Sound(scene))
         assert result.seen.level == "dynamics"
@@ -141,7 +141,7 @@ def test_a_fault_in_one_size_is_no_larger_in_another(example):
     own = Sound(example)
     values = []
     for size in (1e-2, 1e-5):
-        fault = next(f for f in catalogue(example, (size,)) if f.kind == "mass")
+        fault = next(f for f in catalog(example, (size,)) if f.kind == "mass")
         values.append(find(fault, ENGINES["mujoco"], own).seen.value)
     assert values[0] / values[1] == pytest.approx(1e3, rel=1e-3)
 
@@ -150,7 +150,7 @@ def test_what_a_smaller_fault_does_is_not_unobservable(monkeypatch, example):
     """It does the same, less: below round-off it is missed."""
     faults = [a_fault(size).fault for size in (1e-1, 1e-6)]
     results = {fault.size: a_fault(fault.size, observable=fault.size == 1e-1) for fault in faults}
-    monkeypatch.setattr(finding, "catalogue", lambda scene, sizes: faults)
+    monkeypatch.setattr(finding, "catalog", lambda scene, sizes: faults)
     monkeypatch.setattr(finding, "find", lambda fault, engine, own: results[fault.size])
     assert [f.observable for f in find_faults(example, lambda message: None).found] == [True, True]
     results[1e-1] = replace(results[1e-1], observable=False)
@@ -158,9 +158,9 @@ def test_what_a_smaller_fault_does_is_not_unobservable(monkeypatch, example):
 
 
 @pytest.mark.parametrize("name", ["tracker", "four_bar", "slider_crank", "stewart"])
-def test_catalogues(name):
+def test_catalogs(name):
     scene = load(name)
-    faults = catalogue(scene)
+    faults = catalog(scene)
     assert len({fault.name for fault in faults}) == len(faults)
     for size in (*SIZES, None):
         of_size = [fault.kind for fault in faults if fault.size == size]
@@ -233,8 +233,8 @@ def test_engines_have_to_agree_without_a_fault(example, monkeypatch):
 
 
 def test_the_command(capsys, tmp_path, monkeypatch):
-    few = catalogue(load(str(EXAMPLE)), (1e-1, 1e-3))[::12]
-    monkeypatch.setattr(finding, "catalogue", lambda scene, sizes: few)
+    few = catalog(load(str(EXAMPLE)), (1e-1, 1e-3))[::12]
+    monkeypatch.setattr(finding, "catalog", lambda scene, sizes: few)
     status, out, _ = run(capsys, "faults", EXAMPLE, "--output", tmp_path)
     assert status == 0
     written = json.loads((tmp_path / "faults.json").read_text())

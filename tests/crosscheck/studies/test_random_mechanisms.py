@@ -239,7 +239,7 @@ def test_condition_numbers_explain_as_much_as_round_off():
 
 
 def test_weak_closures_beside_redundant_ones():
-    """An eigenvalue 1e-8 of the others: at a regularisation of 1e-6 of them it is never seen."""
+    """An eigenvalue 1e-8 of the others: at a regularization of 1e-6 of them it is never seen."""
     jacobian = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1e-4, 0.0]])
     settings = regularized(jacobian, np.eye(3), redundant=1)
     assert (settings.mu / (settings.mu + 1e-8)) ** ITERATIONS < 1e-16

@@ -216,8 +216,8 @@ def test_closed_form_of_the_symmetric_top(moments):
     assert top_error(other, run) > 0.1
 
 
-def test_the_slider_comes_to_rest_at_its_dead_centres():
-    scene = configurations.centred_slider_crank()
+def test_the_slider_comes_to_rest_at_its_dead_centers():
+    scene = configurations.centerd_slider_crank()
     half_turn = np.pi / configurations.CRANK_SPEED
     scene = replace(
         scene, duration=2.0 * half_turn, output_period=half_turn, outputs=frozenset({"velocities"})
@@ -226,7 +226,7 @@ def test_the_slider_comes_to_rest_at_its_dead_centres():
     r, rod = configurations.CRANK, configurations.ROD
     assert run.position[:, 3, 0] == pytest.approx([rod + r, rod - r, rod + r], abs=1e-14)  # round-off
     assert np.abs(run.linear_velocity[:, 3]).max() < 1e-13
-    assert configurations.measure_dead_centre_passage(TIGHT).figure < 1e-14
+    assert configurations.measure_dead_center_passage(TIGHT).figure < 1e-14
 
 
 def test_a_wrong_motion_of_the_windows_is_seen():

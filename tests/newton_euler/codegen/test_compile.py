@@ -50,7 +50,7 @@ def test_native_code_computes_what_the_program_says(cache):
 
 
 def compiled(text):
-    return NativeModule(text, lambda: text, {"f": Signature({"x": "double"}, "double")}, optimise=True)
+    return NativeModule(text, lambda: text, {"f": Signature({"x": "double"}, "double")}, optimize=True)
 
 
 SOURCE = "define double @f(double %x) {\n  %y = fadd double %x, 1.0\n  ret double %y\n}"
@@ -138,7 +138,7 @@ def test_a_user_without_a_home_has_no_cache(tmp_path, monkeypatch):
 
 def test_processes_that_compile_at_once_do_not_disturb_each_other(cache):
     code = "from newton_euler.codegen.compile import NativeModule\n"
-    code += f"NativeModule({SOURCE!r}, lambda: {SOURCE!r}, {{}}, optimise=True)"
+    code += f"NativeModule({SOURCE!r}, lambda: {SOURCE!r}, {{}}, optimize=True)"
     environment = os.environ | {CACHE_VARIABLE: str(cache)}
     jobs = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(6)]
     assert [job.wait() for job in jobs] == [0] * 6
@@ -149,7 +149,7 @@ def test_processes_that_compile_at_once_do_not_disturb_each_other(cache):
 def test_runs_that_are_killed_leave_the_cache_usable(cache):
     """Killed at random moments while they compile and write, again and again."""
     code = "from newton_euler.codegen.compile import NativeModule\nk = 0\nwhile True:\n    k += 1\n" + (
-        f"    NativeModule({SOURCE!r} + '; %d' % (k % 7), lambda: {SOURCE!r}, {{}}, optimise=True)\n"
+        f"    NativeModule({SOURCE!r} + '; %d' % (k % 7), lambda: {SOURCE!r}, {{}}, optimize=True)\n"
         "    import shutil, os\n"
         "    for name in os.listdir(os.environ['NEWTON_EULER_CACHE'])[:3]:\n"
         "        if not name.startswith('.'): os.unlink(os.environ['NEWTON_EULER_CACHE'] + '/' + name)\n"

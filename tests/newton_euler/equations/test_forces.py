@@ -93,7 +93,7 @@ def test_a_torsion_spring_turns_a_rod_more_than_once(formulation, joint):
     angle = 3.0 * np.pi * (1.0 - np.cos(np.sqrt(4.0 / about_pivot) * run.time))
     assert angle.max() > 5.0 * np.pi
     wanted = 0.5 * np.array([np.cos(angle), 0.0 * angle, -np.sin(angle)]).T
-    assert np.abs(run.position[:, 1] - wanted).max() < 1e-7  # 50 rad travelled, each turn to 1e-9
+    assert np.abs(run.position[:, 1] - wanted).max() < 1e-7  # 50 rad traveled, each turn to 1e-9
     assert np.ptp(run.kinetic_energy + run.potential_energy) < 1e-8 * run.potential_energy[0]
 
 
@@ -191,7 +191,7 @@ def test_a_torque_along_a_fixed_axis(formulation, frame):
 
 
 @both
-def test_a_force_off_the_centre_of_mass_turns_its_body(formulation):
+def test_a_force_off_the_center_of_mass_turns_its_body(formulation):
     force, point = np.array([1.0, -2.0, 0.5]), np.array([0.9, 0.3, -0.2])
     turn = from_rotation_vector(np.array([0.4, -0.7, 1.1]))
     scene = one_body(Wrench("push", "stone", point, force, [0.1, 0.2, 0.3]), quaternion=turn)
@@ -240,7 +240,7 @@ def test_work_is_there_only_if_it_is_asked_for():
 
 
 @both
-def test_linearisation_contains_springs_and_no_work(formulation):
+def test_linearization_contains_springs_and_no_work(formulation):
     scene = mass_on_rail(JointSpring("rail", STIFFNESS, DAMPING))
     jacobian = compile_scene(scene, formulation).linearize(initial_state(scene))
     system = formulate(scene, formulation)

@@ -7,7 +7,7 @@ import pytest
 
 from newton_euler.equations.sparse import (
     RowsInUse,
-    factorise,
+    factorize,
     minimum_degree,
     solve_constrained,
     sparse_vector,
@@ -39,7 +39,7 @@ PARENTS = [-1, 0, 1, 1, 0, 4, 4, 6]
 
 def test_leaves_first_makes_no_fill_on_a_tree():
     matrix = tree_matrix(np.random.default_rng(0), PARENTS)
-    factor = factorise(rows_of(matrix), range(len(PARENTS) - 1, -1, -1))
+    factor = factorize(rows_of(matrix), range(len(PARENTS) - 1, -1, -1))
     below = {(i, k) for k, column in enumerate(factor.columns) for i in column}
     assert below == {(i, k) for i, k in zip(*np.nonzero(np.triu(matrix, 1)), strict=True)}
 
@@ -50,7 +50,7 @@ def test_solutions_are_those_of_dense_algebra():
     right = rng.standard_normal(len(PARENTS))
     right[3] = 0.0
     for order in (range(7, -1, -1), minimum_degree([set(row) for row in rows_of(matrix)])):
-        solution = factorise(rows_of(matrix), order).solve(sparse_vector(right))
+        solution = factorize(rows_of(matrix), order).solve(sparse_vector(right))
         found = [solution.get(k, 0.0) for k in range(len(PARENTS))]
         assert found == pytest.approx(np.linalg.solve(matrix, right), rel=1e-12)  # condition below 100
 
@@ -60,7 +60,7 @@ def test_constrained_solution_is_the_saddle_points():
     mass, jacobian = tree_matrix(rng, PARENTS), rng.standard_normal((3, 8))
     jacobian[0, 4:] = jacobian[1, :4] = 0.0
     force, gamma = rng.standard_normal(8), rng.standard_normal(3)
-    factor = factorise(rows_of(mass), range(7, -1, -1))
+    factor = factorize(rows_of(mass), range(7, -1, -1))
     solution = solve_constrained(
         factor, sparse_vector(force), rows_of(jacobian), gamma, RowsInUse([0, 1, 2]), refine=False
     )
@@ -75,7 +75,7 @@ def test_health_sees_dependent_constraints():
     rng = np.random.default_rng(3)
     mass = tree_matrix(rng, PARENTS)
     row = rng.standard_normal(8)
-    factor = factorise(rows_of(mass), range(7, -1, -1))
+    factor = factorize(rows_of(mass), range(7, -1, -1))
     for size, healthy in ((1e-3, True), (1e-8, False), (0.0, False)):
         jacobian = np.array([row, 2.0 * row + size * rng.standard_normal(8)])
         solution = solve_constrained(
@@ -90,7 +90,7 @@ def test_refinement_regains_the_digits_of_a_badly_conditioned_complement():
     masses = np.geomspace(1e-5, 1e5, 8)
     jacobian, force = rng.standard_normal((3, 8)), rng.standard_normal(8)
     gamma = rng.standard_normal(3)
-    factor = factorise(rows_of(np.diag(masses)), range(8))
+    factor = factorize(rows_of(np.diag(masses)), range(8))
     errors = []
     for refine in (False, True):
         rows = RowsInUse([0, 1, 2])
@@ -105,5 +105,5 @@ def test_dependent_rows_are_dropped_and_nothing_else():
     rng = np.random.default_rng(5)
     rows = rng.standard_normal((4, 8))
     rows = np.vstack([rows[0], rows[1], rows[0] - 2.0 * rows[1], rows[2], np.zeros(8), rows[3]])
-    factor = factorise(rows_of(rows @ rows.T), range(6), drop=1e-11)
+    factor = factorize(rows_of(rows @ rows.T), range(6), drop=1e-11)
     assert factor.order == [0, 1, 3, 5]

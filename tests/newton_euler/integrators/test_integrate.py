@@ -24,7 +24,7 @@ from newton_euler.simulate import run
 
 
 def exact_height(scene, times):
-    """Height of a physical pendulum's centre of mass, by Jacobi's elliptic functions.
+    """Height of a physical pendulum's center of mass, by Jacobi's elliptic functions.
 
     phi = angle from hanging: sin(phi/2) = k sn(K + w t | k^2), k = sin(phi0 / 2), w^2 = m g c / I.
     """
@@ -94,7 +94,7 @@ def test_projection_restores_positions_and_velocities():
     assert np.abs(system.phi(q)).max() > 1e-4
     solution = integrate(system, q, v, np.array([0.0, 0.1]), options)
     for q, v in zip(solution.q, solution.v, strict=True):
-        assert np.abs(system.phi(q)).max() < 1e-14  # round-off of metres
+        assert np.abs(system.phi(q)).max() < 1e-14  # round-off of meters
         assert np.abs(system.phi_jacobian(q) @ v).max() < 1e-13
 
 

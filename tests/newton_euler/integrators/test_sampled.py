@@ -98,7 +98,7 @@ def test_a_cart_under_held_forces(simulate, period):
     scene = carts(Sampled("rail_0", Recorder(), period))
     found = simulate(scene)
     x, x_rate, force = exact(scene.times, period)
-    # constant accelerations: exact up to round-off of centimetres and of 250 steps
+    # constant accelerations: exact up to round-off of centimeters and of 250 steps
     assert np.max(np.abs(found.position[:, 1, 0] - x)) < 1e-14
     assert np.max(np.abs(found.linear_velocity[:, 1, 0] - x_rate)) < 1e-13
     assert np.array_equal(found.time, scene.times)
@@ -119,7 +119,7 @@ def test_who_is_called_when_with_what(simulate):
     for recorder in (fast, slow):
         for time, x, x_rate in recorder.calls:
             of_slow, of_fast = (exact(np.array([time]), period) for period in (0.3, 0.1))
-            # round-off of a metre and of a thousand steps
+            # round-off of a meter and of a thousand steps
             assert x == pytest.approx([of_slow[0][0], of_fast[0][0]], abs=1e-13)
             assert x_rate == pytest.approx([of_slow[1][0], of_fast[1][0]], abs=1e-13)
 
@@ -149,7 +149,7 @@ def test_controllers_of_a_tree_see_the_same_in_all_engines():
     wanted = seen["relative"]
     assert np.min(np.max(np.abs(wanted), axis=0)) > 0.05  # m, rad, m/s, rad/s: all of them move
     for name, found in seen.items():
-        # metres and radians at rtol 1e-10; MuJoCo's RK4 at 1 ms without loops
+        # meters and radians at rtol 1e-10; MuJoCo's RK4 at 1 ms without loops
         assert np.max(np.abs(found - wanted)) < 1e-8, name
         assert np.max(np.abs(ends[name] - ends["relative"])) < 1e-8, name
 
@@ -297,7 +297,7 @@ def test_steps_divide_outputs_and_periods(output_period, duration, periods, time
     found = mjcf.simulate(scene)
     assert found.settings["timestep"] == pytest.approx(timestep, rel=1e-9)
     x, _, _ = exact(scene.times, periods[0])
-    assert np.max(np.abs(found.position[:, 1, 0] - x)) < 1e-14  # round-off of centimetres
+    assert np.max(np.abs(found.position[:, 1, 0] - x)) < 1e-14  # round-off of centimeters
 
 
 @pytest.mark.parametrize(

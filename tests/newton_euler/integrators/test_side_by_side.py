@@ -46,7 +46,7 @@ def test_rows_are_what_each_is_alone(scene, far):
         q = found[row, : code.system.nq]
         assert (
             np.abs(code.system.phi(q)).max() < 10.0 * ROUND_OFF
-        )  # in m and rad, of mechanisms of some metres
+        )  # in m and rad, of mechanisms of some meters
 
 
 def test_a_row_that_cannot_be_closed_ends_it_and_those_before_it_are_kept():

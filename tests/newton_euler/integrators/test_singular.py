@@ -51,7 +51,7 @@ def parallelogram(angle, speed):
 
 
 def crank(scene):
-    """(n, 3) centre of the crank: one angle describes it all."""
+    """(n, 3) center of the crank: one angle describes it all."""
     about_y = [float(Y @ inertia @ Y) for inertia in MassProperties.of(scene.mechanism).inertia]
     inertia = about_y[1] + about_y[3] + 0.25 * (MASSES[0] + MASSES[2]) + MASSES[1]
     weight = 9.81 * (0.5 * (MASSES[0] + MASSES[2]) + MASSES[1])
@@ -80,7 +80,7 @@ def refusal(scene, tolerance, **options):
 @pytest.mark.parametrize("rtol", [1e-9, 1e-10, 1e-11, 1e-12, 1e-13])
 @pytest.mark.parametrize(("angle", "speed"), STARTS)
 def test_projection_passes_or_refuses(angle, speed, rtol):
-    """From a few hundredths of a radian off flat, where the other branch is a metre away."""
+    """From a few hundredths of a radian off flat, where the other branch is a meter away."""
     reason = refusal(parallelogram(angle, speed), 1e-6, rtol=rtol, atol=1e-2 * rtol)
     assert not reason or "near a singular configuration" in reason
     assert not reason or rtol < 1e-10  # tighter than round-off allows there
@@ -109,7 +109,7 @@ def test_what_cannot_pass_says_so(angle, speed, options):
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 @pytest.mark.parametrize(("angle", "speed"), [*STARTS, (-1.0, -5.0)])
 def test_fixed_steps_pass_or_refuse(angle, speed, formulation, stabilization, step):
-    """Of what goes over to the other branch, a metre away, nothing passes for a result."""
+    """Of what goes over to the other branch, a meter away, nothing passes for a result."""
     options = {"integrator": "RK4", "step": step, "stabilization": stabilization}
     reason = refusal(parallelogram(angle, speed), 1e-4, formulation=formulation, **options)
     assert not reason or "contradict each other near a singular configuration, where joint" in reason

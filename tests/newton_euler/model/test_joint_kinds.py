@@ -95,7 +95,7 @@ def spherical_pendulum(t, start, velocity):
 
 
 def test_a_spherical_pendulum_on_a_rod(formulation):
-    """A body on a rod at its centre moves as a point; so does a tiny one on a ball joint far away."""
+    """A body on a rod at its center moves as a point; so does a tiny one on a ball joint far away."""
     start, velocity = np.array([0.6, 0.0, -0.8]), np.array([0.4, 1.5, 0.3])
     swing = np.cross(start, velocity)
     wanted = None

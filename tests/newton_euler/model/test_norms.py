@@ -73,7 +73,7 @@ def test_a_step_of_semi_implicit_euler_adds_energy(formulation):
 
 
 def arm(duration=0.5) -> Scene:
-    """1 kg on a ball joint, its centre of mass 1 m away, at 23 rad/s."""
+    """1 kg on a ball joint, its center of mass 1 m away, at 23 rad/s."""
     body = Body("arm", 1.0, np.array([1.0, 0.0, 0.0]), np.diag([0.2, 0.1, 0.15]))
     mechanism = Mechanism([Body.ground(), body], [Spherical("ball", "ground", "arm", np.zeros(3))])
     state, spin = State.initial(mechanism), np.array([3.0, -20.0, 11.0])

@@ -69,7 +69,7 @@ class Fault:
         return " ".join(filter(None, (self.kind, "of", self.element, self.detail))) + size
 
 
-def catalogue(scene: Scene, sizes: Sequence[float] = SIZES) -> list[Fault]:
+def catalog(scene: Scene, sizes: Sequence[float] = SIZES) -> list[Fault]:
     """All faults of a scene: those with a size at each of the sizes, then those without; `MOST` of a kind."""
     most = most_of(len(scene.mechanism.bodies))
     of_sizes = [[*_of_bodies(scene, size), *_sized(scene, size)] for size in sizes]
@@ -98,7 +98,7 @@ def _of_bodies(scene: Scene, size: float) -> Iterator[Fault]:
         yield Fault("mass", body, "", size, plant.mass(body, size), right)
         for label, axis in zip("xyz", np.eye(3), strict=True):
             shifted = plant.center_of_mass(body, size * length * axis)
-            yield Fault("centre of mass", body, label, size, shifted, right)
+            yield Fault("center of mass", body, label, size, shifted, right)
         for i in range(3):
             for j in range(i, 3):
                 entry = plant.inertia_entry(body, i, j, size)
