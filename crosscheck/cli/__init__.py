@@ -31,9 +31,10 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 
     Matrices are too small for threads of BLAS: where something else wants the processors, an SVD of 60 rows
     takes 40 times as long with two of them, and they sum in another order. OpenBLAS reads their number as
-    NumPy is imported.
+    NumPy is imported. MuJoCo draws nothing here: it would load GLFW, whose process complains if interrupted.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ["MUJOCO_GL"] = "disable"
     heard = _open_streams()
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files may hold what is no text
