@@ -157,6 +157,7 @@ def _exercised(
     held = replace(driven, scene=replace(driven.scene, control=tuple(laws)))
     controls = plan.at(MOMENT, model, np.array(driven.start.data.act))
     original = _original(copy.copy(model), key, held, controls)
+    original[0].moment = MOMENT
     report, said = driven.report, list[str]()
     if count := len(plan.swings):
         several = f"s driven by sines of {LOWEST:g} to {HIGHEST:g} Hz within their ranges"

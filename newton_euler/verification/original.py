@@ -26,6 +26,7 @@ from newton_euler.equations.dense import least_squares, singular_values
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
+from newton_euler.verification.activity import Bounds
 
 ROUND_OFF = 1e-12
 """Relative: some hundred operations in a row, each to 1e-16, on numbers that went through a compiler."""
@@ -112,6 +113,19 @@ KINDS = Forces._fields[:4]
 """Of forces that are compared apart, so that small ones do not drown."""
 
 
+class ForceLimit(NamedTuple):
+    """A limit of a force that a scene is without, watched in its runs."""
+
+    element: str
+    watched: Bounds
+    """The force and the limit as the reading has them."""
+    force: float
+    """Without the limit, by the file's own model, N or N m."""
+    low: float
+    high: float
+    """By the file."""
+
+
 class Freedom(NamedTuple):
     """Motions that constraints leave free at a configuration."""
 
@@ -175,6 +189,7 @@ class Original(ABC):
         start: q where the scene starts, by its bodies.
         open: constraints as the file has them at `closest` and at `start`.
         unaccounted: elements that neither the scene nor its report can be held to.
+        moment: s, at which functions of time are what they are held at.
     """
 
     names: tuple[str, ...]
@@ -188,6 +203,7 @@ class Original(ABC):
     start: Array
     open: tuple[Constraints, Constraints]
     unaccounted: tuple[str, ...] = ()
+    moment: float = 0.0
 
     @abstractmethod
     def moved(self, q: Array, step: Array) -> Array:
@@ -213,6 +229,10 @@ class Original(ABC):
 
     @abstractmethod
     def forces(self, q: Array, v: Array) -> Forces: ...
+
+    def force_limits(self, q: Array, v: Array) -> list[ForceLimit]:
+        """Limits of forces that are watched; the same ones at all states."""
+        return []
 
     @abstractmethod
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
