@@ -209,11 +209,14 @@ def redundancy_lines(scene: Scene) -> Iterator[str]:
 
 
 def _activity_lines(mapping: ImportReport) -> Iterator[str]:
-    """List the limits, contacts and dry friction that were left out and did nothing in the run."""
-    watched = {number: mapping.entries[number] for number in mapping.watches}
-    inactive = [entry for entry in watched.values() if entry.fate == "inactive"]
-    for entry in watched.values():
-        if entry.fate != "inactive":
+    """List what the run shows of approximations, and of limits, contacts and friction that are left out."""
+    entries = [mapping.entries[number] for number in mapping.watches]
+    watched = [entry for entry in entries if entry.fate != "approximated"]
+    inactive = [entry for entry in watched if entry.fate == "inactive"]
+    for entry in entries:
+        if entry.fate == "approximated":
+            yield f"approximated: {entry.element}: {entry.how}"
+        elif entry.fate != "inactive":
             yield f"active, and left out: {entry.element}: {entry.how}"
     if inactive:
         texts = "; ".join(f"{entry.element}: {entry.how}" for entry in inactive)

@@ -13,6 +13,7 @@ from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.scalars import Array
+from newton_euler.verification.activity import Tangent
 from newton_euler.verification.import_report import ImportReport, unique_name
 
 RIGID = "held rigidly, where MuJoCo's solref and solimp let it give way"
@@ -92,13 +93,22 @@ class Loops:
         slope = float(sum(k * polynomial[k] * x ** (k - 1) for k in range(1, 5)))
         if np.any(polynomial[2:]):
             why = f"its polynomial replaced by its slope {slope:.6g} at the start"
-            self._couple(index, follower, driver, slope, why, exactly=False)
+            unit = "m" if model.jnt_type[first] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
+            about_start = np.polynomial.Polynomial(polynomial)(np.polynomial.Polynomial([x, 1.0]))
+            self._couple(index, follower, driver, slope, why, Tangent(driver, tuple(about_start.coef), unit))
         else:
             self._couple(index, follower, driver, slope, RIGID)
 
     def _couple(
-        self, index: int, follower: Key, driver: Key | None, ratio: float, how: str, exactly: bool = True
+        self,
+        index: int,
+        follower: Key,
+        driver: Key | None,
+        ratio: float,
+        how: str,
+        tangent: Tangent | None = None,
     ) -> None:
+        """Add a gear or a held joint, which replaces a polynomial by a `tangent` unless that is None."""
         if driver is None or ratio == 0.0:
             self.held.append(PrescribedMotion(follower[0], Polynomial((0.0,)), follower[1]))
             told = f"joint {follower[0]!r} held, {how}"
@@ -106,10 +116,10 @@ class Loops:
             name = self._name(index)
             self.gears.append(Gear(name, driver[0], follower[0], ratio, driver[1], follower[1]))
             told = f"gear {name!r} of ratio {ratio:.6g}, {how}"
-        if exactly:
+        if tangent is None:
             self._report.exactly(self._start.equality(index), told)
         else:
-            self._report.approximated(self._start.equality(index), told)
+            self._report.approximated(self._start.equality(index), told, watches=[tangent])
 
     def _add_tendon(self, index: int) -> None:
         """A rod, if it is straight and keeps its length; a gear or coupling, if a sum of coordinates."""

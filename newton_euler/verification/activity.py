@@ -239,6 +239,30 @@ class Rest:
         return Judged(True, f"moves from {first:.4g} s on")
 
 
+@dataclass(frozen=True)
+class Tangent:
+    """A polynomial of a joint coordinate whose tangent at the start a scene has in its place.
+
+    Attributes:
+        key: the coordinate.
+        coefficients: of rising powers of the coordinate, which is zero at the start.
+        unit: of the polynomial.
+    """
+
+    key: Key
+    coefficients: tuple[float, ...]
+    unit: str
+
+    def judge(self, course: Course) -> Judged:
+        x, _ = course.coordinate(self.key)
+        if not np.all(np.isfinite(x)):
+            return Judged(True, "not judged: its coordinate cannot be told from the poses")
+        away = np.abs(np.polynomial.Polynomial((0.0, 0.0, *self.coefficients[2:]))(x))
+        most = int(np.argmax(away))
+        how = f"they are apart by up to {away[most]:.3g} {self.unit}, at {course.time[most]:.4g} s"
+        return Judged(bool(away[most] > 0.0), how)
+
+
 def judged(watches: Sequence[Watch], course: Course) -> Judged:
     """Of all that an element says; active if any of it is."""
     found = [watch.judge(course) for watch in watches]

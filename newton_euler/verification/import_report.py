@@ -71,7 +71,12 @@ class ImportReport:
         """`inert` is what moves nothing as the file has it, such as an idle motor."""
         self.entries.append(ImportedElement(element, "exactly", how, became, inert=inert))
 
-    def approximated(self, element: str, how: str, became: str = "", topic: str = "") -> None:
+    def approximated(
+        self, element: str, how: str, became: str = "", topic: str = "", watches: Sequence[Watch] = ()
+    ) -> None:
+        """`watches` tell how far it is off in a run."""
+        if watches:
+            self.watches[len(self.entries)] = watches
         self.entries.append(ImportedElement(element, "approximated", how, became, topic))
 
     def left_out(
@@ -94,7 +99,7 @@ class ImportReport:
         found.originals = self.originals
         for number, watches in self.watches.items():
             seen, entry = judged(watches, course), self.entries[number]
-            fate: Fate = "left out" if seen.active else "inactive"
+            fate: Fate = entry.fate if entry.fate == "approximated" or seen.active else "inactive"
             found.entries[number] = replace(entry, fate=fate, how=f"{entry.how}; {seen.words}")
         return found
 
