@@ -39,7 +39,8 @@ def kinematics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> I
         return np.asarray(np.linalg.norm(first.stack(name) - second.stack(name), axis=-1))
 
     yield Figure("kinematics", "condition of constraints", pair, condition, 1.0 / EPSILON, "", informs=True)
-    yield row("positions, m", apart("position"), share * reach(scene, first.stack("position")))
+    length = round_off(condition, first.states.redundancy) * reach(scene, first.stack("position"))
+    yield row("positions, m", apart("position"), length)
     yield row("orientations, rad", angle_between(first.stack("quaternion"), second.stack("quaternion")))
     if first.closes or second.closes:
         opening, allowed = max(first.opening, second.opening), share + condition * first.states.opening

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from crosscheck.comparison.energy import RANDOM_RATE, energy_scale
+from crosscheck.comparison.figure import EPSILON
 from crosscheck.comparison.joint_geometry import joint_geometry
 from crosscheck.comparison.reactions import undetermined
 from crosscheck.comparison.terms import mass_and_force
@@ -93,9 +94,15 @@ class States:
             return max(_equilibrated(mass_and_force(self._system, q, v)[0]) for q, v in self._coordinates)
 
     @property
-    def noise(self) -> float:
+    def redundancy(self) -> float:
         """The largest singular value of the scene's constraints that was taken as redundant."""
         return mobility(self.scene).residual
+
+    @cached_property
+    def noise(self) -> float:
+        """Relative noise of constraints: `redundancy`, or round-off of coordinates far from the origin."""
+        distance = max(float(np.max(np.abs(state.position))) for state in self.all)
+        return max(self.redundancy, EPSILON * distance / self.scene.mechanism.size)
 
     @cached_property
     def undetermined(self) -> list[Array]:

@@ -79,7 +79,7 @@ def _mass_matrix_figure(placed: Placed, stated: MassProperties) -> Figure:
         scale = np.maximum(scale, SPREAD * np.max(scale * units) / units)
         gaps = np.max(np.abs(basis.T @ (mass - wanted) @ basis) / np.outer(scale, scale), axis=1)
         names = [original.motions[k] for k in chosen]
-        found.append(figure(quantity, gaps, ROUND_OFF, names))
+        found.append(figure(quantity, gaps, sample.precision, names))
     return worst(found) if found else Figure(quantity, 0.0, ROUND_OFF, "")
 
 

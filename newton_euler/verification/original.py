@@ -407,12 +407,18 @@ class Sample:
     freedom: Freedom
 
     @property
+    def precision(self) -> float:
+        """Relative, of coordinates: round-off, far from the origin that of the distance."""
+        distance = float(np.max(np.abs(self.kinematics.position), initial=0.0)) / self.original.size
+        return ROUND_OFF + 10.0 * float(np.finfo(float).eps) * distance
+
+    @property
     def tolerance(self) -> float:
         """Relative, of forces along independent velocities: round-off, times the condition of these.
 
         Both sides have bodies where the file has them, however far loops are open.
         """
-        return ROUND_OFF * self.freedom.condition
+        return self.precision * self.freedom.condition
 
     @property
     def tolerance_of_motion(self) -> float:

@@ -69,6 +69,27 @@ def test_an_inertia_that_no_mass_has_is_named(capsys, tmp_path):
     assert "inertia that no mass has, two principal moments together less than the third: a" in text
 
 
+AFAR = """<mujoco><worldbody>
+<body name="a" pos="{0} 0 0"><joint axis="0 1 0" stiffness="{3}"/>
+<inertial pos="{2} 0 0" mass="1" diaginertia="{3} {3} {3}"/>
+<body name="b" pos="{1} 0 0"><joint axis="0 1 0"/>
+<inertial pos="{2} 0 0" mass="1" diaginertia="{3} {3} {3}"/></body></body>
+<body name="c" pos="{4} 0 -{1}"><joint axis="0 1 0"/>
+<inertial pos="0 0 {2}" mass="1" diaginertia="{3} {3} {3}"/></body></worldbody>
+<equality><connect body1="b" body2="c" anchor="{2} 0 0"/></equality></mujoco>"""
+
+
+@pytest.mark.parametrize(("distance", "size"), [(1e4, 1.0), (5e5, 1.0), (1e3, 0.01)])
+def test_far_from_the_origin_models_agree_as_far_as_their_coordinates_have_digits(
+    capsys, tmp_path, distance, size
+):
+    """Map coordinates of a mechanism of 1 m leave 10 digits of a point on it."""
+    path = tmp_path / "afar.xml"
+    path.write_text(AFAR.format(distance, size, 0.5 * size, 0.02 * size**2, distance + 1.5 * size))
+    options = ("--set", "duration=0.02", "--engines", "newton_euler,mujoco", "--output", tmp_path / "out")
+    assert run(capsys, "run", path, *options)[1].splitlines()[-1].startswith("AGREE")
+
+
 def test_an_mjcf_is_run_with_its_report(capsys, tmp_path):
     path = tmp_path / "model.xml"
     path.write_text(FOUR_BAR)

@@ -28,6 +28,7 @@ from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.catalog import catalog
 from crosscheck.studies.faults.misreadings import misreadings
 from newton_euler.assemble import initial_state
+from newton_euler.codegen.cache import CACHE_VARIABLE
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.redundancy import NearlyRedundant
 from newton_euler.equations.relative import Relative
@@ -267,6 +268,7 @@ DRIVEN = """<mujoco><worldbody><body><joint name="h" axis="0 1 0" stiffness="3" 
 @pytest.mark.parametrize(("law", "force"), [(PD, more_damping), (JointSpring, warmer)])
 def test_a_law_that_newton_euler_gets_wrong_is_blamed_on_it(law, force, tmp_path, monkeypatch):
     """Neither Pinocchio's side nor the verification of the file evaluates laws as newton_euler does."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))  # others would get the wrong law from theirs
     path = tmp_path / "driven.xml"
     path.write_text(DRIVEN)
     found = mjcf.read.read(path, duration=0.02, exercise=True, verified=False)
@@ -282,8 +284,11 @@ def test_a_law_that_newton_euler_gets_wrong_is_blamed_on_it(law, force, tmp_path
     ("scene_name", "kind", "method"),
     [("tracker", PD, "force"), ("andrews", PointSpring, "pull")],
 )
-def test_of_two_engines_the_one_with_wrong_forces_is_blamed(scene_name, kind, method, other, monkeypatch):
+def test_of_two_engines_the_one_with_wrong_forces_is_blamed(
+    scene_name, kind, method, other, tmp_path, monkeypatch
+):
     """The balance of momentum, which settles it, works forces out apart from newton_euler's equations."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
     scene = load(scene_name)
     right = getattr(kind, method)
     monkeypatch.setattr(kind, method, lambda self, *of: 1.01 * right(self, *of))
