@@ -103,7 +103,7 @@ def regress(folder, *arguments):
 def unbroken(tmp_path_factory):
     """A copy of the source with baselines made from it."""
     folder = copy_source(tmp_path_factory.mktemp("unbroken") / "project")
-    done = regress(folder, *SCENES, "--update", "--reason", "test")
+    done = regress(folder, *SCENES, "--update", "test")
     assert done.returncode == 0, done.stderr
     return folder
 

@@ -41,14 +41,13 @@ from crosscheck.studies.faults import PLANTED_IN
 def faults_command(
     scene: str,
     settings: tuple[str, ...],
-    loops: str | None,
     names: tuple[str, ...],
     reading: bool,
     output: Path | None,
 ) -> int:
     """Plant one fault at a time in an engine's model of SCENE; say which are found and blamed right."""
     if reading:
-        options = scene_options(scene, settings, loops)
+        options = scene_options(settings)
         return _in_reading(scene, without_exercise(options, "what is read is verified as the file stands"))
     import time
 
@@ -56,7 +55,7 @@ def faults_command(
     from crosscheck.studies.faults.find import find_faults
     from crosscheck.studies.faults.report import data, holds, report
 
-    options = scene_options(scene, settings, loops)
+    options = scene_options(settings)
     loaded = load_and_tell(scene, options)
     path = (output or Path("output/faults") / loaded.name) / "faults.json"
     check_no_source([path], [scene])

@@ -23,11 +23,11 @@ from crosscheck.report.render import terminal
 @cli.command("explain")
 @click.argument("scene", default="tracker")
 @setting_options
-def explain_command(scene: str, settings: tuple[str, ...], loops: str | None) -> int:
+def explain_command(scene: str, settings: tuple[str, ...]) -> int:
     """Say what the compiler keeps of SCENE, what it leaves out, and what each feature costs."""
     from crosscheck.studies.explain import explain
 
-    loaded = load_and_tell(scene, scene_options(scene, settings, loops))
+    loaded = load_and_tell(scene, scene_options(settings))
     with progress_shown() as progress:
         parts = list(explain(loaded, progress))
     click.echo(terminal(parts), nl=False)
@@ -67,7 +67,6 @@ def figures_command(output: Path) -> int:
 def bench_command(
     scene: str,
     settings: tuple[str, ...],
-    loops: str | None,
     error: float,
     rhs: bool,
     scaling: bool,
@@ -77,7 +76,7 @@ def bench_command(
     """Measure run time against error on SCENE, for every engine and setting."""
     from crosscheck.studies.benchmark import run
 
-    options = exercised(scene, scene_options(scene, settings, loops))
+    options = exercised(scene, scene_options(settings))
     if rhs + scaling + (batch is not None) > 1:
         raise CrosscheckError("--rhs, --scaling and --batch are different benchmarks; choose one")
     loaded = load_and_tell(scene, options)

@@ -32,8 +32,7 @@ _file = click.Path(path_type=Path)
 @click.argument("sources", nargs=-1, metavar="[SCENE]...")
 @setting_options
 @click.option("--baseline", type=_file, help="Baseline of one SCENE.  [default: of a file, beside it]")
-@click.option("--update", "updates", is_flag=True, help="Make the baselines anew; needs --reason.")
-@click.option("--reason", metavar="TEXT", default=None, help="Why; kept with the baselines.")
+@click.option("--update", "reason", metavar="REASON", help="Make the baselines anew and keep why with them.")
 @click.option(
     "--output",
     type=_file,
@@ -47,9 +46,7 @@ _file = click.Path(path_type=Path)
 def regress_command(
     sources: tuple[str, ...],
     settings: tuple[str, ...],
-    loops: str | None,
     baseline: Path | None,
-    updates: bool,
     reason: str | None,
     output: Path,
     junit: Path | None,
@@ -64,16 +61,14 @@ def regress_command(
     from crosscheck.regress.report import tables, verdict
     from crosscheck.regress.run import check, update, write_reports
 
-    if len(sources) != 1 and (settings or loops or baseline):
-        raise CrosscheckError("--set, --loops and --baseline are of one SCENE; name it")
+    if len(sources) != 1 and (settings or baseline):
+        raise CrosscheckError("--set and --baseline are of one SCENE; name it")
     reports = [path for path in (junit, json_path, markdown) if path is not None]
     if json_path is None and reason is None:
         reports.append(json_path := output / "regress.json")
     if len(set(reports)) < len(reports):
         raise CrosscheckError("--junit, --json and --markdown name the same file")
-    if updates != (reason is not None):
-        raise CrosscheckError("--update and --reason TEXT go together")
-    options = scene_options(sources[0], settings, loops) if len(sources) == 1 else {}
+    options = scene_options(settings)
     guarded = _guarded(sources, options, baseline)
     if reason is not None:
         if reports:

@@ -45,7 +45,6 @@ OUTPUT = Path("output")
 @click.option("--engines", help="Names, with commas between.  [default: all]")
 @setting_options
 @click.option("--against", metavar="MODEL", help="Compare with another model instead, by newton_euler alone.")
-@click.option("--against-loops", metavar="FILE", help="Loop file of that model if it is a URDF.")
 @click.option(
     "--against-set", "against_settings", multiple=True, metavar="OPTION=VALUE", help="Option of that model."
 )
@@ -63,10 +62,8 @@ def run_command(
     engines: str | None,
     settings: tuple[str, ...],
     against: str | None,
-    against_loops: str | None,
     against_settings: tuple[str, ...],
     output: Path | None,
-    loops: str | None,
     advice: bool,
     **recording: Any,
 ) -> int:
@@ -78,12 +75,12 @@ def run_command(
     destination = Destination(**recording)
     wanted = _names(engines)
     if library:
-        alone = scene is None and against is None and not (settings or loops or advice)
+        alone = scene is None and against is None and not (settings or advice)
         if not alone or destination != Destination():
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
         return _run_all(wanted, output)
-    if against is None and (against_loops or against_settings):
-        raise CrosscheckError("--against-loops and --against-set are options of the model of --against")
+    if against is None and against_settings:
+        raise CrosscheckError("--against-set is for the model of --against")
     if against is not None and engines is not None:
         raise CrosscheckError("--against compares two models by newton_euler alone, without --engines")
     if against is not None and advice:
@@ -92,8 +89,8 @@ def run_command(
     chosen = "tracker" if scene is None else scene
     with redirect_stdout(sys.stderr) if destination.stdout else nullcontext():
         if against is None:
-            return _run(chosen, wanted, settings, output, destination, loops, advice)
-        models = _models((chosen, settings, loops), (against, against_settings, against_loops))
+            return _run(chosen, wanted, settings, output, destination, advice)
+        models = _models((chosen, settings), (against, against_settings))
         return _run_against(models, output, destination)
 
 
@@ -128,7 +125,6 @@ def _run(
     settings: tuple[str, ...],
     output: Path | None,
     destination: Destination,
-    loops: str | None,
     advised: bool,
 ) -> int:
     from crosscheck.engines import choose
@@ -140,7 +136,7 @@ def _run(
     chosen = choose(engines)
     folder = output or _own_folder(own_name(scene), [scene])
     check_no_source([folder / "summary.json"], [scene])
-    options = scene_options(scene, settings, loops)
+    options = scene_options(settings)
     taken = exercised(scene, options)
     loaded, mapping = load_scene(scene, taken, verified=False)  # the run says all that is not right
     for line in report_lines(mapping) if mapping else ():
@@ -162,16 +158,16 @@ def _own_folder(name: str, sources: Sequence[str]) -> Path:
     return OUTPUT / name
 
 
-def _models(*named: tuple[str, tuple[str, ...], str | None]) -> tuple[Model, Model]:
-    """Two models by name or file, settings and loop file, with names of their own."""
+def _models(*named: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:
+    """Load two models by name or file and settings, with names of their own."""
     from crosscheck.against.compare import Model
     from newton_euler.verification.import_report import unique_name
 
     paths = [Path(source) for source, *_ in named]
     alike = paths[0].stem == paths[1].stem
     found: list[Model] = []
-    for path, prefix, (source, settings, loops) in zip(paths, ("", "against-"), named, strict=True):
-        options = scene_options(source, settings, loops, prefix)
+    for path, prefix, (source, settings) in zip(paths, ("", "against-"), named, strict=True):
+        options = scene_options(settings, prefix)
         for option in ("duration", "output_period"):
             if prefix and option in options:
                 raise CrosscheckError(f"--against-set {option}: both models have the first's, see --set")
@@ -262,14 +258,14 @@ def list_command() -> int:
 @click.argument("source", metavar="IN")
 @click.argument("target", metavar="OUT", type=click.Path(path_type=Path))
 @setting_options
-def convert_command(source: str, target: Path, settings: tuple[str, ...], loops: str | None) -> int:
+def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int:
     """Write IN (a scene, MJCF or URDF) as OUT, in the format that its name ends in."""
     from crosscheck.files import check_no_source, check_writable
     from crosscheck.model_files.convert import check_target, files_of, scene_report, write_as
     from crosscheck.model_files.read import report_lines
 
     check_target(target)
-    options = scene_options(source, settings, loops)
+    options = scene_options(settings)
     if target.suffix == ".urdf":
         without_exercise(options, "a URDF holds no control and no start")
     check_no_source(files_of(target), [source, *([options["loops"]] if "loops" in options else [])])

@@ -28,8 +28,7 @@ def cli() -> None:
 
 def setting_options(command: Callable[..., int]) -> Callable[..., int]:
     """Parse what `scene_options` takes; limits that are set hold until the command ends."""
-    loops = click.option("--loops", metavar="FILE", default=None, help="Loop file (YAML) of a URDF.")
-    settings = click.option(
+    option = click.option(
         "--set",
         "settings",
         multiple=True,
@@ -37,7 +36,7 @@ def setting_options(command: Callable[..., int]) -> Callable[..., int]:
         callback=_heed_limits,
         help="Option of the scene or model file, or a limit, see crosscheck list; repeatable.",
     )
-    return settings(loops(command))
+    return option(command)
 
 
 def _heed_limits(context: click.Context, _: click.Parameter, settings: tuple[str, ...]) -> tuple[str, ...]:
@@ -46,7 +45,7 @@ def _heed_limits(context: click.Context, _: click.Parameter, settings: tuple[str
 
     named = [(setting, setting.partition("=")[0]) for setting in settings]
     chosen = tuple(setting for setting, name in named if name in LIMITS)
-    context.with_resource(changed(_by_name(chosen, "")))
+    context.with_resource(changed(scene_options(chosen)))
     return tuple(setting for setting, name in named if name not in LIMITS)
 
 
@@ -69,20 +68,16 @@ def recording_options(command: Callable[..., int]) -> Callable[..., int]:
     return command
 
 
-def scene_options(
-    scene: str, settings: tuple[str, ...], loops: str | None, prefix: str = ""
-) -> dict[str, str]:
-    """Options of a scene by name, out of `--set` and `--loops`, whose names may have a prefix."""
-    from crosscheck.model_files.read import is_urdf
-
-    options = _by_name(settings, prefix)
-    if loops is not None:
-        if not is_urdf(scene):
-            raise CrosscheckError(f"--{prefix}loops {loops}: only a URDF has a loop file, {scene!r} is none")
-        if "loops" in options:
-            both = f"--{prefix}loops {loops} and --{prefix}set loops={options['loops']}"
-            raise CrosscheckError(f"{both} are one option")
-        options["loops"] = loops
+def scene_options(settings: tuple[str, ...], prefix: str = "") -> dict[str, str]:
+    """Parse values of `--set`, whose name may have a prefix, into options of a scene by name."""
+    options = {}
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        if not (key and equals and value):
+            raise CrosscheckError(f"--{prefix}set {setting!r} is not of the form OPTION=VALUE")
+        if key in options:
+            raise CrosscheckError(f"--{prefix}set {key} is given twice")
+        options[key] = value
     return options
 
 
@@ -97,18 +92,6 @@ def without_exercise(options: dict[str, str], why: str) -> dict[str, str]:
     """Options of a command on which exercise has no effect; an error, which says why, if they ask for it."""
     if options.get("exercise") == "on":
         raise CrosscheckError(f"--set exercise=on has no effect here: {why}")
-    return options
-
-
-def _by_name(settings: tuple[str, ...], prefix: str) -> dict[str, str]:
-    options = {}
-    for setting in settings:
-        key, equals, value = setting.partition("=")
-        if not (key and equals and value):
-            raise CrosscheckError(f"--{prefix}set {setting!r} is not of the form OPTION=VALUE")
-        if key in options:
-            raise CrosscheckError(f"--{prefix}set {key} is given twice")
-        options[key] = value
     return options
 
 

@@ -82,7 +82,7 @@ MJCF_OPTIONS = COMMON | {
     "root": Option("FOLDER that holds all files that it refers to", "its own folder", _text),
 }
 URDF_OPTIONS = COMMON | {
-    "loops": Option("FILE, its loop file, like --loops", "none", _text),
+    "loops": Option("FILE, its loop file", "none", _text),
     "base": Option("fixed|free", "fixed", _text),
     "gravity": Option("X,Y,Z in m/s^2, or 0", "0,0,-9.81", _vector),
 }

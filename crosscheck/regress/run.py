@@ -55,7 +55,7 @@ class Guarded:
             words += ["--set", f"{option}={value}"]
         if self.path != usual_path(self.source):
             words += ["--baseline", str(self.path)]
-        return f"{shlex.join(words)} --update --reason TEXT"
+        return f"{shlex.join(words)} --update REASON"
 
     def complete_baseline(self) -> Baseline:
         """The stored baseline; raises `CrosscheckError` as `baseline` does, and if it does not hold what of a
@@ -152,7 +152,7 @@ def update(guarded: Sequence[Guarded], reason: str, progress: Progress) -> list[
     """
     reason = " ".join(reason.split())
     if not reason:
-        raise CrosscheckError("--reason is empty; it is kept with the baseline")
+        raise CrosscheckError("--update: the reason is empty; it is kept with the baseline")
     check_writable(*(each.path for each in guarded))
     made = []
     for each in guarded:

@@ -354,7 +354,7 @@ def test_convert_does_not_overwrite_what_it_reads(capsys, tmp_path, link):
         target.symlink_to(model)
     for arguments, named in (
         ((model, target), model),
-        ((model, "--loops", loops, other), loops),  # a URDF's loop file is written beside it
+        ((model, "--set", f"loops={loops}", other), loops),  # a URDF's loop file is written beside it
         ((model, "--set", f"loops={loops}", other), loops),
     ):
         status, out, err = run(capsys, "convert", *arguments)

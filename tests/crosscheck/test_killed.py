@@ -30,7 +30,7 @@ ENGINES = "newton_euler,pinocchio"
 
 COMMANDS = {
     "run": (["run", "four_bar.yaml", "--engines", ENGINES, "--output", "out"], 4.0),
-    "regress": (["regress", "four_bar.yaml", "--update", "--reason", "a test"], 12.0),
+    "regress": (["regress", "four_bar.yaml", "--update", "a test"], 12.0),
     "bench": (["bench", "four_bar.yaml", "--rhs", "--output", "out"], 12.0),
 }
 """And s that they take at most on a quiet machine."""

@@ -133,7 +133,8 @@ class Case:
         if self.prepare:
             self.prepare(folder)
         source = "robot.urdf" if self.file == "loops.yaml" else self.file
-        loops = ["--loops", "loops.yaml"] if source == "robot.urdf" else []
+        closed = source == "robot.urdf" and not any("loops=" in argument for argument in self.arguments)
+        loops = ["--set", "loops=loops.yaml"] if closed else []
         if self.message is None:
             return ["convert", source, "out.yaml", *loops]
         return ["run", source, *loops, "--output", "out", *self.arguments]

@@ -245,7 +245,7 @@ def mjcf_cases() -> Iterator[Case]:
         (("--set", "duration=1", "--set", "duration=2"), "--set duration is given twice"),
         (("--set", "duration"), "--set 'duration' is not of the form OPTION=VALUE"),
         (("--set", "root=/nowhere"), "leads outside of '/nowhere'"),
-        (("--loops", "loops.yaml"), "--loops loops.yaml: only a URDF has a loop file"),
+        (("--set", "loops=loops.yaml"), "loops"),
         (("--engines", "abacus"), "abacus"),
         (("--save", "recording.txt"), "--save recording.txt: a recording's name ends in .rrd"),
     )

@@ -309,5 +309,5 @@ def size_cases() -> Iterator[Refused]:
     )
     pairs, kinds = ", ".join(["[tip, end]"] * 300), ", ".join(["3d"] * 300)
     loops = f"closed_loop: [{pairs}]\ntype: [{kinds}]\nname_mot: [motor]\njoint_name: []\njoint_type: []\n"
-    arguments = ("run", "robot.urdf", "--loops", "large.yaml")
+    arguments = ("run", "robot.urdf", "--set", "loops=large.yaml")
     yield Refused("300 loops", arguments, "--set closures=300", written("large.yaml", loops))

@@ -150,10 +150,10 @@ def urdf_cases() -> Iterator[Case]:
     options = (
         (("--set", "key=start"), "robot.urdf has no option 'key'; choose from: duration, output_period"),
         (("--set", "duration=inf"), "duration is 'inf'; needed: a positive number of seconds"),
-        (("--loops", "none.yaml"), "none.yaml: cannot be read: No such file or directory"),
-        (("--loops", "parts"), "parts: not a regular file"),
-        (("--loops", "parts/wedge.obj"), "parts/wedge.obj: document: not a mapping"),
-        (("--loops", "robot.urdf"), "robot.urdf: document: not"),
+        (("--set", "loops=none.yaml"), "none.yaml: cannot be read: No such file or directory"),
+        (("--set", "loops=parts"), "parts: not a regular file"),
+        (("--set", "loops=parts/wedge.obj"), "parts/wedge.obj: document: not a mapping"),
+        (("--set", "loops=robot.urdf"), "robot.urdf: document: not"),
     )
     yield from with_options("URDF", "robot.urdf", options)
 

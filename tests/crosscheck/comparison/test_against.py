@@ -307,7 +307,7 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
     model, converted, loops = files
     assert run(capsys, "convert", model, converted)[0] == 0
     folder = tmp_path / "out"
-    arguments = ("run", model, "--against", converted, "--against-loops", loops, "--output", folder)
+    arguments = ("run", model, "--against", converted, "--against-set", f"loops={loops}", "--output", folder)
     status, out, err = run(capsys, *arguments)
     assert (status, err) == (0, "")
     *_, wrote, verdict = out.splitlines()
@@ -324,7 +324,8 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
     mass = re.search(r'<mass value="([^"]*)"', converted.read_text())
     assert mass is not None
     heavier.write_text(converted.read_text().replace(mass[0], f'<mass value="{1.0001 * float(mass[1])}"', 1))
-    arguments = ("run", converted, "--loops", loops, "--against", heavier, "--against-set", f"loops={loops}")
+    closed = f"loops={loops}"
+    arguments = ("run", converted, "--set", closed, "--against", heavier, "--against-set", closed)
     status, out, err = run(capsys, *arguments, "--output", folder)
     assert (status, err) == (1, "")
     assert "part at level 'model': mass, rel: 0.0001 > 1e-12, worst at crank " in out.splitlines()[-1]
@@ -333,7 +334,7 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("tracker", "--against-set", "gravity=off"), "are options of the model of --against"),
+        (("tracker", "--against-set", "gravity=off"), "--against-set is for the model of --against"),
         (
             ("tracker", "--against", "tracker", "--engines", "mujoco"),
             "by newton_euler alone, without --engines",
@@ -343,8 +344,8 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
             "by newton_euler alone, without --engines",
         ),
         (
-            ("tracker", "--against", "tracker", "--against-loops", "l.yaml"),
-            "--against-loops l.yaml: only a URDF has a loop file",
+            ("tracker", "--against", "tracker", "--against-set", "loops=l.yaml"),
+            "unknown option 'loops' of scene 'tracker'",
         ),
         (
             ("tracker", "--against", "tracker", "--against-set", "foo"),

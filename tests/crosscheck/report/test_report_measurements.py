@@ -35,7 +35,7 @@ def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     """A page of scenes that are quiet; of one that moved also its figures and its recording."""
     monkeypatch.chdir(tmp_path)
     model = scene_file(tmp_path, short_example())
-    assert run(capsys, "regress", model, "--update", "--reason", "as delivered")[0] == 0
+    assert run(capsys, "regress", model, "--update", "as delivered")[0] == 0
     status, text, _ = run(capsys, "regress", model, "--output", "out")
     assert status == 0
     assert "wrote out/regress.json" in text
