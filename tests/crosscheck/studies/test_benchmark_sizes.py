@@ -11,7 +11,8 @@ import newton_euler
 from crosscheck.errors import CrosscheckError
 from crosscheck.studies.benchmark import batch, rhs, scaling
 from crosscheck.studies.benchmark import reference as benchmark_reference
-from crosscheck.studies.benchmark.batch import Done, Method, MuJoCo, Own, cheapest, identical, references
+from crosscheck.studies.benchmark.batch import cheapest, identical, references
+from crosscheck.studies.benchmark.engines import Done, Method, MuJoCo, Own
 from crosscheck.studies.benchmark.ladders import intervals, poses_only
 from crosscheck.studies.benchmark.reference import pose_errors
 from crosscheck.studies.benchmark.rhs import (
