@@ -9,27 +9,20 @@ of elements and nothing else.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from mjcf.accounts import name_of, straighten, switch_off, unaccounted, without_force
+from mjcf.equalities import Equalities
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross
 from newton_euler.verification.activity import Bounds
 from newton_euler.verification.import_report import ImportReport, approximated, left_out, unique_name
-from newton_euler.verification.original import (
-    Constraints,
-    ForceLimit,
-    Forces,
-    Kinematics,
-    Original,
-    Sample,
-    wholes,
-)
+from newton_euler.verification.original import Original, Sample, wholes
+from newton_euler.verification.quantities import Constraints, ForceLimit, Forces, Kinematics
 
 SEVERAL_HINGES = 1.2
 """rad, that hinges of a body with others are moved from the start: beyond a quarter turn of the second of
@@ -37,9 +30,6 @@ three, poses tell other angles."""
 
 ROUND_OFF = 1e-14
 """Relative, of what is left of MuJoCo's sum of passive forces without its parts."""
-
-TORQUE_SCALE = 10
-"""Place in `eq_data` of a weld's factor on its angles."""
 
 DISABLED = ("CONTACT", "LIMIT", "FRICTIONLOSS")
 """No bilateral constraints: held against the report instead."""
@@ -90,6 +80,7 @@ class MjcfOriginal(Original):
         self.stated = self._data.qpos.copy(), self._velocity
         self._group(scene)
         self._measure(scene)
+        self._equalities = Equalities(self._model, self._data, self.units, self.size)
         self.unaccounted = tuple(unaccounted(self._model, self._roots, report))
         self.begin(scene)
         self.unaccounted += tuple(self._changing(report, self._data.act == stated))
@@ -176,7 +167,7 @@ class MjcfOriginal(Original):
             kind, k = numbers.get(element, (element, -1))
             for topic in topics:
                 if kind == "equality":
-                    self._active[k] = 0
+                    self._equalities.active[k] = 0
                 else:
                     switch_off(model, kind, k, topic)
         for element in near:
@@ -193,11 +184,6 @@ class MjcfOriginal(Original):
                     model.tendon_actfrclimited[model.actuator_trnid[k, 0]] = 0
             elif kind == "joint":
                 model.jnt_actfrcrange[k] = torques[model.jnt_dofadr[k]]
-        self._data.eq_active[:] = self._active
-
-    @cached_property
-    def _active(self) -> Array:
-        return np.asarray(self._model.eq_active0.copy())
 
     def _at_limits(self) -> tuple[Array, Array, Array]:
         """Find actuators of limited force at the start, (nactuator,), their forces, and those on joints."""
@@ -279,87 +265,11 @@ class MjcfOriginal(Original):
 
     def constraints(self, q: Array) -> Constraints:
         """Rows of the equalities that are not left out."""
-        model, data = self._model, self._data
-        data.qpos[:] = q
-        data.eq_active[:] = self._active
-        mujoco.mj_fwdPosition(model, data)
-        equalities = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        equalities &= np.isin(data.efc_id, self._row_owners)  # those of flexes are left out
-        residual, jacobian = np.zeros(len(self._row_units)), np.zeros((len(self._row_units), model.nv))
-        there = np.isin(self._row_owners, data.efc_id[equalities])  # MuJoCo drops those of zeros
-        residual[there] = data.efc_pos[equalities]
-        jacobian[there] = data.efc_J.reshape(-1, model.nv)[equalities]
-        names = [name_of(self._model, "equality", int(k)) for k in self._row_owners]
-        return Constraints(
-            residual / self._row_units, jacobian / self._row_units[:, None] * self.units, names
-        )
-
-    @cached_property
-    def _row_owners(self) -> Array:
-        """(k,) number of the equality that each row is of."""
-        units = [self._units_of(k) for k in range(self._model.neq)]
-        return np.repeat(np.arange(len(units)), [len(unit) for unit in units])
-
-    @cached_property
-    def _row_units(self) -> Array:
-        """(k,) of the rows, m or 1."""
-        return np.concatenate([np.ones(0), *(self._units_of(k) for k in range(self._model.neq))])
-
-    def _units_of(self, equality: int) -> Array:
-        """Units of the rows of an equality; those of welds have a `torquescale` too."""
-        model, size = self._model, self.size
-        first = int(model.eq_obj1id[equality])
-        match mujoco.mjtEq(model.eq_type[equality]):
-            case mujoco.mjtEq.mjEQ_CONNECT:
-                return np.full(3, size)
-            case mujoco.mjtEq.mjEQ_WELD:
-                scale = float(model.eq_data[equality, TORQUE_SCALE]) or 1.0
-                return np.array([size] * 3 + [scale] * 3)
-            case mujoco.mjtEq.mjEQ_JOINT:
-                return self.units[model.jnt_dofadr[first], None]
-            case mujoco.mjtEq.mjEQ_TENDON:
-                sums = model.wrap_type[model.tendon_adr[first]] == mujoco.mjtWrap.mjWRAP_JOINT
-                return np.ones(1) if sums else np.full(1, size)
-        return np.ones(0)  # flexes have no joints
+        return self._equalities.constraints(q)
 
     def keep_offsets(self) -> None:
         """Let each equality be closed where it is at the start, its second end put to the first."""
-        model, data, residuals = self._model, self._data, self.constraints(self.start).residual
-        residuals = residuals * self._row_units
-        for k in np.flatnonzero(self._active).tolist():
-            kind, values = mujoco.mjtEq(model.eq_type[k]), model.eq_data[k]
-            if kind in (mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON):
-                values[0] += residuals[self._row_owners == k][0]
-            elif kind in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
-                point = self._first_end(k)
-                ends = self._bodies_of(k)
-                first, second = (data.xmat[body].reshape(3, 3).T @ (point - data.xpos[body]) for body in ends)
-                model.eq_objtype[k] = mujoco.mjtObj.mjOBJ_BODY
-                model.eq_obj1id[k], model.eq_obj2id[k] = ends
-                if kind == mujoco.mjtEq.mjEQ_CONNECT:
-                    values[:6] = [*first, *second]
-                    continue
-                back, turn = np.zeros(4), np.zeros(4)
-                mujoco.mju_negQuat(back, data.xquat[ends[0]])
-                mujoco.mju_mulQuat(turn, back, data.xquat[ends[1]])
-                values[:TORQUE_SCALE] = [*second, *first, *turn]
-
-    def _bodies_of(self, equality: int) -> tuple[int, int]:
-        """MuJoCo's bodies of a connect or weld."""
-        model = self._model
-        ends = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
-        if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
-            return int(model.site_bodyid[ends[0]]), int(model.site_bodyid[ends[1]])
-        return ends
-
-    def _first_end(self, equality: int) -> Array:
-        """(3,) the point of a connect or weld on its first body, world frame."""
-        model, data, first = self._model, self._data, int(self._model.eq_obj1id[equality])
-        if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
-            return np.array(data.site_xpos[first])
-        place = 0 if model.eq_type[equality] == mujoco.mjtEq.mjEQ_CONNECT else 3
-        arm = model.eq_data[equality, place : place + 3]
-        return np.asarray(data.xpos[first] + data.xmat[first].reshape(3, 3) @ arm)
+        self._equalities.keep_offsets(self.start)
 
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
         """(nv, nv) of the bodies, and of the rotors."""
@@ -495,16 +405,3 @@ class MjcfOriginal(Original):
                 full = [self._full(sample.q, kind) for sample in samples]
                 yield name_of(self._model, kind, int(k)), [m - m0 for m, m0 in zip(full, bodies, strict=True)]
             inertia[:] = kept
-
-
-def random_control(model: Any) -> Array:
-    """(nu,) controls at random within their ranges, which are between -1 and 1 where there are none."""
-    low, high = np.full((2, model.nu), [[-1.0], [1.0]])
-    limited = model.actuator_ctrllimited.astype(bool)
-    for k in np.flatnonzero(limited):
-        places = slice(model.actuator_ctrladr[k], model.actuator_ctrladr[k] + model.actuator_ctrlnum[k])
-        low[places], high[places] = model.actuator_ctrlrange[k].reshape(-1, 2).T
-    most = mujoco.mjMAXVAL  # beyond which MuJoCo takes a control for a mistake
-    low, high = np.clip([low, high], -most, most)
-    share = np.random.default_rng(0).uniform(0.1, 0.9, model.nu)
-    return np.asarray(low + share * (high - low))

@@ -21,9 +21,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Unpack
 
+import mujoco
 import numpy as np
 
-from mjcf.original import MjcfOriginal, random_control
+from mjcf.original import MjcfOriginal
 from mjcf.reading.actuators import Actuators, driven_joints
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.exercise import exercise as exercised
@@ -133,9 +134,22 @@ def _original(
 @np.errstate(all="ignore")  # what overflows is refused
 def _driven(where: str, model: Any, key: str | None, request: Request) -> tuple[Original, Scene]:
     """The reading with all controls at random, and what it is verified against."""
-    control = random_control(model)
+    control = _random_control(model)
     driven = _reading(where, copy.copy(model), key, request, control)
     return _original(copy.copy(model), key, driven, (control, np.array(driven.start.data.act)))
+
+
+def _random_control(model: Any) -> Array:
+    """(nu,) controls at random within their ranges, which are between -1 and 1 where there are none."""
+    low, high = np.full((2, model.nu), [[-1.0], [1.0]])
+    limited = model.actuator_ctrllimited.astype(bool)
+    for k in np.flatnonzero(limited):
+        places = slice(model.actuator_ctrladr[k], model.actuator_ctrladr[k] + model.actuator_ctrlnum[k])
+        low[places], high[places] = model.actuator_ctrlrange[k].reshape(-1, 2).T
+    most = mujoco.mjMAXVAL  # beyond which MuJoCo takes a control for a mistake
+    low, high = np.clip([low, high], -most, most)
+    share = np.random.default_rng(0).uniform(0.1, 0.9, model.nu)
+    return np.asarray(low + share * (high - low))
 
 
 @np.errstate(all="ignore")  # what overflows is refused

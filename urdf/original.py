@@ -24,7 +24,8 @@ from newton_euler.verification.import_report import (
     left_out,
     unique_name,
 )
-from newton_euler.verification.original import Constraints, Forces, Kinematics, Original, Sample, wholes
+from newton_euler.verification.original import Original, Sample, wholes
+from newton_euler.verification.quantities import Constraints, Forces, Kinematics
 from urdf.loops import NO_LOOPS, UNIVERSAL, Loops, parse_loops
 
 SEVERAL_HINGES = 1.2

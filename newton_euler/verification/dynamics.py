@@ -17,8 +17,9 @@ from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 from newton_euler.verification.figure import Figure, figure, worst
 from newton_euler.verification.forces import largest, row_figure
-from newton_euler.verification.original import CLOSED, DOUBT, FREE, KINDS, ROUND_OFF, Sample
+from newton_euler.verification.original import CLOSED, ROUND_OFF, Sample
 from newton_euler.verification.placed import Place, Placed
+from newton_euler.verification.quantities import DOUBT, FREE, KINDS
 
 RATE = 1.0
 """rad/s and sizes a second, of the samples' velocities: what mechanisms do at least that do nothing else."""

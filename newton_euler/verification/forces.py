@@ -19,8 +19,9 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array
 from newton_euler.verification.activity import Bounds
 from newton_euler.verification.figure import SPREAD, Figure, figure, positive, worst
-from newton_euler.verification.original import KINDS, Original
+from newton_euler.verification.original import Original
 from newton_euler.verification.placed import Place, Placed
+from newton_euler.verification.quantities import KINDS
 from newton_euler.verification.wrenches import Wrenches
 
 ALIKE = 1e-3

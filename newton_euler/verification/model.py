@@ -11,8 +11,9 @@ from newton_euler.equations.dense import least_squares, singular_values
 from newton_euler.equations.system import MassProperties, dimensionless_jacobian
 from newton_euler.scalars import Array
 from newton_euler.verification.figure import SPREAD, Figure, figure, worst
-from newton_euler.verification.original import FREE, ROUND_OFF
+from newton_euler.verification.original import ROUND_OFF
 from newton_euler.verification.placed import Place, Placed, shifted
+from newton_euler.verification.quantities import FREE
 
 PLACES = "center of mass at the start, m"
 

@@ -10,8 +10,9 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.dense import least_squares
 from newton_euler.scalars import Array
 from newton_euler.verification.figure import Figure, figure
-from newton_euler.verification.original import ROUND_OFF, Freedom
+from newton_euler.verification.original import ROUND_OFF
 from newton_euler.verification.placed import Placed
+from newton_euler.verification.quantities import Freedom
 
 TIMES = 10.0
 """Offsets of loops, times the condition, by which closed starts may differ: each reader weighs rows that
