@@ -8,6 +8,8 @@ from mjcf.read import Reading, read
 
 BAR = '<geom type="capsule" fromto="0 0 0 {0}" size="0.02"/>'
 
+BOX = '<geom type="box" size="0.1 0.2 0.05" pos="{0}"/>'
+
 
 def model(bodies: str, rest: str = "", compiler: str = "") -> str:
     """A file with these bodies in its world."""

@@ -1,0 +1,127 @@
+"""Readings verified where loops are nearly redundant, keep offsets, or close nowhere but at the start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mjcf_models import BOX, model, reading
+
+from crosscheck.engines import ENGINES
+from crosscheck.run import crosscheck
+from crosscheck.studies.faults.misreadings import misreadings
+from crosscheck.studies.faults.reading import find_in_reading
+from newton_euler.equations.relative import Relative
+from newton_euler.model.forces import JointSpring
+from newton_euler.verification.verify import verify
+
+TILTED = model(
+    '<body name="crank"><joint name="a" axis="0 1 0" damping="1"/><inertial pos="0 0 0.1" mass="1" '
+    'diaginertia=".01 .01 .01"/><body name="coupler" pos="0 0 0.2"><joint name="b" axis="0 1 0"/>'
+    '<inertial pos="0.2 0 0" mass="1" diaginertia=".01 .01 .01"/><body name="rocker" pos="0.4 0 0">'
+    '<joint name="c" axis="0 1 {0}"/><inertial pos="0 0 -0.1" mass="1" diaginertia=".01 .01 .01"/></body>'
+    '</body></body><body name="base" pos="0.4 0 0"><joint name="d" axis="0 1 0"/><inertial pos="0 0 0.01" '
+    'mass="1" diaginertia=".01 .01 .01"/></body>',
+    '<equality><weld name="w" body1="rocker" body2="base"/></equality>',
+)
+
+
+@pytest.mark.parametrize("tilt", ["0", "1e-12", "1e-10", "1e-9", "1e-8", "1e-7"])
+def test_nearly_redundant_rows_pass_whatever_is_decided_of_them(tilt: str, tmp_path: Path) -> None:
+    """A planar four-bar with one hinge out of the plane; a damper that is off is found all the same."""
+    (original, scene), *_ = reading(tmp_path, TILTED.format(tilt)).report.originals
+    wrong = replace(scene, forces=(JointSpring("a", damping=1.0 + 1e-5),))
+    (failing, *_) = (figure for figure in verify(original, Relative(wrong)) if not figure.agrees)
+    assert (failing.quantity, failing.where) == ("dampers, rel", "joint 'a': damping")
+
+
+def offset(gap: float) -> str:
+    """A planar four-bar whose connect is out of the plane by a gap, m."""
+    return model(
+        '<body name="crank"><joint name="a" axis="0 1 0" damping="1" armature="0.01"/>'
+        f'{BOX.format("0 0 0.1")}<body name="coupler" pos="0 0 0.2"><joint name="b" axis="0 1 0"/>'
+        f"{BOX.format('0.25 0 0.05')}"
+        '<site name="p" pos="0.5 0 0.1"/></body></body>'
+        f'<body name="rocker" pos="0.5 0 0"><joint name="c" axis="0 1 0"/>{BOX.format("0 0 0.15")}'
+        f'<site name="q" pos="0 {gap} 0.3"/></body>',
+        '<equality><connect name="loop" site1="p" site2="q"/></equality>'
+        '<actuator><position name="servo" joint="a" kp="20" kv="2"/></actuator>',
+    )
+
+
+@pytest.mark.parametrize("gap", [1e-6, 1e-5, 1e-4, 4e-4])
+def test_offsets_that_loops_keep_hide_no_fault(gap: float, tmp_path: Path) -> None:
+    """Faults of a millionth are seen, in the same figures, as they are with the loop closed."""
+    seen = []
+    for each in (0.0, gap):
+        report = reading(tmp_path, offset(each)).report
+        (line,) = (line for line in report.start if line.startswith("verified"))
+        faults = [
+            f for f in misreadings(report.originals[-1][1]) if "1e-6" in f.detail or "1e-06" in f.detail
+        ]
+        found = find_in_reading(report, lambda _: None, faults)
+        seen.append([(outcome.fault.name, outcome.figure) for outcome in found if outcome.figure])
+        assert float(line.split(" to ")[1].split()[0]) < 1e-10
+    assert len(seen[0]) > 30
+    assert seen[0] == seen[1]
+
+
+def stretched(gap: float) -> str:
+    """Three links of 1 m across 3 m less a gap, the middle one level: they move by the root of the gap."""
+    run = 0.5 * (2.0 - gap)
+    tip = f"{run!r} 0 {float(np.sqrt(1.0 - run**2))!r}"
+    return model(
+        f'<body><joint axis="0 1 0"/>{BOX.format("0.3 0 0.01")}<body name="middle" pos="{tip}"><joint '
+        f'axis="0 1 0"/>{BOX.format("0.3 0 0.02")}</body></body><body name="last" pos="{3.0 - gap!r} 0 0">'
+        f'<joint axis="0 1 0"/>{BOX.format("-0.2 0 0.03")}</body>',
+        '<equality><connect body1="middle" body2="last" anchor="1 0 0"/></equality>',
+    )
+
+
+TRUSS = model(
+    f'<body name="a"><joint axis="0 1 0"/>{BOX.format(".3 0 0")}</body>'
+    f'<body name="b" pos="1 0 0"><joint axis="0 1 0"/>{BOX.format("-.2 0 .4")}</body>',
+    '<equality><connect body1="a" body2="b" anchor="0.5 0 0.8"/></equality>',
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "said", "limited"),
+    [
+        (stretched(1e-4), " at 4 moving states in ", ""),
+        (
+            stretched(1e-7),
+            " but for motions, which no state tells to better than ",
+            "at 4 more, next to singular configurations or with noise in loops, little shows",
+        ),
+        (TRUSS, " at 1 state in ", "nothing can move"),
+    ],
+    ids=["a little room", "hardly any", "none"],
+)
+def test_the_line_tells_what_few_states_show(text: str, said: str, limited: str, tmp_path: Path) -> None:
+    (line,) = (line for line in reading(tmp_path, text).report.start if line.startswith("verified"))
+    assert said in line
+    assert line.partition("; ")[2] == limited
+
+
+@pytest.mark.parametrize(("tilt", "told"), [("1e-4", True), ("0", False)])
+def test_a_verdict_says_that_no_state_tells_motions(tilt: str, told: bool, tmp_path: Path) -> None:
+    found = reading(tmp_path, TILTED.format(tilt), duration=0.02, verified=False)
+    rigid = [engine for engine in ENGINES.values() if engine.soft_start is None]
+    result = crosscheck(found.scene, rigid, lambda _: None, "tilted", {}, found.report)
+    assert result.agrees
+    assert ("; motions are not verified against the file: no state tells them" in result.verdict) == told
+
+
+def test_loops_that_close_nowhere_far_away_are_moved_a_little(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("newton_euler.verification.original.ATTEMPTS", 0)
+    (original, _), *_ = reading(tmp_path, stretched(1e-4)).report.originals
+    _, near = original.samples
+    assert 0.0 < np.max(np.abs(original.difference(original.start, near.q))) < 0.1
+    monkeypatch.setattr("newton_euler.verification.original.NEAR", ())
+    (line,) = (x for x in reading(tmp_path, stretched(1e-4)).report.start if x.startswith("verified"))
+    assert line.endswith("; loops close nowhere but at the start")
