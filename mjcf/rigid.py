@@ -16,11 +16,12 @@ import mujoco
 import numpy as np
 
 from mjcf.evaluate import constraint_jacobian, evaluation, mass_and_force
-from mjcf.loops import closes, loops
+from mjcf.loops import all_loops, closes, loops
 from mjcf.model import CompiledScene
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.redundancy import rows_left_out, without
 from newton_euler.equations.system import Evaluation
+from newton_euler.model.joint_geometry import JointGeometry, closing, in_tree
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
@@ -108,6 +109,28 @@ class RigidMuJoCo(CompiledScene):
             mujoco.mj_jacBodyCom(self.model, self.data, rows[2 * k], rows[2 * k + 1], index)
         return rows.reshape(6 * count, self.model.nv) @ self.layout.to_qvel
 
+    def joint_geometry(self) -> dict[str, JointGeometry]:
+        """Return the joints of the compiled model at its initial pose."""
+        model, data = self.model, self.data
+        data.qpos[:] = model.qpos0
+        mujoco.mj_fwdPosition(model, data)
+        kinds = {
+            int(mujoco.mjtJoint.mjJNT_HINGE): "hinge",
+            int(mujoco.mjtJoint.mjJNT_SLIDE): "slide",
+            int(mujoco.mjtJoint.mjJNT_BALL): "ball",
+        }
+
+        def read(name: str) -> tuple[str, Array, Array]:
+            index = model.joint(name).id
+            return kinds[int(model.jnt_type[index])], data.xaxis[index].copy(), data.xanchor[index].copy()
+
+        found = in_tree(self.welded, read)
+        for loop in all_loops(model, data):
+            if loop.kind != mujoco.mjtEq.mjEQ_WELD:
+                kind = "rod" if loop.kind == mujoco.mjtEq.mjEQ_TENDON else "ball"
+                found[loop.name] = closing(kind, (loop.points[0].copy(), loop.points[1].copy()))
+        return found
+
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Accelerations, reactions and energies at a state."""
         acceleration, multipliers = self._solve(q, v)
@@ -118,12 +141,37 @@ class RigidMuJoCo(CompiledScene):
         unused = rows_left_out(self)
         gamma = -self.velocity_product(q, v)
         gamma[self._coupled] += self.couplings.acceleration(self.time)
-        mass, force = self.mass_and_force()
+        mass, force = self._mass_and_force()
         rows, gamma = without(self._jacobian(), unused), without(gamma, unused)
         return solve_constrained(mass, force, rows, gamma, self.phi_units, self.velocity_units)
 
-    def mass_and_force(self) -> tuple[Array, Array]:
-        """M (nv, nv) and f (nv,) of M vdot = f + J^T lambda at the state that MuJoCo has, by MuJoCo."""
+    def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Compute M (nv, nv) and f (nv,) of M vdot = f + J^T lambda, by MuJoCo."""
+        self.state(q, v)
+        return self._mass_and_force()
+
+    def _mass_and_force(self) -> tuple[Array, Array]:
+        """The same at the state that MuJoCo has."""
         mass, force = mass_and_force(self.model, self.data)
         to_qvel = self.layout.to_qvel
         return to_qvel.T @ mass @ to_qvel, to_qvel.T @ force
+
+    def move_anchor(self, joint: str, shift: Array) -> None:
+        """Move the point of a closure on its second body, in a compiled model, by `shift` (3,), m, world."""
+        model, data = self.model, self.data
+        data.qpos[:] = model.qpos0
+        mujoco.mj_kinematics(model, data)
+        loop = model.equality(self._closure(joint)).id
+        welds = model.eq_type[loop] == mujoco.mjtEq.mjEQ_WELD
+        turn = data.xmat[model.eq_obj2id[loop]].reshape(3, 3)
+        anchor = slice(0, 3) if welds else slice(3, 6)
+        model.eq_data[loop, anchor] += turn.T @ shift
+
+    def _closure(self, joint: str) -> str:
+        """Name the equality of a joint that a loop is cut at: its own, or that of the weld of its halves."""
+        mechanism, welded = self.mechanism, self.welded.mechanism
+        cut = welded.joints[mechanism.joint_index(joint)]
+        for weld in welded.joints[len(mechanism.joints) :]:
+            if weld.second in (cut.first, cut.second):
+                return weld.name
+        return joint

@@ -21,6 +21,7 @@ from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.errors import SingularityError
 from newton_euler.integrators.projection import joint_residuals
 from newton_euler.model.euler_parameters import from_rotation
+from newton_euler.model.joint_geometry import NOWHERE, JointGeometry, closing, in_tree
 from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import weld_loops
@@ -131,6 +132,12 @@ class PinocchioSystem:
     def mass_matrix(self, q: Array) -> Array:
         """(nv, nv) by Pinocchio, with the scene's rotors."""
         return mass_matrix(self._model, self._dynamic_data, self.map, self.map.q_to_pinocchio(q))
+
+    def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Compute M (nv, nv) and f (nv,) of M vdot = f + J^T lambda, by Pinocchio."""
+        pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
+        bias = pin.nonLinearEffects(self._model, self._dynamic_data, pin_q, pin_v)
+        return self.mass_matrix(q), self.generalized_force(q, v) - self.map.v_from_pinocchio(bias)
 
     # What integrators, projection and assembly ask for
 
@@ -293,6 +300,39 @@ class PinocchioSystem:
             found.mass[body] = total.mass
             found.center_of_mass[body] = total.lever
             found.inertia[body] = total.inertia
+        return found
+
+    def joint_geometry(self) -> dict[str, JointGeometry]:
+        """Return the joints of the model at its initial pose."""
+        closed, model, welded = self.closed, self._model, self._welded
+        data = model.createData()
+        pin.computeJointJacobians(model, data, pin.neutral(model))
+        pin.updateFramePlacements(model, data)
+        columns = np.reshape(data.J, (6, model.nv))
+
+        def read(name: str) -> tuple[str, Array, Array]:
+            index = model.getJointId(name)
+            joint, point = model.joints[index], data.oMi[index].translation.copy()
+            if joint.nv == 3:
+                return "ball", NOWHERE, point
+            linear, angular = columns[:3, joint.idx_v], columns[3:, joint.idx_v]
+            return ("hinge", angular, point) if np.any(angular) else ("slide", linear, point)
+
+        found = in_tree(welded, read)
+        constraints, rods = iter(closed.constraints), iter(closed.rods)
+        for cut in welded.tree.cuts:
+            joint = welded.tree.joint(cut)
+            if joint.only_closes:
+                first, second = (data.oMf[frame].translation.copy() for frame in next(rods))
+                found[joint.name] = closing("rod", (first, second))
+                continue
+            constraint = next(constraints)
+            ends = (
+                data.oMi[constraint.joint1_id].act(constraint.joint1_placement).translation,
+                data.oMi[constraint.joint2_id].act(constraint.joint2_placement).translation,
+            )
+            if constraint.type == pin.ContactType.CONTACT_3D:
+                found[joint.name] = closing("ball", ends)
         return found
 
     def state(self, q: Array, v: Array) -> State:

@@ -11,9 +11,7 @@ import numpy as np
 
 from crosscheck.comparison.energy import RANDOM_RATE, energy_scale
 from crosscheck.comparison.figure import EPSILON
-from crosscheck.comparison.joint_geometry import joint_geometry
 from crosscheck.comparison.reactions import undetermined
-from crosscheck.comparison.terms import mass_and_force
 from crosscheck.errors import CrosscheckError
 from newton_euler.equations.dense import numerical_rank, orthonormal_range, singular_values
 from newton_euler.equations.redundancy import mobility, rows_left_out, without
@@ -91,7 +89,7 @@ class States:
         Stability of Numerical Algorithms, 2nd ed., 2002, section 10.1.1).
         """
         with solved(self._system, "the condition of the mass matrix"):
-            return max(_equilibrated(mass_and_force(self._system, q, v)[0]) for q, v in self._coordinates)
+            return max(_equilibrated(self._system.mass_and_force(q, v)[0]) for q, v in self._coordinates)
 
     @property
     def redundancy(self) -> float:
@@ -140,7 +138,7 @@ class Samples:
     @cached_property
     def joints(self) -> dict[str, JointGeometry]:
         """Of the system's own model."""
-        return joint_geometry(self.system)
+        return self.system.joint_geometry()
 
     @cached_property
     def initial_orientations(self) -> Array:
@@ -245,7 +243,7 @@ def free_motion(
     Multibody Systems, 1994, section 5.2), and hold nothing that was solved for.
     """
     transformation = system.velocity_transformation(q) * system.velocity_units / units[:, None]
-    mass, force = mass_and_force(system, q, v)
+    mass, force = system.mass_and_force(q, v)
     mass = mass * system.velocity_units
     accelerations = np.hstack([evaluation.linear_acceleration, evaluation.angular_acceleration]).ravel()
     along = basis.T @ (accelerations / units)

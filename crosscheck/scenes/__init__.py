@@ -89,9 +89,9 @@ def _read(name: str, given: dict[str, str | int]) -> dict[str, str | int]:
     options = {}
     for option, value in given.items():
         if option not in known:
+            choices = f"choose from: {', '.join(known)}" if known else "it takes none"
             raise CrosscheckError(
-                f"unknown option {option!r} of scene {name!r}; choose from: {', '.join(known)}, or a limit "
-                "(crosscheck list)"
+                f"unknown option {option!r} of scene {name!r}; {choices}, beside limits (crosscheck list)"
             )
         read = known[option].values.read(value)
         if read is None:

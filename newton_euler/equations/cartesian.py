@@ -265,6 +265,12 @@ class Cartesian(Formulation):
         ]
         return matrix, np.concatenate(right)
 
+    def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Compute the rows of the bodies in equation (21), (6 n, 7 n), and their right side (6 n,)."""
+        rows = 6 * len(self.bodies)
+        matrix, right = self.equation_21(q, v)
+        return matrix[:rows, : self.nv], right[:rows]
+
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Solve equation (21), as eq. (22) does, for qddot (7 n,) and lambda (k,).
 

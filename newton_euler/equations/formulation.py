@@ -25,6 +25,7 @@ from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.model.constraints import Frame
 from newton_euler.model.elements import Surroundings
 from newton_euler.model.joint import JointEquations, Key, Pose
+from newton_euler.model.joint_geometry import JointGeometry, stated
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
@@ -141,6 +142,10 @@ class Formulation:
         """Move the form's own coordinates by a small step (nv,); quaternions come out with norm 1."""
         raise NotImplementedError
 
+    def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Compute M and f, see `newton_euler.equations.system.System`."""
+        raise NotImplementedError
+
     def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
         """Compute the residuals (k,) and the nonzeros of their Jacobian (k, nv)."""
         raise NotImplementedError
@@ -242,6 +247,10 @@ class Formulation:
     def mass_properties(self) -> MassProperties:
         """Return the masses and inertias that the mechanism states."""
         return MassProperties.of(self.mechanism)
+
+    def joint_geometry(self) -> dict[str, JointGeometry]:
+        """Return the joints that the mechanism states."""
+        return stated(self.mechanism)
 
     # Constraints
 

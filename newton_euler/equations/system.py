@@ -13,6 +13,7 @@ from typing import Protocol, TypeGuard, TypeVar
 import numpy as np
 
 from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.joint_geometry import JointGeometry
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -86,6 +87,12 @@ class System(Protocol):
     def mass_properties(self) -> MassProperties:
         """Return the mass properties of the bodies in this system's own model."""
 
+    def joint_geometry(self) -> dict[str, JointGeometry]:
+        """Return the joints of this system's own model at the initial pose, by name.
+
+        Those that a model has of its own, for bodies that only rods hold, are left out.
+        """
+
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """Compute q (nq,) and v (nv,) of a state."""
 
@@ -100,6 +107,13 @@ class System(Protocol):
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """Compute vdot (nv,)."""
+
+    def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Compute M and f of M vdot = f + reactions; f has gravity, velocity terms and applied forces.
+
+        (nv, nv) and (nv,) for coordinates of a tree; (6 n, 7 n) and (6 n,) for the Cartesian form of n moving
+        bodies, whose rows are forces in the world and torques in the body.
+        """
 
     def phi(self, q: Array) -> Array:
         """Compute the constraint residuals (k,) that projection removes."""

@@ -12,7 +12,6 @@ from mechanisms import planar_four_bar
 from random_chains import CHAINS
 
 from crosscheck.scenes.tracker import tracker as make_tracker
-from mjcf.inspect import move_anchor
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
 from newton_euler.assemble import initial_state
@@ -156,6 +155,6 @@ def test_an_anchor_is_moved_whatever_its_weld_is_called() -> None:
         )
         q, _ = system.coordinates(initial_state(chosen))
         assert np.max(np.abs(system.phi(q))) < 1e-14
-        move_anchor(system, owner, np.array([0.0, 0.0, 1e-3]))
+        system.move_anchor(owner, np.array([0.0, 0.0, 1e-3]))
         # the point of the second body has gone up, and residuals are of the first less it
         assert system.phi(q)[:3] == pytest.approx([0.0, 0.0, -1e-3], abs=1e-14), (owner, cut)

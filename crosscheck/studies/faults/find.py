@@ -261,9 +261,8 @@ def _planted(fault: Fault, engine: Engine, scene: Scene) -> System:
     """
     if fault.shift is None or engine.name != "mujoco":
         return engine.systems(fault.plant(scene))[0]
-    from mjcf.inspect import move_anchor
     from mjcf.rigid import RigidMuJoCo
 
     system = RigidMuJoCo(scene)
-    move_anchor(system, fault.element, fault.shift)
+    system.move_anchor(fault.element, fault.shift)
     return system

@@ -11,7 +11,6 @@ import pytest
 from mechanisms import GRAVITY, REGULAR, bar, pendulum, planar_four_bar, scaled, seven_hinges
 from verdicts import ALL, figure, verdicts
 
-import crosscheck.comparison.samples
 import mjcf
 import mjcf.read
 from crosscheck.comparison.levels import LEVELS, Figure, compare, compare_equations, not_compared, sampled
@@ -22,7 +21,7 @@ from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from crosscheck.studies.stress.noise import sarrus
-from mjcf import inspect, loops
+from mjcf import loops
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.assemble import initial_state
 from newton_euler.equations.redundancy import mobility
@@ -121,7 +120,7 @@ def test_a_ball_on_the_axis_of_a_hinge_is_a_joint_of_both_models(tmp_path):
     )
     scene = mjcf.read.read(tmp_path / "held.xml", duration=0.1, output_period=0.05).scene
     system = RigidMuJoCo(scene)
-    ball = inspect.joint_geometry(system)["ball"]
+    ball = system.joint_geometry()["ball"]
     assert ball.kinds == ("ball",)
     assert ball.points == pytest.approx(np.array([[0.0, 0.3, 0.0]] * 2), abs=1e-15)  # round-off
     assert loops.loops(system.model, system.data) == []
@@ -334,7 +333,7 @@ def test_a_mass_matrix_without_a_condition_is_named(monkeypatch):
     def negative(system, q, v):
         return -np.eye(system.nv), np.zeros(system.nv)
 
-    monkeypatch.setattr(crosscheck.comparison.samples, "mass_and_force", negative)
+    monkeypatch.setattr(Relative, "mass_and_force", negative)
     scene = planar_four_bar()
     states = States(scene, (initial_state(scene),))
     with pytest.raises(CrosscheckError, match="relative: the condition of the mass matrix cannot be"):
