@@ -64,7 +64,7 @@ KINDS = (
     "rod",
     "free",
 )
-"""All joint kinds, in an order that stays: a number makes the same mechanism whatever is added."""
+"""All joint kinds; another length or order makes other mechanisms of the same numbers."""
 
 FLAT_KINDS = ("revolute", "prismatic", "planar", "fixed")
 
