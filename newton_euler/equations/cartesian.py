@@ -202,11 +202,10 @@ class Cartesian(Formulation):
     def g(self, q: Array, qdot: Array) -> Array:
         """Compute g (6 n,), eqs (20) and (24): applied f_i in the world and n'_i in the body."""
         frames = self.frames(q, qdot)
+        applied = body_wrenches(self.scene, self.seen(q, qdot))
         wrenches = [
             wrench + np.concatenate([body.mass * self.scene.gravity, np.zeros(3)])
-            for body, wrench in zip(
-                self.mechanism.bodies, body_wrenches(self.scene, self.seen(q, qdot)), strict=True
-            )
+            for body, wrench in zip(self.mechanism.bodies, applied, strict=True)
         ]
         measured = self.measured(q, qdot)
         for law, u in zip(self.scene.joint_forces, self.joint_forces(measured), strict=True):
@@ -246,11 +245,7 @@ class Cartesian(Formulation):
         n6, n7 = 6 * len(self.bodies), self.nv
         phi_q_rows, b_rows = self.Phi_q_and_B(q, qdot)
         Phi_q, B, P = to_array(phi_q_rows, n7), to_array(b_rows, n6), to_array(self.P(q), n7)
-        M, force = self.M(q), self.g(q, qdot) - self.b(q, qdot)
-        for inertia, on_q, on_b, gamma in zip(*self.rotors(q, qdot), strict=True):
-            push = inertia * to_array([on_b], n6)[0]  # -a (Phi_q qddot - gamma) on the coordinate
-            M = M + np.outer(push, to_array([on_q], n7)[0])
-            force = force + gamma * push
+        M, force = self.mass_and_force(q, qdot)
         matrix = np.block(
             [
                 [M, B.T],
@@ -266,10 +261,13 @@ class Cartesian(Formulation):
         return matrix, np.concatenate(right)
 
     def mass_and_force(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Compute the rows of the bodies in equation (21), (6 n, 7 n), and their right side (6 n,)."""
-        rows = 6 * len(self.bodies)
-        matrix, right = self.equation_21(q, v)
-        return matrix[:rows, : self.nv], right[:rows]
+        """Compute M (6 n, 7 n) and g - b (6 n,), with rotors."""
+        M, force = self.M(q), self.g(q, v) - self.b(q, v)
+        for inertia, on_q, on_b, gamma in zip(*self.rotors(q, v), strict=True):
+            push = inertia * to_array([on_b], len(force))[0]  # -a (Phi_q qddot - gamma) on the coordinate
+            M = M + np.outer(push, to_array([on_q], self.nv)[0])
+            force = force + gamma * push
+        return M, force
 
     def solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Solve equation (21), as eq. (22) does, for qddot (7 n,) and lambda (k,).

@@ -46,7 +46,7 @@ class Wrenches:
     def add_forces(self, scene: Scene) -> None:
         """Add all forces of a scene but gravity, at time 0."""
         for law in scene.joint_forces:
-            first, second, rows, x, rate = self._coordinate(law.joint, law.coordinate)
+            first, second, rows, x, rate = self._coordinate(*law.key)
             push = _law(law, x, rate) * rows
             self._add(first, push[:3], push[3:6])
             self._add(second, push[6:9], push[9:])

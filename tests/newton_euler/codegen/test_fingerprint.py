@@ -132,7 +132,9 @@ def test_a_scene_known_from_another_run_is_not_traced(tmp_path, monkeypatch):
 
 def test_the_same_scene_simulated_again_is_not_loaded_again(monkeypatch):
     scene = replace(load("pendulum"), duration=0.05)
-    newton_euler.simulate(scene)
+    first = newton_euler.simulate(scene)
     monkeypatch.setattr(Code, "__init__", None)
-    newton_euler.simulate(scene)
-    newton_euler.simulate(scene, integrator="RK4", step=0.01)
+    again = newton_euler.simulate(scene)
+    assert np.array_equal(again.position, first.position)
+    fixed = newton_euler.simulate(scene, integrator="RK4", step=0.01)
+    assert fixed.position.shape == first.position.shape

@@ -174,33 +174,6 @@ def test_two_rods_are_two_cranks_without_mass(formulation):
     assert np.ptp(two.position[:, 1], axis=0).max() > 0.05
 
 
-def assembly(swapped: bool) -> Scene:
-    """A plate on a plane, a stick whose end is on a line of the plate, held by rods; a floating block."""
-
-    def pair(first, second):
-        return (second, first) if swapped else (first, second)
-
-    bodies = [
-        Body.ground(),
-        bar("plate", [0.1, 0.0, 0.1], [0.8, 0.3, 0.2], 2.0),
-        bar("stick", [0.5, 0.2, 0.2], [0.6, 0.4, 1.0]),
-        bar("block", [1.2, 0.2, 0.9], [1.4, 0.6, 1.1], 1.3),
-        bar("tail", [1.4, 0.6, 1.1], [1.7, 0.9, 1.5], 0.7),
-    ]
-    joints: list[Joint] = [
-        Planar("table", *pair("ground", "plate"), [0.2, 0.1, 0.1], axis=[0.1, -0.2, 1.0]),
-        PointOnLine("slot", *pair("plate", "stick"), [0.5, 0.2, 0.2], axis=[1.0, 0.4, 0.1]),
-        PointOnLine("guide", *pair("ground", "stick"), [0.6, 0.4, 1.0], axis=[0.3, 1.0, -0.2]),
-        Rod("tie", *pair("plate", "block"), [0.8, 0.3, 0.2], point_on_second=[1.2, 0.2, 0.9]),
-        Rod("stay", "block", "ground", [1.4, 0.6, 1.1], point_on_second=[1.0, 1.0, 2.0]),
-        Revolute("hinge", *pair("block", "tail"), [1.4, 0.6, 1.1], axis=[0.2, 0.9, 0.4]),
-        Planar("cover", *pair("tail", "ground"), [1.7, 0.9, 1.5], axis=[0.9, 0.1, 0.3]),
-    ]
-    if swapped:  # both ends of the rod change places
-        joints[3] = Rod("tie", "block", "plate", [1.2, 0.2, 0.9], point_on_second=[0.8, 0.3, 0.2])
-    return Scene("assembly", Mechanism(bodies, joints), 0.5, 0.1, GRAVITY)
-
-
 @pytest.mark.parametrize("swapped", [False, True])
 def test_joint_coordinates_come_back_from_states(swapped):
     system = Relative(planes_and_rods(swapped))
