@@ -222,11 +222,10 @@ def _carry_out(
         status = UNFINISHED  # whatever was found until then; models that differ do so anyway
     else:
         status = AGREE if result.agrees else DISAGREE
-    with destination.sent(result, found) as sent:
+    with destination.sent(result, found) as sent, sent.until_interrupted():
         if sent.line:
             say(sent.line)
         say(result.verdict, bold=True)
-        sent.wait()
     return status
 
 

@@ -122,13 +122,18 @@ class Sent:
     line: str = ""
     server: subprocess.Popen[bytes] | None = None
 
-    def wait(self) -> None:
-        """Wait for the end of the server, if there is one, or an interrupt.
+    @contextmanager
+    def until_interrupted(self) -> Iterator[None]:
+        """Tell of the recording in the block, then wait for an interrupt or the end of the server, if any.
+
+        Whoever is told of the server may interrupt it before the block is done.
 
         Raises:
             CrosscheckError: if the server ends by itself.
         """
         if self.server is None:
+            yield
             return
         with suppress(KeyboardInterrupt):
+            yield
             raise CrosscheckError(f"Rerun's server ended with status {self.server.wait()}")

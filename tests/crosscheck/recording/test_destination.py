@@ -23,6 +23,7 @@ from rerun.chunk import RrdReader
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.recording import server
+from crosscheck.recording.destination import Sent
 from crosscheck.recording.log import new_recording
 from crosscheck.recording.server import LOOPBACK, end, free_port, start
 
@@ -119,6 +120,14 @@ def test_serve_serves_this_machine_until_interrupted(tmp_path, good, number):
     finally:
         process.kill()
         process.communicate()
+
+
+def test_an_interrupt_ends_serving_from_when_it_is_announced():
+    """Not only while the server is waited for: the announcement takes time, too."""
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        with Sent("serving", process).until_interrupted():
+            raise KeyboardInterrupt
+        assert process.poll() is None
 
 
 def listening(ports: list[int]) -> set[str]:
