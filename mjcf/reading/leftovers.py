@@ -1,6 +1,13 @@
-"""Elements beyond rigid bodies and bilateral constraints: listed, not compared."""
+"""Elements beyond rigid bodies and bilateral constraints: listed, and watched in runs.
+
+MuJoCo's collision detection and tendons are asked at the poses of a run, whatever moved the bodies there.
+"""
 
 from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -8,9 +15,10 @@ import numpy as np
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.joints import Joints
 from mjcf.reading.loops import fixed
-from mjcf.reading.poses import Poses, Stretched, Touching
 from mjcf.reading.start import Start
-from newton_euler.verification.activity import Bounds, Rest, Watch
+from newton_euler.model.euler_parameters import rotations
+from newton_euler.scalars import Array
+from newton_euler.verification.activity import PARTS, Bounds, Course, Judged, Rest, Watch
 from newton_euler.verification.import_report import CONTACTS, FRICTION, LIMITS, ImportReport
 
 UNSEEN = {
@@ -24,8 +32,10 @@ UNSEEN = {
 }
 """Elements that do not move anything."""
 
-
 NO_CONTACTS = "contacts are no bilateral constraints"
+
+CARRIED = (("geom_xpos", "geom_xmat"), ("site_xpos", "site_xmat"), ("xipos", "ximat"), ("xpos", "xmat"))
+"""Arrays of MuJoCo's data that bodies carry along: points and rotation matrices."""
 
 
 def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: ImportReport) -> None:
@@ -119,3 +129,89 @@ def _report_joint(start: Start, joints: Joints, number: int, report: ImportRepor
         why, key = f"its dry friction {friction:g}", joints.keys.get(number)
         resting = [Rest((key,))] if key else []
         report.left_out(element, why, topic=FRICTION, inert=off, watches=resting)
+
+
+class Poses:
+    """A compiled model, as its file has it, whose bodies are put where a run has them."""
+
+    def __init__(self, start: Start, bodies: Bodies) -> None:
+        self.model: Any = copy.copy(start.model)
+        for bit in ("CONTACT", "CONSTRAINT"):
+            self.model.opt.disableflags &= ~int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{bit}"))
+        model, data = self.model, start.data
+        numbers = {name: k for k, name in enumerate(body.name for body in bodies.bodies)}
+        of_bodies = np.array([numbers[name] for name in bodies.names])
+        self._owners = {
+            "geom_xpos": of_bodies[model.geom_bodyid],
+            "site_xpos": of_bodies[model.site_bodyid],
+            "xipos": of_bodies,
+            "xpos": of_bodies,
+        }
+        centers = np.array([body.center_of_mass for body in bodies.bodies])
+        turns = rotations(np.array([body.quaternion for body in bodies.bodies]))
+        self._local: dict[str, tuple[Array, Array]] = {}
+        for points, axes in CARRIED:
+            into = turns[self._owners[points]].transpose(0, 2, 1)
+            arms = getattr(data, points) - centers[self._owners[points]]
+            local = into @ arms[:, :, None], into @ getattr(data, axes).reshape(-1, 3, 3)
+            self._local[points] = local[0][:, :, 0], local[1]
+
+    def along(self, course: Course) -> Iterator[tuple[float, Any]]:
+        """Go through the moments of a run with MuJoCo's data there, collisions and tendons not worked out."""
+        data = mujoco.MjData(self.model)
+        for time in course.time.tolist():
+            centers, quaternions = course.poses(time)
+            turns = rotations(quaternions)
+            for points, axes in CARRIED:
+                owners, (arms, local) = self._owners[points], self._local[points]
+                getattr(data, points)[:] = centers[owners] + (turns[owners] @ arms[:, :, None])[:, :, 0]
+                getattr(data, axes)[:] = (turns[owners] @ local).reshape(-1, 9)
+            yield time, data
+
+
+class Touching:
+    """Contacts: nothing is nearer than the margin at which MuJoCo's contacts begin to push."""
+
+    def __init__(self, poses: Poses) -> None:
+        self._poses = poses
+
+    def judge(self, course: Course) -> Judged:
+        model, count, first = self._poses.model, 0, ""
+        for time, data in self._poses.along(course):
+            mujoco.mj_collision(model, data)
+            pushing = np.flatnonzero(data.contact.exclude == 0)
+            if not pushing.size:
+                continue
+            count += 1
+            if not first:
+                deepest = int(pushing[np.argmin(data.contact.dist[pushing])])
+                names = " and ".join(self._name(int(geom)) for geom in data.contact.geom[deepest])
+                depth = float(data.contact.includemargin[deepest] - data.contact.dist[deepest])
+                first = f"first at {time:.4g} s: {names}, {depth:.3g} m nearer than their margin"
+        if count:
+            return Judged(True, f"active at {count} of {len(course.time)} moments, {first}")
+        between = f"and at {PARTS - 1} moments between each two"
+        return Judged(False, f"inactive at all {len(course.run.time)} output times {between}")
+
+    def _name(self, geom: int) -> str:
+        if geom < 0:
+            return "a flex"
+        name = self._poses.model.geom(geom).name
+        body = self._poses.model.body(int(self._poses.model.geom_bodyid[geom])).name
+        return f"geom {name!r}" if name else f"a geom of {body!r}"
+
+
+class Stretched:
+    """Limits of a tendon that goes through sites, by MuJoCo's own path of it."""
+
+    def __init__(self, poses: Poses, tendon: int) -> None:
+        self._poses, self._tendon = poses, tendon
+
+    def judge(self, course: Course) -> Judged:
+        model, lengths = self._poses.model, []
+        margin = float(model.tendon_margin[self._tendon])
+        low, high = (float(x) for x in model.tendon_range[self._tendon])
+        for _, data in self._poses.along(course):
+            mujoco.mj_tendon(model, data)
+            lengths.append(float(data.ten_length[self._tendon]))
+        return Bounds((), low + margin, high - margin, "m").judged(course.time, np.array(lengths))

@@ -2,21 +2,20 @@
 
 Limits, contacts and dry friction are no bilateral constraints, and scenes have none. Where a limit is not
 reached and nothing touches, the run is that of the file all the same. Between output times motion is that of
-cubics through values and rates, which are off by about as much as those across an output miss it, and less
-where outputs are close enough. What these leave open counts as active.
+cubics through values and rates: what is faster than outputs tell is not seen.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from newton_euler.model.constraints import Frame
-from newton_euler.model.euler_parameters import angle_between, product
+from newton_euler.model.euler_parameters import product
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
@@ -28,56 +27,27 @@ AT_REST = 1e-12
 """m/s and rad/s, below which velocities are round-off."""
 
 PARTS = 16
-"""Of the time between outputs, at whose ends cubics are evaluated."""
-
-UNSEEN = "not seen between output times: ask for more of them"
-"""Words on what may have been active there."""
-
-
-def between(time: Array, x: Array, rate: Array, n: int, at: float) -> Array:
-    """The cubic through values (n, ...) and their rates at outputs n and n + 1, evaluated at a time, s."""
-    return _cubic(time[n : n + 2], x[n : n + 2], rate[n : n + 2], at)[0]
-
-
-def missed(time: Array, x: Array, rate: Array) -> Array:
-    """By how much cubics may miss values (n, ...) between outputs, (n - 1, ...).
-
-    The larger, of the outputs at both ends, of what the cubic across that output misses there: of the value,
-    and of the rate times the step. Infinite if there are too few outputs to tell.
-    """
-    if len(time) < 3:
-        return np.full((len(time) - 1, *x.shape[1:]), np.inf)
-    miss = np.zeros(x.shape)
-    for n in range(1, len(time) - 1):
-        ends = slice(n - 1, n + 2, 2)
-        value, slope = _cubic(time[ends], x[ends], rate[ends], float(time[n]))
-        step = 0.5 * float(time[n + 1] - time[n - 1])
-        miss[n] = np.abs(value - x[n]) + step * np.abs(slope - rate[n])
-    miss[0], miss[-1] = miss[1], miss[-2]
-    return np.maximum(miss[:-1], miss[1:])
-
-
-def _cubic(time: Array, x: Array, rate: Array, at: float) -> tuple[Array, Array]:
-    """Value and rate at a time of the cubic through two values and rates."""
-    step = float(time[1] - time[0])
-    s = (at - float(time[0])) / step
-    change = x[1] - x[0] - step * rate[0]
-    bend = step * (rate[1] - rate[0]) - 2.0 * change
-    value = x[0] + s * step * rate[0] + s**2 * change - s**2 * (1.0 - s) * bend
-    slope = rate[0] + (2.0 * s * change - (2.0 * s - 3.0 * s**2) * bend) / step
-    return np.asarray(value), np.asarray(slope)
+"""Of the time between outputs, at whose ends elements are looked at."""
 
 
 class Course:
-    """A scene's bodies and joint coordinates along a run with velocities, at and between n output times."""
+    """A scene's bodies and joint coordinates along a run with velocities.
+
+    Attributes:
+        scene, run: the two.
+        time: (m,) s: output times, and between each two of them the ends of `PARTS` equal parts.
+    """
 
     def __init__(self, scene: Scene, run: Trajectory) -> None:
-        self.scene, self.run, self.time = scene, run, run.time
+        self.scene, self.run = scene, run
+        shares = np.arange(PARTS) / PARTS
+        between = run.time[:-1, None] + np.diff(run.time)[:, None] * shares
+        self.time: Array = np.append(between.ravel(), run.time[-1])
         self._found: dict[Key, tuple[Array, Array]] = {}
 
     @cached_property
-    def frames(self) -> list[list[Frame]]:
-        """Of all bodies, at each time."""
+    def _frames(self) -> list[list[Frame]]:
+        """Of all bodies, at each output time."""
         run = self.run
         assert run.linear_velocity is not None
         assert run.angular_velocity is not None
@@ -85,66 +55,56 @@ class Course:
         return [State(*row).frames() for row in rows]
 
     @cached_property
-    def spins(self) -> Array:
-        """(n, b, 4) rates of the quaternions, 1/s."""
+    def _centers(self) -> Callable[[float], Array]:
+        assert self.run.linear_velocity is not None
+        return _curve(self.run.time, self.run.position, self.run.linear_velocity)
+
+    @cached_property
+    def _quaternions(self) -> Callable[[float], Array]:
         omega = self.run.angular_velocity
         assert omega is not None
         pure = np.concatenate([np.zeros((*omega.shape[:2], 1)), omega], axis=2)
-        return np.array(
-            [
-                [0.5 * product(w, q) for w, q in zip(*each, strict=True)]
-                for each in zip(pure, self.run.quaternion, strict=True)
-            ]
-        )
+        rates = [
+            [0.5 * product(w, q) for w, q in zip(*each, strict=True)]
+            for each in zip(pure, self.run.quaternion, strict=True)
+        ]
+        return _curve(self.run.time, self.run.quaternion, np.array(rates))
 
-    def poses(self, n: int, at: float) -> tuple[Array, Array]:
-        """Centers of mass (b, 3) and quaternions (b, 4) at a time between outputs n and n + 1, s."""
-        run = self.run
-        assert run.linear_velocity is not None
-        turned = between(run.time, run.quaternion, self.spins, n, at)
-        centers = between(run.time, run.position, run.linear_velocity, n, at)
-        return centers, turned / np.linalg.norm(turned, axis=1, keepdims=True)
-
-    @cached_property
-    def blur(self) -> tuple[Array, Array]:
-        """(n - 1, b) by how much poses between outputs may be off, m and rad."""
-        run = self.run
-        assert run.linear_velocity is not None
-        moved = missed(run.time, run.position, run.linear_velocity)
-        turned = missed(run.time, run.quaternion, self.spins)
-        return np.linalg.norm(moved, axis=2), 2.0 * np.linalg.norm(turned, axis=2)
-
-    @cached_property
-    def speeds(self) -> tuple[Array, Array]:
-        """(n - 1, b) the largest of bodies between outputs, m/s and rad/s."""
-        run, steps = self.run, np.diff(self.time)[:, None]
-        assert run.linear_velocity is not None
-        assert run.angular_velocity is not None
-        mean = np.linalg.norm(np.diff(run.position, axis=0), axis=2) / steps
-        found = []
-        for rates, across in (
-            (run.linear_velocity, mean),
-            (run.angular_velocity, angle_between(run.quaternion[1:], run.quaternion[:-1]) / steps),
-        ):
-            sizes = np.linalg.norm(rates, axis=2)
-            ends = np.maximum(sizes[1:], sizes[:-1])
-            found.append(np.maximum(ends, 1.5 * across + 0.5 * ends))  # of a cubic through them
-        return found[0], found[1]
+    def poses(self, time: float) -> tuple[Array, Array]:
+        """Compute centers of mass (b, 3) and quaternions (b, 4) at a time, s."""
+        turned = self._quaternions(time)
+        return self._centers(time), turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
     @np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation
     def coordinate(self, key: Key) -> tuple[Array, Array]:
-        """A joint coordinate (n,), m or rad from the initial pose, turns counted, and its rate (n,)."""
+        """Compute a joint coordinate (m,), m or rad from the initial pose, turns counted, and its rate (m,).
+
+        Both are NaN where poses do not tell it at all output times.
+        """
         if key not in self._found:
             mechanism = self.scene.mechanism
             equations = mechanism.joint_equations(key[0])
             measure = equations.coordinates[key[1]]
-            x, rate = np.zeros((2, len(self.time)))
-            for n, frames in enumerate(self.frames):
+            x, rate = np.zeros((2, len(self.run.time)))
+            for n, frames in enumerate(self._frames):
                 first, second = frames[equations.first], frames[equations.second]
                 x[n] = measure.phi(first, second)[0]
                 rate[n] = measure.jacobian(first, second).rate(first, second)[0]
-            self._found[key] = x if measure.is_length else np.unwrap(x), rate
+            if np.all(np.isfinite([x, rate])):
+                curve = _curve(self.run.time, x if measure.is_length else np.unwrap(x), rate)
+                self._found[key] = curve(self.time), curve(self.time, 1)
+            else:
+                self._found[key] = np.full(self.time.shape, np.nan), np.full(self.time.shape, np.nan)
         return self._found[key]
+
+
+def _curve(time: Array, x: Array, rate: Array) -> Any:
+    """Interpolate values (n, ...) by cubics: a function of times, s, and the order of a derivative."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    if len(time) == 1:
+        return lambda at, order=0: (rate if order else x)[np.zeros(np.shape(at), dtype=int)]
+    return CubicHermiteSpline(time, x, rate)
 
 
 class Judged(NamedTuple):
@@ -158,7 +118,7 @@ class Watch(Protocol):
     """Watch that tells whether an element is active."""
 
     def judge(self, course: Course) -> Judged:
-        """Look at all output times."""
+        """Look at all moments of a run."""
 
 
 @dataclass(frozen=True)
@@ -186,41 +146,22 @@ class Bounds:
         for key, factor in self.terms:
             value, slope = course.coordinate(key)
             x, rate = x + factor * value, rate + factor * slope
-        if not np.all(np.isfinite([x, rate])):
+        if not np.all(np.isfinite(x)):
             return Judged(True, "not judged: its coordinate cannot be told from the poses")
-        times, found = [float(course.time[0])], [self._value(float(course.time[0]), x[0], rate[0])]
-        for n in range(len(course.time) - 1):
-            ends = slice(n, n + 2)
-            for at in np.linspace(course.time[n], course.time[n + 1], PARTS + 1)[1:].tolist():
-                times.append(at)
-                found.append(self._value(at, *_cubic(course.time[ends], x[ends], rate[ends], at)))
-        miss = missed(course.time, x, rate)
-        steps = np.diff(course.time)
-        unsure = np.repeat((abs(self.by_value) + abs(self.by_rate) / steps) * miss, PARTS)
-        return self.judged(np.array(times), np.array(found), unsure)
+        constant: Any = self.constant
+        if isinstance(constant, TimeFunction):
+            constant = np.array([constant.value(time) for time in course.time.tolist()])
+        return self.judged(course.time, constant + self.by_value * x + self.by_rate * rate)
 
-    def _value(self, time: float, x: Array, rate: Array) -> float:
-        constant = self.constant.value(time) if isinstance(self.constant, TimeFunction) else self.constant
-        return float(constant + self.by_value * x + self.by_rate * rate)
-
-    def judged(self, times: Array, found: Array, unsure: Array) -> Judged:
-        """Judge values at times of `PARTS` of each step, between which they may be off by `unsure`."""
+    def judged(self, times: Array, found: Array) -> Judged:
+        """Judge values (m,) at times (m,), s."""
         room = np.minimum(found - self.low, self.high - found)
-        seen = room[::PARTS]
-        if np.any(seen < 0.0):
-            first, most = float(times[::PARTS][int(np.argmax(seen < 0.0))]), -float(np.min(seen))
-            return Judged(True, f"passed from {first:.4g} s on, by up to {most:.3g} {self.unit}")
-        if np.any(room < 0.0):
-            first, most = float(times[int(np.argmax(room < 0.0))]), -float(np.min(room))
-            how = f"from {first:.4g} s on, by up to {most:.3g} {self.unit}"
-            return Judged(True, f"passed between output times, {how}")
-        if np.all(np.isinf(room)):
-            return Judged(False, "no limit")
-        bends = np.abs(np.diff(found, 2)) / 8.0  # within parts
-        doubt = unsure + np.maximum(np.append(bends, bends[-1:]), np.insert(bends, 0, bends[:1]))
-        if np.any((np.minimum(room[1:], room[:-1]) < doubt) & (doubt > AT_REST)):
-            return Judged(True, UNSEEN)
         least = int(np.argmin(room))
+        if room[least] < 0.0:
+            first = times[int(np.argmax(room < 0.0))]
+            return Judged(True, f"passed from {first:.4g} s on, by up to {-room[least]:.3g} {self.unit}")
+        if np.isinf(room[least]):
+            return Judged(False, "no limit")
         return Judged(False, f"closest {room[least]:.3g} {self.unit} at {times[least]:.4g} s")
 
 
