@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import CONTACTS, FRICTION, LIMITS, ImportReport, approximated
+from newton_euler.verification.import_report import CONTACTS, FRICTION, LIMITS, ImportReport
 
 
 def name_of(model: Any, kind: str, number: int) -> str:
@@ -49,7 +49,7 @@ def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Itera
         for topic, has in ((LIMITS, limited), (FRICTION, friction)):
             for k in np.flatnonzero(has).tolist():
                 yield from _told(name_of(model, kind, k), topic, topics)
-    yield from _limits_of_forces(model, topics, without_force(report) | approximated(report))
+    yield from _limits_of_forces(model, topics, without_force(report))
     touching = np.any(model.geom_contype) or np.any(model.geom_conaffinity) or model.npair
     if touching and CONTACTS not in {topic for _, topic in topics}:
         yield "contacts"

@@ -126,14 +126,14 @@ class MjcfOriginal(Original):
 
     def _force_watches(self, report: ImportReport) -> Iterator[tuple[str, str, int, Bounds]]:
         """Element, its kind and number, and watch of each limit of a force that the scene never reaches."""
-        model, near = self._model, approximated(report)
+        model = self._model
         for topic, kind, count in (
             ("limit of the force", "actuator", model.nactuator),
             ("limit of actuator forces", "joint", model.njnt),
         ):
             numbers = {name_of(model, kind, k): k for k in range(count)}
             for entry, watches in ((report.entries[n], each) for n, each in report.watches.items()):
-                if entry.topic == topic and entry.element not in near:
+                if entry.topic == topic:
                     for watch in watches:
                         assert isinstance(watch, Bounds)
                         yield entry.element, kind, numbers[entry.element], watch
@@ -162,7 +162,6 @@ class MjcfOriginal(Original):
             )
             for k in range(count)
         }
-        limits, forces, torques = self._at_limits()
         for element, topics in without.items():
             kind, k = numbers.get(element, (element, -1))
             for topic in topics:
@@ -171,32 +170,9 @@ class MjcfOriginal(Original):
                 else:
                     switch_off(model, kind, k, topic)
         for element in near:
-            kind, k = numbers.get(element, (element, -1))
-            if kind == "equality":
-                straighten(model, k, self.start)
-            elif kind == "actuator" and limits[k]:
-                model.actuator_gaintype[k] = mujoco.mjtGain.mjGAIN_FIXED
-                model.actuator_biastype[k] = mujoco.mjtBias.mjBIAS_AFFINE
-                model.actuator_gainprm[k] = model.actuator_biasprm[k] = 0.0
-                model.actuator_biasprm[k, 0] = forces[k]
-                model.actuator_forcelimited[k] = 0
-                if model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_TENDON:
-                    model.tendon_actfrclimited[model.actuator_trnid[k, 0]] = 0
-            elif kind == "joint":
-                model.jnt_actfrcrange[k] = torques[model.jnt_dofadr[k]]
-
-    def _at_limits(self) -> tuple[Array, Array, Array]:
-        """Find actuators of limited force at the start, (nactuator,), their forces, and those on joints."""
-        model, data = self._model, self._data
-        kept = model.actuator_forcelimited.copy(), model.tendon_actfrclimited.copy()
-        self._go(self.start, self._velocity)
-        outputs = np.array(model.actuator_outadr, dtype=int)
-        forces, torques = data.actuator_force[outputs].copy(), data.qfrc_actuator.copy()
-        model.actuator_forcelimited[:], model.tendon_actfrclimited[:] = 0, 0
-        mujoco.mj_fwdActuation(model, data)
-        limits = data.actuator_force[outputs] != forces
-        model.actuator_forcelimited[:], model.tendon_actfrclimited[:] = kept
-        return limits, forces, torques
+            kind, k = numbers[element]
+            assert kind == "equality"
+            straighten(model, k, self.start)
 
     # What MuJoCo says
 

@@ -40,11 +40,11 @@ TRANSMISSION, DYNAMICS, GAIN, BIAS = mujoco.mjtTrn, mujoco.mjtDyn, mujoco.mjtGai
 
 TO_JOINTS = (TRANSMISSION.mjTRN_JOINT, TRANSMISSION.mjTRN_JOINTINPARENT)
 
+LIMITS = ("actuator_force", "tendon_actfrc", "jnt_actfrc")
+"""Limits of forces in MuJoCo's model."""
+
 GROUPS = 31
 """Of actuators, that a file can disable."""
-
-AT_LIMIT = 1e-12
-"""Relative, of a sum of forces that MuJoCo has scaled to be at its limit."""
 
 
 def driven_joints(model: Any) -> set[int]:
@@ -88,23 +88,22 @@ class Actuators:
         self._acting: dict[Key, Acting] = {}
         self.armatures: dict[Key, float] = {}
         self.drives: dict[int, Drive] = {}
-        self._told: list[tuple[int, str, str, str, tuple[int, ...]]] = []
         self._pushed: list[int] = []  # MuJoCo's bodies with wrenches of actuators
-        mujoco.mj_fwdActuation(self._model, self._data)
+        self._work_out_forces()
         for actuator in range(self._model.nactuator):
             self._add(actuator)
-        limited = [int(joint) for joint in np.flatnonzero(self._model.jnt_actfrclimited)]
-        held = [joint for joint in limited if self._limit(joint)]
-        stuck = {self._joints.keys[joint] for joint in held}
-        self.drives = {k: drive for k, drive in self.drives.items() if not stuck & drive.gains.keys()}
-        for actuator, how, became, limit, driven in self._told:
-            element = self._element(actuator)
-            limits = [limit, *(f"the limit of {joints.element(k)} holds it" for k in driven if k in held)]
-            if any(limits):
-                report.approximated(element, "; ".join([how, *filter(None, limits)]), became=became)
-            else:
-                silent = self._control(actuator) == 0.0 and actuator not in self._swings
-                report.exactly(element, how, became, inert=silent)
+        for joint in np.flatnonzero(self._model.jnt_actfrclimited).tolist():
+            self._report_joint_limit(joint)
+
+    def _work_out_forces(self) -> None:
+        """Have MuJoCo's data hold the forces of the start without their limits."""
+        limits = [getattr(self._model, f"{name}limited") for name in LIMITS]
+        kept = [each.copy() for each in limits]
+        for each in limits:
+            each[:] = 0
+        mujoco.mj_fwdActuation(self._model, self._data)
+        for each, before in zip(limits, kept, strict=True):
+            each[:] = before
 
     @property
     def laws(self) -> tuple[PD, ...]:
@@ -127,13 +126,13 @@ class Actuators:
         if law is None:
             return
         self._report_damping(actuator, element)
-        law, limited = self._limited(actuator, element, law, moments)
+        self._report_limits(actuator, element, law, moments)
         if moments is not None:
-            self._add_to_joints(actuator, element, law, limited, moments)
+            self._add_to_joints(actuator, element, law, moments)
         elif law == Affine(0.0, 0.0, 0.0) and not model.actuator_armature[actuator]:
-            self._tell(actuator, "no force at the controls of the start", CONTROL, limited)
+            self._tell(actuator, "no force at the controls of the start", CONTROL)
         elif kind == TRANSMISSION.mjTRN_SITE:
-            self._add_wrench(actuator, element, law, limited, model.actuator_gear[actuator])
+            self._add_wrench(actuator, element, law, model.actuator_gear[actuator])
         else:
             self._leave(actuator, element, f"no control law acts {self._through(actuator, kind)}")
 
@@ -213,89 +212,56 @@ class Actuators:
             gain = gain + bias
         return Affine(*(float(x) for x in gain))
 
-    def _tell(self, actuator: int, how: str, became: str, limit: str, driven: tuple[int, ...] = ()) -> None:
-        """To report once it is known which of the joints that it drives are held at their limits."""
-        self._told.append((actuator, how, became, limit, driven))
+    def _tell(self, actuator: int, how: str, became: str) -> None:
+        silent = self._control(actuator) == 0.0 and actuator not in self._swings
+        self._report.exactly(self._element(actuator), how, became, inert=silent)
 
     def _leave(self, actuator: int, element: str, why: str) -> None:
         self._report.left_out(element, why)
 
-    def _limited(
+    def _report_limits(
         self, actuator: int, element: str, law: Affine, moments: dict[int, float] | None
-    ) -> tuple[Affine, str]:
-        """The law and "", or the limit where the law is above that at the start, and the words for it."""
-        model, data = self._model, self._data
-        length, rate = data.actuator_length[actuator], data.actuator_velocity[actuator]
-        force = held = float(law.constant + law.by_length * length + law.by_rate * rate)
+    ) -> None:
+        """Report limits of its force and of what its tendon lets all actuators on it pull with together."""
+        model, report = self._model, self._report
         if model.actuator_forcelimited[actuator]:
             low, high = (float(x) for x in model.actuator_forcerange[actuator])
-            held = min(max(force, low), high)
-            if held == force:
-                why = f"its limit of the force, {low:g} to {high:g}"
-                terms = tuple((self._joints.keys[k], moment) for k, moment in (moments or {}).items())
-                constant = law.constant + law.by_length * length
-                swings = tuple(self._of_control(actuator, 1.0))
-                moving = swinging(constant, swings)
-                watch = Bounds(terms, low, high, "N or N m", moving, law.by_length, law.by_rate)
-                known = moments is not None or not (law.by_length or law.by_rate)
-                watches = [watch] if known else []
-                self._report.left_out(element, why, topic="limit of the force", watches=watches)
-        held = self._limited_by_tendon(actuator, element, held)
-        if held == force:
-            return law, ""
-        why = f"its force would be {force:.4g} at the start and is held at its limit there, {held:g}"
-        return Affine(held, 0.0, 0.0), why
-
-    def _limited_by_tendon(self, actuator: int, element: str, force: float) -> float:
-        """Its share of what a tendon lets all actuators on it pull with together."""
-        model, data = self._model, self._data
+            terms = tuple((self._joints.keys[k], moment) for k, moment in (moments or {}).items())
+            constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
+            moving = swinging(constant, tuple(self._of_control(actuator, 1.0)))
+            watch = Bounds(terms, low, high, "N or N m", moving, law.by_length, law.by_rate)
+            known = moments is not None or not (law.by_length or law.by_rate)
+            why = f"its limit of the force, {low:g} to {high:g}"
+            report.left_out(element, why, topic="limit of the force", watches=[watch] if known else [])
         tendon = int(model.actuator_trnid[actuator, 0])
-        on_tendons = model.actuator_trntype == TRANSMISSION.mjTRN_TENDON
-        if not on_tendons[actuator] or not model.tendon_actfrclimited[tendon]:
-            return force
-        low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
-        share = float(data.actuator_force[model.actuator_outadr[actuator]])
-        at_limit = np.any(np.isclose(self._pull(tendon), [low, high], rtol=AT_LIMIT, atol=0.0))
-        if at_limit and share != force:
-            return share
-        why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
-        self._report.left_out(element, why, topic="limit of its tendon")
-        return force
+        on_tendon = model.actuator_trntype[actuator] == TRANSMISSION.mjTRN_TENDON
+        if on_tendon and model.tendon_actfrclimited[tendon]:
+            low, high = (float(x) for x in model.tendon_actfrcrange[tendon])
+            why = f"its tendon's limit of actuator forces, {low:g} to {high:g}"
+            report.left_out(element, why, topic="limit of its tendon")
 
     def _pull(self, tendon: int) -> float:
-        """Of all actuators on a tendon together, which MuJoCo has scaled already where it is limited."""
+        """Of all actuators on a tendon together."""
         model = self._model
         on_tendons = model.actuator_trntype == TRANSMISSION.mjTRN_TENDON
         outputs = model.actuator_outadr[on_tendons & (model.actuator_trnid[:, 0] == tendon)]
         return float(np.sum(self._data.actuator_force[outputs]))
 
-    def _limit(self, joint: int) -> bool:
-        """True if what drives a joint is above the joint's limit at the start, and so held there."""
-        model, data, dof = self._model, self._data, int(self._model.jnt_dofadr[joint])
+    def _report_joint_limit(self, joint: int) -> None:
+        """Report a limit of all that drives a joint."""
+        model, data = self._model, self._data
         key, element = self._joints.keys.get(joint), self._joints.element(joint)
         low, high = (float(x) for x in model.jnt_actfrcrange[joint])
         why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
         law = None if key is None else self._acting.get(key)
-        others = self._others(joint)
-        if key is None or law is None or others:
-            if others or data.qfrc_actuator[dof]:
-                why = f"{why}, which counts {others}" if others else why
-                self._report.left_out(element, why, topic=topic)
-            return False
-        force = law.constant - law.damping * float(data.qvel[dof])
-        held = min(max(force, low), high)
-        if held == force:
-            gains = -law.stiffness, -law.damping
+        if others := self._others(joint):
+            self._report.left_out(element, f"{why}, which counts {others}", topic=topic)
+        elif key is not None and law is not None:
             moving = swinging(law.constant, law.swings)
-            watch = Bounds(((key, 1.0),), low, high, "N or N m", moving, *gains)
+            watch = Bounds(((key, 1.0),), low, high, "N or N m", moving, -law.stiffness, -law.damping)
             self._report.left_out(element, why, topic=topic, watches=[watch])
-            return False
-        self._acting[key] = Acting(constant=held)
-        why = (
-            f"its actuators' force would be {force:.4g} at the start and is held at its limit there, {held:g}"
-        )
-        self._report.approximated(element, why, became=CONTROL, topic=topic)
-        return True
+        elif data.qfrc_actuator[model.jnt_dofadr[joint]]:
+            self._report.left_out(element, why, topic=topic)
 
     def _others(self, joint: int) -> str:
         """Word what a joint's limit of actuator forces counts beside its control law."""
@@ -320,9 +286,7 @@ class Actuators:
         if np.any(model.actuator_damping[actuator]) or np.any(model.actuator_dampingpoly[actuator]):
             self._report.left_out(element, "damping of its own", topic="damping")
 
-    def _add_to_joints(
-        self, actuator: int, element: str, law: Affine, limited: str, moments: dict[int, float]
-    ) -> None:
+    def _add_to_joints(self, actuator: int, element: str, law: Affine, moments: dict[int, float]) -> None:
         keys, inertia = self._joints.keys, float(self._model.actuator_armature[actuator])
         slopes = self._ties.slopes({keys[joint]: moment for joint, moment in moments.items()})
         if slopes is None and (law.by_length or law.by_rate or inertia):
@@ -347,13 +311,11 @@ class Actuators:
                 before.stiffness - share * rates[key] * law.by_length,
                 before.damping - share * rates[key] * law.by_rate,
                 before.constant + share * constant,
-                (*before.swings, *(self._of_control(actuator, share) if not limited else ())),
+                (*before.swings, *self._of_control(actuator, share)),
             )
-        if not limited:
-            self._note_drive(actuator, shares, moments)
+        self._note_drive(actuator, shares, moments)
         names = ", ".join(repr(joint) for joint, _ in shares)
-        how = f"control law of joint {names}, its {self._course(actuator, bool(limited))}"
-        self._tell(actuator, how, CONTROL, limited, tuple(moments))
+        self._tell(actuator, f"control law of joint {names}, its {self._course(actuator)}", CONTROL)
 
     def _gain(self, actuator: int) -> float:
         """N or N m for each unit of control or activation; 0 if it has no fixed gain."""
@@ -365,10 +327,10 @@ class Actuators:
         if swing := self._swings.get(actuator):
             yield replace(swing, amplitude=share * self._gain(actuator) * swing.amplitude)
 
-    def _course(self, actuator: int, held: bool) -> str:
+    def _course(self, actuator: int) -> str:
         """Its control, in words."""
         swing = self._swings.get(actuator)
-        if swing is None or held:
+        if swing is None:
             return f"control held at {self._control(actuator):g}"
         what = "control" if self._is_direct(actuator) else "activation"
         sine = f"{swing.amplitude:.3g} sin({swing.angular_frequency:.4g} t)"
@@ -423,7 +385,7 @@ class Actuators:
         self.armatures[rotor[0]] = self.armatures.get(rotor[0], 0.0) + rotor[1]
         self._report.exactly(element, f"its armature {inertia:g} at joint {rotor[0][0]!r}", ROTOR)
 
-    def _add_wrench(self, actuator: int, element: str, law: Affine, limited: str, gear: Array) -> None:
+    def _add_wrench(self, actuator: int, element: str, law: Affine, gear: Array) -> None:
         """A constant force and torque at a site, in the site's frame or in that of a fixed one."""
         model, data = self._model, self._data
         site, reference = (int(k) for k in model.actuator_trnid[actuator])
@@ -442,4 +404,4 @@ class Actuators:
         self._pushed.append(int(model.site_bodyid[site]))
         frame: Any = "body" if turning else "world"
         self._forces.forces.append(Wrench(name, body, data.site_xpos[site].copy(), force, torque, frame))
-        self._tell(actuator, f"wrench {name!r}, constant in the {frame}", FORCE, limited)
+        self._tell(actuator, f"wrench {name!r}, constant in the {frame}", FORCE)

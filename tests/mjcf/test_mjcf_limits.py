@@ -10,19 +10,14 @@ from mjcf_models import ELEMENTS, PAIR, model, reading, verified
 from mjcf.errors import MjcfError
 
 
-def test_a_force_at_its_limit_is_held_there(tmp_path: Path) -> None:
-    text = ELEMENTS["actuators"].replace('kp="20"', 'kp="20" forcerange="-3 3"')
+@pytest.mark.parametrize("limit", [3, 30], ids=["beyond", "within"])
+def test_the_limit_of_a_force_is_left_out(limit: int, tmp_path: Path) -> None:
+    text = ELEMENTS["actuators"].replace('kp="20"', f'kp="20" forcerange="-{limit} {limit}"')
     found = reading(tmp_path, text)
     assert verified(found)
-    (entry,) = found.report.of("approximated")
-    assert entry.how == (
-        "control law of joint 'two_joints', its control held at 0.4; "
-        "its force would be 11 at the start and is held at its limit there, 3"
-    )
-    assert entry.element not in [e.element for e in found.report.of("exactly")]
-    within = reading(tmp_path, text.replace("-3 3", "-30 30"))
-    assert not within.report.of("approximated")
-    assert any("its limit of the force, -30 to 30" in e.how for e in within.report.of("left out"))
+    (entry,) = (e for e in found.report.of("left out") if e.topic == "limit of the force")
+    assert entry.how == f"its limit of the force, -{limit} to {limit}"
+    assert entry.element in [e.element for e in found.report.of("exactly")]
 
 
 def test_a_control_is_reported_within_its_range(tmp_path: Path) -> None:
@@ -39,35 +34,18 @@ LIMITED = model(
 )
 
 
-def test_joints_and_tendons_at_their_limits_of_actuator_forces(tmp_path: Path) -> None:
-    found = reading(tmp_path, LIMITED.format(qvel="0"))
+@pytest.mark.parametrize("qvel", ["0", "1.3"])
+def test_joints_and_tendons_with_limits_of_actuator_forces(qvel: str, tmp_path: Path) -> None:
+    found = reading(tmp_path, LIMITED.format(qvel=qvel))
     assert verified(found)
-    # 1 + 20 (0.4 - 0.1) is above 1; of 4 and 8 the tendon lets 3 through, in their proportion, 0.5 and 1 of
-    # which make forces of 2 each on the joint
     laws = {(law.joint, law.coordinate): law for law in found.scene.control}
-    assert laws["p", 0].force(0.1, 0.2, 0.0) == 1.0
-    assert laws["two_joints", 1].force(0.1, 0.2, 0.0) == pytest.approx(2.0 * (0.5 * 1.0 + 2.0), rel=1e-14)
-    approximated = {entry.element: entry.how for entry in found.report.of("approximated")}
-    assert approximated["joint 'p'"] == (
-        "its actuators' force would be 7 at the start and is held at its limit there, 1"
-    )
-    assert approximated["actuator 'two'"].endswith("held at 0.4; the limit of joint 'p' holds it")
-    assert approximated["actuator 'four'"].endswith(
-        "would be 8 at the start and is held at its limit there, 2"
-    )
-    exactly = {entry.element for entry in found.report.of("exactly")}
-    assert not [element for element in exactly if element.startswith("actuator")]
-
-
-def test_limits_are_those_of_a_start_that_moves(tmp_path: Path) -> None:
-    """Within them for the damping of an actuator, or above them for it, where at rest it is the other way."""
-    within = reading(tmp_path, LIMITED.format(qvel="1.3"))
-    entries = [str(entry) for entry in within.report.of("left out")]
+    assert laws["p", 0].force(0.0, 0.2, 0.0) == pytest.approx(1.0 + 20.0 * (0.4 - 0.1) - 5.0 * 0.2, rel=1e-14)
+    assert laws["two_joints", 1].force(0.1, 0.2, 0.0) == pytest.approx(2.0 * (0.5 * 4.0 + 8.0), rel=1e-14)
+    entries = {str(entry) for entry in found.report.of("left out")}
     assert "joint 'p': left out: its limit of actuator forces, -2 to 1" in entries
-    assert {law.joint: law.damping for law in within.scene.control}["p"] == 5.0
-    assert verified(within)
-    below = reading(tmp_path, LIMITED.format(qvel="3").replace("1 0.4 4 8", "0.5 0.1 4 8"))
-    assert {law.joint: law.force(0.0, 0.0, 0.0) for law in below.scene.control}["p"] == -2.0
+    for name in ("three", "four"):
+        assert f"actuator {name!r}: left out: its tendon's limit of actuator forces, -9 to 3" in entries
+    assert not found.report.of("approximated")
 
 
 GROUP = '<option actuatorgroupdisable="1 30"/>'

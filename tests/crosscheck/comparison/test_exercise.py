@@ -174,13 +174,14 @@ def test_a_reading_is_not_exercised_unless_asked_for(tmp_path: Path) -> None:
     assert not any(line.startswith("exercised") for line in found.report.start)
 
 
-def test_a_force_at_its_limit_is_not_driven(tmp_path: Path) -> None:
+@pytest.mark.parametrize("control", [0, 5], ids=["within", "beyond"])
+def test_a_force_is_driven_within_its_limit(control: int, tmp_path: Path) -> None:
     motor = '<actuator><motor name="m" joint="p" ctrlrange="-9 9" forcerange="-1 1"/></actuator>'
-    at_limit = model(PAIR, f'{motor}<keyframe><key ctrl="5"/></keyframe>')
-    assert not any(sines(reading(tmp_path, at_limit, exercise=True).scene).values())
-    within = reading(tmp_path, model(PAIR, motor), exercise=True)
-    (sine,) = sines(within.scene)["p", 0]
+    key = f'<keyframe><key ctrl="{control}"/></keyframe>'
+    found = reading(tmp_path, model(PAIR, f"{motor}{key}"), exercise=True)
+    (sine,) = sines(found.scene)["p", 0]
     assert 0.0 < sine.amplitude <= 0.5
+    assert abs(sine.offset) + sine.amplitude <= 1.0
 
 
 def test_a_watched_limit_sees_a_force_that_swings() -> None:
