@@ -1,6 +1,9 @@
-"""Errors of MuJoCo's side, all under `MjcfError`."""
+"""Errors of MuJoCo's side, all under `MjcfError`, and MuJoCo's own warnings."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.trajectory import StoppedError
@@ -24,3 +27,23 @@ class DivergenceError(MjcfError, StoppedError):
 
     def __init__(self, time: float, reason: str) -> None:
         super().__init__(time, reason, f"MuJoCo diverged at t = {time:.6g} s: {reason}")
+
+
+@contextmanager
+def heard_warnings() -> Iterator[list[str]]:
+    """Collect the warnings that MuJoCo gives meanwhile, each once, in place of its log file and terminal."""
+    import mujoco
+
+    heard: list[str] = []
+
+    def hear(message: str) -> None:
+        line = " ".join(message.split())
+        if line not in heard:
+            heard.append(line)
+
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(hear)
+    try:
+        yield heard
+    finally:
+        mujoco.set_mju_user_warning(before)

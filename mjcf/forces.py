@@ -14,8 +14,7 @@ from typing import TypeGuard
 
 import numpy as np
 
-from mjcf.layout import Layout, ball_name, coordinate_name
-from mjcf.text import number, numbers
+from mjcf.layout import Layout, ball_name, coordinate_name, number, numbers
 from newton_euler.model.elements import OnBall, OnCoordinate
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench

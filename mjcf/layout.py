@@ -1,4 +1,4 @@
-"""Layout: how MuJoCo numbers and measures what a spanning tree knows.
+"""Layout: numbers, names and measures that MuJoCo has for what a spanning tree knows.
 
 Hinges and slides are the same numbers in both. Two things differ. MuJoCo numbers bodies, and with
 them coordinates, depth first. And a ball turns in the child's own body frame, while the tree turns
@@ -7,6 +7,8 @@ the initial pose, R(qpos) = A0^T R(q) A0, so vector parts and angular velocities
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -66,3 +68,13 @@ class Layout:
     def children(self, body: int) -> list[TreeJoint]:
         """The tree's joints that hang on a body, in the order of its MJCF."""
         return self._children.get(body, [])
+
+
+def number(value: float) -> str:
+    """The shortest text that reads back as the same float."""
+    return repr(float(value) + 0.0).removesuffix(".0")  # + 0.0 turns -0.0 into 0.0
+
+
+def numbers(values: Iterable[float]) -> str:
+    """Several, with spaces between."""
+    return " ".join(number(value) for value in values)

@@ -9,7 +9,6 @@ import numpy as np
 
 from mjcf.errors import ModelError
 from mjcf.layout import Layout
-from mjcf.motion import body_velocity
 from mjcf.write import controls, welded_to_xml
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.system import MassProperties
@@ -153,3 +152,17 @@ class CompiledScene:
         index = self.body_id[second]
         arm = mechanism.bodies[second].pose.point_to_body(point)
         return np.asarray(self.data.xpos[index] + self.data.xmat[index].reshape(3, 3) @ arm)
+
+
+def body_velocity(model: Any, data: Any, body: int) -> tuple[Array, Array]:
+    """(3,) of the center of mass, m/s, and (3,) angular, rad/s, after `mj_fwdVelocity`."""
+    out = np.zeros(6)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, body, out, 0)
+    return out[3:], out[:3]
+
+
+def body_acceleration(model: Any, data: Any, body: int) -> tuple[Array, Array]:
+    """(3,) of the center of mass, m/s^2, and (3,) angular, rad/s^2, after `mj_rnePostConstraint`."""
+    out = np.zeros(6)
+    mujoco.mj_objectAcceleration(model, data, mujoco.mjtObj.mjOBJ_BODY, body, out, 0)
+    return out[3:] + model.opt.gravity, out[:3]  # without gravity it is what an accelerometer reads

@@ -8,7 +8,7 @@ What was read is verified against MuJoCo's own model of the file, see `newton_eu
 `mjcf.original`. The reading is a function of the model and of the controls, and so that actuators show it is
 made and verified once more: with all controls at random, or as it is exercised at one moment.
 
-An exercised reading is one with controls that swing, and with start velocities; see `mjcf.reading.exercise`.
+An exercised reading is one with controls that swing, and with start velocities; see `mjcf.reading.laws`.
 """
 
 from __future__ import annotations
@@ -24,19 +24,18 @@ from typing import Any, Unpack
 import mujoco
 import numpy as np
 
+from mjcf.errors import heard_warnings
 from mjcf.original import MjcfOriginal
 from mjcf.reading.actuators import Actuators, driven_joints
 from mjcf.reading.bodies import Bodies
-from mjcf.reading.exercise import exercise as exercised
 from mjcf.reading.forces import Forces, armatures
-from mjcf.reading.joints import Joints
+from mjcf.reading.joints import Joints, Ties
 from mjcf.reading.laws import Drive
+from mjcf.reading.laws import exercise as exercised
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
 from mjcf.reading.source import SourceError, compiled
 from mjcf.reading.start import Start
-from mjcf.reading.ties import Ties
-from mjcf.silence import heard_warnings
 from newton_euler.assemble import assemble
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import HIGHEST, LOWEST, moving

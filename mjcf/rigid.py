@@ -15,8 +15,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjcf.evaluate import constraint_jacobian, evaluation, mass_and_force
-from mjcf.loops import all_loops, closes, loops
+from mjcf.evaluate import all_loops, closes, constraint_jacobian, evaluation, loops, mass_and_force
 from mjcf.model import CompiledScene
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.redundancy import rows_left_out, without

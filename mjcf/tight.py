@@ -15,8 +15,7 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-from mjcf.errors import DivergenceError, MjcfError
-from mjcf.silence import heard_warnings
+from mjcf.errors import DivergenceError, MjcfError, heard_warnings
 from mjcf.soft import SoftMuJoCo
 from mjcf.write import controls
 from newton_euler.assemble import initial_state

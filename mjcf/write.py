@@ -29,8 +29,7 @@ from mjcf.forces import (
     rests,
     wrenches,
 )
-from mjcf.layout import Layout, coordinate_name
-from mjcf.text import number, numbers
+from mjcf.layout import Layout, coordinate_name, number, numbers
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
 from newton_euler.errors import check_type

@@ -25,10 +25,10 @@ def own_file_advice(found: Found) -> Iterator[Advice]:
     """For an MJCF with equalities: how far they open in it as it is, and as it is made stiffer."""
     if not is_model(found.source) or is_urdf(found.source):
         return
+    from mjcf.errors import heard_warnings
     from mjcf.reading.source import SourceError, compiled
     from mjcf.reading.start import Start
     from mjcf.sag import CHANGES, looked_at, sag, stiffen, words
-    from mjcf.silence import heard_warnings
 
     try:
         with heard_warnings():  # they are in the report of the reading

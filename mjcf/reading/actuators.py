@@ -23,11 +23,10 @@ import numpy as np
 
 from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.forces import Forces, reduced_inertia
-from mjcf.reading.joints import FREE, Joints
+from mjcf.reading.joints import FREE, Joints, Ties
 from mjcf.reading.laws import Acting, Affine, Drive, control_for, swinging
 from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
-from mjcf.reading.ties import Ties
 from newton_euler.model.control import PD
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint import Key

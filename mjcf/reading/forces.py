@@ -9,10 +9,9 @@ import mujoco
 import numpy as np
 
 from mjcf.reading.bodies import GROUND, Bodies
-from mjcf.reading.joints import BALL, FREE, Joints
+from mjcf.reading.joints import BALL, FREE, Joints, Ties
 from mjcf.reading.loops import fixed, straight
 from mjcf.reading.start import Start
-from mjcf.reading.ties import Ties
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Key
 from newton_euler.scalars import Array

@@ -1,13 +1,14 @@
-"""Joints of a compiled model, those of one body together."""
+"""Joints of a compiled model, those of one body together, and ratios of their coordinates."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import mujoco
 
 from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.start import Start
+from newton_euler.model.couplings import Gear, JointCoupling
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Free, Part, combined, common_name
 from newton_euler.verification.import_report import ImportReport, unique_name
@@ -76,3 +77,44 @@ class Joints:
             if part.name in coordinates:
                 self.keys[k] = (name, coordinates[part.name])
         return joint
+
+
+class Ties:
+    """Groups of joint coordinates, zero at the start, each in a constant ratio to the first of its group."""
+
+    def __init__(self, gears: Iterable[JointCoupling]) -> None:
+        self._of: dict[Key, tuple[Key, float]] = {}
+        for gear in gears:
+            if not isinstance(gear, Gear):
+                continue  # which leaves its coordinates a freedom
+            driver = (gear.driver, gear.driver_coordinate)
+            follower = (gear.follower, gear.follower_coordinate)
+            (first, a), (second, b) = self._member(driver), self._member(follower)
+            ratio = gear.ratio * a / b  # of the second group's first coordinate to that of the first
+            for key in (driver, follower):
+                self._of.setdefault(key, (key, 1.0))
+            for key, (group, factor) in list(self._of.items()):
+                if group == second != first:
+                    self._of[key] = (first, factor * ratio)
+
+    def _member(self, key: Key) -> tuple[Key, float]:
+        return self._of.get(key, (key, 1.0))
+
+    def rates(self, keys: Iterable[Key]) -> dict[Key, float] | None:
+        """Derivative of each of these coordinates by the first of them; None if they do not all follow it."""
+        members = {key: self._member(key) for key in keys}
+        if len({group for group, _ in members.values()}) != 1:
+            return None
+        first = next(iter(members.values()))[1]
+        return {key: factor / first for key, (_, factor) in members.items()}
+
+    def slopes(self, weights: Mapping[Key, float]) -> dict[Key, float] | None:
+        """Derivative of a sum of weighted coordinates by each of them, the others following.
+
+        None if some of them do not follow, so that no single coordinate tells the sum.
+        """
+        rates = self.rates(weights)
+        if rates is None:
+            return None
+        total = sum(weight * rates[key] for key, weight in weights.items())
+        return {key: total / rate for key, rate in rates.items()}

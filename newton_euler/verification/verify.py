@@ -32,10 +32,9 @@ from newton_euler.verification.dynamics import system_figures
 from newton_euler.verification.figure import Figure, worst
 from newton_euler.verification.forces import force_figures
 from newton_euler.verification.import_report import ImportReport
-from newton_euler.verification.model import PLACES, body_figures, joint_figures
+from newton_euler.verification.model import PLACES, body_figures, joint_figures, start_figures
 from newton_euler.verification.original import LOOSEST, Original
 from newton_euler.verification.placed import Placed
-from newton_euler.verification.start import start_figures
 
 NOT_IN_MOTION = "but for motions, which no state tells to better than {:.0e},"
 """Words where loops are next to singular or in doubt at all states; forces are compared at round-off."""

@@ -16,7 +16,7 @@ from hostile_cases import cases
 from hostile_files import MJCF, TEXTS, Case
 from hostile_process import LONGEST_LINE, MEMORY, PROCESSOR_TIME, Server
 
-from mjcf.silence import heard_warnings
+from mjcf.errors import heard_warnings
 
 CASES = {case.name: case for case in cases()}
 

@@ -12,7 +12,7 @@ import newton_euler
 from mjcf.errors import MjcfError
 from mjcf.model import CompiledScene
 from mjcf.read import Reading
-from mjcf.reading.ties import Ties
+from mjcf.reading.joints import Ties
 from newton_euler.assemble import initial_state
 from newton_euler.integrators.compiled import FORMULATIONS, formulate
 from newton_euler.model.compound_joint import Compound

@@ -25,7 +25,7 @@ from urdf.dynamics import PinocchioSystem
 from urdf.errors import LoopFileError, NameClashError, UrdfError
 from urdf.loops import parse_loops
 from urdf.model import build
-from urdf.visual import roll_pitch_yaw
+from urdf.write import roll_pitch_yaw
 
 NUMBER = re.compile(r"(-?\d+\.\d+(?:e[-+]?\d+)?)")
 

@@ -21,7 +21,7 @@ from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from crosscheck.studies.stress.noise import sarrus
-from mjcf import loops
+from mjcf.evaluate import loops
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.assemble import initial_state
 from newton_euler.equations.redundancy import mobility
@@ -123,7 +123,7 @@ def test_a_ball_on_the_axis_of_a_hinge_is_a_joint_of_both_models(tmp_path):
     ball = system.joint_geometry()["ball"]
     assert ball.kinds == ("ball",)
     assert ball.points == pytest.approx(np.array([[0.0, 0.3, 0.0]] * 2), abs=1e-15)  # round-off
-    assert loops.loops(system.model, system.data) == []
+    assert loops(system.model, system.data) == []
     assert_agrees(verdicts(scene))
 
 
