@@ -11,9 +11,8 @@ import numpy as np
 
 from mjcf.evaluate import evaluation
 from mjcf.model import CompiledScene
-from mjcf.write import controls
 from newton_euler.equations.system import Evaluation
-from newton_euler.model.control import PD
+from newton_euler.model.control import PD, Feedforwards
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
@@ -23,7 +22,7 @@ class SoftMuJoCo(CompiledScene):
 
     Attributes:
         moved: (m,) places in MuJoCo's velocities of the joint coordinates that follow prescribed motions.
-        driven: (a,) actuators whose laws depend on time.
+        driven: the laws that depend on time.
     """
 
     name = "mujoco"
@@ -34,7 +33,9 @@ class SoftMuJoCo(CompiledScene):
         first = self.model.neq - len(self.couplings.couplings)
         self._motions = np.arange(first, first + len(scene.motions))  # the first of the couplings
         self.moved = self.model.jnt_dofadr[self.model.eq_obj1id[self._motions]]
-        self.driven = np.flatnonzero([isinstance(law, PD) and law.is_driven for law in scene.control])
+        self.driven = Feedforwards(scene.control)
+        laws = [scene.control[k] for k in self.driven.places]
+        self._of_targets = np.array([law.stiffness * law.target for law in laws if isinstance(law, PD)])
         # of the evaluations in a step; shared by copies of this object, one of which MuJoCo calls
         self._asked: list[tuple[Array, Array]] = []
         self._stages: list[Array] = []
@@ -63,7 +64,7 @@ class SoftMuJoCo(CompiledScene):
 
             a_ref = f'' - b (dx/dt - f') - k d (x - f).
         """
-        if not len(self.moved) and not len(self.driven):
+        if not len(self.moved) and not len(self.driven.places):
             yield
             return
         before = mujoco.get_mjcb_control()
@@ -75,8 +76,8 @@ class SoftMuJoCo(CompiledScene):
 
     def _act(self, model: Any, data: Any) -> None:
         """Callback of MuJoCo in each evaluation."""
-        if len(self.driven):  # of the others those that are sampled have changed since
-            data.ctrl[self.driven] = np.array(controls(self.scene, data.time))[self.driven]
+        if len(self.driven.places):  # of the others those that are sampled have changed since
+            data.ctrl[self.driven.places] = self.driven.at(data.time) + self._of_targets
         if len(self.moved):
             self._follow(data)
 

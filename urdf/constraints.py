@@ -213,8 +213,6 @@ def solve(
     """
     acceleration = respond(force)
     multipliers = np.zeros(len(rows))
-    if not len(rows):
-        return acceleration, multipliers
     compliance = rows @ np.array([respond(force + row) - acceleration for row in rows]).T
     units = np.ones(len(rows))
     for _ in range(REFINEMENTS):

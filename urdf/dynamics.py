@@ -29,7 +29,7 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
 from urdf.constraints import Closures, Rows, frame_jacobian, solve
 from urdf.errors import UrdfError
-from urdf.forces import JointLaws, PointForces, Rotors
+from urdf.forces import BallForces, JointLaws, PointForces, Rotors
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia, mass_matrix
 from urdf.proximal import ConstraintDynamics, Units
@@ -80,8 +80,11 @@ class PinocchioSystem:
         self._model = self.closed.model
         self._model.gravity = pin.Motion(scene.gravity, np.zeros(3))
         self.map = CoordinateMap(self._model, self._welded)
+        names = self._welded.mechanism.body_names
+        self._links = [self._model.getFrameId(name, pin.FrameType.BODY) for name in names]
         self._bodies = self._add_body_frames()
         self._forces = PointForces(scene, self._model, self._bodies)
+        self._balls = BallForces(scene, self._tree)
         self._rotors = Rotors(scene, self._tree)
         self._model.armature = self.map.v_to_pinocchio(self._rotors.inertias)
         self._data, self._dynamic_data = self._model.createData(), self._model.createData()
@@ -102,6 +105,7 @@ class PinocchioSystem:
         self._actuated_v = np.array([place.on_v for place in self._actuators], dtype=int)
         self._alpha = alpha
         self._noisy = mobility(scene).residual > 0.0
+        self._moving = bool(self._forces or len(self._rows.units) or self._noisy)
         if self._noisy:
             used = set(range(len(self.phi_units))) - set(rows_left_out(self))
             self._used = np.array(sorted(used), dtype=int)
@@ -155,6 +159,8 @@ class PinocchioSystem:
     def power(self, q: Array, v: Array) -> float:
         """Power of what is not in the potential energy, W."""
         power = self._laws.power(self.scene.joint_forces, *self._measured(q, v), self.time)
+        if self._balls:
+            power += self._balls.power(v)
         if self._forces:
             self._move(q, v)
             power += self._forces.power(self._data)
@@ -186,11 +192,15 @@ class PinocchioSystem:
         pin.updateFramePlacements(self._model, self._data)
 
     def generalized_force(self, q: Array, v: Array) -> Array:
-        """(nv,) of all forces but gravity; moves Pinocchio's joints and frames there."""
-        self._move(q, v)
+        """(nv,) of all forces but gravity; moves Pinocchio's joints and frames there if `_moving`."""
         force = np.zeros(self.nv)
         np.add.at(force, self._actuated_v, self.actuation(q, v))
-        if pushes := self._forces.pushes(self._data):
+        if self._balls:
+            force[self._balls.on_v] += self._balls.torques(q, v)
+        if self._moving:
+            self._move(q, v)
+        if self._forces:
+            pushes = self._forces.pushes(self._data)
             wrenches = np.array([(*push.force, *push.torque) for push in pushes])
             frames = [frame_jacobian(self._model, self._data, push.frame) for push in pushes]
             force += self.map.v_from_pinocchio(wrenches.ravel() @ np.concatenate(frames))
@@ -203,14 +213,17 @@ class PinocchioSystem:
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """vdot (nv,) and the multipliers (r,) of `Rows`; those of closures stay with Pinocchio."""
         force = self.generalized_force(q, v)
-        rows, gamma = self._rows.equations(self._data, q, v, self.time)
         if self._noisy:
-            return self._eliminate(q, v, force, rows, gamma)
+            return self._eliminate(q, v, force, *self._rows.equations(self._data, q, v, self.time))
         unit, units = self._units.moment, self._rows.units
+        force = force * self.velocity_units / unit
         respond = self._proximal.at(q, v)
+        if not len(units):
+            return self.velocity_units * self._checked(respond(force)), np.zeros(0)
+        rows, gamma = self._rows.equations(self._data, q, v, self.time)
         acceleration, multipliers = solve(
             lambda force: self._checked(respond(force)),
-            force * self.velocity_units / unit,
+            force,
             rows * self.velocity_units / units[:, None],
             gamma / units,
             self._rows_rank,
@@ -241,7 +254,7 @@ class PinocchioSystem:
         return self.velocity_units * found[: self.nv], multipliers[closures:]
 
     def _checked(self, acceleration: Array) -> Array:
-        if not np.all(np.isfinite(acceleration)):
+        if not np.isfinite(acceleration).all():
             names = [self._welded.mechanism.joint_names[k] for k in self._tree.cuts]
             raise SingularityError(
                 ", ".join(names) or self.mechanism.joint_names[0],
@@ -382,8 +395,8 @@ class PinocchioSystem:
             for (name, _, _), sign in zip(pair, (-1.0, 1.0), strict=True)
         ]
         accelerations = self._frame_motions(pin.getFrameClassicalAcceleration)
-        applied = self._forces.wrenches(self._data)
-        cut_wrenches += zip(self._bodies, applied, strict=True)
+        applied = self._applied(q, v)
+        cut_wrenches += zip(self._links, applied, strict=True)
         external = external_forces(self._model, self._data, cut_wrenches)
         pin.rnea(self._model, self._data, pin_q, pin_v, pin_a, external)
         wrenches = joint_wrenches(
@@ -419,9 +432,18 @@ class PinocchioSystem:
             q[self._work][0] if self.scene.tracks_work else None,
         )
 
+    def _applied(self, q: Array, v: Array) -> list[Any]:
+        """Sum the forces of balls and points on each body of the welded mechanism, about the origin."""
+        rotations = [self._data.oMf[link].rotation for link in self._links]
+        found = [pin.Force.Zero() for _ in self._links]
+        for body, wrench in (*self._balls.wrenches(q, v, rotations), *self._forces.wrenches(self._data)):
+            found[body] += wrench
+        return found
+
     def _springs_energy(self, q: Array, v: Array) -> float:
         """Energy of all springs, J."""
-        return self._laws.energy(self._measured(q, v)[0]) + self._forces.energy(self._data)
+        joints, balls = self._laws.energy(self._measured(q, v)[0]), self._balls.energy(q)
+        return joints + balls + self._forces.energy(self._data)
 
     def _fixed_energy(self) -> float:
         """Potential energy of bodies that fixed joints hold to the ground; Pinocchio leaves it out."""

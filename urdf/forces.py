@@ -1,12 +1,12 @@
-"""Forces of a scene as Pinocchio's side has them: laws of joint coordinates, and, by Pinocchio's frames,
-springs of balls, springs between points and wrenches; rotors.
+"""Forces of a scene as Pinocchio's side has them: laws of joint coordinates and springs of balls, by the
+coordinates of the tree; by Pinocchio's frames, springs between points and wrenches; rotors.
 
 All are worked out here from their numbers, so that a mistake in newton_euler's own laws is its own alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from newton_euler.model.balls import ends, spin_rate
 from newton_euler.model.constraints import Frame
-from newton_euler.model.control import PD, Law, Sampled
+from newton_euler.model.control import PD, Feedforwards, Law, Sampled
 from newton_euler.model.forces import BallArmature, BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
@@ -35,18 +35,15 @@ class JointLaws:
     def __init__(self, laws: Sequence[Law | JointSpring]) -> None:
         self._stiffness, self._damping, self._rest, self._constant = np.zeros((4, len(laws)))
         self._is_spring = np.array([isinstance(law, JointSpring) for law in laws], dtype=bool)
-        self._varying: list[int] = []
+        self._driven = Feedforwards(laws)
+        self._sampled = [k for k, law in enumerate(laws) if isinstance(law, Sampled)]
         for k, law in enumerate(laws):
             if isinstance(law, Sampled):
-                self._varying.append(k)
                 continue
             self._stiffness[k], self._damping[k] = law.stiffness, law.damping
             self._rest[k] = law.rest if isinstance(law, JointSpring) else law.target
-            if isinstance(law, PD):
-                if isinstance(law.feedforward, TimeFunction):
-                    self._varying.append(k)
-                else:
-                    self._constant[k] = law.feedforward
+            if isinstance(law, PD) and not isinstance(law.feedforward, TimeFunction):
+                self._constant[k] = law.feedforward
 
     def force(self, laws: Sequence[Law | JointSpring], x: Array, rate: Array, time: float) -> Array:
         """Compute forces (a,), N or N m.
@@ -56,14 +53,14 @@ class JointLaws:
             x, rate: (a,) joint coordinates, m or rad, and their rates.
             time: s.
         """
-        feedforward = self._constant.copy() if self._varying else self._constant
-        for k in self._varying:
-            match laws[k]:
-                case PD() as law:
-                    feedforward[k] = law.feedforward_at(time)
-                case Sampled() as law:
-                    feedforward[k] = law.held
-        return feedforward - (self._stiffness * (x - self._rest) + self._damping * rate)
+        force = self._constant - (self._stiffness * (x - self._rest) + self._damping * rate)
+        if len(self._driven.places):
+            force[self._driven.places] += self._driven.at(time)
+        for k in self._sampled:
+            law = laws[k]
+            assert isinstance(law, Sampled)
+            force[k] = law.held
+        return force
 
     def power(self, laws: Sequence[Law | JointSpring], x: Array, rate: Array, time: float) -> float:
         """Compute the power, W, of control laws and dampers; arguments as of `force`."""
@@ -91,16 +88,74 @@ class Push(NamedTuple):
     torque: Array
 
 
+class BallForces:
+    """The springs and dampers of balls, which are all in the tree.
+
+    With Q the ball's rotation, child's frame in the parent's, both zero at the initial pose, theta in the
+    child's frame is
+
+        Q^T log(Q E^T),  or  -log(Q^T E^T)  if the tree takes the joint from its second body to its first,
+
+    where E is the rotation of the second body against the first at rest.
+    """
+
+    def __init__(self, scene: Scene, tree: SpanningTree) -> None:
+        self._springs = [force for force in scene.forces if isinstance(force, BallSpring)]
+        self._rests = [pin.exp3(spring.rest) for spring in self._springs]
+        self._kept, places = [], []
+        for spring in self._springs:
+            index = scene.mechanism.joint_index(spring.joint)
+            (kept,) = (kept for kept in tree.joints if kept.joint == index)
+            self._kept.append(kept)
+            places += [(on_q, on_v) for motion, on_q, on_v in kept.places if motion.kind == "ball"]
+        self._on_q = [on_q for on_q, _ in places]
+        self.on_v = np.array([range(tree.nv)[on_v] for _, on_v in places], dtype=int).reshape(-1, 3)
+        self._damping = np.array([spring.damping for spring in self._springs])
+
+    def __bool__(self) -> bool:
+        return bool(self._springs)
+
+    def _theta(self, k: int, q: Array) -> Array:
+        """Rotation vector (3,) of ball number k from rest, child's frame."""
+        turned = pin.Quaternion(*q[self._on_q[k]]).toRotationMatrix()
+        if self._kept[k].forward:
+            return np.asarray(turned.T @ pin.log3(turned @ self._rests[k].T))
+        return np.asarray(-pin.log3(turned.T @ self._rests[k].T))
+
+    def torques(self, q: Array, v: Array) -> Array:
+        """Compute the torques (n, 3) on the children, in their frames: generalized forces at `on_v`."""
+        found = -self._damping[:, None] * v[self.on_v]
+        for k, spring in enumerate(self._springs):
+            if spring.stiffness:
+                found[k] -= spring.stiffness * self._theta(k, q)
+        return found
+
+    def power(self, v: Array) -> float:
+        """Compute the power of the dampers, W."""
+        return -float(self._damping @ np.sum(v[self.on_v] ** 2, axis=1))
+
+    def energy(self, q: Array) -> float:
+        """Compute the energy of the springs, J."""
+        thetas = [(spring.stiffness, self._theta(k, q)) for k, spring in enumerate(self._springs)]
+        return sum(0.5 * stiffness * float(theta @ theta) for stiffness, theta in thetas)
+
+    def wrenches(self, q: Array, v: Array, rotations: Sequence[Array]) -> Iterator[tuple[int, Any]]:
+        """Compute the wrenches on bodies, world frame, at rotations (3, 3) of their tree frames."""
+        for kept, torque in zip(self._kept, self.torques(q, v), strict=True):
+            wrench = pin.Force(ZERO, rotations[kept.child] @ torque)
+            yield kept.child, wrench
+            yield kept.parent, -wrench
+
+
 class PointForces:
-    """The springs of balls, the springs between points and the wrenches of a scene.
+    """The springs between points and the wrenches of a scene.
 
     They are worked out from `data` as `pinocchio.updateFramePlacements` leaves it, velocities included.
     """
 
     def __init__(self, scene: Scene, model: Any, body_frames: list[int]) -> None:
         """Add frames at their points to `model`, turned as the bodies, whose own are `body_frames`."""
-        self._model, self._bodies = model, len(body_frames)
-        self._balls: list[tuple[BallSpring, tuple[int, int], tuple[int, int], Any]] = []
+        self._model = model
         self._springs: list[tuple[PointSpring, tuple[int, int], tuple[int, int]]] = []
         self._wrenches: list[tuple[Wrench, int, int, Array, Array]] = []
         mechanism = scene.mechanism
@@ -127,27 +182,13 @@ class PointForces:
                 turn = mechanism.bodies[body].pose.vector_to_body
                 frame = added(f"wrench {force.name}", body, force.point)
                 self._wrenches.append((force, body, frame, turn(force.force), turn(force.torque)))
-            elif isinstance(force, BallSpring):
-                i, j = ends(mechanism, force.joint)
-                # the second body's frame in the first's where the spring rests
-                a_i, a_j = (mechanism.bodies[k].pose.rotation for k in (i, j))
-                rest = a_i.T @ pin.exp3(force.rest) @ a_j
-                self._balls.append((force, (i, j), (body_frames[i], body_frames[j]), rest))
 
     def __bool__(self) -> bool:
-        return bool(self._balls or self._springs or self._wrenches)
+        return bool(self._springs or self._wrenches)
 
     def pushes(self, data: Any) -> list[Push]:
         """Compute the forces and torques on the bodies."""
-        return [*self._ball_pushes(data), *self._spring_pushes(data), *self._wrench_pushes(data)]
-
-    def _ball_pushes(self, data: Any) -> list[Push]:
-        found = []
-        for spring, (i, j), frames, rest in self._balls:
-            turned, spin = self._turned(data, frames, rest), self._spin(data, frames)
-            torque = -(spring.stiffness * turned + spring.damping * spin)
-            found += [Push(i, frames[0], ZERO, -torque), Push(j, frames[1], ZERO, torque)]
-        return found
+        return [*self._spring_pushes(data), *self._wrench_pushes(data)]
 
     def _spring_pushes(self, data: Any) -> list[Push]:
         found = []
@@ -171,34 +212,22 @@ class PointForces:
                 found.append(Push(body, frame, wrench.force, wrench.torque))
         return found
 
-    def wrenches(self, data: Any) -> list[Any]:
-        """Sum the wrenches on each body of the scene, about the world's origin."""
-        found = [pin.Force.Zero() for _ in range(self._bodies)]
+    def wrenches(self, data: Any) -> Iterator[tuple[int, Any]]:
+        """Compute the wrenches on bodies, about the world's origin."""
         for push in self.pushes(data):
             origin = pin.SE3(np.eye(3), data.oMf[push.frame].translation)
-            found[push.body] += origin.act(pin.Force(push.force, push.torque))
-        return found
+            yield push.body, origin.act(pin.Force(push.force, push.torque))
 
     def energy(self, data: Any) -> float:
-        """Energy of the springs, J."""
-        turned = 0.0
-        for spring, _, frames, rest in self._balls:
-            theta = self._turned(data, frames, rest)
-            turned += 0.5 * spring.stiffness * float(theta @ theta)
-        stretched = (
-            (spring, float(np.linalg.norm(self._line(data, frames)[0])))
-            for spring, _, frames in self._springs
-        )
-        return turned + sum(
-            0.5 * spring.stiffness * (length - spring.rest_length) ** 2 for spring, length in stretched
+        """Compute the energy of the springs, J."""
+        lines = [(spring, np.linalg.norm(self._line(data, frames)[0])) for spring, _, frames in self._springs]
+        return sum(
+            0.5 * spring.stiffness * (float(length) - spring.rest_length) ** 2 for spring, length in lines
         )
 
     def power(self, data: Any) -> float:
         """Power of dampers and wrenches, W."""
         power = 0.0
-        for ball, _, frames, _ in self._balls:
-            spin = self._spin(data, frames)
-            power -= ball.damping * float(spin @ spin)
         for spring, _, frames in self._springs:
             d, rate = self._line(data, frames)
             power -= spring.damping * float(d @ rate) ** 2 / (float(d @ d) or 1.0)
@@ -212,16 +241,6 @@ class PointForces:
         first, second = (data.oMf[frame].translation for frame in frames)
         rates = [self._velocity(data, frame).linear for frame in frames]
         return second - first, rates[1] - rates[0]
-
-    def _turned(self, data: Any, frames: tuple[int, int], rest: Array) -> Array:
-        """(3,) rotation vector of the second frame against the first from `rest` (3, 3), world frame."""
-        first, second = (data.oMf[frame].rotation for frame in frames)
-        return np.asarray(first @ pin.log3(first.T @ second @ rest.T))
-
-    def _spin(self, data: Any, frames: tuple[int, int]) -> Array:
-        """(3,) angular velocity of the second frame against the first, world frame."""
-        first, second = (self._velocity(data, frame).angular for frame in frames)
-        return np.asarray(second - first)
 
     def _velocity(self, data: Any, frame: int) -> Any:
         return pin.getFrameVelocity(self._model, data, frame, pin.LOCAL_WORLD_ALIGNED)

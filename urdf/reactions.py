@@ -122,7 +122,7 @@ def joint_wrenches(
         welded: its mechanism with closures that Pinocchio knows.
         model, data: Pinocchio's, after `rnea` under the wrenches below.
         closure_wrenches: (6,) for each cut, on its second body.
-        applied: (6,) for each body of the scene, of springs between points and wrenches.
+        applied: (6,) for each body of that mechanism, of springs of balls and between points and of wrenches.
         state: of the bodies.
         accelerations: (b, 6) of the bodies, linear and angular.
 
@@ -143,8 +143,7 @@ def joint_wrenches(
             # Pinocchio merges links that a fixed joint connects: what is left of the child's balance
             child = welded.mechanism.bodies[kept.child].name
             on_child = _needed_wrench(scene, welded, kept.child, state, accelerations)
-            if kept.child < len(applied):  # of two halves the first is the one they act on
-                on_child -= applied[kept.child]
+            on_child -= applied[kept.child]
             for index, joint in enumerate(joints):
                 if index != kept.joint and child in (joint.first, joint.second):
                     on_child -= wrenches[index] if joint.second == child else -wrenches[index]

@@ -64,7 +64,7 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
             rates = np.concatenate([now.rate(q, v), now.acceleration(q, v)])
         except (NewtonEulerError, np.linalg.LinAlgError) as error:
             raise IntegrationError(t, _with_blame(system, t, good, str(error))) from error
-        if not np.all(np.isfinite(rates)):
+        if not np.isfinite(rates).all():
             raise IntegrationError(t, _with_blame(system, t, good, "accelerations are not finite"))
         good = y
         return rates

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
+
+import numpy as np
 
 from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
 from newton_euler.model.elements import CoordinateForce
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.motions import TimeFunction
+from newton_euler.model.motions import Sine, TimeFunction
 from newton_euler.scalars import Array, Scalar
 
 
@@ -119,3 +121,33 @@ class Sampled(ControlLaw):
 
 
 Law = PD | Sampled
+
+
+class Feedforwards:
+    """u_0 of those laws that depend on time, all sines at once, for engines that Python evaluates.
+
+    Attributes:
+        places: (n,) numbers of these laws among all.
+    """
+
+    def __init__(self, laws: Sequence[object]) -> None:
+        driven = [
+            (k, law.feedforward)
+            for k, law in enumerate(laws)
+            if isinstance(law, PD) and isinstance(law.feedforward, TimeFunction)
+        ]
+        self.places = np.array([k for k, _ in driven], dtype=int)
+        sines = [(n, u_0) for n, (_, u_0) in enumerate(driven) if isinstance(u_0, Sine)]
+        self._others = [(n, u_0) for n, (_, u_0) in enumerate(driven) if not isinstance(u_0, Sine)]
+        self._on_sines = np.array([n for n, _ in sines], dtype=int)
+        numbers = [(u_0.offset, u_0.amplitude, u_0.angular_frequency, u_0.phase) for _, u_0 in sines]
+        self._offset, self._amplitude, self._angular_frequency, self._phase = np.reshape(numbers, (-1, 4)).T
+
+    def at(self, time: float) -> Array:
+        """Compute u_0 (n,), N or N m, at a time in s."""
+        found = np.empty(len(self.places))
+        angle = self._angular_frequency * time + self._phase
+        found[self._on_sines] = self._offset + self._amplitude * np.sin(angle)
+        for n, u_0 in self._others:
+            found[n] = u_0.value(time)
+        return found

@@ -211,23 +211,37 @@ class SpanningTree:
         """qdot (nq,): v itself, and pdot = 1/2 L^T omega' for quaternions."""
         if self.nq == self.nv:
             return v
-        return np.concatenate(
-            [
-                0.5 * matrix_l(q[on_q]).T @ v[on_v] if motion.kind == "ball" else v[on_v]
-                for motion, on_q, on_v in self.motions
-            ]
-        )
+        balls = [0.5 * matrix_l(q[on_q]).T @ v[on_v] for on_q, on_v in self._balls]
+        return np.concatenate([v[self._singles[1]], *balls])[self._in_order]
 
     def retract(self, q: Array, step: Array) -> Array:
         """q moved by a small step (nv,); quaternions come out with norm 1."""
-        moved = []
-        for motion, on_q, on_v in self.motions:
-            if motion.kind == "ball":
-                p = q[on_q] + 0.5 * (matrix_l(q[on_q]).T @ step[on_v])
-                moved.append(p / sqrt(p @ p))
-            else:
-                moved.append(q[on_q] + step[on_v])
-        return np.concatenate([np.zeros(0), *moved])
+        if self.nq == self.nv:
+            return q[: self.nq] + step
+        on_q, on_v = self._singles
+        moved = [q[on_q] + step[on_v]]
+        for at, turned in self._balls:
+            p = q[at] + 0.5 * (matrix_l(q[at]).T @ step[turned])
+            moved.append(p / sqrt(p @ p))
+        return np.concatenate(moved)[self._in_order]
+
+    @cached_property
+    def _balls(self) -> list[tuple[slice, slice]]:
+        """Places of the balls in q and in v."""
+        return [(on_q, on_v) for motion, on_q, on_v in self.motions if motion.kind == "ball"]
+
+    @cached_property
+    def _singles(self) -> tuple[Array, Array]:
+        """(n,) the places of all other motions in q, and in v."""
+        places = [(on_q.start, on_v.start) for m, on_q, on_v in self.motions if m.kind != "ball"]
+        on_q, on_v = np.reshape(np.array(places, dtype=int), (-1, 2)).T
+        return on_q, on_v
+
+    @cached_property
+    def _in_order(self) -> Array:
+        """(nq,) where what comes as the singles and then the balls has the coordinates q."""
+        order = [*self._singles[0], *(k for on_q, _ in self._balls for k in range(self.nq)[on_q])]
+        return np.argsort(np.array(order, dtype=int))
 
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """Joint coordinates q (nq,) and velocities v (nv,) of the kept joints in a state."""
