@@ -273,7 +273,7 @@ def crosscheck(
     if advised and not stops:
         what = "working out advice"
         with as_far_as_it_goes(what, beside), limited(what, "there is none", progress):
-            advice = advise(Found(scene, source, able, runs, rows, options, mapping))
+            advice = advise(Found(scene, source, able, runs, rows, mapping))
     wall_time = time.perf_counter() - start
     return Crosscheck(
         source,

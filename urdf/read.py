@@ -196,7 +196,7 @@ def _scene(
 
 def _closing(start: Start, tree: Tree, report: ImportReport) -> Iterator[Joint]:
     """The joints that the loop file adds."""
-    taken, closed, loops = tree.joint_names, start.closed, start.loops
+    taken, closed, loops = tree.joint_names, start.robot, start.loops
     frames, rods = iter(closed.frames), iter(closed.rods)
     for number, (pair, kind) in enumerate(zip(loops.closed_loop, loops.type, strict=True)):
         first, second = next(rods) if kind == "rod" else next(frames)

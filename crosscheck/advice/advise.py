@@ -5,13 +5,12 @@ from __future__ import annotations
 from crosscheck.advice.baumgarte import baumgarte_advice
 from crosscheck.advice.cost import cost_advice
 from crosscheck.advice.measured import Advice, Found
-from crosscheck.advice.own_file import own_file_advice
 from crosscheck.advice.redundancy import redundancy_advice
 from crosscheck.advice.scope import scope_advice
 from crosscheck.advice.soft import soft_advice
 from crosscheck.comparison.runs import rests
 
-PIECES = (scope_advice, own_file_advice, soft_advice, redundancy_advice, baumgarte_advice, cost_advice)
+PIECES = (scope_advice, soft_advice, redundancy_advice, baumgarte_advice, cost_advice)
 
 FROM_EQUATIONS = (redundancy_advice,)
 """Those that do not draw on runs."""

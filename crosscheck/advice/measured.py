@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -26,7 +26,7 @@ class Advice:
     """One piece of advice.
 
     Attributes:
-        topic: "model", "loop", "mujoco", "softness", "baumgarte", "redundancy" or "cost".
+        topic: "model", "mujoco", "softness", "baumgarte", "redundancy" or "cost".
         text: a sentence or two with the numbers that it is made of.
     """
 
@@ -47,7 +47,6 @@ class Found:
         engines: that ran.
         runs: by engine.
         rows: the compared figures.
-        options: of the scene, as they were set.
         mapping: what became of the elements of a model file; None for a scene of this package's own.
     """
 
@@ -56,7 +55,6 @@ class Found:
     engines: Sequence[Engine]
     runs: Mapping[str, Trajectory]
     rows: Sequence[Figure]
-    options: Mapping[str, str] = field(default_factory=dict)
     mapping: ImportReport | None = None
 
     def engine(self, name: str) -> Engine:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import hashlib
 import os
 import signal
 import subprocess
@@ -37,9 +35,6 @@ OUT_OF_MEMORY = ("MemoryError", "llocate", "bad_alloc")
 UNKNOWN = "unknown exception"
 """Words of MuJoCo for an error of which it says nothing."""
 
-KEPT = 200_000_000
-"""Bytes of models compiled last, which are not compiled again while their files stay as they are."""
-
 FOLDERS = ("meshdir", "texturedir", "assetdir")
 """Attributes of compiler elements that say where assets are."""
 
@@ -65,13 +60,6 @@ UNCHECKED = ("solref", "solimp", "range", "user", "invweight0", "acc0", "M0", "l
 """Ends of names of what no scene has, or of what MuJoCo works out of the others."""
 
 
-_Content = str | tuple[int, int]
-"""Mark of a file as it was: the digest of an XML file, size and time (ns) of another."""
-
-_kept: dict[tuple[tuple[str, _Content], ...], Any] = {}
-"""`MjModel`s by all files that they were compiled from, the last one at the end."""
-
-
 class SourceError(source_file.SourceError, MjcfError):
     """A file that is no usable model: names the file and what is wrong where."""
 
@@ -90,15 +78,9 @@ def compiled(path: str, root: str | None = None) -> Any:
     """
     scan = _Scan(path, root)
     scan.run()
-    import mujoco
-
-    files = tuple(scan.files.items())
-    model = _kept.pop(files, None) or _compiled(path, scan.asset_bytes)
-    _kept[files] = model
-    while sum(mujoco.mj_sizeModel(each) for each in _kept.values()) > KEPT:
-        del _kept[next(iter(_kept))]
-    _check_counts(path, model)  # of one that was kept too: limits may have changed
-    return copy.copy(model) if files in _kept else model  # who asked for it may change it
+    model = _compiled(path, scan.asset_bytes)
+    _check_counts(path, model)
+    return model
 
 
 def _compiled(path: str, asset_bytes: int) -> Any:
@@ -190,8 +172,7 @@ class _Scan:
     """One pass over a file and what it includes, without building anything.
 
     Attributes:
-        files: all that MuJoCo may read, the file itself first, by their paths.
-        asset_bytes: of those that are no XML.
+        asset_bytes: of all files that MuJoCo may read and that are no XML.
     """
 
     def __init__(self, path: str, root: str | None) -> None:
@@ -205,8 +186,12 @@ class _Scan:
         self._homes = [self._home]
         self._folders: dict[str, list[str]] = {name: [] for name in FOLDERS}
         self._assets: list[_Reference] = []
-        self._files = self._bytes = self.asset_bytes = 0
-        self.files: dict[str, _Content] = {}
+        self._files = self._bytes = 0
+        self._sizes: dict[str, int] = {}
+
+    @property
+    def asset_bytes(self) -> int:
+        return sum(self._sizes.values())
 
     def run(self) -> None:
         self._read(self._top, ())
@@ -238,7 +223,6 @@ class _Scan:
 
         text = read_text(path, "file_size", SourceError, self._bytes)
         self._bytes += len(text)
-        self.files[own] = hashlib.sha256(text.encode()).hexdigest()
         scan(path, text, None if including else "mujoco", begin, SourceError)
         for reference in inner:
             self._read(self._found(reference, os.path.dirname(own)), (*including, own))
@@ -271,12 +255,9 @@ class _Scan:
         for path in found:
             if not os.path.isfile(path):  # a pipe would keep MuJoCo waiting
                 raise reference.refused("is not a regular file")
-            status = os.stat(path)
-            if problem := exceeded("asset_size", status.st_size / MB):
+            self._sizes[path] = os.path.getsize(path)
+            if problem := exceeded("asset_size", self._sizes[path] / MB):
                 raise reference.refused(f"is too large: {problem}")
-            if path not in self.files:
-                self.asset_bytes += status.st_size
-            self.files[path] = status.st_size, status.st_mtime_ns
 
 
 def _check_numbers(path: str, model: Any) -> None:

@@ -1,18 +1,15 @@
-"""Assembly of a model file's loops: closed as well as the file's digits allow, and on which branch.
+"""Assembly of a model file's loops: closed as well as the file's digits allow.
 
 A file rounds its numbers, so that constraints that are redundant by design contradict each other slightly.
 The independent ones are closed to round-off; the residual of the others is an offset that the loops keep.
 Everything is dimensionless, as where a scene's redundant constraints are decided: velocities in the spread of
 the mechanism and rad, each loop in the motion that one of these velocities gives to its bodies.
-
-The branches of a loop (an elbow bends one way or the other) meet at dead centers, where the derivative of its
-constraints by the coordinates that depend on the others is singular. Its determinant changes sign there.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +20,7 @@ from newton_euler.equations.redundancy import loosely_closed
 from newton_euler.equations.sparse import sparse_vector
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.scene import REDUNDANCY_TOLERANCE
+from newton_euler.model.source_file import SourceError
 from newton_euler.scalars import Array
 
 CLOSED = 1e-12
@@ -32,18 +30,6 @@ NEWTON_STEPS = 60
 
 LONGEST_STEP = 0.2
 """rad or spreads of the mechanism, of one step of assembly, so that it stays on the branch it starts on."""
-
-NEAR_DEAD_CENTER = 1e-3
-"""Smallest singular value of a determinant's matrix to its largest, below which its sign is not trusted."""
-
-SIDES = {
-    True: "joints {1} bend the same way as in {0}",
-    False: "joints {1} bend the other way than in {0}: a dead center lies between it and the closed pose",
-    None: "{0} or the closed pose is so near to a dead center that either way of bending is as near",
-}
-"""Sentences on two configurations, with a name of the first and the joints in question."""
-
-MOST_NAMES = 6
 
 
 class Units(NamedTuple):
@@ -141,68 +127,85 @@ def reach(motions: Sequence[Array], levers: Sequence[float], velocities: Array) 
     return float(np.max(moves, initial=0.0)) or 1.0, float(np.max(rotations, initial=0.0)) or 1.0
 
 
-@dataclass(frozen=True)
-class Branch:
-    """Relation of two configurations of a loop.
+class FileStart(ABC):
+    """The start of a model file, as the file's own reader has it.
 
     Attributes:
-        columns: of the velocities that count as dependent on the others.
-        same: True if no dead center lies between them; None if one is too near to a dead center to decide.
+        path: of the file, for errors.
+        error: class of these.
+        owners: (k,) element of the file that each residual belongs to.
     """
 
-    columns: tuple[int, ...]
-    same: bool | None
+    path: str
+    error: type[SourceError]
+    owners: Sequence[str]
 
+    @abstractmethod
+    def residuals(self, q: Array) -> tuple[Array, Array]:
+        """Compute residuals (k,) of the loops, m or rad, and their Jacobian (k, nv) at a configuration."""
 
-def assembled(
-    start: str, side: Branch, joints: Sequence[str], closed: Closure, moved: Array, apart: float
-) -> list[str]:
-    """Write lines of a report on a start that had open loops and is closed.
+    @abstractmethod
+    def units(self) -> Units:
+        """Compute the units of the residuals at the configuration of the last call of `residuals`."""
 
-    Args:
-        start: name of the start.
-        side: its relation to the closed configuration.
-        joints: names of the joints that the velocities belong to, by number.
-        closed: the closed configuration.
-        moved: (nv,) displacements of coordinates, m or rad.
-        apart: m, largest displacement of a body.
-    """
-    dof = int(np.argmax(np.abs(moved)))
-    bending = ", ".join(dict.fromkeys(repr(joints[k]) for k in side.columns[:MOST_NAMES]))
-    offset = [
-        f"loops keep an offset of {closed.offset:.1e} (m or rad), {closed.noise:.1e} of their reach: "
-        "the digits of the file do not close them better"
-    ]
-    return [
-        f"assembled next to {start}: closed to {closed.offset:.1e}, joint {joints[dof]!r} moved most, "
-        f"by {moved[dof]:.3g}, bodies by up to {apart:.3g} m",
-        f"branch: {SIDES[side.same].format(start, bending)}",
-        *(offset if closed.noise > CLOSURE_TOLERANCE else []),
-    ]
+    @abstractmethod
+    def centers(self) -> Array:
+        """Return the bodies' centers of mass (n, 3), m, world, at that configuration."""
 
+    @abstractmethod
+    def moved(self, q: Array, step: Array) -> Array:
+        """Move a configuration by a step (nv,)."""
 
-def branch(first: Array, second: Array, tolerance: float) -> Branch:
-    """Compare two configurations by the dimensionless derivatives (k, nv) of the same constraints in them.
+    @abstractmethod
+    def difference(self, q: Array, other: Array) -> Array:
+        """Compute the step (nv,) from one configuration to another."""
 
-    The dependent velocities are those that the second one's derivative determines best, or the first one's
-    where the second is near a dead center; rows that are redundant in both but for noise of the size of
-    `tolerance` are left out.
-    """
-    from scipy.linalg import qr
+    @abstractmethod
+    def joint_of(self, dof: int) -> str:
+        """Return the name of the joint that a velocity belongs to."""
 
-    if first.shape != second.shape or not second.size:
-        return Branch((), None)
-    chosen = [(independent([sparse_vector(row) for row in at], tolerance).rows, at) for at in (second, first)]
-    used, reference = max(chosen, key=lambda each: len(each[0]))
-    if not used:
-        return Branch((), None)
-    rows = np.array(used)
-    columns = np.sort(qr(reference[rows], mode="r", pivoting=True)[1][: len(rows)])
-    signs = []
-    for jacobian in (first, second):
-        square = jacobian[np.ix_(rows, columns)]
-        values = np.linalg.svd(square, compute_uv=False)
-        if values[-1] < NEAR_DEAD_CENTER * values[0]:
-            return Branch(tuple(map(int, columns)), None)
-        signs.append(np.linalg.slogdet(square)[0])
-    return Branch(tuple(map(int, columns)), bool(signs[0] == signs[1]))
+    def closed(self, q: Array, called: str, tolerance: float) -> tuple[Array, list[str]]:
+        """Close the loops next to a configuration that messages call by a name.
+
+        Args:
+            tolerance: of the scene, see `newton_euler.Scene.redundancy_tolerance`.
+
+        Returns:
+            The configuration, and lines of a report.
+
+        Raises:
+            SourceError: of the class `error`, naming the element that stays open the most.
+        """
+        before, _ = self.residuals(q)
+        if not len(before):
+            return q, [f"starts from {called}: no loops"]
+        units, owners = self.units(), self.owners
+        if largest(before / units.rows) <= CLOSED:
+            return q, [f"starts from {called}: all loops closed, to {largest(before):.1e}"]
+        centers = self.centers()
+        found = close(q, self.residuals, self.moved, units, tolerance)
+        after, _ = self.residuals(found.q)
+        if not found.is_closed:
+            worst = int(np.argmax(np.abs(after)))
+            raise self.error(
+                self.path,
+                f"{owners[worst]} cannot be closed from {called}: open by {abs(before[worst]):.3g} there, "
+                f"and by {found.offset:.3g} (m or rad) at best",
+            )
+        opened: dict[str, float] = {}
+        for owner, gap in zip(owners, np.abs(before).tolist(), strict=True):
+            opened[owner] = max(opened.get(owner, 0.0), gap)
+        moved = self.difference(q, found.q)
+        dof, way = int(np.argmax(np.abs(moved))), np.linalg.norm(self.centers() - centers, axis=1)
+        elements = "; ".join(f"{owner} {gap:.3g}" for owner, gap in opened.items() if gap > CLOSED)
+        lines = [
+            f"open at {called}, in m or rad: {elements}",
+            f"assembled next to {called}: closed to {found.offset:.1e}, joint {self.joint_of(dof)!r} "
+            f"moved most, by {moved[dof]:.3g}, bodies by up to {np.max(way):.3g} m",
+        ]
+        if found.noise > CLOSURE_TOLERANCE:
+            lines.append(
+                f"loops keep an offset of {found.offset:.1e} (m or rad), {found.noise:.1e} of their reach: "
+                "the digits of the file do not close them better"
+            )
+        return found.q, lines

@@ -1,4 +1,4 @@
-"""An MJCF file is compiled once as long as nothing of it changes, and given time by its size."""
+"""An MJCF file is compiled in a process of its own, given time by its size."""
 
 from __future__ import annotations
 
@@ -9,20 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mjcf_models import PAIR, model, reading
+from mjcf_models import PAIR, model
 
 import mjcf.read
 import mjcf.reading.source as source
 import urdf.read
-from crosscheck.advice import Found
-from crosscheck.advice.own_file import own_file_advice
-from mjcf.errors import MjcfError
 from mjcf.reading.source import compiled
 from newton_euler.limits import VARIABLE
 from newton_euler.model.source_file import SourceError
 
-INCLUDED = model(PAIR, '<include file="more.xml"/>')
-CONNECT = '<mujoco><equality><connect body1="one" body2="two" anchor="0.5 0 0"/></equality></mujoco>'
 MESH = model(
     '<body><joint/><geom type="mesh" mesh="wedge"/></body>',
     '<asset><mesh name="wedge" file="wedge.obj"/></asset>',
@@ -41,75 +36,7 @@ def commands(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
         return run(command, **options)
 
     monkeypatch.setattr(source.subprocess, "run", heard)  # type: ignore[attr-defined]
-    monkeypatch.setattr(source, "_kept", {})
     return found
-
-
-def test_a_file_is_compiled_again_when_something_of_it_changes(
-    tmp_path: Path, commands: list[list[str]]
-) -> None:
-    path = tmp_path / "model.xml"
-    path.write_text(INCLUDED)
-    (tmp_path / "more.xml").write_text(CONNECT)
-    first = compiled(str(path))
-    first.opt.gravity[:] = 0.0
-    assert compiled(str(path)).opt.gravity[2] == -9.81
-    assert len(commands) == 1
-    (tmp_path / "more.xml").write_text(CONNECT.replace("0.5", "0.6"))
-    assert compiled(str(path)).eq_data[0, 0] == 0.6
-    path.write_text(INCLUDED.replace("0.05", "0.06"))
-    assert compiled(str(path)).geom_size[0, 2] == 0.06
-    assert len(commands) == 3
-
-
-def test_a_file_is_compiled_again_when_a_mesh_changes(tmp_path: Path, commands: list[list[str]]) -> None:
-    path, mesh = tmp_path / "model.xml", tmp_path / "wedge.obj"
-    path.write_text(MESH)
-    masses = []
-    for width, time in (("1", 1), ("1", 1), ("2", 2), ("1.5", 2)):
-        mesh.write_text(WEDGE.format(width))
-        os.utime(mesh, ns=(time, time))
-        masses.append(compiled(str(path)).body_mass[1])
-    # a pyramid's volume is proportional to the width
-    assert masses == pytest.approx([masses[0] * width for width in (1.0, 1.0, 2.0, 1.5)], rel=1e-12)
-    assert len(commands) == 3
-
-
-def test_large_models_are_not_kept(
-    tmp_path: Path, commands: list[list[str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "model.xml"
-    path.write_text(model(PAIR))
-    monkeypatch.setattr(source, "KEPT", 100)
-    compiled(str(path))
-    compiled(str(path))
-    assert len(commands) == 2
-    assert not source._kept
-
-
-def test_limits_hold_for_what_is_kept(
-    tmp_path: Path, commands: list[list[str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "model.xml"
-    path.write_text(model(PAIR))
-    compiled(str(path))
-    monkeypatch.setenv(VARIABLE, "velocities=1")
-    with pytest.raises(MjcfError, match="velocities, at most 1; to allow it: --set velocities="):
-        compiled(str(path))
-    assert len(commands) == 1
-
-
-def test_advice_on_a_file_compiles_it_no_second_time(tmp_path: Path, commands: list[list[str]]) -> None:
-    text = CONNECT.replace("<mujoco>", f"<mujoco><worldbody>{PAIR}</worldbody>")
-    scene = reading(tmp_path, text, duration=0.1).scene
-    found = Found(scene, str(tmp_path / "model.xml"), [], {}, [])
-    (advice,) = own_file_advice(found)
-    assert "equality 0 of model.xml, run by MuJoCo as it is, opens by" in advice.text
-    assert len(commands) == 1
-    (tmp_path / "model.xml").unlink()
-    (advice,) = own_file_advice(found)
-    assert advice.text.startswith("none on those of the file, which is no longer what was run: ")
-    assert advice.text.endswith("model.xml: cannot be read: No such file or directory")
 
 
 def test_a_file_with_assets_may_take_longer(

@@ -116,7 +116,7 @@ def test_mimics_that_follow_each_other_are_assembled(tmp_path: Path) -> None:
         joint("two", "revolute", "a", "b", '<mimic joint="one" multiplier="0.5"/>'),
     )  # fmt: skip
     found = reading(tmp_path, text)
-    assert found.report.start[0] == "coordinates 0 are open, in m or rad: mimic of one 0.3"
+    assert found.report.start[0] == "open at coordinates 0, in m or rad: mimic of one 0.3"
     # one = 0.5 two + 0.3 and two = 0.5 one have the solution 0.4 and 0.2
     assert "joint 'one' moved most, by 0.4" in found.report.start[1]
 
@@ -138,9 +138,8 @@ def test_a_loop_that_is_open_is_closed_or_refused(tmp_path: Path) -> None:
     parts = [*TIPS[:-1], link("slide"), joint("s", "floating", "b", "slide"), tb]
     loops = LOOPS.format(pairs="[[tip_a, tip_b]]", types="[3d]", motors="[ja]")
     found = reading(tmp_path, robot(*parts), loops)
-    assert found.report.start[0].startswith("coordinates 0 are open, in m or rad: loop of tip_a and tip_b 0.")
+    assert found.report.start[0].startswith("open at coordinates 0, in m or rad: loop of tip_a and tip_b 0.")
     assert "assembled next to coordinates 0" in found.report.start[1]
-    assert found.report.start[2].startswith("branch: ")
     (closing,) = [joint for joint in found.scene.mechanism.joints if isinstance(joint, Spherical)]
     assert closing.point == pytest.approx(closing.reaction_point, abs=1e-12)
     assert [joint.name for joint in found.scene.mechanism.joints if joint.actuated] == ["ja"]

@@ -91,7 +91,7 @@ class Tree:
             raise SourceError(
                 self._path, f"several joints on link {self._link(chain[0])!r}, which has no mass"
             )
-        names = list(dict.fromkeys(self._start.closed.urdf_joints[k] for k in chain))
+        names = list(dict.fromkeys(self._start.robot.urdf_joints[k] for k in chain))
         own_name = names[0] if len(names) == 1 else common_name(names) or f"{name}_joints"
         joint_name = unique_name(own_name, name, self.joint_names)
         parts = [part for k in chain for part in self._parts(k)]

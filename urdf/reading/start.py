@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from newton_euler.equations.dense import largest
-from newton_euler.equations.loop_closure import CLOSED, Units, assembled, branch, close, reach
+from newton_euler.equations.loop_closure import FileStart, Units, reach
 from newton_euler.model.mechanism import spread
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport
@@ -35,15 +34,17 @@ class _Plain:
         return v
 
 
-class Start:
+class Start(FileStart):
     """A model and where it starts.
 
     Attributes:
-        closed: Pinocchio's model and its closures.
+        robot: Pinocchio's model and its closures.
         loops, mimics: of the files.
         q: Pinocchio's coordinates at the start.
         data: with joint and frame placements there.
     """
+
+    error = SourceError
 
     def __init__(
         self,
@@ -55,13 +56,14 @@ class Start:
         tolerance: float,
     ) -> None:
         """Raises `SourceError` for loops that do not close; rows are redundant by the scene's `tolerance`."""
-        self.closed, self.model, self.loops, self.mimics = closed, closed.model, loops, mimics
+        self.path, self.robot = path, closed
+        self.model, self.loops, self.mimics = closed.model, loops, mimics
         self.data: Any = self.model.createData()
         self._closures = Closures(closed, _Plain(), 1.0)  # type: ignore[arg-type]
         names = [" and ".join(p) for p, t in zip(loops.closed_loop, loops.type, strict=True) if t != "rod"]
         rows = [3 if kind == "3d" else 6 for kind in loops.type if kind != "rod"]
-        self._owners = [f"loop of {n}" for n, count in zip(names, rows, strict=True) for _ in range(count)]
-        self._owners += ["a coupling"] * len(closed.couplings) + [f"mimic of {m.follower}" for m in mimics]
+        self.owners = [f"loop of {n}" for n, count in zip(names, rows, strict=True) for _ in range(count)]
+        self.owners += ["a coupling"] * len(closed.couplings) + [f"mimic of {m.follower}" for m in mimics]
         self._linear = np.array([*closed.couplings, *(self._row(path, m) for m in mimics)])
         self._linear = self._linear.reshape(-1, self.model.nv)
         moved = self._mimicked(mimics)
@@ -70,15 +72,15 @@ class Start:
         self._first = pin.integrate(self.model, pin.neutral(self.model), moved)
         offsets = np.array([0.0] * len(closed.couplings) + [m.offset for m in mimics])
         self._open = self._linear @ moved - offsets
-        self.q = self._first.copy()
-        self._called = "coordinates 0"
+        called = "coordinates 0"
         if followers := [f"{m.follower!r} {x:.6g}" for m in mimics if (x := moved[self.place(m.follower)])]:
-            self._called += " and mimics at their offsets"
+            called += " and mimics at their offsets"
             report.start.append(
                 "joints start where their mimics' offsets put them with their drivers at 0, m or rad: "
                 + ", ".join(followers)
             )
-        self._close(path, report, tolerance)
+        self.q, lines = self.closed(self._first, called, tolerance)
+        report.start.extend(lines)
 
     def _mimicked(self, mimics: list[Mimic]) -> Array:
         """(nv,) by which followers of mimics move, m or rad, while joints that follow none stay.
@@ -122,17 +124,16 @@ class Start:
             row[place] += factor
         return row
 
-    def _residual(self, q: Array) -> tuple[Array, Array]:
+    def residuals(self, q: Array) -> tuple[Array, Array]:
         pin.computeJointJacobians(self.model, self.data, q)
         pin.updateFramePlacements(self.model, self.data)
         x = pin.difference(self.model, self._first, q)
         phi = np.concatenate([self._closures.phi(self.data), self._linear @ x + self._open])
         return phi, np.vstack([self._closures.jacobian(self.data), self._linear])
 
-    def _units(self) -> Units:
-        """Return the units of residuals, after `_residual`."""
+    def units(self) -> Units:
         model, data = self.model, self.data
-        points = [*self._places()[1:], *(placement.translation for placement in list(data.oMi)[1:])]
+        points = [*self.centers()[1:], *(placement.translation for placement in list(data.oMi)[1:])]
         velocities = np.where(np.any(data.J[3:] != 0.0, axis=0), 1.0, spread(points))
         rows = []
         for pair, weld in self._closures.pairs:
@@ -149,43 +150,16 @@ class Start:
         coupled = np.linalg.norm(self._linear * velocities, axis=1)
         return Units(velocities, np.array([*rows, *np.where(coupled > 0.0, coupled, 1.0)]))
 
-    def _close(self, path: str, report: ImportReport, tolerance: float) -> None:
-        before, jacobian = self._residual(self.q)
-        units = self._units()
-        if largest(before / units.rows) <= CLOSED:
-            state = f"all loops closed, to {largest(before):.1e}" if len(before) else "no loops"
-            report.start.append(f"starts from {self._called}: {state}")
-            return
-        places = self._places()
-        found = close(
-            self.q, self._residual, lambda q, step: pin.integrate(self.model, q, step), units, tolerance
-        )
-        self.q = found.q
-        phi, closed = self._residual(self.q)
-        worst = int(np.argmax(np.abs(phi)))
-        if not found.is_closed:
-            raise SourceError(
-                path,
-                f"{self._owners[worst]} cannot be closed from {self._called}: open by "
-                f"{abs(before[worst]):.3g} there, and by {found.offset:.3g} (m or rad) at best",
-            )
-        gaps: dict[str, float] = {}
-        for owner, gap in zip(self._owners, np.abs(before), strict=True):
-            gaps[owner] = max(gaps.get(owner, 0.0), float(gap))
-        lines = "; ".join(f"{owner} {gap:.3g}" for owner, gap in gaps.items() if gap > CLOSED)
-        moved = pin.difference(self.model, self._first, self.q)
-        side = branch(units.jacobian(jacobian), units.jacobian(closed), tolerance)
-        apart = float(np.max(np.linalg.norm(self._places() - places, axis=1)))
-        report.start.append(f"{self._called} are open, in m or rad: {lines}")
-        joints = [self._joint(dof) for dof in range(self.model.nv)]
-        report.start.extend(assembled(self._called, side, joints, found, moved, apart))
+    def moved(self, q: Array, step: Array) -> Array:
+        return np.asarray(pin.integrate(self.model, q, step))
 
-    def _joint(self, dof: int) -> str:
-        """Name of the joint that a velocity belongs to."""
+    def difference(self, q: Array, other: Array) -> Array:
+        return np.asarray(pin.difference(self.model, q, other))
+
+    def joint_of(self, dof: int) -> str:
         named = zip(self.model.names, self.model.joints, strict=True)
         return str(next(name for name, joint in named if joint.idx_v <= dof < joint.idx_v + joint.nv))
 
-    def _places(self) -> Array:
-        """(n, 3) centers of mass of Pinocchio's bodies, m."""
+    def centers(self) -> Array:
         poses = zip(self.data.oMi, self.model.inertias, strict=True)
         return np.array([pose.act(inertia.lever) for pose, inertia in poses])
