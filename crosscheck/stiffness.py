@@ -9,7 +9,7 @@ function. E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 1996
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -28,15 +28,18 @@ STABLE = 6.3
 NUDGE = 1e-7
 """Of coordinates (m, rad) and velocities, and relative, for differences."""
 
-LARGEST = 500
-"""Coordinates and velocities; eigenvalues of more would take longer than they save."""
+EXTREME = 12
+"""Eigenvalues of the largest magnitude that are taken where there are many: they decide on stability."""
+
+RESTARTS = 30
+"""Of their iteration, which takes some tens; those that have not converged by then are left out."""
 
 
 LOOKS = 8
 """States of a run, evenly spread, whose motions are looked at."""
 
 FEW = 150
-"""Coordinates and velocities of scenes in which that takes well below a second; of others one state is."""
+"""Coordinates and velocities of scenes all of whose eigenvalues are taken, in well below a second."""
 
 LARGEST_GROWTH = 100.0
 """Exponent of a motion that grows in a step: more is no question of stability."""
@@ -49,23 +52,47 @@ def modes(scene: Scene, states: Sequence[tuple[float, State]]) -> Array:
     """Eigenvalues, 1/s, of the motions of a scene linearized at times, s, and states; of all together.
 
     Of the derivative of (qdot, vdot) by (q, v), taken by central differences of the compiled equations, which
-    costs next to nothing. None where it cannot be told: differences say nothing near a singularity.
+    costs next to nothing: all eigenvalues of `FEW` coordinates and velocities, of more the `EXTREME` ones.
+    None where it cannot be told: differences say nothing near a singularity.
     """
     compiled = compile_scene(scene)
     derivative, n = compiled.function("derivative"), compiled.size
     found: list[Array] = []
-    for time, state in states[: 0 if n > LARGEST else 1 if n > FEW else None]:
+    for time, state in states:
         x = compiled.packed(*compiled.system.coordinates(state), time)
         if not derivative(x)[-1] > NEAR:
             continue
-        jacobian = np.empty((n, n))
-        for k in range(n):
+        units = np.maximum(1.0, np.abs(x[:n]))
+
+        def product(direction: Array, x: Array = x, units: Array = units) -> Array:
+            """Multiply the dimensionless derivative by a direction (n,)."""
             step = np.zeros(len(x))
-            step[k] = NUDGE * max(1.0, abs(x[k]))
-            jacobian[:, k] = (derivative(x + step)[:n] - derivative(x - step)[:n]) / (2.0 * step[k])
-        if np.all(np.isfinite(jacobian)):
-            found.append(np.linalg.eigvals(jacobian))
+            step[:n] = NUDGE * units * direction.ravel()
+            return (derivative(x + step)[:n] - derivative(x - step)[:n]) / (2.0 * NUDGE * units)
+
+        found.append(_all_eigenvalues(product, n) if n <= FEW else _extreme_eigenvalues(product, n))
     return np.concatenate([np.zeros(0), *found])
+
+
+def _all_eigenvalues(product: Callable[[Array], Array], n: int) -> Array:
+    """Compute the eigenvalues of a matrix (n, n); none if it is not finite."""
+    matrix = np.column_stack([np.zeros((n, 0)), *(product(direction) for direction in np.eye(n))])
+    return np.asarray(np.linalg.eigvals(matrix)) if np.all(np.isfinite(matrix)) else np.zeros(0)
+
+
+def _extreme_eigenvalues(product: Callable[[Array], Array], n: int) -> Array:
+    """Compute eigenvalues of the largest magnitude of a matrix (n, n) by Arnoldi's iteration."""
+    from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
+
+    matrix = LinearOperator((n, n), matvec=product, dtype=float)
+    start = np.random.default_rng(0).standard_normal(n)
+    try:
+        values = eigs(matrix, EXTREME, v0=start, maxiter=RESTARTS, return_eigenvectors=False)
+    except ArpackNoConvergence as error:
+        values = error.eigenvalues
+    except ArpackError:  # of numbers that are not finite
+        return np.zeros(0)
+    return values[np.isfinite(values)]
 
 
 @lru_cache(maxsize=1)

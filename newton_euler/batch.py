@@ -83,7 +83,7 @@ def simulate_batch(
     states: Sequence[State] | None = None,
     parameters: Mapping[str, Sequence[Any]] | None = None,
     threads: int | None = None,
-    formulation: str = "relative",
+    formulation: str | None = None,
     integrator: str = "DOP853",
     stabilization: str = "projection",
     alpha: float = PAPER_ALPHA,
@@ -150,7 +150,7 @@ def simulate_batch(
             raise
     wall_time = time.perf_counter() - start
     settings = {
-        "formulation": formulation,
+        "formulation": compiled.formulation,
         "stabilization": stabilization,
         "threads": workers,
     } | options.chosen()

@@ -167,7 +167,7 @@ def random_states(scene: Scene, count: int, seed: int = 0) -> list[State]:
     Raises:
         AssemblyError: if the mechanism hardly ever closes from nearby.
     """
-    code = Code(scene)
+    code = Code(scene, "relative")
     assert isinstance(code.system, Relative)
     system, project = code.system, Projection(code)
     tree, unit = system.tree, system.velocity_units

@@ -35,9 +35,6 @@ class Limit:
 
 LIMITS = {
     "velocities": Limit(300, "velocities", "degrees of freedom without loops; the comparison is dense"),
-    "products": Limit(
-        100_000, "products", "of velocities along paths of joint coordinates, n^3 / 6 in a chain of n"
-    ),
     "closures": Limit(100, "closures", "of loops: joints, equalities, gears, mimics; they are dense"),
     "bodies": Limit(2000, "bodies", "of a file, fixed ones included"),
     "mass_ratio": Limit(1e12, "kg per kg", "of the heaviest body to the lightest; round-off hides more"),

@@ -19,10 +19,9 @@ from newton_euler.errors import (
     NearlyRedundantWarning,
     NewtonEulerError,
     OptionError,
-    check_choice,
     check_type,
 )
-from newton_euler.integrators.compiled import FORMULATIONS, PAPER_ALPHA, Code, baumgarte_alpha
+from newton_euler.integrators.compiled import PAPER_ALPHA, Code, baumgarte_alpha, check_formulation
 from newton_euler.integrators.interpreted import integrate
 from newton_euler.integrators.options import Options, StepControl
 from newton_euler.integrators.outputs import time_function
@@ -43,7 +42,7 @@ ROW_CHOICES = 3
 
 def simulate(
     scene: Scene,
-    formulation: str = "relative",
+    formulation: str | None = None,
     integrator: str = "DOP853",
     *,
     stabilization: str = "projection",
@@ -54,7 +53,9 @@ def simulate(
 
     Args:
         scene: a mechanism with its surroundings, start and duration.
-        formulation: "relative" (joint coordinates) or "cartesian" (the paper's equation 21).
+        formulation: "relative" (joint coordinates) or "cartesian" (the paper's equation 21); if None, the one
+            whose code is made sooner, see `newton_euler.integrators.compiled.cheaper_formulation`. The
+            trajectory's settings say which it is.
         integrator: "DOP853", "Radau", "RK4" or "Euler" (semi-implicit).
         stabilization: "projection", "baumgarte" or "none".
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
@@ -66,20 +67,20 @@ def simulate(
     """
     check_type("scene", scene, Scene)
     options = Options(integrator, **control)
-    check_choice("formulation", formulation, FORMULATIONS)
+    check_formulation(formulation)
     baumgarte_alpha(stabilization, alpha)
     return _compiled(scene, formulation, stabilization, float(alpha))._run(options)
 
 
 @lru_cache(maxsize=KEPT)
-def _compiled(scene: Scene, formulation: str, stabilization: str, alpha: float) -> CompiledScene:
+def _compiled(scene: Scene, formulation: str | None, stabilization: str, alpha: float) -> CompiledScene:
     """Return the code of a scene; scenes cannot change, so that of the same object is the same."""
     return CompiledScene(scene, formulation, stabilization, alpha)
 
 
 def compile_scene(
     scene: Scene,
-    formulation: str = "relative",
+    formulation: str | None = None,
     stabilization: str = "projection",
     alpha: float = PAPER_ALPHA,
     parameters: Sequence[str] = (),
@@ -93,7 +94,7 @@ def compile_scene(
         NewtonEulerError: for an unknown name or an impossible option.
     """
     check_type("scene", scene, Scene)
-    check_choice("formulation", formulation, FORMULATIONS)
+    check_formulation(formulation)
     if not isinstance(parameters, list | tuple) or not all(isinstance(name, str) for name in parameters):
         raise OptionError("parameters", parameters, "names of parameters")
     compiled = CompiledScene(scene, formulation, stabilization, alpha, parameters)

@@ -155,7 +155,7 @@ def _tolerance(scene: Scene, formulation: str) -> float:
 
 def main_run(scene: Scene, rtol: float) -> Trajectory:
     """The run that a recording shows: newton_euler in joint coordinates."""
-    return compile_scene(scene).simulate(rtol=rtol, atol=0.01 * rtol)
+    return compile_scene(scene, MAIN).simulate(rtol=rtol, atol=0.01 * rtol)
 
 
 def part(scene: Scene, formulation: str, step: float) -> Scene:
@@ -337,7 +337,7 @@ def _formulation(here: Measurement) -> Iterator[StoredFigure]:
 
 def _integrators(here: Measurement) -> Iterator[StoredFigure]:
     step, short = here.plan.step, here.short(STEPS["newton_euler"])
-    compiled = compile_scene(short)
+    compiled = compile_scene(short, MAIN)
     for integrator in ("RK4", "Euler"):
         yield from here.end_of_run(integrator, compiled.simulate(integrator, step=step))
     small = compiled.operations["derivative"] <= MOST_OPERATIONS

@@ -44,20 +44,10 @@ def check_mechanism(where: str, mechanism: Mechanism) -> None:
     if tree.nv == 0:
         raise CrosscheckError(f"{where}: no body can move; needed: a joint that lets one")
     loops = len(tree.cuts) + len(mechanism.couplings)
-    check_counts(where, {"closures": loops, "velocities": tree.nv, "products": _products(tree)})
+    check_counts(where, {"closures": loops, "velocities": tree.nv})
     bodies = sorted(mechanism.bodies[1:], key=lambda body: body.mass)
     light, heavy = bodies[0], bodies[-1]
     check_counts(f"{where}: {heavy.name!r} to {light.name!r}", {"mass_ratio": heavy.mass / light.mass})
-
-
-def _products(tree: SpanningTree) -> int:
-    """The number that the elimination of the inertia matrix takes; tracing holds some 10 kB for each."""
-    above, total = {0: 0}, 0  # velocities between the ground and a body
-    for kept in tree.joints:
-        first = above[kept.parent]
-        above[kept.child] = last = first + kept.v.stop - kept.v.start
-        total += sum(k * k for k in range(first + 1, last + 1))
-    return total // 2
 
 
 def check_functions(

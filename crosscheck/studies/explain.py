@@ -16,10 +16,11 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import Rows
-from newton_euler.integrators.compiled import FORMULATIONS, Code
+from newton_euler.integrators.compiled import FORMULATIONS, PRODUCTS_PER_BODY, Code, cheaper_formulation
 from newton_euler.integrators.outputs import time_function
 from newton_euler.integrators.run import load
 from newton_euler.model.scene import OUTPUTS, Scene
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, minimum
 
 ARRAYS = {
@@ -56,6 +57,7 @@ def explain(scene: Scene, progress: Progress) -> Iterator[Part]:
         load(compiled[name], "DOP853")
     title = f"{scene.name}: {scene.description}"
     yield _table(title, {name: structure(c) for name, c in compiled.items()})
+    yield Lines("taken if none is asked for", [f"  {choice(scene)}"])
     terms = {name: _counts(operations_by_term(c)) for name, c in compiled.items()}
     yield _table("operations of a right-hand side, by term", terms)
     outputs = {name: _counts(operations_by_output(scene, name)) for name in FORMULATIONS}
@@ -140,6 +142,14 @@ def structure(compiled: Code) -> Cells:
             "degrees of freedom": system.nv - len(compiled.rows.numbers),
         }
     )
+
+
+def choice(scene: Scene) -> str:
+    """Say which formulation runs of a scene take, and why."""
+    mechanism = scene.mechanism
+    products, most = SpanningTree(mechanism).products, PRODUCTS_PER_BODY * len(mechanism.bodies)
+    compared = f"{products:,} products along paths of joint coordinates"
+    return f"{cheaper_formulation(mechanism)}: {compared}; Cartesian elimination costs as much as {most:,}"
 
 
 def operations_by_term(compiled: Code) -> dict[str, int]:
@@ -273,7 +283,7 @@ def features(scene: Scene) -> dict[str, Cells]:
     }
     if scene.control:
         variants["control"] = replace(bare, control=scene.control), "none"
-    if len(Code(scene).system.phi_units):
+    if len(Code(scene, "relative").system.phi_units):
         variants["projection"] = bare, "projection"
         variants["Baumgarte"] = bare, "baumgarte"
     for output in OUTPUTS:
@@ -285,7 +295,7 @@ def features(scene: Scene) -> dict[str, Cells]:
 
 
 def _costs(scene: Scene, stabilization: str) -> Cells:
-    compiled = Code(scene, stabilization=stabilization)
+    compiled = Code(scene, "relative", stabilization=stabilization)
     load(compiled, "DOP853")
     cells = {}
     for part, names in (

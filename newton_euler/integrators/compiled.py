@@ -28,7 +28,9 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import RowsInUse, least_squares
 from newton_euler.equations.system import at_time
 from newton_euler.errors import OptionError, UnknownNameError, check_choice, is_finite_number
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array, Scalar, minimum
 
 SIDE_BY_SIDE = (("output",), ("position", "velocity"))
@@ -50,6 +52,10 @@ STABILIZATIONS = ("projection", "baumgarte", "none")
 PAPER_ALPHA = 10.0
 """The paper's choice for K_D = 2 alpha, K_P = alpha^2 (Appendix B), 1/s."""
 
+PRODUCTS_PER_BODY = 75
+"""Of `SpanningTree.products`, whose elimination takes as many operations as a body and its joint take in the
+Cartesian form: 1,660 in chains, and 20 for each product. A chain of 20 takes 34,000 either way."""
+
 OPEN_TOLERANCE = 1e-9
 """Sizes of the mechanism, or rad, that a constraint may stay open after projection."""
 
@@ -62,7 +68,19 @@ def baumgarte_alpha(stabilization: str, alpha: float) -> float:
     return alpha if stabilization == "baumgarte" else 0.0
 
 
-def formulate(scene: Scene, formulation: str = "relative", alpha: float = 0.0) -> Formulation:
+def cheaper_formulation(mechanism: Mechanism) -> str:
+    """Choose the form of the equations whose code is made sooner: "relative", except along long paths."""
+    tree = SpanningTree(mechanism)
+    return "cartesian" if tree.products > PRODUCTS_PER_BODY * len(mechanism.bodies) else "relative"
+
+
+def check_formulation(formulation: str | None) -> None:
+    """Raise `UnknownNameError` for what is neither one of the `FORMULATIONS` nor None, the cheaper one."""
+    if formulation is not None:
+        check_choice("formulation", formulation, FORMULATIONS)
+
+
+def formulate(scene: Scene, formulation: str, alpha: float = 0.0) -> Formulation:
     """Return the equations of motion of a scene in one of the `FORMULATIONS`; alpha is Baumgarte's, 1/s."""
     if formulation not in FORMULATIONS:
         raise UnknownNameError("formulation", formulation, tuple(FORMULATIONS))
@@ -75,7 +93,8 @@ class Code:
     Attributes:
         scene: the scene that is compiled.
         system: its formulation, whose float form is the reference.
-        formulation, stabilization, alpha: as asked for.
+        formulation: "relative" or "cartesian".
+        stabilization, alpha: as asked for.
         parameters: names of the parameters that are inputs of the code, with their shapes.
         size: length of (q, v).
         inputs: length of (q, v, time, parameters).
@@ -88,14 +107,16 @@ class Code:
     def __init__(
         self,
         scene: Scene,
-        formulation: str = "relative",
+        formulation: str | None = None,
         stabilization: str = "projection",
         alpha: float = PAPER_ALPHA,
         parameters: Sequence[str] = (),
         independent: Sequence[int] | None = None,
     ) -> None:
-        """`independent` are rows of closures to use; those that `redundancy` selects if None."""
+        """`formulation` is the cheaper one if None; `independent` are rows of closures to use, those that
+        `redundancy` selects if None."""
         self.scene = scene
+        formulation = formulation or cheaper_formulation(scene.mechanism)
         self._independent, self._named = independent, tuple(parameters)
         self.formulation, self.stabilization, self.alpha = formulation, stabilization, alpha
         self._alpha = baumgarte_alpha(stabilization, alpha)

@@ -40,7 +40,6 @@ def test_what_cannot_move_is_refused():
     [
         ("bodies", 1, RAIL),
         ("velocities", 2, load("chain", N=3)),
-        ("products", 4, load("chain", N=3)),
         ("closures", 1, load("tracker")),
         ("mass_ratio", 1.5, load("tracker")),
         ("forces", 1, replace(RAIL, forces=(JointSpring("rail", 1.0),), control=(PD("rail", 1, 1, 0),))),
