@@ -21,6 +21,10 @@ Scalar = Any
 """A float or a generic scalar."""
 
 
+NUMBERS = (float, int)
+"""Classes of plain numbers; `isinstance` takes a tuple of them in a third of the time of their union."""
+
+
 def objects(scalars: Sequence[Any]) -> Array:
     """Make an object array of scalars, which NumPy must not look into."""
     array = np.empty(len(scalars), dtype=object)

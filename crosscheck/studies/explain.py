@@ -118,7 +118,7 @@ def _needed(nodes: Sequence[Node], results: Iterable[int]) -> set[int]:
         if index not in seen:
             seen.add(index)
             ahead.extend(operands(nodes[index]))
-    return {index for index in seen if operands(nodes[index]) and nodes[index].op != "neg"}
+    return {index for index in seen if operands(nodes[index]) and nodes[index][0] != "neg"}
 
 
 def structure(compiled: Code) -> Cells:

@@ -13,11 +13,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from newton_euler.scalars import Array, objects
+from newton_euler.scalars import NUMBERS, Array, objects
 
 COMMUTATIVE = frozenset({"add", "mul", "minimum"})
 
@@ -38,12 +39,12 @@ BINARY: dict[str, Callable[[float, float], float]] = {
 """Meaning of each operation; node operands are indices of earlier nodes."""
 
 
-class Node(NamedTuple):
-    """One operation: its name and operands, or ("const", value) or ("input", number)."""
+LEAVES = frozenset({"const", "input"})
+"""Nodes that are no operations."""
 
-    op: str
-    a: Any
-    b: int = -1
+Node = tuple[str, Any, int]
+"""One operation: its name and two operands, the second -1 if there is none, or ("const", value, -1) or
+("input", number, -1). There are hundreds of thousands, and named tuples would take longer to make."""
 
 
 class Graph:
@@ -57,7 +58,7 @@ class Graph:
     def __init__(self) -> None:
         self.nodes: list[Node] = []
         self.inputs = 0
-        self._known: dict[tuple[str, Any, int], int] = {}
+        self._known: dict[Node, Expression] = {}
         self._constants: dict[int, float] = {}
         self._negated: dict[int, int] = {}
 
@@ -87,12 +88,12 @@ class Graph:
         order."""
         if b < a and op in COMMUTATIVE:
             a, b = b, a
-        key = (op, a, b)
-        found = self._known.get(key)
+        node = (op, a, b)
+        found = self._known.get(node)
         if found is None:
-            found = self._known[key] = len(self.nodes)
-            self.nodes.append(Node(op, a, b))
-        return Expression(self, found)
+            found = self._known[node] = Expression(self, len(self.nodes))
+            self.nodes.append(node)
+        return found
 
     def neg(self, a: int) -> Expression:
         inner = self._negated.get(a)
@@ -111,27 +112,24 @@ class Graph:
         return self.record("cos", a if inner is None else inner)
 
     def add(self, a: int, b: int) -> Any:
-        minus = self._negated.get(b)
-        if minus is not None:
-            return self.sub(a, minus)
-        minus = self._negated.get(a)
-        return self.record("add", a, b) if minus is None else self.sub(b, minus)
+        negated = self._negated
+        if b in negated:
+            return self.sub(a, negated[b])
+        return self.sub(b, negated[a]) if a in negated else self.record("add", a, b)
 
     def sub(self, a: int, b: int) -> Any:
         if a == b:
             return 0.0
-        minus = self._negated.get(b)
-        if minus is not None:
-            return self.add(a, minus)
-        minus = self._negated.get(a)
-        return self.record("sub", a, b) if minus is None else -self.add(minus, b)
+        negated = self._negated
+        if b in negated:
+            return self.add(a, negated[b])
+        return -self.add(negated[a], b) if a in negated else self.record("sub", a, b)
 
     def mul(self, a: int, b: int) -> Any:
-        minus = self._negated.get(b)
-        if minus is not None:
-            return -self.mul(a, minus)
-        minus = self._negated.get(a)
-        return self.record("mul", a, b) if minus is None else -self.mul(minus, b)
+        negated = self._negated
+        if b in negated:
+            return -self.mul(a, negated[b])
+        return -self.mul(negated[a], b) if a in negated else self.record("mul", a, b)
 
     def scale(self, x: float, b: int) -> Any:
         """Multiply a node by a constant, neither 0 nor 1."""
@@ -150,34 +148,41 @@ class Graph:
                 return _scaled(self, x * known, first)
         return self.record("mul", self.constant(x), b)
 
-    def ancestors(self, roots: Iterable[int]) -> set[int]:
-        """Find the nodes that these nodes need, themselves included."""
-        needed = set(roots)
+    def ancestors(self, roots: Iterable[int]) -> list[int]:
+        """Find the nodes that these nodes need, themselves included, in order."""
+        needed = bytearray(len(self.nodes))
+        for root in roots:
+            needed[root] = True
         for index in range(len(self.nodes) - 1, -1, -1):
-            if index in needed:
-                needed.update(operands(self.nodes[index]))
-        return needed
+            if needed[index]:
+                op, a, b = self.nodes[index]
+                if b >= 0:
+                    needed[a] = needed[b] = True
+                elif op not in LEAVES:
+                    needed[a] = True
+        return [index for index, is_needed in enumerate(needed) if is_needed]
 
     def prune(self, outputs: Iterable[Any]) -> Program:
         """Keep the operations that these outputs (scalars) need, and nothing else."""
         roots = [self.index(scalar) for scalar in outputs]
-        kept = sorted(self.ancestors(roots))
+        kept = self.ancestors(roots)
         place = {index: k for k, index in enumerate(kept)}
-        nodes = []
+        nodes: list[Node] = []
         for index in kept:
             op, a, b = self.nodes[index]
-            if op in BINARY:
-                nodes.append(Node(op, place[a], place[b]))
+            if b >= 0:
+                nodes.append((op, place[a], place[b]))
             else:
-                nodes.append(Node(op, place[a] if op in UNARY else a))
+                nodes.append((op, a if op in LEAVES else place[a], b))
         return Program(tuple(nodes), self.inputs, tuple(place[root] for root in roots))
 
 
 def operands(node: Node) -> tuple[int, ...]:
     """Return the indices of the nodes that a node uses."""
-    if node.op in BINARY:
-        return (node.a, node.b)
-    return (node.a,) if node.op in UNARY else ()
+    op, a, b = node
+    if b >= 0:
+        return (a, b)
+    return () if op in LEAVES else (a,)
 
 
 class Program(NamedTuple):
@@ -189,7 +194,8 @@ class Program(NamedTuple):
 
     def counts(self) -> Counter[str]:
         """Count operations by name, without constants and inputs."""
-        return Counter(node.op for node in self.nodes if operands(node))
+        counts = Counter(map(itemgetter(0), self.nodes))
+        return Counter({op: count for op, count in counts.items() if op not in LEAVES})
 
     @property
     def operations(self) -> int:
@@ -221,7 +227,7 @@ class Expression:
     def __add__(self, other: Any) -> Any:
         if type(other) is Expression:
             return self.graph.add(self.index, other.index)
-        if not isinstance(other, float | int):
+        if not isinstance(other, NUMBERS):
             return NotImplemented
         return self if other == 0.0 else self.graph.add(self.index, self.graph.constant(other))
 
@@ -230,29 +236,29 @@ class Expression:
     def __sub__(self, other: Any) -> Any:
         if type(other) is Expression:
             return self.graph.sub(self.index, other.index)
-        if not isinstance(other, float | int):
+        if not isinstance(other, NUMBERS):
             return NotImplemented
         return self if other == 0.0 else self.graph.sub(self.index, self.graph.constant(other))
 
     def __rsub__(self, other: Any) -> Any:
-        if not isinstance(other, float | int):
+        if not isinstance(other, NUMBERS):
             return NotImplemented
         return -self if other == 0.0 else self.graph.sub(self.graph.constant(other), self.index)
 
     def __mul__(self, other: Any) -> Any:
         if type(other) is Expression:
             return self.graph.mul(self.index, other.index)
-        return _scaled(self.graph, other, self.index) if isinstance(other, float | int) else NotImplemented
+        return _scaled(self.graph, other, self.index) if isinstance(other, NUMBERS) else NotImplemented
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Any) -> Any:
         if type(other) is Expression:
             return self.graph.record("div", self.index, other.index)
-        return self * (1.0 / other) if isinstance(other, float | int) else NotImplemented
+        return self * (1.0 / other) if isinstance(other, NUMBERS) else NotImplemented
 
     def __rtruediv__(self, other: Any) -> Any:
-        if not isinstance(other, float | int):
+        if not isinstance(other, NUMBERS):
             return NotImplemented
         return 0.0 if other == 0.0 else self.graph.record("div", self.graph.constant(other), self.index)
 
@@ -275,7 +281,7 @@ class Expression:
         return self.graph.record("arctan2", self.index, self.graph.index(other))
 
     def minimum(self, other: Any) -> Expression:
-        if isinstance(other, float | int) and other == math.inf:
+        if isinstance(other, NUMBERS) and other == math.inf:
             return self
         other = self.graph.index(other)
         return self if other == self.index else self.graph.record("minimum", self.index, other)
@@ -294,7 +300,7 @@ def _scaled(graph: Graph, x: float, b: int) -> Expression | float:
 def differentiate(graph: Graph, outputs: Sequence[Any], variables: Sequence[Expression]) -> Array:
     """Differentiate, forward mode: partial derivatives (outputs, variables) as scalars of the same graph."""
     roots = [graph.index(output) for output in outputs]
-    needed = sorted(graph.ancestors(roots))
+    needed = graph.ancestors(roots)
     table = np.zeros((len(outputs), len(variables)), dtype=object)
     for column, variable in enumerate(variables):
         rates: dict[int, Any] = {variable.index: 1.0}
@@ -308,29 +314,28 @@ def differentiate(graph: Graph, outputs: Sequence[Any], variables: Sequence[Expr
 
 def _rate(graph: Graph, index: int, rates: dict[int, Any]) -> Any:
     """Differentiate a node by the chain rule, from the derivatives of its operands."""
-    node = graph.nodes[index]
-    ends = operands(node)
+    op, ends = graph.nodes[index][0], operands(graph.nodes[index])
     if not any(end in rates for end in ends):
         return 0.0
     da = rates.get(ends[0], 0.0)
     a, itself = graph.scalar(ends[0]), graph.scalar(index)
-    if node.op == "neg":
+    if op == "neg":
         return -da
-    if node.op == "sqrt":
+    if op == "sqrt":
         return 0.5 * da / itself
-    if node.op == "sin":
+    if op == "sin":
         return a.cos() * da
-    if node.op == "cos":
+    if op == "cos":
         return -a.sin() * da
     b, db = graph.scalar(ends[1]), rates.get(ends[1], 0.0)
-    if node.op == "add":
+    if op == "add":
         return da + db
-    if node.op == "sub":
+    if op == "sub":
         return da - db
-    if node.op == "mul":
+    if op == "mul":
         return da * b + a * db
-    if node.op == "div":
+    if op == "div":
         return (da - itself * db) / b
-    if node.op == "arctan2":
+    if op == "arctan2":
         return (b * da - a * db) / (a * a + b * b)
-    raise TypeError(f"{node.op} has no derivative")
+    raise TypeError(f"{op} has no derivative")

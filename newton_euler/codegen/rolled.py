@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from newton_euler.codegen.emit import Instructions
-from newton_euler.codegen.expression import Program, operands
+from newton_euler.codegen.expression import LEAVES, Program, operands
 from newton_euler.codegen.trigonometry import literal
 from newton_euler.scalars import Array
 
@@ -77,10 +77,10 @@ class Piece:
 
 def cut(program: Program) -> list[list[int]]:
     """Cut the operations of a program into pieces."""
-    operations = [k for k, node in enumerate(program.nodes) if operands(node)]
+    operations = [k for k, (op, _, _) in enumerate(program.nodes) if op not in LEAVES]
     if not operations:
         return []
-    sums = _checksums([program.nodes[k].op for k in operations])
+    sums = _checksums([program.nodes[k][0] for k in operations])
     around = np.pad(sums, REACH, constant_values=PRIME)
     least = np.lib.stride_tricks.sliding_window_view(around, 2 * REACH + 1).min(axis=1)
     pieces: list[list[int]] = []
@@ -136,43 +136,44 @@ def roll(program: Program) -> tuple[list[Piece], list[tuple[Piece, Instance]]]:
 
 
 def _common_constants(program: Program) -> set[float]:
-    counts = Counter(
-        program.nodes[k].a for node in program.nodes for k in operands(node) if program.nodes[k].op == "const"
-    )
+    used = Counter(a for op, a, _ in program.nodes if op not in LEAVES)
+    used.update(b for _, _, b in program.nodes if b >= 0)
+    counts: Counter[float] = Counter()
+    for k, (op, value, _) in enumerate(program.nodes):
+        if op == "const":
+            counts[value] += used[k]
     least = COMMON * program.operations
     return {value for value, count in counts.items() if count >= least}
 
 
 def _structure(program: Program, nodes: list[int], common: set[float]) -> tuple[tuple[Step, ...], Instance]:
     """Separate the structure that all instances of a piece share from the data of one."""
-    own = {node: place for place, node in enumerate(nodes)}
     instance = Instance(nodes, [], [])
-    arguments: dict[int, int] = {}
-
-    def operand(k: int) -> Operand:
-        node = program.nodes[k]
-        if k in own:
-            return "own", own[k]
-        if node.op != "const":
-            if k not in arguments:
-                arguments[k] = len(arguments)
-                instance.values.append(k)
-            return "value", arguments[k]
-        if node.a in common:
-            return "literal", node.a
-        instance.data.append(node.a)
-        return "data", len(instance.data) - 1
-
-    steps = tuple(
-        (program.nodes[k].op, tuple(operand(end) for end in operands(program.nodes[k]))) for k in nodes
-    )
-    return steps, instance
+    known: dict[int, Operand] = {node: ("own", place) for place, node in enumerate(nodes)}
+    steps: list[Step] = []
+    for k in nodes:
+        ends: list[Operand] = []
+        for end in operands(program.nodes[k]):
+            operand = known.get(end)
+            if operand is None:
+                op, value, _ = program.nodes[end]
+                if op != "const":
+                    operand = known[end] = "value", len(instance.values)
+                    instance.values.append(end)
+                elif value in common:
+                    operand = known[end] = "literal", value
+                else:  # in each place by itself, as other instances may have two different ones
+                    operand = "data", len(instance.data)
+                    instance.data.append(value)
+            ends.append(operand)
+        steps.append((program.nodes[k][0], tuple(ends)))
+    return tuple(steps), instance
 
 
 def emit_rolled(program: Program, name: str) -> str:
     """Emit the program as loops over its pieces; an `Emitter`."""
     pieces, order = roll(program)
-    place = {k: int(node.a) for k, node in enumerate(program.nodes) if node.op == "input"}
+    place = {k: int(a) for k, (op, a, _) in enumerate(program.nodes) if op == "input"}
     size = program.inputs
     starts = []
     for piece, instance in order:
@@ -180,7 +181,7 @@ def emit_rolled(program: Program, name: str) -> str:
         for number, step in enumerate(piece.kept):
             place[instance.nodes[step]] = size + number
         size += len(piece.kept)
-    fixed = [k for k in dict.fromkeys(program.outputs) if program.nodes[k].op == "const"]
+    fixed = [k for k in dict.fromkeys(program.outputs) if program.nodes[k][0] == "const"]
     for k in fixed:
         place[k] = size
         size += 1
@@ -193,7 +194,7 @@ def emit_rolled(program: Program, name: str) -> str:
         data_starts.append(len(data))
         values.extend(place[k] for k in instance.values)
         data.extend(instance.data)
-    used = sorted({int(program.nodes[k].a) for k in place if program.nodes[k].op == "input"})
+    used = sorted({int(a) for op, a, _ in program.nodes if op == "input"})
     tables = [
         _table("i32", f"{name}.values", values),
         _table("double", f"{name}.data", [literal(x) for x in data]),
@@ -206,7 +207,7 @@ def emit_rolled(program: Program, name: str) -> str:
     ]
     constants = [
         f"  %c{k} = getelementptr double, ptr %v, i64 {place[k]}\n"
-        f"  store double {literal(program.nodes[k].a)}, ptr %c{k}"
+        f"  store double {literal(program.nodes[k][1])}, ptr %c{k}"
         for k in fixed
     ]
     bodies = [_emit_piece(piece, name) for piece in pieces]

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from newton_euler.scalars import Array, Scalar, minimum
+from newton_euler.scalars import NUMBERS, Array, Scalar, minimum
 
 SINGULAR = 1e-11
 """Ratio of a pivot to its usual size below which it counts as zero."""
@@ -22,7 +22,7 @@ SINGULAR = 1e-11
 
 def is_zero(scalar: Scalar) -> bool:
     """Tell if a scalar is zero in all states."""
-    return isinstance(scalar, float | int) and scalar == 0.0
+    return isinstance(scalar, NUMBERS) and scalar == 0.0
 
 
 Rows = list[dict[int, Any]]

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from newton_euler.codegen.native import Record
+from newton_euler.codegen.native import Callback, Record
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.equations.applied_forces import strongest
 from newton_euler.equations.cartesian import Cartesian
@@ -181,7 +181,8 @@ class Integrator:
         self._times, self._most = times, min(options.most_steps or MOST_STEPS, COUNTED)
         self.x, self.counts = np.zeros(code.inputs), np.zeros(m.COUNTS)
         self.table = np.zeros((len(times), code.size))
-        system = equations(code, self._python, marks(code, options.integrator), self.counts)
+        marked = marks(code, options.integrator)
+        system = equations(code, self._python, code.function("derivative"), marked, self.counts)
         table = m.Table(len(times), code.kept, times, self.table)
         method = _method(code, self.x, times, options, self._most)
         self._copies = [getattr(method, name) for name in ("at", "end") if hasattr(method, name)]
@@ -238,7 +239,9 @@ class Integrator:
         return {name: int(self.counts[place]) for name, place in names.items()}
 
 
-def equations(code: Code, python: Fallback, marked: Array, counts: Array) -> m.Equations:
+def equations(
+    code: Code, python: Fallback, derivative: Callback, marked: Array, counts: Array
+) -> m.Equations:
     """Return a scene's native functions as methods call them."""
     position, velocity = (code.function(name) if code.projects else None for name in ("position", "velocity"))
     lanes = position.lanes if position else 1
@@ -246,7 +249,7 @@ def equations(code: Code, python: Fallback, marked: Array, counts: Array) -> m.E
         n=code.size,
         nq=code.system.nq,
         inputs=code.inputs,
-        derivative=code.function("derivative"),
+        derivative=derivative,
         dense=python.derivative,
         projecting=int(code.projects),
         tolerance=ROUND_OFF,
@@ -308,7 +311,8 @@ class Projection:
     def __init__(self, code: Code) -> None:
         self._python, self._projects = Fallback(code), code.projects
         self.x = np.zeros(code.inputs)
-        system = equations(code, self._python, np.zeros(code.size), np.zeros(m.COUNTS))
+        rates = self._python.derivative  # projection calls none, and compiling them takes time
+        system = equations(code, self._python, rates, np.zeros(code.size), np.zeros(m.COUNTS))
         self._run = native_projection().bind(project, system, 1, self.x)
 
     def __call__(self, x: Array) -> bool:

@@ -184,7 +184,7 @@ class SpanningTree:
 
     @cached_property
     def products(self) -> int:
-        """Number of products of velocities that elimination of the inertia matrix takes: n^3 / 6 in a chain."""
+        """Products of velocities that elimination of the inertia matrix takes, n^3 / 6 in a chain."""
         above, total = {0: 0}, 0  # velocities between the ground and a body
         for kept in self.joints:
             first = above[kept.parent]
