@@ -8,9 +8,11 @@ cache directory by a hash of that text, of the versions and of the processor.
 from __future__ import annotations
 
 import ctypes
+import gc
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -48,6 +50,18 @@ def llvm_binding() -> Any:
     return llvm
 
 
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Keep Python from looking for cycles among hundreds of thousands of new objects, which hold none."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
 class NativeModule:
     """Functions compiled together, alive as long as this object is.
 
@@ -83,7 +97,9 @@ class NativeModule:
             cpu=processor, features=features, opt=LEVEL
         )
         if code is None:
-            module = llvm.parse_assembly(text())
+            with uncollected():
+                written = text()
+            module = llvm.parse_assembly(written)
             if optimize:
                 # LLVM's own selection of passes takes ten times as long and gains nothing
                 passes = llvm.create_new_module_pass_manager()

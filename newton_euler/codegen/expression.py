@@ -58,7 +58,7 @@ class Graph:
     def __init__(self) -> None:
         self.nodes: list[Node] = []
         self.inputs = 0
-        self._known: dict[Node, Expression] = {}
+        self._known: dict[Node, int] = {}
         self._constants: dict[int, float] = {}
         self._negated: dict[int, int] = {}
 
@@ -91,9 +91,9 @@ class Graph:
         node = (op, a, b)
         found = self._known.get(node)
         if found is None:
-            found = self._known[node] = Expression(self, len(self.nodes))
+            found = self._known[node] = len(self.nodes)
             self.nodes.append(node)
-        return found
+        return Expression(self, found)
 
     def neg(self, a: int) -> Expression:
         inner = self._negated.get(a)

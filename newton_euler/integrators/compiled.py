@@ -10,7 +10,7 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import accumulate
 from typing import Any
 
@@ -46,6 +46,9 @@ FORMULATIONS: dict[str, Callable[[Scene, float], Formulation]] = {
 
 NEUTRAL = frozenset({"description", "duration", "output_period", "controller", "shapes", "meshes"})
 """Fields of scenes, control laws and bodies that no equation sees."""
+
+KINEMATIC = ("position", "velocity")
+"""Programs that no parameter enters; coverage takes those of the run."""
 
 STABILIZATIONS = ("projection", "baumgarte", "none")
 
@@ -165,7 +168,8 @@ class Code:
     def function(self, name: str) -> NativeFunction:
         """Return one of the functions, traced and compiled when first needed."""
         if name not in self.functions:
-            identity = self._identity and f"{self._identity} {name}"
+            known = self._identity_of(name)
+            identity = known and f"{known} {name}"
             start, traced = time.perf_counter(), self.trace_time
             self.functions[name] = NativeFunction(lambda: self._traced(name), identity)
             self.compile_time += time.perf_counter() - start - (self.trace_time - traced)
@@ -185,18 +189,27 @@ class Code:
         many = len(group) > 0 and all(self.program(other).operations < LARGE for other in group)
         return Traced(self.program(name), many, self._layouts.get(name))
 
+    def _identity_of(self, name: str) -> str | None:
+        """Fingerprint of everything that a program, or the choice of "rows", depends on."""
+        parameters = () if name in KINEMATIC else tuple(self.parameters)
+        neutral = NEUTRAL if name == "output" else NEUTRAL | {"outputs"}
+        return self._fingerprint(parameters, neutral)
+
     @cached_property
-    def _identity(self) -> str | None:
-        """Fingerprint of everything that programs depend on."""
-        chosen: list[Any] = [self.formulation, self.stabilization, self._alpha, tuple(self.parameters)]
+    def _fingerprint(self) -> Callable[[tuple[str, ...], frozenset[str]], str | None]:
+        """Fingerprint of the scene with parameters, but for neutral fields, worked out once."""
+        chosen: list[Any] = [self.formulation, self.stabilization, self._alpha]
         if self._independent is not None:
             chosen.append(tuple(self._independent))
-        return fingerprint(self.scene, *chosen, neutral=NEUTRAL)
+        return cache(
+            lambda parameters, neutral: fingerprint(self.scene, *chosen, parameters, neutral=neutral)
+        )
 
     @cached_property
     def _decided(self) -> tuple[RowsInUse, bool, tuple[NearlyRedundant, ...]]:
         """Rows in use; True if multipliers are not unique; nearly redundant constraints."""
-        key = self._identity and cache_key(self._identity, "rows")
+        known = self._identity_of("rows")
+        key = known and cache_key(known, "rows")
         stored = read_cache(key) if key else None
         if stored is not None:
             with suppress(
@@ -297,8 +310,9 @@ class Code:
     def _trace(self, name: str) -> Program:
         """Trace a program; those whose results have names leave their layout in `_layouts`."""
         graph = Graph()
-        x = graph.variables(self.inputs)
-        scene = with_values(self.scene, self._values(x))
+        kinematic = name in KINEMATIC
+        x = graph.variables(self.size + 1 if kinematic else self.inputs)
+        scene = with_values(self.scene, {} if kinematic else self._values(x))
         system = at_time(formulate(scene, self.formulation, self._alpha), x[self.size])
         if self.scene.motions:
             system.in_use = self.rows
