@@ -198,7 +198,7 @@ class Code:
     @cached_property
     def _fingerprint(self) -> Callable[[tuple[str, ...], frozenset[str]], str | None]:
         """Fingerprint of the scene with parameters, but for neutral fields, worked out once."""
-        chosen: list[Any] = [self.formulation, self.stabilization, self._alpha]
+        chosen: list[Any] = [self.formulation, self.stabilization, self._alpha, self.scene.tracks_work]
         if self._independent is not None:
             chosen.append(tuple(self._independent))
         return cache(

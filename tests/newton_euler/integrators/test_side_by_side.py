@@ -16,7 +16,7 @@ def recorded(code, times, table):
     """The rows after the first, and what came of it."""
     assert code.function("position").lanes == code.function("velocity").lanes == LANES > 1
     counts, table = np.zeros(m.COUNTS), table.copy()
-    system = equations(code, Fallback(code), np.zeros(code.size), counts)
+    system = equations(code, Fallback(code), code.function("derivative"), np.zeros(code.size), counts)
     target = m.Table(len(table), code.size, times, table)
     status = NativeFunctions([project_rows])(
         project_rows, system, target, 1, len(table), 0, code.start.copy()
