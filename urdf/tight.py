@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from itertools import repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,7 +35,7 @@ ACCURATE = 1e-9
 """Relative error of accelerations that a regularization may leave."""
 
 MOST_STEPS = 1000
-"""Of LSODA from one output to the next, and a tenth of what scipy's own solvers may make altogether."""
+"""Of LSODA from one output to the next."""
 
 Rates = Callable[[float, Array], Array]
 
@@ -191,9 +190,6 @@ def _turned(p: list[float], omega: list[float]) -> tuple[float, float, float, fl
     )
 
 
-# Marches over the output times
-
-
 def lsoda(equations: Equations, rtol: float, atol: float) -> tuple[Array, int]:
     """Adams and BDF methods of variable order, compiled, with interpolated outputs.
 
@@ -215,77 +211,6 @@ def lsoda(equations: Equations, rtol: float, atol: float) -> tuple[Array, int]:
     if told["message"] != "Integration successful.":
         raise IntegrationError(float(told["tcur"].max()), f"LSODA: {told['message']}")
     return rows, int(told["nfe"][-1])
-
-
-def scipy_solver(equations: Equations, name: str, rtol: float, atol: float) -> tuple[Array, int]:
-    """One of scipy's solvers written in Python, stepped directly.
-
-    Raises:
-        IntegrationError: with the solver's reason.
-    """
-    from scipy import integrate
-
-    times, rates = equations.system.scene.times, equations.rates
-    # these solvers keep what they are given
-    solver = getattr(integrate, name)(
-        lambda t, y: rates(t, y).copy(), 0.0, equations.start, times[-1], rtol=rtol, atol=atol
-    )
-    rows = np.empty((len(times), len(equations.start)))
-    rows[0] = equations.start
-    due, steps = 1, 0
-    while due < len(times):
-        message = solver.step()
-        steps += 1
-        if solver.status == "failed" or steps > 10 * MOST_STEPS:
-            raise IntegrationError(solver.t, f"{name}: {message or 'too many steps'}")
-        reached = int(np.searchsorted(times, solver.t, side="right"))
-        if reached > due:
-            rows[due:reached] = solver.dense_output()(times[due:reached]).T
-            due = reached
-    return rows, int(solver.nfev)
-
-
-def fixed(
-    equations: Equations, name: str, intervals: list[tuple[int, float]], number: int
-) -> tuple[Array, int]:
-    """ "RK4" or "Euler" (semi-implicit), `number` steps from one output to the next.
-
-    `intervals` are numbers of equal intervals, s, between outputs, one after the other.
-    """
-    advance, evaluations = {"RK4": (_rk4, 4), "Euler": (_semi_implicit_euler, 1)}[name]
-    rates, nq, times = equations.rates, equations.nq, equations.system.scene.times
-    outputs = 1 + sum(count for count, _ in intervals)
-    rows = np.empty((outputs, len(equations.start)))
-    rows[0] = y = equations.start.copy()
-    k = 1
-    for count, interval in intervals:
-        h = interval / number
-        for _ in repeat(None, count):
-            t = float(times[k - 1])
-            for step in range(number):
-                advance(rates, t + step * h, y, h, nq)
-            rows[k] = y
-            k += 1
-    return rows, evaluations * number * (outputs - 1)
-
-
-def _rk4(rates: Rates, t: float, y: Array, h: float, nq: int) -> None:
-    """Classical Runge-Kutta of order 4, in place; `rates` overwrites what it gave before."""
-    k = rates(t, y)
-    total = k.copy()
-    k = rates(t + 0.5 * h, y + (0.5 * h) * k)
-    total += 2.0 * k
-    k = rates(t + 0.5 * h, y + (0.5 * h) * k)
-    total += 2.0 * k
-    total += rates(t + h, y + h * k)
-    total *= h / 6.0
-    y += total
-
-
-def _semi_implicit_euler(rates: Rates, t: float, y: Array, h: float, nq: int) -> None:
-    """Velocities first, then positions with the new velocities, in place."""
-    y[nq:] += h * rates(t, y)[nq:]
-    y[:nq] += h * y[nq:]
 
 
 class Kinematics:

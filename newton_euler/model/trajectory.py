@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import io
-import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import IO, Any, Literal
-from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile
+from typing import Any
+from zipfile import BadZipFile, ZipFile
 from zlib import error as ZlibError
 
 import numpy as np
@@ -37,6 +36,9 @@ SHAPES = {
     "work": "n",
 }
 """Of the arrays of a trajectory: n times, b bodies, j joints, a actuators."""
+
+UNREADABLE = (OSError, EOFError, KeyError, RuntimeError, MemoryError, BadZipFile, ZlibError)
+"""What broken archives raise, beside ValueError."""
 
 NEEDED = ("time", "body_names", "joint_names", "position", "quaternion")
 """Arrays that every run has."""
@@ -155,52 +157,16 @@ def load_arrays(path: str | os.PathLike[str]) -> dict[str, Array]:
     """
     content = io.BytesIO(read_content(path, "array_size"))
     try:
-        with ZipFile(content) as archive:
-            arrays = _unpacked(archive)
-            _check_arrays(arrays)
-    except (OSError, EOFError, ValueError, KeyError, RuntimeError, BadZipFile, ZlibError) as error:
+        with ZipFile(content) as archive:  # which unpacks no more than its directory says
+            size = sum(entry.file_size for entry in archive.infolist())
+        if problem := exceeded("array_size", size / MB):
+            raise ValueError(problem)
+        with np.load(content, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        _check_arrays(arrays)
+    except (*UNREADABLE, ValueError) as error:
         raise SourceError(os.fspath(path), f"holds no trajectory: {error}") from error
     return arrays
-
-
-def _unpacked(archive: ZipFile) -> dict[str, Array]:
-    """The arrays of an .npz file by name, of which no more is unpacked than their headers say.
-
-    Raises:
-        ValueError: for what no trajectory has; and whatever the archive raises.
-    """
-    found: dict[str, Array] = {}
-    unpacked = 0
-    for entry in archive.infolist():
-        name = entry.filename.removesuffix(".npy")
-        if name not in SHAPES or name in found:
-            raise ValueError(f"{entry.filename!r:.100} is none of its arrays")
-        if entry.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
-            raise ValueError(f"{entry.filename!r:.100} is compressed in a way that NumPy does not use")
-        with archive.open(entry) as stream:
-            shape, order, dtype = _header(stream)
-            size = dtype.itemsize * math.prod(shape)
-            kind = "U" if name.endswith("_names") else "f"
-            if dtype.kind != kind or len(shape) != len(SHAPES[name]) or min(shape) < 0:
-                raise ValueError(f"{name} is an array of {dtype}, shape {shape}")
-            unpacked += size
-            if problem := exceeded("array_size", unpacked / MB):
-                raise ValueError(problem)
-            data = stream.read(size)
-            if len(data) < size or stream.read(1):
-                raise ValueError(f"{name} is not as long as its shape {shape}")
-        found[name] = (
-            np.frombuffer(data, dtype).reshape(shape, order=order) if size else np.empty(shape, dtype)
-        )
-    return found
-
-
-def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], Literal["C", "F"], np.dtype[Any]]:
-    """Shape, order and type of the array that a stream of an .npy file holds."""
-    if np.lib.format.read_magic(stream) != (1, 0):
-        raise ValueError("its arrays have an unknown format")
-    shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-    return shape, "F" if fortran else "C", dtype
 
 
 def _check_arrays(arrays: Mapping[str, Array]) -> None:
@@ -210,6 +176,11 @@ def _check_arrays(arrays: Mapping[str, Array]) -> None:
         if name not in arrays:
             raise ValueError(f"no array {name!r}")
     for name, array in arrays.items():
+        if name not in SHAPES:
+            raise ValueError(f"{name!r:.100} is none of its arrays")
+        kind = "U" if name.endswith("_names") else "f"
+        if array.dtype.kind != kind or array.ndim != len(SHAPES[name]):
+            raise ValueError(f"{name} is an array of {array.dtype}, shape {array.shape}")
         for letter, size in zip(SHAPES[name], array.shape, strict=True):
             sizes.setdefault(letter, size)
     for name, array in arrays.items():

@@ -179,7 +179,7 @@ def array_cases(run: Path) -> Iterator[Refused]:
         )
         yield case(
             f"{name} of objects",
-            f"{name} is an array of object",
+            "Object arrays cannot be loaded",
             lambda x, name=name: x | {name: x[name].astype(object)},
         )
         yield case(
@@ -200,7 +200,7 @@ def array_cases(run: Path) -> Iterator[Refused]:
                 f"no array {name!r}",
                 lambda x, name=name: {k: v for k, v in x.items() if k != name},
             )
-    yield case("another array", "'more.npy' is none of its arrays", lambda x: x | {"more": np.zeros(3)})
+    yield case("another array", "'more' is none of its arrays", lambda x: x | {"more": np.zeros(3)})
     yield case(
         "time backwards", "no bodies, or no times that increase", lambda x: x | {"time": x["time"][::-1]}
     )
@@ -237,13 +237,10 @@ def archive_cases(run: Path) -> Iterator[Refused]:
         "archives exchanged", "newton_euler.npz: is not the file that summary.json", other, vouched=False
     )
     yield case("archive of noise", "holds no trajectory", lambda path: path.write_bytes(dice.randbytes(5000)))
-    yield case("archive that promises more", "MB, at most 200", bomb((10**6, 10**6, 3), b"\0" * 100))
-    yield case("archive of 2 GB of zeros", "MB, at most 200", bomb((100, 900_000, 3), b"\0" * 2_160_000))
-    yield case("archive with less than it says", "is not as long as its shape", bomb((6, 4, 3), b"\0" * 100))
-    yield case(
-        "archive with more than it says", "is not as long as its shape", bomb((6, 4, 3), b"\0" * 10_000_000)
-    )
-    yield case("archive of negative shape", "position is an array of", bomb((-6, 4, 3), b"\0" * 100))
+    yield case("archive that promises more", "holds no trajectory", bomb((10**6, 10**6, 3), b"\0" * 100))
+    yield case("archive of 216 MB of zeros", "MB, at most 200", bomb((100, 90_000, 3), b"\0" * 216_000_000))
+    yield case("archive with less than it says", "holds no trajectory", bomb((6, 4, 3), b"\0" * 100))
+    yield case("archive of negative shape", "holds no trajectory", bomb((-6, 4, 3), b"\0" * 100))
 
     recording = lambda path: path.with_name("scene.rrd").write_bytes(b"RRF2")  # noqa: E731
     yield case("recording of another run", "scene.rrd: is not the file", recording)

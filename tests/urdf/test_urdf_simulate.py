@@ -21,7 +21,7 @@ from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.trajectory import IntegrationError
 from urdf.dynamics import PinocchioSystem
-from urdf.tight import equations_of, fixed
+from urdf.tight import equations_of
 
 
 @pytest.fixture(scope="module")
@@ -154,23 +154,6 @@ def test_tight_equations_are_those_of_runs(scene):
         found = equations.rates(0.1, y)[equations.nq :]
         # 1e-8: redundant closures are regularized in other ways
         assert found == pytest.approx(wanted, abs=1e-8 * max(1.0, np.max(np.abs(wanted))))
-
-
-def test_tight_fixed_steps_follow_prescribed_motions():
-    scene = replace(MOTIONS["motions of a tree"], duration=0.2, output_period=0.1, outputs=frozenset())
-    equations = equations_of(scene, 0.0, None)
-    exact = newton_euler.simulate(scene, rtol=1e-12, atol=1e-13).position
-    errors = []
-    for number in (10, 20):
-        rows, _ = fixed(equations, "RK4", [(2, 0.1)], number)
-        found = [
-            equations.system.state(
-                equations.system.map.q_from_pinocchio(row[: equations.nq]), np.zeros(equations.system.nv)
-            ).position
-            for row in rows
-        ]
-        errors.append(np.max(np.abs(np.array(found) - exact)))
-    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.2)  # order 4
 
 
 def test_bars_pass_flat_configurations_with_all_digits():

@@ -26,7 +26,7 @@ from newton_euler.scalars import Array
 from newton_euler.simulate import CompiledScene
 
 if TYPE_CHECKING:
-    from urdf.tight import Equations
+    from urdf.tight import Equations, Kinematics
 
 TIGHTEST = 3e-14
 """Tightest rtol; the limit of DOP853, scipy's and newton_euler's, is 2.2e-14."""
@@ -100,10 +100,10 @@ def _steps(scene: Scene, numbers: Iterable[int]) -> Iterator[tuple[int, float, s
         yield number, step, f"step {step:.3g} s"
 
 
-def _tolerances(powers: Iterable[int], tightest: float = TIGHTEST) -> Iterator[tuple[float, str]]:
+def _tolerances(powers: Iterable[int]) -> Iterator[tuple[float, str]]:
     """Yield rtol at half decades, with their names."""
     for rtol in (base * 10.0**-power for power in powers for base in (1.0, 0.3)):
-        if rtol >= tightest:
+        if rtol >= TIGHTEST:
             yield rtol, f"rtol {rtol:.0e}"
 
 
@@ -200,97 +200,41 @@ def _run_mujoco(stepper: Any, evaluations: int) -> Run:
 ALPHAS = (0.0, 3.0, 10.0)
 """1/s, of Baumgarte's gains. On the tracker 30 is no better than 10, and 100 is stiff."""
 
-LCABA = ((1e-6, 1), (1e-6, 2))
-"""Regularizations of `lcaba`, which always needs one and knows no Baumgarte gains. A third iteration gains
-nothing on the tracker."""
-
-LCABA_RTOL = 1e-9
-"""Its accelerations are no smoother than this, and methods with error control stall on the noise."""
-
-March = Callable[[], tuple[Array, int]]
-"""Coordinates at all outputs, and how many evaluations it took."""
-
 
 def _pinocchio(scene: Scene) -> Models:
-    """Return a model for each Baumgarte gain and each regularization of `lcaba`."""
-    gains = {
-        f"constraintDynamics, alpha {alpha:g}": partial(_load_dynamics, scene, alpha) for alpha in ALPHAS
+    """Return a model for each Baumgarte gain.
+
+    Its accelerations are those of `constraintDynamics`: those of `lcaba` are no smoother than 1e-9, and
+    methods with error control stall on the noise.
+    """
+    return {
+        f"constraintDynamics, alpha {alpha:g}": partial(_load_pinocchio, scene, alpha) for alpha in ALPHAS
     }
-    return gains | {f"lcaba, mu {mu:g} x {n}": partial(_load_lcaba, scene, mu, n) for mu, n in LCABA}
 
 
-def _load_dynamics(scene: Scene, alpha: float) -> Model:
-    from urdf.tight import equations_of
+def _load_pinocchio(scene: Scene, alpha: float) -> Model:
+    from urdf.tight import Kinematics, equations_of
 
-    equations, prefix = equations_of(scene, alpha, None), f"constraintDynamics, alpha {alpha:g}"
-    ladders = [_lsoda(equations, prefix, 1.0, TIGHTEST), _lsoda(equations, prefix, 1e-2, TIGHTEST)]
-    if alpha != ALPHAS[1]:
-        ladders.append(_scipy(equations, prefix, "DOP853", range(2, 14)))
-    if alpha == 0.0:
-        ladders.append(_scipy(equations, prefix, "Radau", range(2, 7)))
-    if alpha == ALPHAS[-1]:
-        ladders.append(_scipy(equations, prefix, "RK45", range(2, 10)))
-        ladders += [_fixed(equations, prefix, name) for name in ("RK4", "Euler")]
-    return _pinocchio_model(ladders)
-
-
-def _load_lcaba(scene: Scene, mu: float, iterations: int) -> Model:
-    from urdf.tight import equations_of
-
-    equations, prefix = equations_of(scene, 0.0, (mu, iterations)), f"lcaba, mu {mu:g} x {iterations}"
-    dop853 = _scipy(equations, prefix, "DOP853", range(2, 9))
-    return _pinocchio_model([_lsoda(equations, prefix, 1.0, LCABA_RTOL), dop853])
-
-
-def _pinocchio_model(ladders: Iterable[Ladder]) -> Model:
+    equations, ladders = equations_of(scene, alpha, None), []
+    kinematics = Kinematics(equations)
+    for share in SHARES:
+        settings = [
+            Setting(name, partial(_run_pinocchio, equations, kinematics, rtol, share * rtol))
+            for rtol, name in _tolerances(range(1, 14))
+        ]
+        method = f"constraintDynamics, alpha {alpha:g}, LSODA, atol = {share:g} rtol"
+        ladders.append(Ladder(method, tuple(settings)))
     return Model(tuple(ladders), "URDF written and read, model built")
 
 
-def _lsoda(equations: Equations, prefix: str, share: float, tightest: float) -> Ladder:
-    """Return the ladder of LSODA with atol = share rtol."""
+def _run_pinocchio(equations: Equations, kinematics: Kinematics, rtol: float, atol: float) -> Run:
     from urdf.tight import lsoda
 
-    settings = [
-        _pinocchio_setting(name, equations, partial(lsoda, equations, rtol, share * rtol))
-        for rtol, name in _tolerances(range(1, 14), tightest)
-    ]
-    return Ladder(f"{prefix}, LSODA, atol = {share:g} rtol", tuple(settings))
-
-
-def _scipy(equations: Equations, prefix: str, method: str, powers: range) -> Ladder:
-    from urdf.tight import scipy_solver
-
-    settings = []
-    for rtol in (10.0**-power for power in powers):
-        march = partial(scipy_solver, equations, method, rtol, 0.01 * rtol)
-        settings.append(_pinocchio_setting(f"rtol {rtol:.0e}", equations, march))
-    return Ladder(f"{prefix}, {method}, atol = 0.01 rtol", tuple(settings))
-
-
-def _fixed(equations: Equations, prefix: str, method: str) -> Ladder:
-    from urdf.tight import fixed
-
-    scene = equations.system.scene
-    settings = [
-        _pinocchio_setting(name, equations, partial(fixed, equations, method, intervals(scene.times), number))
-        for number, _, name in _steps(scene, (1, 2, 5, 10, 20))
-    ]
-    return Ladder(f"{prefix}, {method}", tuple(settings))
-
-
-def _pinocchio_setting(name: str, equations: Equations, march: March) -> Setting:
-    from urdf.tight import Kinematics
-
-    kinematics = Kinematics(equations)
-
-    def run() -> Run:
-        start = time.perf_counter()
-        rows, evaluations = march()
-        placements = kinematics(rows)
-        seconds = time.perf_counter() - start
-        return Run(seconds, evaluations, partial(kinematics.poses, placements))
-
-    return Setting(name, run)
+    start = time.perf_counter()
+    rows, evaluations = lsoda(equations, rtol, atol)
+    placements = kinematics(rows)
+    seconds = time.perf_counter() - start
+    return Run(seconds, evaluations, partial(kinematics.poses, placements))
 
 
 ENGINES: dict[str, Callable[[Scene], Models]] = {
