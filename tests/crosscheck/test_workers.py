@@ -14,8 +14,6 @@ import pytest
 PATIENCE = 60.0
 """s that processes may take to start and to end: half a second each, unless others have the processors."""
 
-COMMANDS = {"run": ("run", "--all"), "stress": ("stress", "--ci")}
-
 PARENT, TRACKER, WORKERS = 1, 1, 2
 """Processes of a command: itself, the one that multiprocessing keeps, those that work."""
 
@@ -44,11 +42,13 @@ def wait_until(condition, seconds: float) -> bool:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc to count processes in")
-@pytest.mark.parametrize("name", COMMANDS)
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
-def test_no_process_outlives_its_command(tmp_path, name, number):
+@pytest.mark.parametrize(
+    ("command", "number"),
+    [("run --all", signal.SIGTERM), ("stress --ci", signal.SIGINT), ("run --all", signal.SIGKILL)],
+)
+def test_no_process_outlives_its_command(tmp_path, command, number):
     process = subprocess.Popen(
-        [sys.executable, "-m", "crosscheck", *COMMANDS[name], "--output", "out"],
+        [sys.executable, "-m", "crosscheck", *command.split(), "--output", "out"],
         cwd=tmp_path,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

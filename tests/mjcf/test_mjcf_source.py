@@ -86,7 +86,7 @@ def test_what_is_compiled_does_not_depend_on_threads(tmp_path: Path) -> None:
     path = tmp_path / "model.xml"
     path.write_text(model(PAIR))
     found = []
-    for threads in ("1", "2", "8"):
+    for threads in ("1", "8"):
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads}
         command = [sys.executable, "-c", LEAST, str(path)]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)

@@ -23,11 +23,6 @@ LINKAGE = Path(__file__).parents[3] / "examples" / "linkage.xml"
             'stiffness="0.5" frictionloss="0.3"',
             "joint 'pivot': left out: its dry friction 0.3",
         ),
-        (
-            'stiffness="0.5"',
-            'stiffness="0.5" limited="true" range="-5 5"',
-            "joint 'pivot': left out: its limits -0.08727 to 0.08727: limits are no bilateral constraints",
-        ),
         ('conaffinity="0"', 'conaffinity="1"', "3 geoms that can touch: left out: contacts are no"),
     ],
 )

@@ -78,14 +78,22 @@ def loaded(start: float) -> Scene:
     return replace(scene, forces=(spring,), armatures=(Armature("pivot", 0.01),), duration=0.5)
 
 
+def driven() -> Scene:
+    """A pendulum with a control law at its hinge."""
+    scene = pendulum()
+    joint = replace(scene.mechanism.joints[0], actuated=True)
+    mechanism = Mechanism(scene.mechanism.bodies, [joint])
+    law = PD("pivot", 20.0, 5.0, 1.0, feedforward=0.5)
+    return replace(scene, mechanism=mechanism, control=(law,), duration=0.5, initial_state=None)
+
+
 SCENES = {
-    "tracker": lambda: replace(load("tracker"), duration=0.5),
     "slider_crank": lambda: replace(load("slider_crank"), duration=0.5),
     "free_top": lambda: replace(load("free_top"), duration=0.5),
     "heavy_top": lambda: replace(load("heavy_top"), duration=0.5),
-    "four_bar": lambda: replace(load("four_bar"), duration=0.5),
     "flyball_governor": lambda: replace(load("flyball_governor"), duration=0.5),
     "loaded": lambda: loaded(0.0),
+    "driven": lambda: driven(),
     "in equilibrium": lambda: replace(loaded(0.0), gravity=np.zeros(3)),
 }
 

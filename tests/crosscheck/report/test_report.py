@@ -278,10 +278,11 @@ def test_of_many_folders_an_index(bare, tmp_path, capsys):
     assert len(SCENES) <= MOST_IN_FULL  # so that `run --all` has one page
 
 
-def test_progress_counts_the_folders(folder, tmp_path):
+def test_progress_counts_the_folders(folder, tmp_path, monkeypatch):
     for name in ("one", "two"):
         shutil.copytree(folder, tmp_path / "library" / name)
     said: list[str] = []
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, stream, **__: stream.write(PNG))
     write_report(tmp_path / "library", said.append)
     assert said == [
         f"{number} of 2 folders, {what}"

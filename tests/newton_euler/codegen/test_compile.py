@@ -140,8 +140,8 @@ def test_processes_that_compile_at_once_do_not_disturb_each_other(cache):
     code = "from newton_euler.codegen.compile import NativeModule\n"
     code += f"NativeModule({SOURCE!r}, lambda: {SOURCE!r}, {{}}, optimize=True)"
     environment = os.environ | {CACHE_VARIABLE: str(cache)}
-    jobs = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(6)]
-    assert [job.wait() for job in jobs] == [0] * 6
+    jobs = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(3)]
+    assert [job.wait() for job in jobs] == [0] * 3
     assert len(list(cache.iterdir())) == 1
     assert compiled(SOURCE).from_cache
 
@@ -157,7 +157,7 @@ def test_runs_that_are_killed_leave_the_cache_usable(cache):
     environment = os.environ | {CACHE_VARIABLE: str(cache)}
     rng = np.random.default_rng(0)
     sources = [f"{SOURCE}; {k}" for k in range(7)]
-    for _ in range(15):
+    for _ in range(5):
         job = subprocess.Popen([sys.executable, "-c", code], env=environment)
         time.sleep(rng.uniform(0.15, 0.5))
         job.kill()

@@ -46,20 +46,26 @@ def run(scene: Scene, formulation: str = "relative", stabilization: str = "proje
 
 @pytest.mark.parametrize("name", MECHANISMS)
 @pytest.mark.parametrize("noise", [1e-12, 1e-9, 1e-6])
-def test_noise_of_files_moves_bodies_by_its_own_size(name, noise):
-    clean, scene = MECHANISMS[name](0.0), MECHANISMS[name](noise)
-    design, decided = run(clean), mobility(scene)
-    assert mobility(clean).nearly == ()
-    assert decided.degrees_of_freedom == mobility(clean).degrees_of_freedom == FREEDOMS[name]
+def test_one_row_of_the_size_of_the_noise_is_taken_as_redundant(name, noise):
+    clean, decided = mobility(MECHANISMS[name](0.0)), mobility(MECHANISMS[name](noise))
+    assert clean.nearly == ()
+    assert decided.degrees_of_freedom == clean.degrees_of_freedom == FREEDOMS[name]
     assert [weak.taken for weak in decided.nearly] == ["redundant"]
-    assert 0.1 * noise < decided.residual < 10.0 * noise  # one row, of the order of what disturbs it
+    assert 0.1 * noise < decided.residual < 10.0 * noise
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_noise_of_files_moves_bodies_by_its_own_size(name):
+    """In every form the flat four-bar; the others as they are run unless one asks for something else."""
+    noise, design = 1e-9, run(MECHANISMS[name](0.0))
     assert np.abs(design[-1] - design[0]).max() > 0.05
-    for form in FORMS if noise == 1e-9 else FORMS[::3]:
+    for form in FORMS if name == "flat_four_bar" else FORMS[::3]:
         # the rest is the error of the runs, at rtol 1e-10 and with gains of 10 1/s
-        assert np.abs(run(scene, *form) - design).max() < SENSITIVITY * noise + 1e-10, form
+        found = run(MECHANISMS[name](noise), *form)
+        assert np.abs(found - design).max() < SENSITIVITY * noise + 1e-10, form
 
 
-@pytest.mark.parametrize("tilt", [1e-12, 1e-9, 1e-7, 1e-6, 1e-5])
+@pytest.mark.parametrize("tilt", [1e-12, 1e-7, 1e-5])
 def test_a_parallelogram_passes_its_flat_configuration(tilt):
     """Where a second singular value vanishes beside the one that noise has left."""
     wanted = run(flat_four_bar(0.0, 0.5))
@@ -72,10 +78,9 @@ def test_a_parallelogram_passes_its_flat_configuration(tilt):
         assert np.abs(found - wanted).max() < 1e-7 + SENSITIVITY * tilt, name
 
 
-@pytest.mark.parametrize("tilt", [1e-7, 1e-6, 1e-5])
-def test_an_offset_of_a_file_does_not_keep_it_from_passing(tilt, tmp_path):
+def test_an_offset_of_a_file_does_not_keep_it_from_passing(tmp_path):
     """Steps next to the flat configuration are judged by the noise: by less, round-off decides."""
-    runs = []
+    tilt, runs = 1e-6, []
     for noise in (0.0, tilt):
         path = tmp_path / f"finger_{noise:g}.xml"
         path.write_text(finger(1.0, noise))
@@ -100,9 +105,8 @@ def evaluated(system, scene: Scene, state: State) -> np.ndarray:
     return np.concatenate([found.linear_acceleration, found.angular_acceleration])
 
 
-@pytest.mark.parametrize("tilt", [1e-8, 1e-6])
-def test_a_crosscheck_says_what_was_taken_how(tilt):
-    scene = replace(flat_four_bar(tilt), duration=0.1)
+def test_a_crosscheck_says_what_was_taken_how():
+    scene = replace(flat_four_bar(1e-6), duration=0.1)
     result = crosscheck(scene, list(ENGINES.values()), lambda told: None, "flat_four_bar", {})
     assert result.agrees, result.verdict
     (line,) = redundancy_lines(scene)
@@ -123,9 +127,8 @@ def test_taken_literally_the_mechanism_is_locked_and_says_so():
     assert last == "the mechanism has no degree of freedom"
 
 
-@pytest.mark.parametrize("tilt", [1e-12, 1e-11])
-def test_what_is_below_round_off_is_never_taken_literally(tilt):
-    scene = replace(flat_four_bar(tilt), redundancy_tolerance=0.0)
+def test_what_is_below_round_off_is_never_taken_literally():
+    scene = replace(flat_four_bar(1e-11), redundancy_tolerance=0.0)
     assert [weak.taken for weak in mobility(scene).nearly] == ["redundant"]
     for formulation in ("relative", "cartesian"):
         assert np.abs(run(scene, formulation) - run(flat_four_bar(0.0))).max() < 1e-9, formulation

@@ -92,7 +92,7 @@ def exact(times: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray, np.
 @pytest.mark.parametrize(
     "simulate", [*ENGINES.values(), *FIXED.values()], ids=[*ENGINES, *map("{} RK4".format, FIXED)]
 )
-@pytest.mark.parametrize("period", [0.02, 0.01, 0.0075, 0.028, 0.6])
+@pytest.mark.parametrize("period", [0.02, 0.0075, 0.028, 0.6])
 def test_a_cart_under_held_forces(simulate, period):
     """Periods that divide the time between outputs, that do not, and one that is longer than the run."""
     scene = carts(Sampled("rail_0", Recorder(), period))
@@ -185,9 +185,8 @@ def with_discrete_pd(scene: Scene, period: float) -> Scene:
     return replace(scene, control=control, duration=0.2)
 
 
-@pytest.mark.parametrize("period", [0.01, 0.007])
-def test_a_discrete_pd_moves_the_tracker_alike_in_all_engines(tracker, period):
-    scene = with_discrete_pd(tracker, period)
+def test_a_discrete_pd_moves_the_tracker_alike_in_all_engines(tracker):
+    scene = with_discrete_pd(tracker, 0.007)
     continuous = newton_euler.simulate(replace(tracker, duration=0.2))
     wanted = newton_euler.simulate(scene)
     # what holding changes: far above the tolerances below

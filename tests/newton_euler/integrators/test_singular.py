@@ -107,7 +107,7 @@ def test_what_cannot_pass_says_so(angle, speed, options):
 @pytest.mark.parametrize("step", [1e-2, 1e-3, 3e-4])
 @pytest.mark.parametrize("stabilization", ["projection", "baumgarte"])
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize(("angle", "speed"), [*STARTS, (-1.0, -5.0)])
+@pytest.mark.parametrize(("angle", "speed"), STARTS[::2])
 def test_fixed_steps_pass_or_refuse(angle, speed, formulation, stabilization, step):
     """Of what goes over to the other branch, a meter away, nothing passes for a result."""
     options = {"integrator": "RK4", "step": step, "stabilization": stabilization}
@@ -119,7 +119,7 @@ def test_fixed_steps_pass_or_refuse(angle, speed, formulation, stabilization, st
 
 @pytest.mark.parametrize("step", [1e-2, 1e-3])
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-@pytest.mark.parametrize(("angle", "speed"), [*STARTS, (0.008725, 6.961159), (-0.0934, 7.4808)])
+@pytest.mark.parametrize(("angle", "speed"), [STARTS[0], (0.008725, 6.961159), (-0.0934, 7.4808)])
 def test_fixed_steps_without_stabilization_pass_or_refuse(angle, speed, formulation, step):
     """What is not seen near by, with long steps, is seen by joints that it opens."""
     options = {"integrator": "RK4", "step": step, "stabilization": "none"}

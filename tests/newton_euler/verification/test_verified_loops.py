@@ -51,11 +51,10 @@ def offset(gap: float) -> str:
     )
 
 
-@pytest.mark.parametrize("gap", [1e-6, 1e-5, 1e-4, 4e-4])
-def test_offsets_that_loops_keep_hide_no_fault(gap: float, tmp_path: Path) -> None:
+def test_offsets_that_loops_keep_hide_no_fault(tmp_path: Path) -> None:
     """Faults of a millionth are seen, in the same figures, as they are with the loop closed."""
     seen = []
-    for each in (0.0, gap):
+    for each in (0.0, 1e-6, 4e-4):
         report = reading(tmp_path, offset(each)).report
         (line,) = (line for line in report.start if line.startswith("verified"))
         faults = [
@@ -65,7 +64,7 @@ def test_offsets_that_loops_keep_hide_no_fault(gap: float, tmp_path: Path) -> No
         seen.append([(outcome.fault.name, outcome.figure) for outcome in found if outcome.figure])
         assert float(line.split(" to ")[1].split()[0]) < 1e-10
     assert len(seen[0]) > 30
-    assert seen[0] == seen[1]
+    assert seen[0] == seen[1] == seen[2]
 
 
 def stretched(gap: float) -> str:
