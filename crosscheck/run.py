@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 from importlib.metadata import version
 from typing import Any
 
-from crosscheck.advice import Advice, Found, advise
+from crosscheck.advice import Advice, advise
 from crosscheck.comparison.coverage import Coverage, coverage
 from crosscheck.comparison.diagnosis import Diagnosis, diagnose
 from crosscheck.comparison.figure import Figure, not_judged
@@ -273,7 +273,7 @@ def crosscheck(
     if advised and not stops:
         what = "working out advice"
         with as_far_as_it_goes(what, beside), limited(what, "there is none", progress):
-            advice = advise(Found(scene, source, able, runs, rows, mapping))
+            advice = advise(scene, able, runs, rows)
     wall_time = time.perf_counter() - start
     return Crosscheck(
         source,

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import shlex
+import os
 import subprocess
 import sys
-from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -19,14 +18,12 @@ from crosscheck.cli.shared import (
     exercised,
     load_scene,
     progress_shown,
-    recording_options,
     say,
     scene_options,
     setting_options,
     without_exercise,
 )
 from crosscheck.errors import CrosscheckError
-from crosscheck.recording.destination import Destination
 from crosscheck.report.render import terminal
 
 if TYPE_CHECKING:
@@ -55,7 +52,7 @@ OUTPUT = Path("output")
     help="Folder.  [default: output/ and SCENE's name or its file's without suffix; output with --all]",
 )
 @click.option("--advice", is_flag=True, help="Work out what to do about what is found, by more runs.")
-@recording_options
+@click.option("--save", type=click.Path(path_type=Path), help="Recording's file.  [default: OUTPUT/NAME.rrd]")
 def run_command(
     scene: str | None,
     library: bool,
@@ -65,18 +62,17 @@ def run_command(
     against_settings: tuple[str, ...],
     output: Path | None,
     advice: bool,
-    **recording: Any,
+    save: Path | None,
 ) -> int:
     """Run SCENE through the engines and compare them, or with --against compare it with another model.
 
     SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given. What OPTION can be is told
-    by crosscheck list. The recording is saved unless it is told to go elsewhere.
+    by crosscheck list.
     """
-    destination = Destination(**recording)
     wanted = _names(engines)
     if library:
-        alone = scene is None and against is None and not (settings or advice)
-        if not alone or destination != Destination():
+        alone = scene is None and against is None and not (settings or advice or save)
+        if not alone:
             raise CrosscheckError("--all runs all scenes at their defaults, without SCENE and its options")
         return _run_all(wanted, output)
     if against is None and against_settings:
@@ -85,13 +81,12 @@ def run_command(
         raise CrosscheckError("--against compares two models by newton_euler alone, without --engines")
     if against is not None and advice:
         raise CrosscheckError("--advice is on the runs of engines, without --against")
-    destination.check()
+    if save is not None and save.suffix != ".rrd":
+        raise CrosscheckError(f"--save {save}: a recording's name ends in .rrd")
     chosen = "tracker" if scene is None else scene
-    with redirect_stdout(sys.stderr) if destination.stdout else nullcontext():
-        if against is None:
-            return _run(chosen, wanted, settings, output, destination, advice)
-        models = _models((chosen, settings), (against, against_settings))
-        return _run_against(models, output, destination)
+    if against is None:
+        return _run(chosen, wanted, settings, output, save, advice)
+    return _run_against(_models((chosen, settings), (against, against_settings)), output, save)
 
 
 def _names(engines: str | None) -> list[str]:
@@ -124,7 +119,7 @@ def _run(
     engines: list[str],
     settings: tuple[str, ...],
     output: Path | None,
-    destination: Destination,
+    save: Path | None,
     advised: bool,
 ) -> int:
     from crosscheck.engines import choose
@@ -147,7 +142,7 @@ def _run(
     def work(progress: Progress) -> Crosscheck:
         return crosscheck(loaded, chosen, progress, scene, options, mapping, advised)
 
-    return _carry_out(work, own_name(scene), [engine.name for engine in chosen], folder, destination)
+    return _carry_out(work, own_name(scene), [engine.name for engine in chosen], folder, save)
 
 
 def _own_folder(name: str, sources: Sequence[str]) -> Path:
@@ -177,7 +172,7 @@ def _models(*named: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:
     return first, second
 
 
-def _run_against(models: tuple[Model, Model], output: Path | None, destination: Destination) -> int:
+def _run_against(models: tuple[Model, Model], output: Path | None, save: Path | None) -> int:
     from crosscheck.against.compare import against, together
     from crosscheck.model_files.read import report_lines
 
@@ -192,7 +187,7 @@ def _run_against(models: tuple[Model, Model], output: Path | None, destination: 
 
     name = together(models)
     folder = output or _own_folder(name, [model.source for model in models])
-    return _carry_out(work, name, [model.name for model in models], folder, destination)
+    return _carry_out(work, name, [model.name for model in models], folder, save)
 
 
 def _carry_out(
@@ -200,17 +195,17 @@ def _carry_out(
     name: str,
     runs: Sequence[str],
     folder: Path,
-    destination: Destination,
+    save: Path | None,
 ) -> int:
-    """Do what was asked for of the models, with `runs` of these names, write and send it and tell of it."""
+    """Do what was asked for of the models, with `runs` of these names, write it and tell of it."""
     from crosscheck.against.compare import Against
     from crosscheck.files import check_writable
     from crosscheck.report.output import write
     from crosscheck.report.run import report
 
-    recording = (destination.save or folder / f"{name}.rrd") if destination.to_file else None
+    recording = save or folder / f"{name}.rrd"
     arrays = [folder / f"{run}.npz" for run in runs]
-    check_writable(*arrays, folder / "summary.json", *([recording] if recording else []))
+    check_writable(*arrays, folder / "summary.json", recording)
     with progress_shown() as progress:
         result = work(progress)
         progress("writing")
@@ -218,15 +213,10 @@ def _carry_out(
         written = write(result, found, folder, recording, name)
     click.echo(terminal(found.parts), nl=False)
     say("wrote " + ", ".join(str(path) for path in written))
+    say(result.verdict, bold=True)
     if result.unfinished and not (isinstance(result, Against) and result.differs):
-        status = UNFINISHED  # whatever was found until then; models that differ do so anyway
-    else:
-        status = AGREE if result.agrees else DISAGREE
-    with destination.sent(result, found) as sent, sent.until_interrupted():
-        if sent.line:
-            say(sent.line)
-        say(result.verdict, bold=True)
-    return status
+        return UNFINISHED  # whatever was found until then; models that differ do so anyway
+    return AGREE if result.agrees else DISAGREE
 
 
 @cli.command("list")
@@ -280,10 +270,9 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
 
 @cli.command("view")
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-def view_command(files: tuple[Path, ...]) -> int:
+@click.option("--web", is_flag=True, help="Show them in a browser instead of a window.")
+def view_command(files: tuple[Path, ...], web: bool) -> int:
     """Open recordings in the Rerun viewer, side by side if they are several."""
-    from crosscheck.recording.server import LOOPBACK, has_display
-
     for file in files:
         if file.exists() and not file.is_file():
             raise CrosscheckError(f"{file} is not a file")
@@ -293,10 +282,11 @@ def view_command(files: tuple[Path, ...]) -> int:
                     raise CrosscheckError(f"{file} is not a Rerun recording")
         except OSError as error:
             raise CrosscheckError(f"cannot read {file}: {error.strerror}") from error
-    arguments = ["--bind", LOOPBACK, *map(str, files)]
-    if not has_display():
-        command = shlex.join([sys.executable, "-m", "rerun", "--serve-web", *arguments])
-        raise CrosscheckError(f"no display to open a viewer on; in a browser: {command}")
+    display = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if not (web or display):
+        raise CrosscheckError("no display to open a viewer on; --web shows the recordings in a browser")
+    # by itself it would listen to all of the network
+    arguments = ["--bind", "127.0.0.1", *(["--serve-web"] if web else []), *map(str, files)]
     status = subprocess.run([sys.executable, "-m", "rerun", *arguments], check=False).returncode
     if status != 0:
         raise CrosscheckError(f"the viewer ended with status {status}")

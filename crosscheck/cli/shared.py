@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -47,25 +46,6 @@ def _heed_limits(context: click.Context, _: click.Parameter, settings: tuple[str
     chosen = tuple(setting for setting, name in named if name in LIMITS)
     context.with_resource(changed(scene_options(chosen)))
     return tuple(setting for setting, name in named if name not in LIMITS)
-
-
-def recording_options(command: Callable[..., int]) -> Callable[..., int]:
-    """The options of `crosscheck.recording.destination.Destination`."""
-    options = (
-        click.option(
-            "--save",
-            type=click.Path(path_type=Path),
-            help="Recording's file.  [default: OUTPUT/NAME.rrd]",
-        ),
-        click.option("--spawn", is_flag=True, help="Show the recording in a viewer instead."),
-        click.option("--connect", metavar="URL", help="Send the recording to a viewer instead."),
-        click.option("--serve", is_flag=True, help="Serve the recording to browsers instead."),
-        click.option("--bind", metavar="ADDRESS", help="Where --serve listens.  [default: 127.0.0.1]"),
-        click.option("--stdout", is_flag=True, help="Write the recording to standard output instead."),
-    )
-    for option in reversed(options):
-        command = option(command)
-    return command
 
 
 def scene_options(settings: tuple[str, ...], prefix: str = "") -> dict[str, str]:

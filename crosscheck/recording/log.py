@@ -22,9 +22,9 @@ from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -58,20 +58,10 @@ LONGEST_ARROW = 1.0
 
 
 TIME = "time"
-LATER = "time_from_here"
-"""The timelines of a recording. A blueprint names a timeline but no time on it, and viewers start at its
-beginning; the second has only what comes after the time that a recording opens at."""
-
+"""The timeline of a recording."""
 
 SWITCH = "RERUN"
 """Environment variable that turns off logging; a recording that is asked for is made all the same."""
-
-
-class Clock(NamedTuple):
-    """A timeline, and the time that it begins at, s."""
-
-    timeline: str
-    start: float
 
 
 def application_id(scene: Scene) -> str:
@@ -96,7 +86,6 @@ def log_run(
     trajectories: dict[str, Trajectory],
     verdict: str,
     title: str,
-    opens_at: float | None = None,
 ) -> None:
     """Log all there is to see of a run, and how the viewer lays it out.
 
@@ -106,26 +95,24 @@ def log_run(
             others are compared with.
         verdict: Markdown.
         title: of the recording, to tell it from others of the scene.
-        opens_at: time that the viewer starts at, s; the beginning if None.
     """
     mechanism = scene.mechanism
     styles = _styles(list(trajectories), mechanism.size)
     shown = plots(scene, trajectories)
     arrow_scale = _arrow_scale(mechanism, trajectories)
     heading = title if arrow_scale is None else f"{title} (reactions: 1 N is {arrow_scale:.2g} m)"
-    clocks = [Clock(TIME, -np.inf)] if opens_at is None else [Clock(TIME, -np.inf), Clock(LATER, opens_at)]
-    layout = blueprint(mechanism, list(trajectories), shown, heading, clocks[-1].timeline)
+    layout = blueprint(mechanism, list(trajectories), shown, heading, TIME)
     recording.send_blueprint(layout, make_active=False)
     recording.send_recording_name(title)
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     recording.log("/verdict", rr.TextDocument(verdict, media_type=rr.MediaType.MARKDOWN), static=True)
     _log_ground(recording, mechanism)
     for engine, run in trajectories.items():
-        _log_bodies(recording, mechanism, engine, run, styles[engine], clocks)
-        _log_joints(recording, mechanism, engine, run, arrow_scale, clocks)
+        _log_bodies(recording, mechanism, engine, run, styles[engine])
+        _log_joints(recording, mechanism, engine, run, arrow_scale)
     times = {engine: run.time for engine, run in trajectories.items()}
     for plot in shown:
-        _log_plot(recording, plot, times, styles, clocks)
+        _log_plot(recording, plot, times, styles)
 
 
 def recorded(
@@ -133,12 +120,11 @@ def recorded(
     trajectories: dict[str, Trajectory],
     verdict: str,
     title: str,
-    opens_at: float | None = None,
 ) -> bytes:
     """The content of an .rrd; arguments as of `log_run`."""
     recording = new_recording(scene)
     memory = recording.memory_recording()
-    log_run(recording, scene, trajectories, verdict, title, opens_at)
+    log_run(recording, scene, trajectories, verdict, title)
     return bytes(memory.drain_as_bytes())
 
 
@@ -148,7 +134,6 @@ def write_recording(
     trajectories: dict[str, Trajectory],
     verdict: str,
     title: str | None = None,
-    opens_at: float | None = None,
 ) -> None:
     """Write an .rrd; the file appears whole or not at all. Arguments as of `log_run`.
 
@@ -159,7 +144,7 @@ def write_recording(
         CrosscheckError: if the file cannot be written to its end.
     """
     # in memory first: Rerun's own writer would wait for ever on a disk that is full
-    content = recorded(scene, trajectories, verdict, title or scene.name, opens_at)
+    content = recorded(scene, trajectories, verdict, title or scene.name)
     write_files({Path(path): content})
 
 
@@ -187,16 +172,12 @@ def _send(
     recording: rr.RecordingStream,
     path: str,
     time: Array,
-    clocks: Sequence[Clock],
     columns: Callable[..., Any],
     **values: Array,
 ) -> None:
-    """Log values, (n, ...) each, at times (n,), s, on all timelines."""
-    for clock in clocks:
-        rows = time >= clock.start
-        nanoseconds = np.round(time[rows] * 1e9).astype("timedelta64[ns]")
-        chosen = {name: value[rows] for name, value in values.items()}
-        recording.send_columns(path, [rr.TimeColumn(clock.timeline, duration=nanoseconds)], columns(**chosen))
+    """Log values, (n, ...) each, at times (n,), s."""
+    nanoseconds = np.round(time * 1e9).astype("timedelta64[ns]")
+    recording.send_columns(path, [rr.TimeColumn(TIME, duration=nanoseconds)], columns(**values))
 
 
 def _log_ground(recording: rr.RecordingStream, mechanism: Mechanism) -> None:
@@ -214,14 +195,13 @@ def _log_bodies(
     engine: str,
     run: Trajectory,
     style: Style,
-    clocks: Sequence[Clock],
 ) -> None:
     for k in range(1, len(mechanism.bodies)):
         path = rr.new_entity_path(["mechanism", engine, mechanism.body_names[k]])
         log_shapes(recording, path, mechanism, k, style)
         position, quaternion = run.position[:, k], xyzw(run.quaternion[:, k])
         pose = rr.Transform3D.columns
-        _send(recording, path, run.time, clocks, pose, translation=position, quaternion=quaternion)
+        _send(recording, path, run.time, pose, translation=position, quaternion=quaternion)
     found = panel(mechanism)
     if found is not None:
         body, box = found
@@ -266,7 +246,6 @@ def _log_joints(
     engine: str,
     run: Trajectory,
     arrow_scale: float | None,
-    clocks: Sequence[Clock],
 ) -> None:
     for j, joint in enumerate(mechanism.joints):
         second = mechanism.body_index(joint.second)
@@ -275,14 +254,14 @@ def _log_joints(
         path = rr.new_entity_path(["joints", engine, joint.name])
         look = rr.Points3D.from_fields(colors=JOINT_COLOR, radii=0.07 * mechanism.size)
         recording.log(path, look, static=True)
-        _send(recording, path, run.time, clocks, rr.Points3D.columns, positions=points)
+        _send(recording, path, run.time, rr.Points3D.columns, positions=points)
         if run.reaction_force is not None and arrow_scale is not None:
             path = rr.new_entity_path(["reactions", engine, joint.name])
             arrow_look = rr.Arrows3D.from_fields(colors=REACTION_COLOR, radii=0.02 * mechanism.size)
             recording.log(path, arrow_look, static=True)
             vectors = arrow_scale * run.reaction_force[:, j]
             arrows = rr.Arrows3D.columns
-            _send(recording, path, run.time, clocks, arrows, origins=points, vectors=vectors)
+            _send(recording, path, run.time, arrows, origins=points, vectors=vectors)
 
 
 def _log_plot(
@@ -290,7 +269,6 @@ def _log_plot(
     plot: Plot,
     times: dict[str, Array],
     styles: dict[str, Style],
-    clocks: Sequence[Clock],
 ) -> None:
     for engine, values in plot.lines.items():
         path = rr.new_entity_path(["plots", *plot.path, engine])
@@ -299,4 +277,4 @@ def _log_plot(
         line = rr.SeriesLines(colors=style.color, names=engine, widths=width)
         recording.log(path, line, static=True)
         time = times[engine][: len(values)] if plot.compares else times[engine]
-        _send(recording, path, time, clocks, rr.Scalars.columns, scalars=values)
+        _send(recording, path, time, rr.Scalars.columns, scalars=values)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rerun.chunk import RrdReader
@@ -17,7 +19,11 @@ from rerun.experimental import ViewerClient
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import write_files
-from crosscheck.recording.server import LOOPBACK, PATIENCE, end, free_port, start
+
+LOOPBACK = "127.0.0.1"
+
+PATIENCE = 30.0
+"""s that the viewer may take to start, and again to load a recording."""
 
 WINDOW = "1600x900"
 SETTLE = 2.0
@@ -61,11 +67,16 @@ def screenshots(rrd: str | os.PathLike[str], times: Sequence[float]) -> list[byt
 
 @contextmanager
 def _viewer() -> Iterator[ViewerClient]:
-    """A viewer without a window that listens to this machine only; ended on the way out."""
-    port = free_port(LOOPBACK)
+    """A viewer without a window that listens to this machine only; ended on the way out.
+
+    It has a process group of its own, because Rerun's program may start the viewer as a child.
+    """
+    with socket.create_server((LOOPBACK, 0)) as probe:
+        port = int(probe.getsockname()[1])
+    command = [sys.executable, "-m", "rerun_cli", "--bind", LOOPBACK, "--hide-welcome-screen"]
+    command += ["--headless", "--port", str(port), "--window-size", WINDOW]
     with tempfile.TemporaryFile() as log:
-        options = ["--headless", "--port", str(port), "--window-size", WINDOW]
-        process = start(options, LOOPBACK, log)
+        process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
         try:
             yield _connect(process, port)
         except (RuntimeError, ConnectionError):
@@ -79,7 +90,9 @@ def _viewer() -> Iterator[ViewerClient]:
                 f"mesa-vulkan-drivers and libvulkan1 ({reason})"
             ) from None
         finally:
-            end(process)
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
 
 
 def _has_died(process: subprocess.Popen[bytes]) -> bool:

@@ -9,18 +9,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_no_source, check_writable, write_files
 from crosscheck.model_files.read import is_model
-from crosscheck.regress import recording
 from crosscheck.regress.baseline import Baseline, GroupName, Record, StoredFigure, read
 from crosscheck.regress.compare import Comparison, compare, unsimulated
-from crosscheck.regress.measure import GROUPS, MAIN, make_plan, regress_scene, with_own_errors
+from crosscheck.regress.measure import GROUPS, MAIN, main_run, make_plan, regress_scene, with_own_errors
 from crosscheck.regress.report import as_json, junit, markdown
 from crosscheck.scenes import SCENES
 from crosscheck.scenes.options import titled
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.verification.import_report import ImportReport
 
 STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
@@ -193,9 +195,61 @@ def check(
             path = folder / f"{each.scene.name}.rrd"
             check_writable(path)
             verdict = markdown([comparison], {})
-            if recording.write(path, each.scene, baseline, comparison.diverges, verdict):
+            if record(path, each.scene, baseline, verdict):
                 recordings[each.scene.name] = path
     return found, recordings
+
+
+def record(path: Path, scene: Scene, baseline: Baseline, verdict: str) -> bool:
+    """Write an .rrd of a scene's run beside that of its baseline.
+
+    Args:
+        scene: as loaded.
+        verdict: Markdown.
+
+    Returns:
+        Whether there is one; none is of a scene that does not run any more, or is of other bodies.
+
+    Raises:
+        CrosscheckError: naming the path that cannot be written.
+    """
+    from crosscheck.recording.log import write_recording
+
+    scene = regress_scene(scene)
+    stored = stored_run(scene, baseline)
+    if stored is None:
+        return False
+    try:
+        runs = {"newton_euler": main_run(scene, baseline.plan.rtol[MAIN]), "baseline": stored}
+    except NewtonEulerError:
+        return False
+    write_recording(path, scene, runs, verdict, f"{scene.name} against its baseline")
+    return True
+
+
+def stored_run(scene: Scene, baseline: Baseline) -> Trajectory | None:
+    """The run that the baseline holds; None if its bodies or times are not the scene's."""
+    position = baseline.figure(MAIN, "position over time")
+    quaternion = baseline.figure(MAIN, "quaternion over time")
+    count, bodies = len(scene.times), len(scene.mechanism.bodies) - 1
+    if position is None or quaternion is None or position.array.shape != (count, 3 * bodies):
+        return None
+    ground = scene.mechanism.bodies[0]
+
+    def with_ground(own: tuple[float, ...], others: np.ndarray) -> np.ndarray:
+        first = np.tile(own, (count, 1, 1))
+        return np.concatenate([first, others.reshape(count, bodies, len(own))], axis=1)
+
+    return Trajectory(
+        engine="baseline",
+        settings={},
+        wall_time=0.0,
+        time=scene.times,
+        body_names=scene.mechanism.body_names,
+        joint_names=scene.mechanism.joint_names,
+        position=with_ground(tuple(ground.center_of_mass), position.array),
+        quaternion=with_ground(tuple(ground.quaternion), quaternion.array),
+    )
 
 
 def write_reports(

@@ -24,7 +24,7 @@ TOLD = {
 """Files that tell whose results a folder has."""
 
 
-def write(result: Crosscheck, report: Report, folder: Path, recording: Path | None, name: str) -> list[Path]:
+def write(result: Crosscheck, report: Report, folder: Path, recording: Path, name: str) -> list[Path]:
     """Write the runs, the summary and the Rerun recording, all of them or none.
 
     The summary is removed first and comes back last, so that a folder that has one is complete wherever
@@ -33,18 +33,17 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path | No
 
     Args:
         report: on the result.
-        recording: file that the recording goes to; no file if None.
+        recording: file that the recording goes to.
         name: of the recording where nothing else is asked for.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.
     """
-    made = {folder / f"{name}.npz": run.archive() for name, run in result.runs.items()}
-    if recording is not None:
-        from crosscheck.recording.log import recorded
+    from crosscheck.recording.log import recorded
 
-        text = markdown(report, folded=True)
-        made[recording] = recorded(result.scene, result.runs, text, result.title)
+    made = {folder / f"{name}.npz": run.archive() for name, run in result.runs.items()}
+    text = markdown(report, folded=True)
+    made[recording] = recorded(result.scene, result.runs, text, result.title)
     beside = {path: content for path, content in made.items() if path.parent == folder}
     digests = {path.name: hashlib.sha256(content).hexdigest() for path, content in beside.items()}
     summary = folder / "summary.json"
@@ -54,7 +53,7 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path | No
         stale.append(usual)
     write_files({summary: as_json(result.summary(), report, digests), **made}, stale)
     runs = [path for path in made if path != recording]
-    return [*runs, summary, *([] if recording is None else [recording])]
+    return [*runs, summary, recording]
 
 
 def own_name(source: str) -> str:

@@ -15,7 +15,7 @@ from pydantic import BaseModel, field_validator
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable, write_files
-from crosscheck.report import drawing, plots
+from crosscheck.report import plots
 from crosscheck.report.table import Report
 from crosscheck.results import digest, read_json
 from newton_euler.model.source_file import SourceError, read_content
@@ -183,11 +183,11 @@ def _entry(file: Path, results: Results, anchor: str, shares: Sequence[float], p
         if results.files[path.name] != digest(path):
             raise CrosscheckError(f"{path}: is not the file that {file.name} beside it was written with")
     runs = _runs(path for path in beside if path.suffix == ".npz")
+    duration = max((float(run["time"][-1]) for run in runs.values()), default=0.0)
     for path in (path for path in beside if path.suffix == ".rrd"):
         progress(f"{path.stem}: pictures of the recording")
         try:
-            views = drawing.views(path, next(iter(runs), "newton_euler"), shares)
-            entry.pictures.extend(Picture(content, f"{path.stem}: {caption}") for content, caption in views)
+            entry.pictures.extend(_views(path, duration, shares))
         except CrosscheckError as error:
             entry.remarks.append(f"No picture of {path.stem}: {error}")
     if runs:
@@ -200,6 +200,21 @@ def _entry(file: Path, results: Results, anchor: str, shares: Sequence[float], p
             raise CrosscheckError(str(error)) from error
         entry.pictures.append(Picture(content, path.stem.replace("_", " ")))
     return entry
+
+
+def _views(recording: Path, duration: float, shares: Sequence[float]) -> Iterator[Picture]:
+    """Pictures of a recording at shares of its duration, s, by the Rerun viewer.
+
+    Raises:
+        CrosscheckError: where the viewer does not run or shows nothing.
+    """
+    from crosscheck.recording.screenshot import screenshots
+
+    if not recording.is_file():  # a pipe would keep its reader waiting
+        raise CrosscheckError(f"{recording}: not a regular file")
+    moments = sorted({share * duration for share in shares})
+    for content, moment in zip(screenshots(recording, moments), moments, strict=True):
+        yield Picture(content, f"{recording.stem}: the recording at {moment:.4g} s")
 
 
 def _runs(paths: Iterator[Path]) -> dict[str, dict[str, Array]]:

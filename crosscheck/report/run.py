@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from crosscheck.advice.measured import distance
+from crosscheck.advice import distance
 from crosscheck.against.compare import Against, Model
 from crosscheck.comparison.coverage import Coverage
 from crosscheck.comparison.figure import FILE, NOT_NEARER

@@ -269,19 +269,15 @@ def test_a_user_guards_a_model(capsys, guarded, monkeypatch):
     assert Path("m.md").read_text().startswith("# crosscheck regress\n\n**MOVED: 1 of 1 scenes: mine**")
 
 
-def test_a_recording_opens_where_poses_part(tmp_path, swing, measured, monkeypatch):
+def test_a_recording_holds_both_runs(tmp_path, swing, measured, monkeypatch):
     from crosscheck.recording import log
-    from crosscheck.regress import recording
 
     seen = {}
     monkeypatch.setattr(
-        log, "write_recording", lambda path, scene, runs, verdict, title, opens_at: seen.update(
-            runs=runs, opens_at=opens_at
-        )
-    )  # fmt: skip
+        log, "write_recording", lambda path, scene, runs, verdict, title: seen.update(runs=runs)
+    )
     heavier = replace(swing, gravity=swing.gravity * 1.01)
-    assert recording.write(tmp_path / "x.rrd", heavier, measured, 0.2, "verdict")
-    assert seen["opens_at"] == 0.2
+    assert regress.record(tmp_path / "x.rrd", heavier, measured, "verdict")
     now, before = seen["runs"]["newton_euler"], seen["runs"]["baseline"]
     # the baseline's own scene gives the baseline's poses, to what its tolerance says
     (swing_now,) = [measure.main_run(measure.regress_scene(swing), 1e-12)]
@@ -290,9 +286,7 @@ def test_a_recording_opens_where_poses_part(tmp_path, swing, measured, monkeypat
 
 
 def test_no_recording_of_what_has_other_bodies(tmp_path, measured):
-    from crosscheck.regress import recording
-
-    assert not recording.write(tmp_path / "x.rrd", load("four_bar"), measured, None, "verdict")
+    assert not regress.record(tmp_path / "x.rrd", load("four_bar"), measured, "verdict")
     assert list(tmp_path.iterdir()) == []
 
 

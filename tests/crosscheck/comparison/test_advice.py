@@ -16,13 +16,7 @@ from mechanisms import GRAVITY, ball_loop, pendulum, planar_four_bar
 import mjcf
 import mjcf.read
 import newton_euler
-from crosscheck.advice import WANTED, Advice, Found
-from crosscheck.advice.baumgarte import baumgarte_advice
-from crosscheck.advice.cost import cost_advice
-from crosscheck.advice.measured import distance
-from crosscheck.advice.redundancy import redundancy_advice
-from crosscheck.advice.scope import scope_advice
-from crosscheck.advice.soft import fitting, soft_advice
+from crosscheck.advice import WANTED, Advice, distance, fitting, redundancy_advice, soft_advice
 from crosscheck.comparison.levels import Figure
 from crosscheck.comparison.reactions import undetermined_joints
 from crosscheck.comparison.runs import rests
@@ -34,12 +28,10 @@ from mjcf.write import SOLIMP
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
-from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.joint_kinds import Cylindrical, Fixed, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.verification.import_report import ImportReport
 
 AGREED = Figure("model", "mass, rel", ("newton_euler", "mujoco"), 0.0, 1e-12, "bar")
 MODEL_APART = replace(AGREED, value=1.0)
@@ -56,8 +48,8 @@ def runs(loop: Scene) -> dict[str, Trajectory]:
     return {engine.name: engine.simulate(loop) for engine in choose(["newton_euler", "mujoco"])}
 
 
-def found(scene: Scene, runs: dict[str, Trajectory], *rows: Figure) -> Found:
-    return Found(scene, "a_scene", [ENGINES[name] for name in runs], runs, rows or (AGREED,))
+def softness(scene: Scene, runs: dict[str, Trajectory], *rows: Figure) -> list[Advice]:
+    return list(soft_advice(scene, [ENGINES[name] for name in runs], runs, rows or (AGREED,)))
 
 
 def only(pieces: Any) -> Advice:
@@ -76,7 +68,7 @@ def followed_by_hand(advice: Advice) -> tuple[str, ...]:
 
 
 def test_the_advised_step_of_mujoco_reaches_the_error(loop: Scene, runs: dict[str, Trajectory]) -> None:
-    advice = only(soft_advice(found(loop, runs)))
+    advice = only(softness(loop, runs))
     integrator, step, *solref, solimp = followed_by_hand(advice)
     assert [float(x) for x in solimp.split()] == list(SOLIMP)
     followed = mjcf.simulate(loop, float(step), integrator, [float(x) for x in solref])
@@ -123,7 +115,7 @@ def test_the_advice_holds_in_the_file_that_it_is_given_for(tmp_path: Path) -> No
     (tmp_path / "own.xml").write_text(OWN_FILE)
     scene = mjcf.read.read(tmp_path / "own.xml", duration=1.0, output_period=0.05).scene
     runs = {engine.name: engine.simulate(scene) for engine in choose(["newton_euler", "mujoco"])}
-    integrator, step, *solref, solimp = followed_by_hand(only(soft_advice(found(scene, runs))))
+    integrator, step, *solref, solimp = followed_by_hand(only(softness(scene, runs)))
     stepped = OWN_FILE.replace("<option", f'<option timestep="{step}" integrator="{integrator}"')
     stiff = f'<connect solref="{" ".join(solref)}"'
 
@@ -136,33 +128,33 @@ def test_the_advice_holds_in_the_file_that_it_is_given_for(tmp_path: Path) -> No
 
 
 def test_mujoco_needs_rigid_company_and_the_same_model(loop: Scene, runs: dict[str, Trajectory]) -> None:
-    assert not list(soft_advice(found(loop, {"mujoco": runs["mujoco"]})))
-    assert not list(soft_advice(found(loop, {"newton_euler": runs["newton_euler"]})))
-    assert not list(soft_advice(found(loop, runs, MODEL_APART, RUNS_APART)))
+    assert not softness(loop, {"mujoco": runs["mujoco"]})
+    assert not softness(loop, {"newton_euler": runs["newton_euler"]})
+    assert not softness(loop, runs, MODEL_APART, RUNS_APART)
 
 
 def test_no_step_is_advised_where_the_error_does_not_follow_it(
     loop: Scene, runs: dict[str, Trajectory]
 ) -> None:
     shifted = replace(runs["newton_euler"], position=runs["newton_euler"].position + 0.1)
-    advice = only(soft_advice(found(loop, runs | {"newton_euler": shifted})))
+    advice = only(softness(loop, runs | {"newton_euler": shifted}))
     assert advice.text.startswith("its error does not follow its step")
 
 
 def test_softness_is_told_apart_from_another_model(loop: Scene, runs: dict[str, Trajectory]) -> None:
-    topics = [advice.topic for advice in soft_advice(found(loop, runs, AGREED, RUNS_APART))]
+    topics = [advice.topic for advice in softness(loop, runs, AGREED, RUNS_APART)]
     assert topics == ["softness", "mujoco"]
-    assert [advice.topic for advice in soft_advice(found(loop, runs))] == ["mujoco"]
+    assert [advice.topic for advice in softness(loop, runs)] == ["mujoco"]
 
 
 def test_nothing_is_soft_without_equalities() -> None:
     scene = replace(pendulum(), duration=0.2)
     runs = {name: ENGINES[name].simulate(scene) for name in ("newton_euler", "mujoco")}
     off = replace(runs["mujoco"], position=runs["mujoco"].position + 1e-4)
-    advice = only(soft_advice(found(scene, runs | {"mujoco": off}, AGREED, RUNS_APART)))
+    advice = only(softness(scene, runs | {"mujoco": off}, AGREED, RUNS_APART))
     assert advice.topic == "mujoco"
     assert "solref" not in advice.text
-    text = only(soft_advice(found(scene, runs))).text
+    text = only(softness(scene, runs)).text
     assert "solref" not in text
 
 
@@ -176,7 +168,7 @@ SOFTER: dict[str, Callable[..., Any]] = {"cylindrical": Cylindrical, "spherical"
 
 
 def test_what_is_redundant_can_be_replaced_as_advised(loop: Scene) -> None:
-    advice = only(redundancy_advice(found(loop, {})))
+    advice = only(redundancy_advice(loop))
     assert advice.text.startswith("3 constraint rows say nothing new")
     assert advice.text.endswith("then all reactions are determined")
     joints = {joint.name: joint for joint in loop.mechanism.joints}
@@ -205,7 +197,7 @@ def test_a_redundant_closure_is_left_out_and_a_driven_joint_slides(tmp_path: Pat
     (tmp_path / "twice.xml").write_text(twice)
     scene = mjcf.read.read(tmp_path / "twice.xml").scene
     assert undetermined_joints(scene, initial_state(scene))[0] == 4
-    advice = only(redundancy_advice(found(scene, {})))
+    advice = only(redundancy_advice(scene))
     assert advice.text == (
         "4 constraint rows say nothing new; the motion is the same with joint 'loop' left out, a cylindrical "
         "joint for the revolute 'elbow': then all reactions are determined"
@@ -223,90 +215,8 @@ def test_a_redundant_closure_is_left_out_and_a_driven_joint_slides(tmp_path: Pat
         assert one == pytest.approx(two, abs=1e-12 * np.max(np.abs(one)))  # round-off: it moves as it did
 
 
-def test_advice_is_for_what_was_read(loop: Scene, runs: dict[str, Trajectory]) -> None:
-    report = ImportReport()
-    report.exactly("joint 'a'", "revolute joint 'a'")
-    report.left_out("options of solver and integrator", "every engine has its own", inert=True)
-    report.left_out("3 cameras", "they move nothing", inert=True)
-    assert not list(scope_advice(replace(found(loop, runs), mapping=report)))
-    assert not list(scope_advice(found(loop, runs)))
-    for k in range(6):
-        report.left_out(f"joint 'j{k}'", "its dry friction 0.2")
-    report.approximated("tendon 't'", "a spring")
-    text = only(scope_advice(replace(found(loop, runs), mapping=report))).text
-    dry = ", ".join(f"joint 'j{k}' (its dry friction 0.2)" for k in range(4))
-    assert f"the model without {dry} and 2 more and with tendon 't' (a spring) as approximated;" in text
-
-
-@pytest.mark.parametrize(
-    "element", ["joint 'pivot' (its limits", "joint 'pivot' (its dry friction 0.1)", "3 geoms that can touch"]
-)
-def test_what_the_reader_leaves_out_is_in_it(tmp_path: Path, element: str) -> None:
-    """Limits, dry friction and contacts, but not what every file has or what moves nothing."""
-    text = LINKAGE.read_text().replace('contype="0" conaffinity="0"', "")
-    text = text.replace('<joint name="pivot"', '<joint name="pivot" frictionloss="0.1" range="-90 90"')
-    text = text.replace("<worldbody>", '<worldbody><camera name="eye"/>')
-    (tmp_path / "own.xml").write_text(text)
-    reading = mjcf.read.read(tmp_path / "own.xml")
-    assert {"1 cameras", "options of solver and integrator"} < {
-        entry.element for entry in reading.report.of("left out")
-    }
-    about = replace(found(reading.scene, {}), mapping=reading.report)
-    text = only(scope_advice(about)).text
-    assert element in text
-    assert "camera" not in text
-    assert "options" not in text
-
-
 def test_nothing_is_redundant_in_a_loop_of_balls() -> None:
-    assert not list(redundancy_advice(found(ball_loop(), {})))
-
-
-def test_gains_hold_the_loops_as_advised(loop: Scene, runs: dict[str, Trajectory]) -> None:
-    advice = only(baumgarte_advice(found(loop, runs)))
-    match = re.search(r"RK4 at (\S+) s take alpha = (\S+) 1/s .* loops open by at most (\S+) ", advice.text)
-    assert match
-    step, alpha = float(match[1]), float(match[2])
-    errors = {float(a): float(e) for e, a in re.findall(r"(\S+) with ([0-9.]+)", advice.text)}
-    assert errors[alpha] == min(errors.values())
-    assert len(errors) == 3
-
-    def held(gain: float) -> Trajectory:
-        return newton_euler.simulate(loop, integrator="RK4", step=step, stabilization="baumgarte", alpha=gain)
-
-    run = held(alpha)
-    assert run.constraint_violation is not None
-    assert f"{np.max(run.constraint_violation):.1e}" == match[3]
-    assert distance(run, runs["newton_euler"]) == pytest.approx(errors[alpha], rel=0.05)  # two digits
-    assert errors[alpha] < WANTED
-    # a tenth above the border that is named
-    with pytest.raises(NewtonEulerError, match="not finite"):
-        held(1.1 * RK4_LIMIT / step)
-
-
-def test_gains_need_loops_and_steps_that_the_motion_allows(loop: Scene, runs: dict[str, Trajectory]) -> None:
-    swing = pendulum()
-    assert not list(baumgarte_advice(found(swing, {"newton_euler": newton_euler.simulate(swing)})))
-    assert not list(baumgarte_advice(found(loop, {"mujoco": runs["mujoco"]})))
-
-
-def test_the_cheapest_run_that_reaches_the_error(loop: Scene, runs: dict[str, Trajectory]) -> None:
-    slow = {name: replace(run, wall_time=t) for t, (name, run) in enumerate(runs.items(), start=1)}
-    text = only(cost_advice(found(loop, slow))).text
-    assert text.startswith("newton_euler (DOP853, rtol 1e-10) is the cheapest")
-    assert "newton_euler 1 s" in text
-    assert "mujoco 2 s" in text
-    assert "`crosscheck bench a_scene`" in text
-    settings = runs["newton_euler"].settings
-    traced, compiled = f"{settings['trace_time']:.2g}", f"{settings['compile_time']:.2g}"
-    setup = f"before, not counted, newton_euler traced in {traced} s and compiled in {compiled} s"
-    assert setup in text
-    assert text.count("not counted") == 1  # engines that compile nothing
-    far = {name: replace(run, position=run.position + k) for k, (name, run) in enumerate(slow.items())}
-    far["newton_euler"] = replace(far["newton_euler"], position=far["newton_euler"].position - 1.0)
-    assert only(cost_advice(found(loop, far))).text.startswith("none of these runs has an error of at most")
-    assert not list(cost_advice(found(loop, {"mujoco": runs["mujoco"]})))
-    assert not list(cost_advice(found(loop, slow, MODEL_APART)))
+    assert not list(redundancy_advice(ball_loop()))
 
 
 def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None:
@@ -382,7 +292,7 @@ def test_advice_is_in_reports(loop: Scene) -> None:
     assert not crosscheck(loop, engines, lambda _: None, "a_scene", {}).advice  # unless asked for
     result = crosscheck(loop, engines, lambda _: None, "a_scene", {}, advised=True)
     topics = [advice.topic for advice in result.advice]
-    assert topics == ["mujoco", "redundancy", "baumgarte", "cost"]
+    assert topics == ["mujoco", "redundancy"]
     assert [entry["topic"] for entry in result.summary()["advice"]] == topics
     lines = list(settings_lines(result))
     assert all(f"advice, {advice}" in lines for advice in result.advice)

@@ -152,7 +152,7 @@ def test_what_is_not_judged_is_said_in_the_verdict_tables_and_pages(tmp_path):
     assert result.verdict.startswith("AGREE: newton_euler, pinocchio agree on pendulum in all ")
     assert "figures; 1 more is not judged: pinocchio is not much nearer when refined" in result.verdict
     found = report(result)
-    write(result, found, tmp_path, None, "pendulum")
+    write(result, found, tmp_path, tmp_path / "pendulum.rrd", "pendulum")
     page = write_report(tmp_path, lambda _: None)
     assert "1.0e-05 not judged" in page.read_text()
     assert "1.0e-05 not judged" in terminal(found.parts)

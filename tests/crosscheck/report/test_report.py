@@ -16,7 +16,6 @@ from command_line import run, scene_file, short_example
 
 from crosscheck.cli import main
 from crosscheck.errors import CrosscheckError
-from crosscheck.report import drawing
 from crosscheck.report.page import MOST_IN_FULL, PAGE, write_report
 from crosscheck.report.table import Column, Table, judged
 from crosscheck.results import digest
@@ -143,7 +142,6 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
         assert version in found.words
     assert "DOP853" in found.words
     assert list(found.images) == [
-        "four_bar: The mechanism at 0, 0.025, 0.05 s, by newton_euler",
         "Difference from newton_euler, largest over the bodies",
         "Drift: how far joints are open",
         "Energy",
@@ -163,10 +161,11 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
 
 
 def test_pictures_by_the_viewer_where_it_runs(folder, monkeypatch):
+    assert "No picture of four_bar: no Vulkan driver" in report(folder).words
     taken = lambda rrd, moments: [PNG + str(moment).encode() for moment in moments]  # noqa: E731
     monkeypatch.setattr("crosscheck.recording.screenshot.screenshots", taken)
-    pictures = list(drawing.views(folder / "four_bar.rrd", "pinocchio", (0.0, 0.5, 1.0)))
-    assert [caption for _, caption in pictures] == [f"The recording at {t} s" for t in ("0", "0.025", "0.05")]
+    captions = [f"four_bar: the recording at {t} s" for t in ("0", "0.025", "0.05")]
+    assert list(report(folder).images)[:3] == captions
 
 
 def test_texts_are_texts(tmp_path):
@@ -358,11 +357,3 @@ def test_a_run_of_other_arrays(folder, capsys):
         assert status == 2
         assert err.startswith(f"crosscheck: error: {path}: holds no trajectory: ")
         assert err.endswith(f"{message}\n")
-
-
-def test_a_drawing_holds_all_bodies(folder):
-    poses, shapes = drawing._read(folder / "four_bar.rrd", "pinocchio")
-    assert set(poses) == {f"/mechanism/pinocchio/{body}" for body in ("crank", "coupler", "rocker")}
-    assert set(shapes) >= set(poses)
-    with pytest.raises(CrosscheckError, match="no bodies of bullet"):
-        list(drawing.views(folder / "four_bar.rrd", "bullet", [0.0]))

@@ -34,6 +34,8 @@ def test_planted_faults(tmp_path, capsys, monkeypatch):
 def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     """A page of scenes that are quiet; of one that moved also its figures and its recording."""
     monkeypatch.chdir(tmp_path)
+    taken = lambda rrd, moments: [b"\x89PNG" for _ in moments]  # noqa: E731
+    monkeypatch.setattr("crosscheck.recording.screenshot.screenshots", taken)
     model = scene_file(tmp_path, short_example())
     assert run(capsys, "regress", model, "--update", "as delivered")[0] == 0
     status, text, _ = run(capsys, "regress", model, "--output", "out")
@@ -51,7 +53,7 @@ def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     assert run(capsys, "regress", model, "--output", "out")[0] == 1
     moved = report(tmp_path / "out")
     assert "MOVED: 1 of 1 scenes: four_bar" in moved.words
-    assert len(moved.images) == 1
+    assert list(moved.images) == ["four_bar: the recording at 0 s"]
     (tmp_path / "out" / "four_bar.rrd").unlink()
     with pytest.raises(CrosscheckError, match=r"four_bar\.rrd: missing, regress\.json beside it"):
         report(tmp_path / "out")
