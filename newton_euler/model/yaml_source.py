@@ -7,6 +7,8 @@ tags because nothing here would heed them, and a key that comes twice because on
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import takewhile
 from typing import Any
 
 import yaml
@@ -26,15 +28,13 @@ def parse_yaml(path: str, text: str) -> Any:
     Raises:
         SourceError: naming the line at fault.
     """
-    found: list[Any] = []
-    open_nodes: list[_Node] = [_Node(found)]
+    found = None
     try:
-        for event in yaml.parse(text, LOADER):
+        events = iter(yaml.parse(text, LOADER))
+        for event in events:
             if isinstance(event, yaml.NodeEvent):
-                _add(event, open_nodes)
-            elif isinstance(event, yaml.CollectionEndEvent):
-                open_nodes.pop()
-            elif isinstance(event, yaml.DocumentStartEvent) and found:
+                found = _value(event, events, 0)
+            elif isinstance(event, yaml.DocumentStartEvent) and found is not None:
                 raise _refusal("a second document", event)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -42,43 +42,31 @@ def parse_yaml(path: str, text: str) -> Any:
         raise SourceError(path, f"not YAML: {where}{error.problem or error.context}") from error
     except yaml.YAMLError as error:
         raise SourceError(path, f"not YAML: {' '.join(str(error).split())}") from error
-    return found[0] if found else None
+    return found
 
 
-class _Node:
-    """A mapping or sequence that is being filled."""
-
-    def __init__(self, content: dict[str, Any] | list[Any]) -> None:
-        self._content = content
-        self._key: str | None = None
-
-    def add(self, value: Any, event: yaml.Event) -> None:
-        if isinstance(self._content, list):
-            self._content.append(value)
-        elif self._key is not None:
-            self._content[self._key], self._key = value, None
-        elif not isinstance(value, str):
-            raise _refusal("a key is not a text", event)
-        elif value in self._content:
-            raise _refusal(f"key {value!r:.100} is given twice in one mapping", event)
-        else:
-            self._key = value
-
-
-def _add(event: Any, open_nodes: list[_Node]) -> None:
-    """Put what begins with an event in the innermost open node."""
+def _value(event: Any, events: Iterator[Any], depth: int) -> Any:
+    """The node that begins with an event, with the events that follow."""
     if isinstance(event, yaml.AliasEvent):
         raise _refusal("aliases are not allowed here", event)
     if event.tag is not None:
         raise _refusal("tags are not allowed here", event)
     if isinstance(event, yaml.ScalarEvent):
-        open_nodes[-1].add(event.value, event)
-        return
-    content: dict[str, Any] | list[Any] = {} if isinstance(event, yaml.MappingStartEvent) else []
-    open_nodes[-1].add(content, event)
-    if len(open_nodes) > MAXIMUM_DEPTH:
+        return event.value
+    if depth == MAXIMUM_DEPTH:
         raise _refusal("nested too deeply", event)
-    open_nodes.append(_Node(content))
+    nodes = takewhile(lambda each: not isinstance(each, yaml.CollectionEndEvent), events)
+    if isinstance(event, yaml.SequenceStartEvent):
+        return [_value(each, events, depth + 1) for each in nodes]
+    found = {}
+    for each in nodes:
+        key = _value(each, events, depth + 1)
+        if not isinstance(key, str):
+            raise _refusal("a key is not a text", each)
+        if key in found:
+            raise _refusal(f"key {key!r:.100} is given twice in one mapping", each)
+        found[key] = _value(next(events), events, depth + 1)
+    return found
 
 
 def _refusal(problem: str, event: Any) -> yaml.MarkedYAMLError:
