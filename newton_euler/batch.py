@@ -6,15 +6,15 @@ import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Unpack
 
 import numpy as np
 
-from newton_euler.conversion import check, coordinates
+from newton_euler.assemble import initial_state
 from newton_euler.equations.parameters import checked
-from newton_euler.errors import OptionError, UnknownNameError, check_type, is_count
+from newton_euler.errors import MechanismError, OptionError, UnknownNameError, check_type, is_count
 from newton_euler.integrators.compiled import PAPER_ALPHA
 from newton_euler.integrators.options import Options, StepControl
 from newton_euler.integrators.outputs import named
@@ -190,12 +190,20 @@ def _set(
 ) -> None:
     """Set the states and parameters of all runs in their x (runs, inputs)."""
     scene = compiled.scene
-    if states is not None:
-        check(scene, states)
-        q, v = coordinates(compiled.system, states)
-        starts[:, : compiled.size] = np.concatenate([q, v], axis=1)
+    for k, state in enumerate(states or ()):
+        consistent = _consistent(scene, state, f"run {k}")
+        starts[k, : compiled.size] = np.concatenate(compiled.system.coordinates(consistent))
     for k in range(len(starts)) if parameters else ():
         values = checked(scene, {name: given[k] for name, given in parameters.items()})
         for name, value in values.items():
             place = compiled.place(name)
             starts[k, place : place + value.size] = value.ravel()
+
+
+def _consistent(scene: Scene, state: State, run: str) -> State:
+    """Return a state that the scene may start from; raises `MechanismError` with the run, else."""
+    scene.check_numbers(state, run)
+    try:
+        return initial_state(replace(scene, initial_state=state))
+    except MechanismError as error:
+        raise MechanismError(f"{run}: {error.element}", error.problem, error.needed) from error

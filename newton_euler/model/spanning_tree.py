@@ -267,14 +267,15 @@ class SpanningTree:
             for coordinate in equations.coordinates:
                 values.append((coordinate.phi(i, j), coordinate.jacobian(i, j).rate(i, j)))
             parent, child = frames[kept.parent], frames[kept.child]
-            ball = (
-                from_rotation(parent.rotation.T @ child.rotation),
-                child.rotation.T @ (child.angular_velocity - parent.angular_velocity),
-            )
-            if not kept.forward:
-                values.reverse()
-            remaining = iter(values)
-            parts = [ball if motion.kind == "ball" else next(remaining) for motion in kept.motions]
+            remaining = iter(values if kept.forward else values[::-1])
+            parts = []
+            for motion in kept.motions:
+                if motion.kind == "ball":
+                    turn = from_rotation(parent.rotation.T @ child.rotation)
+                    omega = child.angular_velocity - parent.angular_velocity
+                    parts.append((turn, child.rotation.T @ omega))
+                else:
+                    parts.append(next(remaining))
             q[kept.q] = np.concatenate([np.zeros(0), *(part[0] for part in parts)])
             v[kept.v] = np.concatenate([np.zeros(0), *(part[1] for part in parts)])
         return q, v

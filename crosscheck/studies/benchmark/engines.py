@@ -12,9 +12,10 @@ from functools import partial
 from itertools import product
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from crosscheck.studies.benchmark.ladders import JUDGED, METHODS, SHARES, STEPS, STIFF
 from newton_euler.batch import Batch, simulate_batch
-from newton_euler.conversion import coordinates
 from newton_euler.integrators.compiled import FORMULATIONS, STABILIZATIONS
 from newton_euler.integrators.run import load
 from newton_euler.model.scene import Scene
@@ -132,7 +133,8 @@ class MuJoCo:
 
         start = time.perf_counter()
         rollout = Rollout(self._system, **options, threads=threads)
-        starts = physics_states(self._system, *coordinates(self._system, states))
+        coordinates = [self._system.coordinates(state) for state in states]
+        starts = physics_states(self._system, *map(np.array, zip(*coordinates, strict=True)))
         begun, used = time.perf_counter(), time.process_time()
         runs = rollout(starts)
         seconds, processor = time.perf_counter() - begun, time.process_time() - used
