@@ -117,21 +117,23 @@ def joint_wrenches(compiled: CompiledScene) -> Array:
     for ball in balls.tolist():
         turn = data.xmat[model.jnt_bodyid[ball]].reshape(3, 3)
         wrenches[model.jnt_bodyid[ball], 3:] += turn @ _ball_torque(model, data, ball)
-    for joint, force in enumerate(forces):
-        if joint in balls:
-            continue
-        slides = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
-        part = slice(0, 3) if slides else slice(3, 6)
-        together = np.flatnonzero(
-            (model.jnt_bodyid == model.jnt_bodyid[joint]) & (model.jnt_type == model.jnt_type[joint])
-        )
-        axes = dual_axes(data.xaxis[together])
-        wrenches[model.jnt_bodyid[joint], part] += force * axes[together.tolist().index(joint)]
-    hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
+    duals = np.array(data.xaxis)  # one alone of its kind is of length 1, and its own
+    kinds = 4 * model.jnt_bodyid + model.jnt_type
+    for kind in np.flatnonzero(np.bincount(kinds) > 1):
+        together = np.flatnonzero(kinds == kind)
+        duals[together] = dual_axes(data.xaxis[together])
+    pushes = forces[:, None] * duals
+    slides, hinges = (
+        model.jnt_type == kind for kind in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
+    )
+    np.add.at(wrenches[:, :3], model.jnt_bodyid[slides], pushes[slides])
+    np.add.at(wrenches[:, 3:], model.jnt_bodyid[hinges], pushes[hinges])
     for kept in compiled.tree.joints:
         child = compiled.body_id[kept.child]
-        together, push = np.flatnonzero(hinges & (model.jnt_bodyid == child)), wrenches[child, :3]
-        if len(together) > 1 and np.any(push):
+        if not np.any(push := wrenches[child, :3]):
+            continue
+        together = np.flatnonzero(hinges & (model.jnt_bodyid == child))
+        if len(together) > 1:
             axes, arms = data.xaxis[together], compiled.joint_point(kept.joint) - data.xanchor[together]
             work = np.sum(np.cross(axes, arms) * push, axis=1)
             wrenches[child, 3:] -= work @ dual_axes(axes)

@@ -67,10 +67,16 @@ def minimum(x: Scalar, y: Scalar) -> Scalar:
 
 def cross(a: Array, b: Array) -> Array:
     """Cross product of two (3,) vectors; much quicker than `numpy.cross` on one pair."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return np.array(cross_of(a.tolist(), b.tolist()))
+
+
+def cross_of(a: Sequence[Scalar], b: Sequence[Scalar]) -> list[Scalar]:
+    """Cross product of three scalars each; Python's floats are quicker than elements of arrays."""
+    (x, y, z), (u, v, w) = a, b
+    return [y * w - z * v, z * u - x * w, x * v - y * u]
 
 
 def tilde(a: Array) -> Array:
     """The (3, 3) skew-symmetric matrix with `tilde(a) @ b == cross(a, b)` for a (3,) vector."""
-    x, y, z = a
+    x, y, z = a.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -34,7 +34,6 @@ from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia, mass_matrix
 from urdf.proximal import ConstraintDynamics, Units
 from urdf.reactions import (
-    actuator,
     driven,
     external_forces,
     joint_points,
@@ -98,11 +97,9 @@ class PinocchioSystem:
         self._rows = Rows(self.closed, self.map, self._couplings, length, alpha)
         self.phi_units = np.concatenate([self._closures.units, self._rows.units])
         self._laws = JointLaws(scene.joint_forces)
-        self._actuators = [
-            actuator(scene.mechanism, self._tree, law.joint, law.coordinate) for law in scene.joint_forces
-        ]
-        self._actuated_q = np.array([place.on_q for place in self._actuators], dtype=int)
-        self._actuated_v = np.array([place.on_v for place in self._actuators], dtype=int)
+        places = [self._tree.place(law.joint, law.coordinate) for law in scene.joint_forces]  # none is cut
+        on = np.array(places, dtype=int).reshape(-1, 2)
+        self._actuated_q, self._actuated_v = on.T
         self._alpha = alpha
         self._noisy = mobility(scene).residual > 0.0
         self._moving = bool(self._forces or len(self._rows.units) or self._noisy)
@@ -412,8 +409,8 @@ class PinocchioSystem:
         actuation = self.actuation(q, v)
         pin.computeJointJacobians(self._model, self._data, pin_q)
         columns = self.map.v_from_pinocchio(np.reshape(self._data.J, (6, self.nv)))
-        forces_on = list(zip(self._actuators, actuation, strict=True))
-        forces_on += self._rotors.forces(qddot)
+        forces_on = -self._rotors.single * qddot
+        np.add.at(forces_on, self._actuated_v, actuation)
         points = joint_points(self.scene, state)
         forces, torques = reactions(wrenches, points, driven(self._tree, columns, points, forces_on))
         for joint, torque in self._rotors.torques(state.frames(), accelerations[:, 3:]):

@@ -20,7 +20,6 @@ from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
-from urdf.reactions import Actuator, actuator
 
 ZERO = np.zeros(3)
 
@@ -251,26 +250,23 @@ class Rotors:
 
     Attributes:
         inertias: (nv,) kg m^2 or kg.
+        single: (nv,) the same but for balls, which have none.
     """
 
     def __init__(self, scene: Scene, tree: SpanningTree) -> None:
-        self._single: list[tuple[Actuator, float]] = []
         self._balls: list[tuple[int, tuple[int, int], float]] = []
-        self.inertias = np.zeros(tree.nv)
+        self.single, of_balls = np.zeros((2, tree.nv))
         for armature in scene.armatures:
             if isinstance(armature, BallArmature):
                 joint, place = scene.mechanism.joint_index(armature.joint), tree.ball_place(armature.joint)
                 assert place is not None
                 self._balls.append((joint, ends(scene.mechanism, armature.joint), armature.inertia))
-                self.inertias[place] = armature.inertia
+                of_balls[place] = armature.inertia
             else:
-                on = actuator(scene.mechanism, tree, *armature.key)
-                self._single.append((on, armature.inertia))
-                self.inertias[on.on_v] = armature.inertia
-
-    def forces(self, vdot: Array) -> list[tuple[Actuator, float]]:
-        """Compute forces of rotors of hinges and slides, N or N m, at accelerations (nv,)."""
-        return [(on, -inertia * vdot[on.on_v]) for on, inertia in self._single]
+                on = tree.place(*armature.key)
+                assert on is not None
+                self.single[on[1]] = armature.inertia
+        self.inertias = self.single + of_balls
 
     def torques(self, frames: list[Frame], angular: Array) -> list[tuple[int, Array]]:
         """By joint (3,) N m of those of balls on its second body, at angular accelerations (b, 3)."""

@@ -6,50 +6,20 @@ A wrench here is (6,): force and torque about the world's origin, world frame.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.hinge_angles import dual_axes
-from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree, WeldedMechanism, motion_names
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 
-class Actuator(NamedTuple):
-    """Joint coordinate that a control law or a spring drives.
-
-    Attributes:
-        joint: index of the joint.
-        slides: whether along an axis; else about it.
-        sign: 1 if the tree's coordinate moves the joint's second body, -1 if the first.
-        on_q, on_v: places in q and in v.
-    """
-
-    joint: int
-    slides: bool
-    sign: float
-    on_q: int
-    on_v: int
-
-
-def actuator(mechanism: Mechanism, tree: SpanningTree, joint: str, coordinate: int) -> Actuator:
-    """Return the actuator of a joint coordinate; the tree has it, balls at most are ever cut."""
-    index = mechanism.joint_index(joint)
-    place = tree.place(joint, coordinate)
-    assert place is not None
-    (forward,) = (kept.forward for kept in tree.joints if kept.joint == index)
-    kind = mechanism.joints[index].coordinate_kinds[coordinate]
-    return Actuator(index, kind == "slide", 1.0 if forward else -1.0, *place)
-
-
-def driven(
-    tree: SpanningTree, columns: Array, points: Array, forces: Iterable[tuple[Actuator, float]]
-) -> list[tuple[int, Array]]:
+def driven(tree: SpanningTree, columns: Array, points: Array, forces: Array) -> list[tuple[int, Array]]:
     """Joints with the wrenches (6,) on their second bodies by what drives them, about the joint points.
 
     Of several hinges or slides of a joint, each is driven so that no work is done on the others.
@@ -58,25 +28,23 @@ def driven(
         tree: that numbers the velocities.
         columns: (6, nv) Pinocchio's joint Jacobians in the tree's order.
         points: (j, 3) where the joint points are.
-        forces: N or N m.
+        forces: (nv,) N or N m on hinges and slides.
     """
     found = []
-    for actuator, u in forces:
-        (kept,) = (kept for kept in tree.joints if kept.joint == actuator.joint)
-        of_kind = {
-            kind: [on_v.start for motion, _, on_v in kept.places if motion.kind == kind]
+    for kept in tree.joints:
+        if not np.any(forces[kept.v]):
+            continue
+        slides, hinges = (
+            [on_v.start for motion, _, on_v in kept.places if motion.kind == kind]
             for kind in ("slide", "hinge")
-        }
-        linear, angular = columns[:3, of_kind["slide"]].T, columns[3:, of_kind["hinge"]].T
-        wrench = np.zeros(6)
-        if actuator.slides:
-            wrench[:3] = dual_axes(linear)[of_kind["slide"].index(actuator.on_v)]
-            at_origin = columns[:3, of_kind["hinge"]].T
-            work = (at_origin + np.cross(angular, points[actuator.joint])) @ wrench[:3]
-            wrench[3:] = -work @ dual_axes(angular)
-        else:
-            wrench[3:] = dual_axes(angular)[of_kind["hinge"].index(actuator.on_v)]
-        found.append((actuator.joint, actuator.sign * u * wrench))
+        )
+        angular, duals = columns[3:, hinges].T, dual_axes(columns[3:, hinges].T)
+        wrench = np.concatenate([np.zeros(3), forces[hinges] @ duals])
+        if slides:
+            wrench[:3] = forces[slides] @ dual_axes(columns[:3, slides].T)
+            at_origin = columns[:3, hinges].T
+            wrench[3:] -= ((at_origin + np.cross(angular, points[kept.joint])) @ wrench[:3]) @ duals
+        found.append((kept.joint, wrench if kept.forward else -wrench))
     return found
 
 

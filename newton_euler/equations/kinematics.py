@@ -23,7 +23,7 @@ from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree, TreeJoint
 from newton_euler.model.state import State
-from newton_euler.scalars import Array, cos, cross, sin, tilde
+from newton_euler.scalars import Array, cos, cross, cross_of, sin, tilde
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,11 +116,12 @@ def _child(
             iq, iv = iq + 4, iv + 3
     move(a @ (mechanism.bodies[joint.child].center_of_mass - here))
 
-    arm = r - parent.frame.position
-    angular = list(parent.angular.T)
-    linear = [
-        column + cross(spin, arm) for column, spin in zip(parent.linear.T, parent.angular.T, strict=True)
-    ]
+    arm = (r - parent.frame.position).tolist()
+    angular: list[Any] = parent.angular.T.tolist()
+    linear: list[Any] = []
+    for column, spin in zip(parent.linear.T.tolist(), angular, strict=True):
+        turning = cross_of(spin, arm)
+        linear.append([x + y for x, y in zip(column, turning, strict=True)])
     for axis, center in columns:
         angular.append(np.zeros(3) if center is None else axis)
         linear.append(axis if center is None else cross(axis, r - center))

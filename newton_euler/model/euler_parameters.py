@@ -14,13 +14,13 @@ from newton_euler.scalars import Array
 
 def matrix_g(p: Array) -> Array:
     """G = [-e, tilde(e) + e0 I], (3, 4): world angular velocity is omega = 2 G pdot."""
-    e0, e1, e2, e3 = p
+    e0, e1, e2, e3 = p.tolist()
     return np.array([[-e1, e0, -e3, e2], [-e2, e3, e0, -e1], [-e3, -e2, e1, e0]])
 
 
 def matrix_l(p: Array) -> Array:
     """L = [-e, -tilde(e) + e0 I], (3, 4): body angular velocity is omega' = 2 L pdot, eq. (11)."""
-    e0, e1, e2, e3 = p
+    e0, e1, e2, e3 = p.tolist()
     return np.array([[-e1, e0, e3, -e2], [-e2, -e3, e0, e1], [-e3, e2, -e1, e0]])
 
 
