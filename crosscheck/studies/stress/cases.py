@@ -6,16 +6,13 @@ import math
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from crosscheck.studies.stress.runs import Setting
 from newton_euler.errors import NewtonEulerError
 
 PROCESSES = 2
-
-SMALLEST = 1e-18
-"""Errors are drawn no smaller than this: zero has no logarithm."""
 
 Verdict = Literal["survives", "degrades", "fails", "refuses"]
 
@@ -65,36 +62,11 @@ def refusal(quantity: str, unit: str) -> Bound:
 
 
 @dataclass(frozen=True)
-class Curve:
-    """A line of a plot.
-
-    Attributes:
-        plot: title of the plot that it belongs to.
-        x_label, y_label: of that plot's axes, with units; both logarithmic.
-        label: of the line.
-        x, y: positive numbers.
-    """
-
-    plot: str
-    x_label: str
-    y_label: str
-    label: str
-    x: tuple[float, ...]
-    y: tuple[float, ...]
-
-
-@dataclass(frozen=True)
 class Measured:
-    """A figure that a case found, one line about it, and curves to plot."""
+    """A figure that a case found, and one line about it."""
 
     figure: float
     note: str = ""
-    curves: tuple[Curve, ...] = ()
-
-    def at(self, x: float, setting: Setting, plot: str, x_label: str, y_label: str) -> Measured:
-        """Add the figure as a point of a setting's line in a plot."""
-        y = max(self.figure, SMALLEST)
-        return replace(self, curves=(*self.curves, Curve(plot, x_label, y_label, setting.label, (x,), (y,))))
 
 
 @dataclass(frozen=True)
@@ -132,7 +104,6 @@ class Row:
         reason: of a refusal or a failure; else what there is to say about the figure.
         passes: whether this is what one would want of an engine.
         wall_time: s.
-        curves: to plot.
     """
 
     topic: str
@@ -148,7 +119,6 @@ class Row:
     reason: str
     passes: bool
     wall_time: float
-    curves: tuple[Curve, ...] = ()
 
 
 def judge(case: Case) -> Row:
@@ -191,5 +161,4 @@ def row_of(
         reason=reason,
         passes=verdict == ("survives" if case.bound.has_answer else "refuses"),
         wall_time=wall_time,
-        curves=measured.curves if measured else (),
     )

@@ -1,22 +1,16 @@
-"""Integration: long runs, the largest steps, Baumgarte's gain against step size.
-
-An error e of a constraint under Baumgarte's gain obeys e'' + 2 alpha e' + alpha^2 e = 0, whose eigenvalue
--alpha is double. RK4 with steps h is stable to h alpha = 2.785 along the negative real axis (Hairer, Wanner,
-Solving Ordinary Differential Equations II, section IV.2).
-"""
+"""Integration: long runs, the largest steps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import NamedTuple
 
 import numpy as np
 
 from crosscheck.scenes import load
 from crosscheck.studies.bisection import smallest
-from crosscheck.studies.stress.cases import SMALLEST, Bound, Case, Curve, Measured
+from crosscheck.studies.stress.cases import Bound, Case, Measured
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
     TIGHT,
@@ -33,7 +27,6 @@ from crosscheck.studies.stress.runs import (
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.compiled import FORMULATIONS
-from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
@@ -135,14 +128,14 @@ def measure_energy(name: str, duration: float, setting: Setting) -> Measured:
     found = balance(scene, run)
     unit = max(found.exchanged, _exchanged(name))
     errors = np.abs(found.residual) / unit
-    curve, grows = _over_time(f"energy error, {name}", "rel", setting, scene.times, errors)
+    grows = growth(scene.times, np.maximum.accumulate(errors))
     note = f"drift {largest_drift(run):.1e} m or rad; {grows}"
     if np.max(errors) < ENERGY.survives:
         other = off_in_the_last_digit(scene)
         residual = balance(other, setting.simulate(other)).residual
         rounding = float(np.max(np.abs(residual - found.residual))) / unit
         note = f"accumulated round-off {rounding:.1e}; {note}"
-    return Measured(float(np.max(errors)), note, curve)
+    return Measured(float(np.max(errors)), note)
 
 
 def off_in_the_last_digit(scene: Scene) -> Scene:
@@ -166,19 +159,7 @@ def measure_drift(name: str, duration: float, setting: Setting) -> Measured:
     run = setting.simulate(scene)
     assert run.constraint_violation is not None
     drift = np.max(run.constraint_violation, axis=1)
-    curve, grows = _over_time(f"drift, {name}", "m or rad", setting, scene.times, drift)
-    return Measured(float(np.max(drift)), grows, curve)
-
-
-def _over_time(
-    title: str, unit: str, setting: Setting, times: Array, errors: Array
-) -> tuple[tuple[Curve, ...], str]:
-    """Return the largest error so far, as a curve and in words."""
-    envelope = np.maximum.accumulate(errors)
-    seen = (times > 0.0) & (envelope > 0.0)
-    x, y = (tuple(map(float, values[seen])) for values in (times, envelope))
-    curve = Curve(f"long runs: {title}", "time, s", f"largest so far, {unit}", setting.label, x, y)
-    return ((curve,) if x else ()), growth(times, envelope)
+    return Measured(float(np.max(drift)), growth(scene.times, np.maximum.accumulate(drift)))
 
 
 def growth(times: Array, envelope: Array) -> str:
@@ -262,100 +243,3 @@ def measure_largest(name: str, setting: Setting) -> Measured:
     if n is None:
         return Measured(float("nan"), "none is small enough")
     return Measured(size(n), "the largest there is to try" if n == 1 else "")
-
-
-# (c) Baumgarte's gain against step size: where it is stable, and what it leaves open
-
-MOTION_LIMIT = 2e-2
-"""s, the largest step of `STEPS` that the motion itself allows, whatever keeps it on its constraints."""
-
-STEPS = (1e-1, 5e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4)
-"""s."""
-
-PROJECTED = Bound("drift", "m or rad", 1e-13, 1e-9, "projection leaves round-off open")
-
-
-def baumgarte(full: bool) -> Iterator[Case]:
-    """Yield the cases of (c)."""
-    duration, per_decade = (5.0, 2) if full else (2.0, 1)
-    alphas = [float(f"{10.0 ** (k / per_decade):.2g}") for k in range(-per_decade, 4 * per_decade + 1)]
-    for formulation in FORMULATIONS:
-        options = {"formulation": formulation, "integrator": "RK4"}
-        setting = Setting("newton_euler", {**options, "stabilization": "baumgarte"})
-        for alpha in alphas if full else alphas[1::2]:
-            name = f"tracker, {duration:g} s, alpha {alpha:g} 1/s"
-            yield Case(name, setting, border(alpha), partial(measure_gain, alpha, duration))
-        setting = Setting("newton_euler", {**options, "stabilization": "projection"})
-        name = f"tracker, {duration:g} s, smallest step {STEPS[-1]:g} s"
-        yield Case(name, setting, PROJECTED, partial(measure_projection, duration))
-
-
-def border(alpha: float) -> Bound:
-    """Return the bound of the largest stable step at a gain, 1/s."""
-    theory = min(RK4_LIMIT / alpha, MOTION_LIMIT)
-    reason = "0.4 of 2.785/alpha or of what the motion allows: steps of 1, 2, 5 are tried"
-    return Bound("largest stable step", "s", 0.4 * theory, 0.1 * theory, reason, at_least=True)
-
-
-class Stable(NamedTuple):
-    """The steps, s, that are stable, with the errors of positions, m, and the drifts, m or rad."""
-
-    steps: tuple[float, ...]
-    errors: tuple[float, ...]
-    drifts: tuple[float, ...]
-
-    def curves(self, formulation: str, label: str) -> tuple[Curve, ...]:
-        plot = f"Baumgarte against projection, {formulation}"
-        return (
-            Curve(f"{plot}: drift", "step, s", "drift, m or rad", label, self.steps, self.drifts),
-            Curve(f"{plot}: position error", "step, s", "position error, m", label, self.steps, self.errors),
-        )
-
-
-@lru_cache
-def _tracker(duration: float) -> tuple[Scene, Trajectory]:
-    scene = lasting(load("tracker"), duration, round(duration / 0.1), "violation")
-    return scene, TIGHT.simulate(scene)
-
-
-def _sweep(setting: Setting, alpha: float, duration: float) -> Stable:
-    """Try all `STEPS`."""
-    scene, reference = _tracker(duration)
-    compiled = CompiledScene(scene, setting.options["formulation"], setting.options["stabilization"], alpha)
-    stable = []
-    for step in STEPS:
-        try:
-            run = compiled.simulate("RK4", step=step)
-        except NewtonEulerError:
-            continue
-        error = distance(run, reference)
-        if error < SHARE * scene.mechanism.size:
-            stable.append((step, error, max(largest_drift(run), SMALLEST)))
-    return Stable(*zip(*stable, strict=True)) if stable else Stable((), (), ())
-
-
-def measure_gain(alpha: float, duration: float, setting: Setting) -> Measured:
-    """Measure the largest step that is stable; note where drift is least."""
-    found = _sweep(setting, alpha, duration)
-    if not found.steps:
-        return Measured(float("nan"), f"no step down to {STEPS[-1]:g} s is stable")
-    largest, best = found.steps[0], int(np.argmin(found.drifts))
-    note = (
-        f"alpha h there {alpha * largest:.2g}; least drift {found.drifts[best]:.1e} m or rad "
-        f"and position error {found.errors[best]:.1e} m at step {found.steps[best]:g} s"
-    )
-    region = ("Baumgarte's stable region", "alpha, 1/s", "largest stable step, s")
-    formulation = setting.options["formulation"]
-    curves = (
-        *found.curves(formulation, f"alpha {alpha:g}"),
-        Curve(*region, formulation, (alpha,), (largest,)),
-        Curve(*region, f"{RK4_LIMIT} / alpha", (alpha,), (RK4_LIMIT / alpha,)),
-    )
-    return Measured(largest, note, curves)
-
-
-def measure_projection(duration: float, setting: Setting) -> Measured:
-    """Measure the drift at the smallest step."""
-    found = _sweep(setting, 0.0, duration)
-    note = f"largest stable step {found.steps[0]:g} s; position error {found.errors[-1]:.1e} m"
-    return Measured(found.drifts[-1], note, found.curves(setting.options["formulation"], "projection"))

@@ -117,5 +117,4 @@ def cases(full: bool) -> Iterator[Case]:
 def measure(name: str, noise: float, setting: Setting) -> Measured:
     """Measure how far a run with noise comes from the design's, m."""
     design, scene = (lasting(MECHANISMS[name](size), 0.3, 10) for size in (0.0, noise))
-    found = Measured(distance(setting.simulate(scene), TIGHT.simulate(design)))
-    return found.at(noise, setting, f"noise, {name}", "noise, rad or m", "distance, m")
+    return Measured(distance(setting.simulate(scene), TIGHT.simulate(design)))

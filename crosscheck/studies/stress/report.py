@@ -1,15 +1,12 @@
-"""The report of a stress run: cases, how many each engine passes, diagrams."""
+"""The report of a stress run: cases, and how many each engine passes."""
 
 from __future__ import annotations
 
-import hashlib
 import platform
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-
-import numpy as np
 
 from crosscheck.files import check_writable, write_files
 from crosscheck.report import render
@@ -26,9 +23,7 @@ from crosscheck.report.table import (
     figures,
     texts,
 )
-from crosscheck.studies.diagram import COLORS, DASHES, Diagram, Line, picture
 from crosscheck.studies.stress.cases import PROCESSES, Row
-from crosscheck.studies.stress.soft import recommendation
 from crosscheck.studies.stress.topics import TOPICS
 
 JUDGED: dict[str, Verdict] = {
@@ -62,9 +57,7 @@ def report(rows: Sequence[Row], full: bool, wall_time: float) -> Report:
     for letter, (topic, _) in TOPICS.items():
         of_topic = [row for row in rows if row.topic == letter]
         if of_topic:
-            advice = recommendation(rows).splitlines() if letter == "d" else []
-            told = [line.removeprefix("- ") for line in advice if line] + list(_bounds(of_topic))
-            parts.append(Lines(f"bounds of ({letter})", told, folded=True))
+            parts.append(Lines(f"bounds of ({letter})", list(_bounds(of_topic)), folded=True))
             parts.append(_cases(f"({letter}) {topic}", of_topic))
     parts.append(entries("versions", versions, folded=True))
     passes = sum(row.passes for row in rows)
@@ -131,60 +124,25 @@ def _bounds(rows: Sequence[Row]) -> Iterator[str]:
         yield f"{what}: {reason}"
 
 
-def diagrams(rows: Sequence[Row]) -> list[Diagram]:
-    """All diagrams that rows have curves for; curves of one label are one line."""
-    points: dict[tuple[str, str, str], dict[str, list[tuple[float, float]]]] = {}
-    for row in rows:
-        for curve in row.curves:
-            lines = points.setdefault((curve.plot, curve.x_label, curve.y_label), {})
-            pairs = zip(curve.x, curve.y, strict=True)
-            # what diverged is in the tables; a logarithmic axis that reaches 1e300 shows nothing else
-            lines.setdefault(curve.label, []).extend(
-                (x, min(y, 1e3)) for x, y in pairs if 0.0 < y < float("inf")
-            )
-    return [
-        Diagram(
-            *names,
-            tuple(
-                Line(
-                    label,
-                    np.array(sorted(pairs)),
-                    COLORS[k % len(COLORS)],
-                    DASHES[k // len(COLORS) % len(DASHES)],
-                )
-                for k, (label, pairs) in enumerate(lines.items())
-                if pairs
-            ),
-        )
-        for names, lines in points.items()
-    ]
-
-
 def check_folder(folder: Path) -> None:
     """Raise `CrosscheckError` before a run whose report could not be written after it."""
     check_writable(folder / "stress.json", folder / "stress.md")
 
 
 def write(rows: Sequence[Row], found: Report, full: bool, folder: Path) -> list[Path]:
-    """Write stress.json, stress.md and a picture of each plot into a folder.
+    """Write stress.json and stress.md into a folder.
 
     Raises:
         CrosscheckError: naming the path that cannot be written.
     """
-    drawn = diagrams(rows)
-    pictures = {f"stress_{diagram.slug}.png": picture(diagram) for diagram in drawn}
-    shown = "".join(f"\n![{Path(name).stem}]({name})\n" for name in pictures)
-    text = render.markdown(found, folded=True) + ("\n## Plots\n" + shown if pictures else "")
     results = {
         "form": "full" if full else "ci",
         "passed": counts(rows),
         "rows": [asdict(row) for row in rows],
     }
-    digests = {name: hashlib.sha256(content).hexdigest() for name, content in pictures.items()}
     files = {
-        "stress.json": render.as_json(results, found, digests),
-        "stress.md": text.encode(),
-        **pictures,
+        folder / "stress.json": render.as_json(results, found),
+        folder / "stress.md": render.markdown(found, folded=True).encode(),
     }
-    write_files({folder / name: made for name, made in files.items()})
-    return [folder / name for name in files]
+    write_files(files)
+    return list(files)

@@ -6,16 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.studies.random.mechanisms import stress_random
-from crosscheck.studies.stress import configurations, extremes, integration, noise, rotation, soft
+from crosscheck.studies.stress import configurations, extremes, integration, noise, rotation
 from crosscheck.studies.stress.cases import PROCESSES, Case, Progress, Row, judge, row_of
+from crosscheck.studies.stress.random_mechanisms import stress_random
 from crosscheck.workers import LostError, in_processes
 
 TOPICS: dict[str, tuple[str, Callable[[bool], Iterator[Case]]]] = {
     "a": ("drift and energy over long runs", integration.long_runs),
     "b": ("largest stable step, loosest tolerance", integration.largest_steps),
-    "c": ("Baumgarte's gain against step size", integration.baumgarte),
-    "d": ("MuJoCo's softness against step size", soft.cases),
     "e": ("stiff gains", extremes.stiff_gains),
     "f": ("mass ratios, inertias near the realisable limit", extremes.masses),
     "g": ("start poses off the constraints", configurations.starts),

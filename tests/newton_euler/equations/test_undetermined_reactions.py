@@ -11,7 +11,7 @@ from crosscheck.comparison.reactions import determined, undetermined, undetermin
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import ENGINES
 from crosscheck.scenes import load
-from crosscheck.studies.random.scenes import random_scene
+from crosscheck.studies.random_scenes import random_scene
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.exercise import random_states

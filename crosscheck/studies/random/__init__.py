@@ -1,1 +1,0 @@
-"""Random mechanisms with random loops, joints and inertias."""
