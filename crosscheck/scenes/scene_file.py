@@ -1,7 +1,9 @@
-"""Scenes from YAML or JSON files, and to them.
+"""Scenes from YAML or JSON files, and to them. SI, world frame at the initial pose.
 
-`newton_euler.model.yaml_source` or the JSON parser make plain lists, dictionaries and texts of a file,
-pydantic checks the form by `crosscheck.scenes.file_entries`, and the mechanism checks the mechanics.
+`newton_euler.model.yaml_source` or the JSON parser make plain lists, dictionaries and texts of a file. Each
+class of `newton_euler` has an entry with the names and defaults of its attributes: a pydantic model, which
+checks the form of what a file says and builds the element. The mechanism checks the mechanics. `content` is
+the way back.
 """
 
 from __future__ import annotations
@@ -9,28 +11,259 @@ from __future__ import annotations
 import json
 import os
 import reprlib
-from dataclasses import fields
+from collections.abc import Iterable
+from dataclasses import MISSING, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar, ForwardRef, Literal, Union
 
 import numpy as np
 import yaml
-from pydantic import ValidationError
-from pydantic_core import ErrorDetails
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    create_model,
+)
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.scenes.file_entries import SCENE, content, plain
+from crosscheck.scenes.size import check_counts, check_functions, check_mechanism
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.control import PD
-from newton_euler.model.forces import BallArmature
+from newton_euler.model.couplings import Gear, LinearCoupling
+from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.geometry import Box, Capsule
 from newton_euler.model.joint import Joint
-from newton_euler.model.mechanism import Body
-from newton_euler.model.scene import REDUNDANCY_TOLERANCE, Scene
+from newton_euler.model.joint_kinds import JOINT_KINDS
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum
+from newton_euler.model.scene import OUTPUTS, REDUNDANCY_TOLERANCE, Scene
 from newton_euler.model.source_file import SourceError, read_text, shortened
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import atomic_file
 from newton_euler.model.yaml_source import parse_yaml
+
+LARGEST = 1e100
+"""Of any number of a scene, so that squares and triple products stay finite."""
+
+
+def _plain(value: object) -> object:
+    """A number, or the text of one in YAML, as it is; no truth value and no digits with underscores."""
+    if isinstance(value, bool):
+        raise PydanticCustomError("truth_value", "Input should be a number, not a truth value")
+    if isinstance(value, str) and ("_" in value or not value.isascii()):
+        raise PydanticCustomError("plain_number", "Input should be a valid number")
+    return value
+
+
+def _not_too_large(value: float) -> float:
+    if abs(value) > LARGEST:
+        raise PydanticCustomError("too_large", f"Input should be at most {LARGEST:g} in magnitude")
+    return value
+
+
+Number = Annotated[
+    float,
+    Field(allow_inf_nan=False),
+    BeforeValidator(_plain),
+    AfterValidator(_not_too_large),
+]
+Index = Annotated[int, BeforeValidator(_plain)]
+Vector = tuple[Number, Number, Number]
+Quaternion = tuple[Number, Number, Number, Number]
+
+FORMS: dict[str, Any] = {
+    "str": str,
+    "bool": bool,
+    "int": Index,
+    "float": Number,
+    "Array": Vector,
+    "Array | None": Vector | None,
+    "tuple[float, ...]": list[Number],
+    "tuple[tuple[str, int, float], ...]": list[tuple[str, Index, Number]],
+    "Literal['world', 'body']": Literal["world", "body"],
+}
+"""Forms of attributes by their annotations."""
+
+
+class Entry(BaseModel):
+    """The part of a scene file that makes an object of one class."""
+
+    model_config = ConfigDict(extra="forbid", defer_build=True)
+    made: ClassVar[type]
+    named: ClassVar[str]
+
+    def build(self) -> Any:
+        """Build the object; raises `NewtonEulerError` for one that cannot be."""
+        given = {name: getattr(self, name) for name in type(self).model_fields if name != "kind"}
+        try:
+            given = {name: _built(value) for name, value in given.items()}
+        except NewtonEulerError as error:
+            name = f"{self.made.__name__.lower()} {given['name']!r}: " if "name" in given else ""
+            raise CrosscheckError(f"{name}{error}") from error
+        return self.made(**given)
+
+
+def _built(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(map(_built, value))
+    return value.build() if isinstance(value, Entry) else value
+
+
+ENTRIES: dict[type, type[Entry]] = {}
+"""Entries by what they make."""
+
+
+def _entry(made: type, kind: str = "", **forms: Any) -> Any:
+    """Declare the entry of a class.
+
+    Args:
+        made: a dataclass.
+        kind: of the entry, in a list of several kinds.
+        forms: of attributes whose annotations do not say them; None for one that files do not have.
+    """
+    declared: dict[str, Any] = {"kind": (Literal[kind], ...)} if kind else {}
+    for field in fields(made):
+        form = forms[field.name] if field.name in forms else FORMS[str(field.type)]
+        default = field.default if field.default_factory is MISSING else ()
+        if form is not None:
+            declared[field.name] = form, ... if default is MISSING else default
+    ENTRIES[made] = create_model(made.__name__, __base__=Entry, **declared)
+    ENTRIES[made].made, ENTRIES[made].named = made, kind
+    return ENTRIES[made]
+
+
+def _several(form: Any) -> Any:
+    """A list of one form, for lack of static types."""
+    return list[form]
+
+
+def _one_of(entries: Iterable[Any]) -> Any:
+    return Annotated[Union[tuple(entries)], Field(discriminator="kind")]  # noqa: UP007 (of any number)
+
+
+QUATERNION: dict[str, Any] = {"quaternion": Quaternion}
+SHAPE = _one_of([_entry(Box, "box", **QUATERNION), _entry(Capsule, "capsule")])
+BODY = _entry(Body, inertia=tuple[Vector, Vector, Vector], shapes=_several(SHAPE), meshes=None, **QUATERNION)
+ROWS: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vector])
+JOINT = _one_of(_entry(made, kind, **ROWS) for kind, made in JOINT_KINDS.items())
+COUPLING = _one_of([_entry(Gear, "gear"), _entry(LinearCoupling, "linear")])
+SPRINGS = {"joint_spring": JointSpring, "ball_spring": BallSpring, "point_spring": PointSpring}
+FORCE = _one_of(_entry(made, kind) for kind, made in (SPRINGS | {"wrench": Wrench}).items())
+SUM = _entry(Sum, "sum", terms=_several(ForwardRef("FUNCTION")))
+FUNCTION = _one_of([_entry(Polynomial, "polynomial"), _entry(Sine, "sine"), SUM])
+SUM.model_rebuild(_types_namespace={"FUNCTION": FUNCTION})
+CONTROL = _entry(PD, feedforward=Union[Number, FUNCTION])  # noqa: UP007
+MOTION = _entry(PrescribedMotion, function=FUNCTION)
+
+
+class ArmatureEntry(Entry):
+    """A rotor inertia on a joint coordinate, or on a joint's ball."""
+
+    joint: str
+    inertia: Number
+    coordinate: Index | None = None
+    ball: bool = False
+
+    def build(self) -> Armature | BallArmature:
+        if not self.ball:
+            return Armature(self.joint, self.inertia, self.coordinate or 0)
+        if self.coordinate is not None:
+            raise CrosscheckError(
+                f"armature of joint {self.joint!r}: has a ball and a coordinate; needed: one or the other"
+            )
+        return BallArmature(self.joint, self.inertia)
+
+
+class StateEntry(Entry):
+    """The initial state of one body, world frame, SI; what is left out is as in the initial pose, at rest."""
+
+    position: Vector | None = None
+    quaternion: Quaternion | None = None
+    linear_velocity: Vector | None = None
+    angular_velocity: Vector | None = None
+
+
+class _Scene(Entry):
+    """A scene file."""
+
+    def build(self) -> Scene:
+        given: Any = self
+        loops = len(given.joints) - len(given.bodies) + len(given.couplings)
+        forces = len(given.control) + len(given.forces) + len(given.armatures)
+        check_counts("file", {"bodies": len(given.bodies), "closures": loops, "forces": forces})
+        bodies = [Body.ground(given.ground), *_built(given.bodies)]
+        mechanism = Mechanism(bodies, _built(given.joints), _built(given.couplings))
+        check_mechanism("file", mechanism)
+        motions, control = _built(given.motions), _built(given.control)
+        check_functions("file", mechanism, motions, control, given.duration)
+        return Scene(
+            given.name,
+            mechanism,
+            given.duration,
+            given.output_period,
+            gravity=given.gravity,
+            control=control,
+            initial_state=_state(mechanism, given.initial_state) if given.initial_state else None,
+            outputs=frozenset(given.outputs),
+            forces=_built(given.forces),
+            motions=motions,
+            armatures=_built(given.armatures),
+            description=" ".join(given.description.split()),
+            redundancy_tolerance=given.redundancy_tolerance,
+        )
+
+
+SCENE = create_model(
+    "Scene",
+    __base__=_Scene,
+    name=(str, ...),
+    description=(str, ""),
+    gravity=(Vector, (0.0, 0.0, 0.0)),
+    duration=(Number, ...),
+    output_period=(Number, ...),
+    ground=(str, "ground"),
+    bodies=(_several(BODY), ...),
+    joints=(_several(JOINT), ...),
+    couplings=(_several(COUPLING), []),
+    control=(_several(CONTROL), []),
+    forces=(_several(FORCE), []),
+    motions=(_several(MOTION), []),
+    armatures=(list[ArmatureEntry], []),
+    redundancy_tolerance=(float, REDUNDANCY_TOLERANCE),
+    initial_state=(dict[str, StateEntry], {}),
+    outputs=(list[str], list(OUTPUTS)),
+)
+
+
+def _state(mechanism: Mechanism, entries: dict[str, StateEntry]) -> State:
+    state = State.initial(mechanism)
+    for name, entry in entries.items():
+        body = mechanism.body_index(name)
+        for quantity, value in entry.model_dump(exclude_none=True).items():
+            getattr(state, quantity)[body] = value
+    return state
+
+
+def content(element: Any) -> dict[str, Any]:
+    """Return what a file says of an element: its attributes, those that are made of elements last."""
+    form = ENTRIES[type(element)]
+    found: dict[str, Any] = {"kind": form.named} if form.named else {}
+    found |= {name: plain(getattr(element, name)) for name in form.model_fields if name != "kind"}
+    return dict(sorted(found.items(), key=lambda item: item[0] in ("shapes", "function")))
+
+
+def plain(value: Any) -> Any:
+    """Return an attribute as files have it, arrays and tuples as lists."""
+    if isinstance(value, tuple):
+        return [plain(each) for each in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return content(value) if type(value) in ENTRIES else value
 
 
 def read_scene(path: str) -> Scene:
@@ -139,7 +372,7 @@ def _content(scene: Scene) -> dict[str, Any]:
             | ({"ball": True} if isinstance(armature, BallArmature) else {})
             for armature in scene.armatures
         ],
-        "initial_state": _state(scene),
+        "initial_state": _state_content(scene),
         "outputs": sorted(scene.outputs),
     }
     if scene.redundancy_tolerance != REDUNDANCY_TOLERANCE:
@@ -165,7 +398,7 @@ def _joint(joint: Joint) -> dict[str, Any]:
     return found
 
 
-def _state(scene: Scene) -> dict[str, dict[str, list[float]]]:
+def _state_content(scene: Scene) -> dict[str, dict[str, list[float]]]:
     """Return the entries of the initial state that are not the initial pose at rest."""
     rest, found = State.initial(scene.mechanism), dict[str, dict[str, list[float]]]()
     state = rest if scene.initial_state is None else scene.initial_state
