@@ -187,7 +187,7 @@ COMPENSATED = model(
     ("of", "method", "fault", "named"),
     [
         (Actuators, "_others", lambda *_: "", "joint 'a'"),
-        (Actuators, "_limited", None, "actuator 'servo'"),
+        (Actuators, "_report_limits", None, "actuator 'servo'"),
     ],
     ids=["gravity compensation", "half of a force"],
 )
@@ -203,9 +203,9 @@ def test_limits_are_watched_of_the_forces_that_the_file_has(
     assert reading(tmp_path, COMPENSATED, exercise=exercise)
 
     def half(
-        self: Any, k: int, element: str, law: Affine, moments: Any, kept: Any = Actuators._limited
-    ) -> Any:
-        return law, kept(self, k, element, Affine(*(0.5 * x for x in law)), moments)[1]
+        self: Any, k: int, element: str, law: Affine, moments: Any, kept: Any = Actuators._report_limits
+    ) -> None:
+        kept(self, k, element, Affine(*(0.5 * x for x in law)), moments)
 
     monkeypatch.setattr(of, method, fault or half)
     with pytest.raises(MjcfError, match=f"{named}: .*limits of forces, rel"):
