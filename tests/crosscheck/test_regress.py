@@ -9,7 +9,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import yaml
 from command_line import run
 
 from crosscheck.comparison.figure import OWN_ERROR
@@ -19,6 +18,7 @@ from crosscheck.regress.baseline import Record, StoredFigure
 from crosscheck.regress.compare import MODEL_FILE, Comparison, check, check_unsimulated, compare, divergence
 from crosscheck.regress.report import as_json, junit, markdown
 from crosscheck.scenes import load
+from crosscheck.scenes.scene_file import write_scene
 
 ROOT = Path(__file__).parents[2]
 
@@ -169,31 +169,8 @@ def test_versions_that_changed_are_named():
 def guarded(tmp_path_factory):
     """A folder with a scene file of a user's own: a pendulum of half a second."""
     folder = tmp_path_factory.mktemp("guarded")
-    content = {
-        "name": "mine",
-        "gravity": [0.0, 0.0, -9.81],
-        "duration": 0.5,
-        "output_period": 0.1,
-        "bodies": [
-            {
-                "name": "bar",
-                "mass": 1.0,
-                "center_of_mass": [0.5, 0.0, 0.0],
-                "inertia": [[0.01, 0.0, 0.0], [0.0, 0.08, 0.0], [0.0, 0.0, 0.08]],
-            }
-        ],
-        "joints": [
-            {
-                "name": "pivot",
-                "kind": "revolute",
-                "first": "ground",
-                "second": "bar",
-                "point": [0.0, 0.0, 0.0],
-                "axis": [0.0, 1.0, 0.0],
-            }
-        ],
-    }
-    (folder / "mine.yaml").write_text(yaml.safe_dump(content))
+    scene = replace(load("pendulum"), name="mine", duration=0.5, output_period=0.1)
+    write_scene(scene, folder / "mine.yaml")
     return folder
 
 

@@ -20,26 +20,10 @@ def nested(depth: int) -> dict[str, object]:
 
 
 SCENE_EDITS: dict[str, tuple[Keys, object, str]] = {
-    "negative mass": (("bodies", 1, "mass"), -1.0, "body 'coupler': mass is -1 kg; needed: a positive mass"),
-    "NaN": (("bodies", 0, "mass"), float("nan"), "bodies.0.mass: Input should be a"),
-    "infinity": (("joints", 0, "point", 1), float("inf"), "joints.0.revolute.point.1: Input should be a"),
-    "1e308": (("joints", 0, "point", 1), 1e308, "joints.0.revolute.point.1: Input should be at most 1e+100"),
     "a thousand digits": (("duration",), 10**1000, "duration: Input should be a"),
     "hexadecimal": (("duration",), "0x10", "duration: Input should be a valid number"),
     "zero inertia": (("bodies", 1, "inertia"), [[0.0] * 3] * 3, "a positive definite inertia"),
-    "unrealisable inertia": (("bodies", 1, "inertia", 0, 0), 0.9, "body 'coupler': principal moments"),
     "inertia of two rows": (("bodies", 1, "inertia"), [[1.0] * 3] * 2, "bodies.1.inertia"),
-    "a body twice": (("bodies", 1, "name"), "crank", "body 'crank': 2 of that name; needed: unique names"),
-    "a joint twice": (("joints", 1, "name"), "motor", "joint 'motor': 2 of that name; needed: unique names"),
-    "an unknown body": (("joints", 1, "second"), "x", "joint 'elbow': connects an unknown body 'x'"),
-    "an unknown joint": (
-        ("control", 0, "joint"),
-        "x",
-        "control of joint 'x': is on an unknown joint 'x'; needed: one of",
-    ),
-    "an unknown kind": (("joints", 1, "kind"), "x", "joints.1: Input tag 'x' found using 'kind'"),
-    "a joint to itself": (("joints", 1, "second"), "crank", "joint 'elbow': connects 'crank' to itself"),
-    "an open loop": (("joints", 1, "point_on_second"), [0, 0, 9], "joint 'elbow': is open by"),
     "bodies that are one": (("bodies",), {"name": "a"}, "bodies: Input should be a valid list"),
     "bodies that are text": (("bodies",), "abc", "bodies: Input should be a valid list"),
     "bodies that are numbers": (("bodies",), HUGE, "bodies.0: Input should be a valid dictionary"),
@@ -48,13 +32,9 @@ SCENE_EDITS: dict[str, tuple[Keys, object, str]] = {
     "an escape in a name": (("bodies", 0, "name"), "a\x1b[31m", "body 'a\\x1b[31m': has an unusable name"),
     "a turned name": (("bodies", 0, "name"), "a\u202eb", "body 'a\\u202eb': has an unusable name"),
     "a long name": (("bodies", 0, "name"), "x" * 100_000, "needed: one of frame, xxx"),
-    "a name that leads outside": (("name",), "../../x", "scene: name is '../../x'; needed: letters"),
-    "an unknown key": (("bodyes",), [], "bodyes: unknown key"),
     "a long unknown key": (("k" * 100_000,), 1, "unknown key"),
     "no joints": (("joints",), [], "body 'crank': no joint leads to it"),
     "no bodies": (("bodies",), [], "mechanism"),
-    "a period of nothing": (("output_period",), 0, "output_period is 0.0; needed: a positive number"),
-    "too many outputs": (("output_period",), 1e-12, "asks for more than 1000000 outputs"),
     "sums in sums": (("motions",), [{"joint": "motor", "function": nested(40)}], "motions"),
 }
 
@@ -72,14 +52,10 @@ def scene_cases() -> Iterator[Case]:
             yield Case(f"{file}: {name}", file, text.encode(), message, slow=slow)
     for name, text, message in (
         ("aliases that unfold", ALIASES, "line 2: aliases are not allowed here"),
-        ("an object", "a: !!python/object/apply:os.system [touch owned]", "line 1: tags are not allowed"),
         ("deep nesting", "[" * 100_000, "line 1: nested too deeply"),
         ("deep mappings", "{a: " * 100_000, "line 1: nested too deeply"),
         ("many empty lists", "[" + "[]," * 320_000 + "]", "not a mapping from keys to values"),
         ("many keys", "".join(f"k{k}: 1\n" for k in range(90_000)), "name: missing"),
-        ("too long", "a: " + "x" * 1_000_000, "1.000003 MB, at most 1; to allow it: --set scene_size=2"),
-        ("a list", "- a\n- b\n", "not a mapping from keys to values"),
-        ("a number", "7", "not a mapping from keys to values"),
     ):
         yield Case(f"scene.yaml: {name}", "scene.yaml", text.encode(), message, slow=len(text) > 500_000)
     for name, text, message in (

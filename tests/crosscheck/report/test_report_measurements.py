@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import EXAMPLE, run, scene_file, short_example
+from command_line import EXAMPLE, run
 from test_report import report
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
+from crosscheck.scenes.scene_file import write_scene
 from crosscheck.studies.faults.catalog import catalog
 
 
@@ -36,7 +38,8 @@ def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     taken = lambda rrd, moments: [b"\x89PNG" for _ in moments]  # noqa: E731
     monkeypatch.setattr("crosscheck.recording.screenshot.screenshots", taken)
-    model = scene_file(tmp_path, short_example())
+    swing, model = replace(load("pendulum"), duration=0.5), tmp_path / "pendulum.yaml"
+    write_scene(swing, model)
     assert run(capsys, "regress", model, "--update", "as delivered")[0] == 0
     status, text, _ = run(capsys, "regress", model, "--output", "out")
     assert status == 0
@@ -47,15 +50,13 @@ def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     assert "(as delivered)" in quiet.words
     assert "numpy " + np.__version__ in quiet.words
     assert quiet.images == {}
-    example = short_example()
-    example["bodies"][0]["mass"] *= 1.1
-    scene_file(tmp_path, example)
+    write_scene(replace(swing, gravity=1.1 * swing.gravity), model)
     assert run(capsys, "regress", model, "--output", "out")[0] == 1
     moved = report(tmp_path / "out")
-    assert "MOVED: 1 of 1 scenes: four_bar" in moved.words
-    assert list(moved.images) == ["four_bar: the recording at 0 s"]
-    (tmp_path / "out" / "four_bar.rrd").unlink()
-    with pytest.raises(CrosscheckError, match=r"four_bar\.rrd: missing, regress\.json beside it"):
+    assert "MOVED: 1 of 1 scenes: pendulum" in moved.words
+    assert list(moved.images) == ["pendulum: the recording at 0 s"]
+    (tmp_path / "out" / "pendulum.rrd").unlink()
+    with pytest.raises(CrosscheckError, match=r"pendulum\.rrd: missing, regress\.json beside it"):
         report(tmp_path / "out")
 
 

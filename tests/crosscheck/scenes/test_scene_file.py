@@ -103,12 +103,6 @@ def test_bad_scene_files(capsys, tmp_path, good, kind):
     check_refused(capsys, tmp_path, scene_file(tmp_path, changed(good, path, value)), message=message)
 
 
-def test_a_body_that_nothing_holds(capsys, tmp_path, good):
-    lonely = copy.deepcopy(good)
-    lonely["bodies"].append(copy.deepcopy(lonely["bodies"][0]) | {"name": "moon"})
-    check_refused(capsys, tmp_path, scene_file(tmp_path, lonely), message="body 'moon': no joint leads to it")
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

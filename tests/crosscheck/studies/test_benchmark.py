@@ -83,17 +83,6 @@ def test_errors_of_poses_are_distances_and_angles_whatever_the_sign_of_a_quatern
     np.testing.assert_allclose(errors, [5e-6, angle], rtol=0.0, atol=1e-15)
 
 
-def test_equal_intervals_and_a_last_one_that_is_shorter():
-    assert intervals(np.array([0.0, 0.5, 1.0])) == [(2, 0.5)]
-    assert intervals(np.array([0.0, 0.5, 1.0, 1.25])) == [(2, 0.5), (1, 0.25)]
-
-
-def test_fast_settings_are_repeated_more_often_than_slow_ones():
-    assert work_precision.repeats_of(1e-6) == int(work_precision.SHARE / work_precision.SAMPLE)
-    assert work_precision.repeats_of(work_precision.SHARE / 4.5) == 4
-    assert work_precision.repeats_of(100.0) == work_precision.LEAST_REPEATS
-
-
 POSES = (np.zeros((2, 1, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1, 1)))
 
 
@@ -225,13 +214,6 @@ def test_no_setting_is_more_exact_than_the_reference_is_known():
 
 def test_what_another_setting_beats_in_time_and_error_is_not_on_the_frontier():
     assert [m.setting for m in frontier(MADE_UP, "newton_euler")] == ["coarse", "fine"]
-
-
-def test_a_row_names_ratios():
-    found = row(MADE_UP, 1e-5, 1e-12)
-    assert found.ratio("mujoco") == pytest.approx(25.0)
-    assert found.ratio("pinocchio") == pytest.approx(20.0)
-    assert found.notes == ()
 
 
 def test_a_row_says_where_newton_euler_is_not_the_fastest_and_why():

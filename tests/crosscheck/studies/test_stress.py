@@ -22,7 +22,6 @@ from crosscheck.studies.stress import configurations, extremes
 from crosscheck.studies.stress.cases import Bound, Case, Measured, judge, refusal
 from crosscheck.studies.stress.integration import growth, smallest
 from crosscheck.studies.stress.report import counts, report, write
-from crosscheck.studies.stress.rotation import DAMPING, STIFFNESS
 from crosscheck.studies.stress.runs import (
     TIGHT,
     Setting,
@@ -234,10 +233,6 @@ def test_a_wrong_motion_of_the_windows_is_seen():
     assert parallelogram_error(scene, run) < 1e-9
     heavier = replace(scene, gravity=1.01 * scene.gravity)
     assert parallelogram_error(scene, newton_euler.simulate(heavier)) > 1e-4
-
-
-def test_the_driven_hinge_is_critically_damped():
-    assert 4.0 * STIFFNESS == DAMPING**2  # for 1 kg m^2
 
 
 def test_the_limit_of_rk4_is_where_its_growth_is_one():

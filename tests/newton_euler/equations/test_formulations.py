@@ -7,15 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from finite_difference import derivative, jacobian
-from mechanisms import REGULAR, spinning_top
+from mechanisms import spinning_top
 
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import to_array
-from newton_euler.exercise import random_states
 from newton_euler.model.euler_parameters import matrix_l, rotation
-from newton_euler.scalars import tilde
 
 
 def test_tracker_counts_as_the_paper_with_a_fixed_ground(tracker):
@@ -109,25 +107,6 @@ def test_baumgarte_terms(tracker, tracker_states, alpha):
     rate = derivative(lambda s: relative.phi_jacobian(q + s * v + 0.5 * s**2 * a) @ (v + s * a))
     expected = -2 * alpha * (relative.phi_jacobian(q) @ v) - alpha**2 * relative.phi(q)
     assert np.allclose(rate, expected, atol=1e-9)
-
-
-@pytest.mark.parametrize("build", REGULAR, ids=lambda build: build.__name__)
-def test_power_balances(build):
-    """d(kinetic + potential)/dt = 0 without actuators: reactions do no work, gravity's is potential."""
-    scene = build()
-    system = Relative(scene)
-    for state in random_states(scene, 3):
-        at = system.evaluate(*system.coordinates(state))
-        power = 0.0
-        for k, body in enumerate(scene.mechanism.bodies[1:], start=1):
-            a = rotation(at.state.quaternion[k])
-            world = a @ body.inertia @ a.T
-            omega = at.state.angular_velocity[k]
-            momentum_rate = world @ at.angular_acceleration[k] + tilde(omega) @ world @ omega
-            power += omega @ momentum_rate
-            power += body.mass * at.state.linear_velocity[k] @ (at.linear_acceleration[k] - scene.gravity)
-        # terms of order 100 W
-        assert abs(power) < 1e-11
 
 
 def test_top_follows_euler_equations_about_its_fixed_point():

@@ -24,7 +24,6 @@ from crosscheck.scenes.options import options_of
 from mjcf.errors import ModelError
 from newton_euler.errors import OptionError, UnknownNameError
 from newton_euler.limits import LIMITS, VARIABLE, changed, exceeded, limit
-from newton_euler.model.trajectory import SHAPES
 
 
 def test_limits_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -110,12 +109,6 @@ def test_a_chain_that_is_too_long_for_mujocos_parser() -> None:
     mujoco.MjModel.from_xml_string(mjcf.to_xml(load("chain", N=490)))
     with pytest.raises(ModelError, match="491 bodies hang from each other, at most 490"):
         mjcf.to_xml(load("chain", N=491))
-
-
-def test_shapes_are_those_of_a_run() -> None:
-    arrays = newton_euler.simulate(load("tracker")).arrays()
-    assert arrays.keys() == SHAPES.keys()
-    assert all(len(SHAPES[name]) == array.ndim for name, array in arrays.items())
 
 
 def test_no_cursor_moves_in_a_pipe(
