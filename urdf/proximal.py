@@ -1,4 +1,4 @@
-"""Pinocchio's `constraintDynamics`, regularized where closures are redundant.
+"""Pinocchio's `constraintDynamics`, regularized where closures are redundant; `aba` of open trees.
 
 With J M^-1 J^T regularized by mu, each proximal iteration leaves mu / (mu + lambda) of its effect along
 an eigenvector of eigenvalue lambda (Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of
@@ -93,6 +93,15 @@ class ConstraintDynamics:
         scaled_q = self._map.q_to_pinocchio(q / self._units.q)
         scaled_v = self._map.v_to_pinocchio(v / self._units.v)
         settings = self._settings
+
+        def free(force: Array) -> Array:
+            """Compute accelerations of an open tree, for which `constraintDynamics` takes n^3 operations."""
+            pin_force = self._map.v_to_pinocchio(force)
+            acceleration = pin.aba(self._model, self._scaled_data, scaled_q, scaled_v, pin_force)
+            return self._map.v_from_pinocchio(acceleration)
+
+        if not len(self._constraints):
+            return free
 
         def solved(force: Array) -> Array:
             acceleration = pin.constraintDynamics(
