@@ -1,14 +1,20 @@
-"""The published dual-axis solar tracker: 7 bodies, 8 joints, two loops, 2 degrees of freedom."""
+"""The published dual-axis solar tracker: 7 bodies, 8 joints, two loops, 2 degrees of freedom.
+
+Appendix C of the paper, its tables as printed, and what has to be corrected in them: S. Srang, S. Ath,
+M. Yamakita, "Newton-Euler Based Dynamic Modeling and Control Simulation for Dual-Axis Parallel Mechanism Solar
+Tracker", Advances in Science, Technology and Engineering Systems Journal 5(5), 709-716, 2020,
+doi:10.25046/aj050587. Body k of the paper is element k - 1 here.
+"""
 
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any, Literal
 
 import numpy as np
 
-from crosscheck.scenes.tracker_tables import BODY_NAMES, Tables, corrected_tables
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Capsule, Shape
@@ -17,6 +23,79 @@ from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
+
+BODY_NAMES = ("base", "slider_2", "slider_3", "column_4", "leg_5", "leg_6", "panel_7")
+
+MASS = 1e-3 * np.array([475.09, 189.7, 189.7, 104.45, 53.25, 54.4, 890.5])
+"""Table 1, kg."""
+
+CENTER_OF_MASS = 1e-3 * np.array(
+    [
+        [-63.93, 63.93, 30.41],
+        [-123.99, 15.0, 24.6],
+        [-15.0, 123.99, 24.6],
+        [-11.50, 18.37, 99.21],
+        [-12.99, 98.33, 68.84],
+        [-92.31, 15.0, 66.27],
+        [-34.28, 42.89, 136.56],
+    ]
+)
+"""Table 2, m: centers of mass in the world at the initial position."""
+
+EULER_PARAMETERS = np.array([[1.0, 0.0, 0.0, 0.0]] * 6 + [[0.89043, -0.19791, -0.10481, 0.39619]])
+"""Table 3: orientations at the initial position."""
+
+INERTIA_SCALE = np.array([1e-4, 1e-4, 1.0, 1.0, 1e-4, 1e-4, 1e-4])
+"""Factors in front of the matrices of Table 4; two are missing in print."""
+
+INERTIA = np.array(
+    [
+        [[20.0, 8.0, -1.0], [8.0, 20.0, 1.0], [1.0, 1.0, 26.0]],
+        [[0.2774, 0.0, -0.00102], [0.0, 0.2015, 0.0], [-0.0102, 0.0, 0.1987]],
+        [[0.2015, 0.0, 0.0], [0.0, 0.2774, 0.0102], [0.0, 0.0102, 0.1987]],
+        [[0.1217, 0.0, 0.0], [0.0, 0.1248, 0.0], [0.0, 0.0, 0.0054]],
+        [[0.5827, 0.0, -0.0824], [0.0, 0.5940, 0.0], [-0.0824, 0.0, 0.0172]],
+        [[0.6242, 0.0, 0.0], [0.0, 0.6231, 0.0], [0.0, 0.0, 0.0058]],
+        [[12.0, 0.0, 1.0], [0.0, 12.0, 0.0], [1.0, 0.0, 24.0]],
+    ]
+)
+"""Table 4 as printed, to be multiplied by `INERTIA_SCALE`, kg m^2. Of two renderings of the article
+one prints J2 (1,3) as -0.00102, the other as -0.0102; the first is kept here, where it can be seen."""
+
+
+@dataclass
+class Tables:
+    """The four tables."""
+
+    mass: Array
+    center_of_mass: Array
+    euler_parameters: Array
+    inertia: Array
+    inertia_scale: Array
+
+    @classmethod
+    def as_printed(cls) -> Tables:
+        return cls(
+            MASS.copy(), CENTER_OF_MASS.copy(), EULER_PARAMETERS.copy(), INERTIA.copy(), INERTIA_SCALE.copy()
+        )
+
+    @property
+    def scaled_inertia(self) -> Array:
+        """(7, 3, 3) kg m^2."""
+        return self.inertia * self.inertia_scale[:, None, None]
+
+
+def corrected_tables(*, literal_panel: bool = False) -> Tables:
+    """The tables with the errata of docs/errata.md applied; `literal_panel` leaves J7 as printed."""
+    tables = Tables.as_printed()
+    tables.inertia[0, 2, 0] = -1.0  # erratum 5: symmetric
+    tables.inertia[1, 0, 2] = tables.inertia[1, 2, 0] = -0.0102  # erratum 6: the mirror image of J3
+    tables.inertia_scale[2], tables.inertia_scale[3] = 1e-4, 1e-3  # erratum 7: not printed
+    if not literal_panel:  # erratum 8: the nearest round numbers that a rigid body can have
+        tables.inertia[6] = [[12.09, 0.0, 1.0], [0.0, 12.09, 0.0], [1.0, 0.0, 23.9]]
+    tables.euler_parameters[6] /= np.linalg.norm(tables.euler_parameters[6])  # erratum 9
+    return tables
+
 
 TARGET_HEIGHT = 0.046
 """Wanted height of both sliders' centers of mass, m (section 4)."""

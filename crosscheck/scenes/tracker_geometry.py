@@ -21,8 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares, root
 
-from crosscheck.scenes.tracker import TARGET_HEIGHT, joint_data
-from crosscheck.scenes.tracker_tables import corrected_tables
+from crosscheck.scenes.tracker import TARGET_HEIGHT, corrected_tables, joint_data
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.scalars import Array
 

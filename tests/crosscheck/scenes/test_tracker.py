@@ -2,39 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.optimize import root
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load, tracker_geometry
-from crosscheck.scenes.tracker import TARGET_HEIGHT, joint_data
-from crosscheck.scenes.tracker_tables import ERRATA, Tables, corrected_tables, errata_table
+from crosscheck.scenes.tracker import TARGET_HEIGHT, Tables, corrected_tables, joint_data
 from newton_euler.equations.relative import Relative
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector, rotation
 
 
-def test_the_twelve_errata_are_listed():
-    assert [erratum.number for erratum in ERRATA] == list(range(1, 13))
-    assert {e.number for e in ERRATA if e.correct} == {5, 6, 7, 8, 9}
-
-
-def test_the_documentation_lists_them():
-    page = Path(__file__).parents[3] / "docs" / "errata.md"
-    assert errata_table() in page.read_text()
-
-
-def after(number):
-    """Tables as printed but for one erratum."""
-    tables = Tables.as_printed()
-    next(e for e in ERRATA if e.number == number).correct(tables)
-    return tables
-
-
 def test_erratum_5_makes_j1_symmetric_about_the_mirror_plane():
-    printed, corrected = Tables.as_printed().inertia[0], after(5).inertia[0]
+    printed, corrected = Tables.as_printed().inertia[0], corrected_tables().inertia[0]
     assert not np.array_equal(printed, printed.T)
     assert np.array_equal(corrected, corrected.T)
     swap = np.array([[0, -1, 0], [-1, 0, 0], [0, 0, 1]])  # reflection across the plane of (1,-1,0) and z
@@ -42,22 +22,22 @@ def test_erratum_5_makes_j1_symmetric_about_the_mirror_plane():
 
 
 def test_erratum_6_makes_j2_the_mirror_image_of_j3():
-    printed, corrected = Tables.as_printed().inertia, after(6).inertia
+    printed, corrected = Tables.as_printed().inertia, corrected_tables().inertia
     swap = np.array([[0, -1, 0], [-1, 0, 0], [0, 0, 1]])
     assert not np.array_equal(printed[1], printed[1].T)
     assert np.array_equal(swap @ corrected[1] @ swap.T, corrected[2])
 
 
 def test_erratum_7_restores_the_scales():
-    scaled = after(7).scaled_inertia
-    assert scaled[2, 0, 0] == pytest.approx(after(6).scaled_inertia[1, 1, 1])
+    scaled = corrected_tables().scaled_inertia
+    assert scaled[2, 0, 0] == pytest.approx(corrected_tables().scaled_inertia[1, 1, 1])
     # body 4 as a slender rod of its mass: length sqrt(12 J / m), which the parts in the figure have
-    length = np.sqrt(12 * scaled[3, 0, 0] / after(7).mass[3])
+    length = np.sqrt(12 * scaled[3, 0, 0] / corrected_tables().mass[3])
     assert length == pytest.approx(0.118, abs=1e-3)
 
 
 def test_erratum_8_makes_j7_realisable_within_the_rounding_of_the_print():
-    printed, corrected = (t.inertia[6] for t in (Tables.as_printed(), after(8)))
+    printed, corrected = (t.inertia[6] for t in (Tables.as_printed(), corrected_tables()))
     for tensor, realisable in ((printed, False), (corrected, True)):
         a, b, c = np.linalg.eigvalsh(tensor)
         assert (a + b >= c) == realisable
@@ -68,9 +48,9 @@ def test_erratum_8_makes_j7_realisable_within_the_rounding_of_the_print():
 
 def test_erratum_9_normalizes_p7():
     assert np.linalg.norm(Tables.as_printed().euler_parameters[6]) == pytest.approx(0.9999928, abs=1e-7)
-    assert np.linalg.norm(after(9).euler_parameters[6]) == pytest.approx(1.0, abs=1e-15)
+    assert np.linalg.norm(corrected_tables().euler_parameters[6]) == pytest.approx(1.0, abs=1e-15)
     used = load("tracker").mechanism.bodies[6].quaternion
-    assert np.array_equal(used, after(9).euler_parameters[6])
+    assert np.array_equal(used, corrected_tables().euler_parameters[6])
 
 
 def test_scene_is_the_papers():
