@@ -6,9 +6,9 @@ from typing import Annotated
 
 import numpy as np
 
+from crosscheck.scenes.chain import LENGTH, rod
 from crosscheck.scenes.measure import Quantity, angular_velocity, components, position, velocity
 from crosscheck.scenes.options import Range
-from crosscheck.scenes.rod import LENGTH, rod
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism

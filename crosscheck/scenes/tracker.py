@@ -1,8 +1,8 @@
 """The published dual-axis solar tracker: 7 bodies, 8 joints, two loops, 2 degrees of freedom.
 
 Appendix C of the paper, its tables as printed, and what has to be corrected in them: S. Srang, S. Ath,
-M. Yamakita, "Newton-Euler Based Dynamic Modeling and Control Simulation for Dual-Axis Parallel Mechanism Solar
-Tracker", Advances in Science, Technology and Engineering Systems Journal 5(5), 709-716, 2020,
+M. Yamakita, "Newton-Euler Based Dynamic Modeling and Control Simulation for Dual-Axis Parallel Mechanism
+Solar Tracker", Advances in Science, Technology and Engineering Systems Journal 5(5), 709-716, 2020,
 doi:10.25046/aj050587. Body k of the paper is element k - 1 here.
 """
 
