@@ -79,16 +79,16 @@ def bench_command(
     options = exercised(scene, scene_options(settings))
     if rhs + scaling + (batch is not None) > 1:
         raise CrosscheckError("--rhs, --scaling and --batch are different benchmarks; choose one")
-    loaded = load_and_tell(scene, options)
+    loaded, model = load_and_tell(scene, options), run.Model(scene, options)
     with progress_shown() as progress:
         if rhs:
-            found, written = run.bench_rhs(loaded, scene, options, output, progress)
+            found, written = run.bench_rhs(loaded, model, output, progress)
         elif scaling:
-            found, written = run.bench_scaling(loaded, scene, options, output, progress)
+            found, written = run.bench_scaling(loaded, model, output, progress)
         elif batch is not None:
-            found, written = run.bench_batch(loaded, scene, options, batch, error, output, progress)
+            found, written = run.bench_batch(loaded, model, batch, error, output, progress)
         else:
-            found, written = run.bench(loaded, scene, options, error, output, progress)
+            found, written = run.bench(loaded, model, error, output, progress)
     click.echo(terminal(found.parts), nl=False)
     say("wrote " + ", ".join(str(path) for path in written))
     return AGREE

@@ -1,4 +1,4 @@
-"""Contents of a compiled scene: what was kept, what was left out, and what each feature costs."""
+"""Contents of a compiled scene: what was kept, what was left out, and what each term costs."""
 
 from __future__ import annotations
 
@@ -33,9 +33,6 @@ ARRAYS = {
 }
 """What native code computes for each thing that a scene may ask for."""
 
-EARTH = np.array([0.0, 0.0, -9.81])
-"""Gravity that a scene without any is given to see what it would cost, m/s^2."""
-
 BATCH_OPERATIONS = 1_000_000
 """Operations that are timed together: a fraction of a millisecond."""
 
@@ -64,8 +61,6 @@ def explain(scene: Scene, progress: Progress) -> Iterator[Part]:
     yield _table("operations of an output, by what is asked for beside poses", outputs)
     yield _table("native code", {name: native_code(c) for name, c in compiled.items()})
     yield Lines("left out, at no cost", [f"  {line}" for line in left_out(compiled["relative"])])
-    progress("compiling one feature at a time")
-    yield _table("joint coordinates, one feature at a time", _transposed(features(scene)))
 
 
 def _table(title: str, columns: Mapping[str, Cells]) -> Table:
@@ -75,11 +70,6 @@ def _table(title: str, columns: Mapping[str, Cells]) -> Table:
     return Table(
         title, heads, [[line, *(cells.get(line, "") for cells in columns.values())] for line in names]
     )
-
-
-def _transposed(lines: Mapping[str, Cells]) -> dict[str, Cells]:
-    columns = dict.fromkeys(column for cells in lines.values() for column in cells)
-    return {column: {line: cells.get(column, "") for line, cells in lines.items()} for column in columns}
 
 
 def _counts(operations: Mapping[str, int]) -> Cells:
@@ -268,42 +258,3 @@ def left_out(compiled: Code) -> Iterator[str]:
 def _varying(scalars: Any) -> bool:
     """True if anything among them depends on the state."""
     return any(isinstance(x, Expression) for x in np.ravel(scalars))
-
-
-# What each feature costs
-
-
-def features(scene: Scene) -> dict[str, Cells]:
-    """Operations, times and code of the scene with one feature at a time, in joint coordinates."""
-    bare = replace(scene, gravity=np.zeros(3), control=(), outputs=frozenset())
-    gravity = scene.gravity if np.any(scene.gravity) else EARTH
-    variants: dict[str, tuple[Scene, str]] = {
-        "poses only": (bare, "none"),
-        "gravity": (replace(bare, gravity=gravity), "none"),
-    }
-    if scene.control:
-        variants["control"] = replace(bare, control=scene.control), "none"
-    if len(Code(scene, "relative").system.phi_units):
-        variants["projection"] = bare, "projection"
-        variants["Baumgarte"] = bare, "baumgarte"
-    for output in OUTPUTS:
-        if output != "actuation" or scene.control:
-            control = scene.control if output == "actuation" else ()
-            variants[output] = replace(bare, control=control, outputs=frozenset([output])), "none"
-    variants["this scene"] = scene, "projection"
-    return {name: _costs(*variant) for name, variant in variants.items()}
-
-
-def _costs(scene: Scene, stabilization: str) -> Cells:
-    compiled = Code(scene, "relative", stabilization=stabilization)
-    load(compiled, "DOP853")
-    cells = {}
-    for part, names in (
-        ("derivative", ("derivative",)),
-        ("projection", ("position", "velocity")),
-        ("output", ("output",)),
-    ):
-        used = [name for name in names if name in compiled.functions]
-        cells[f"{part}\noperations"] = f"{sum(compiled.operations[name] for name in used):,}"
-        cells[f"{part}\nus"] = f"{1e6 * sum(duration(compiled, name) for name in used):,.3f}"
-    return cells | {"code\nkB": f"{compiled.code_size / 1e3:,.1f}"}

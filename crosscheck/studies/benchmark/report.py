@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscheck.report.plots import STYLES
+from crosscheck.report.plots import STYLES, png
 from crosscheck.report.table import Cell, Column, Lines, Report, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.ladders import ENGINES, JUDGED
 from crosscheck.studies.benchmark.timing import machine_line
 from crosscheck.studies.benchmark.work_precision import Benchmark, Measurement
-from crosscheck.studies.diagram import Diagram, Line
 from newton_euler.scalars import Array
 
 DECADES = tuple(10.0**-power for power in range(3, 12))
@@ -236,22 +235,30 @@ def data(result: Benchmark) -> dict[str, Any]:
     }
 
 
-def diagram(result: Benchmark) -> Diagram:
-    """Run time (s) over error (m and rad): all settings, and a line through those that none beats."""
-    lines = []
+def picture(result: Benchmark) -> bytes:
+    """Draw run time (s) over error (m and rad), a line through the settings that none beats, as a PNG."""
+    from matplotlib.figure import Figure
+
+    drawn = Figure(figsize=(9.0, 5.0), layout="constrained")
+    ax = drawn.add_subplot()
     for engine in ENGINES:
+        color = STYLES[engine][0]
         points = [m for m in result.measured.measurements if m.engine == engine]
         if points:
-            best = _points(frontier(points, engine))
-            lines.append(Line(engine, best, STYLES[engine][0], beside=_points(points)))
-    return Diagram(
-        f"{result.title}: {result.scene.duration:g} s, {len(result.scene.times)} outputs",
-        "largest error of all bodies and output times, m and rad",
-        "run time, s",
-        tuple(lines),
-        falling=True,
-        mark=(result.reference.uncertainty, "uncertainty of the reference"),
+            ax.plot(*_points(points).T, ".", color=color, markersize=4, alpha=0.3)
+            ax.plot(*_points(frontier(points, engine)).T, marker=".", color=color, label=engine)
+    ax.axvline(result.reference.uncertainty, color="0.5", linestyle=":", label="uncertainty of the reference")
+    ax.set(
+        xscale="log",
+        yscale="log",
+        title=f"{result.title}: {result.scene.duration:g} s, {len(result.scene.times)} outputs",
+        xlabel="largest error of all bodies and output times, m and rad",
+        ylabel="run time, s",
     )
+    ax.invert_xaxis()
+    ax.grid(which="major", alpha=0.3)
+    ax.legend(fontsize="x-small")
+    return png(drawn, dpi=110)
 
 
 def _points(measurements: Sequence[Measurement]) -> Array:

@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_no_source, check_writable, write_files
@@ -13,35 +14,34 @@ from crosscheck.report.output import check_own
 from crosscheck.report.render import as_json
 from crosscheck.report.table import Report
 from crosscheck.studies.benchmark.batch import batch_data, batch_report, benchmark_batch
-from crosscheck.studies.benchmark.report import data, diagram, report
+from crosscheck.studies.benchmark.report import data, picture, report
 from crosscheck.studies.benchmark.rhs import rhs_data, rhs_report, time_right_hand_sides
 from crosscheck.studies.benchmark.scaling import (
     check_sizable,
     measure_sizes,
     scaling_data,
-    scaling_picture,
     scaling_report,
 )
 from crosscheck.studies.benchmark.timing import Progress
 from crosscheck.studies.benchmark.work_precision import benchmark
-from crosscheck.studies.diagram import picture
 from newton_euler.model.scene import Scene
 
 SMALLEST_ERROR = 1e-13
 """m and rad, that settings are looked for to reach."""
 
+
+class Model(NamedTuple):
+    """The name or file that a scene is loaded from, and its options as they were set."""
+
+    source: str
+    options: Mapping[str, str]
+
+
 Written = tuple[Report, list[Path]]
 """The report of a benchmark and the files that hold it."""
 
 
-def bench(
-    scene: Scene,
-    source: str,
-    options: Mapping[str, str],
-    error: float,
-    output: Path | None,
-    progress: Progress,
-) -> Written:
+def bench(loaded: Scene, model: Model, error: float, output: Path | None, progress: Progress) -> Written:
     """Benchmark whole runs of a scene, as loaded from its source.
 
     Raises:
@@ -49,45 +49,35 @@ def bench(
             written.
     """
     _check_error(error)
-    paths = _paths(scene, source, output, "bench.json", "work_precision.png")
-    result = benchmark(scene, source, options, progress)
+    paths = _paths(loaded, model, output, "bench.json", "work_precision.png")
+    result = benchmark(loaded, *model, progress)
     progress("writing")
-    return _write(paths, data(result), report(result, error), picture(diagram(result)))
+    return _write(paths, data(result), report(result, error), picture(result))
 
 
-def bench_rhs(
-    scene: Scene, source: str, options: Mapping[str, str], output: Path | None, progress: Progress
-) -> Written:
+def bench_rhs(loaded: Scene, model: Model, output: Path | None, progress: Progress) -> Written:
     """Benchmark right-hand sides; errors as of `bench`."""
-    paths = _paths(scene, source, output, "rhs.json")
-    timings = time_right_hand_sides(source, options, progress)
-    return _write(paths, rhs_data(source, options, timings), rhs_report(timings))
+    paths = _paths(loaded, model, output, "rhs.json")
+    timings = time_right_hand_sides(*model, progress)
+    return _write(paths, rhs_data(*model, timings), rhs_report(timings))
 
 
 def bench_batch(
-    scene: Scene,
-    source: str,
-    options: Mapping[str, str],
-    runs: int,
-    error: float,
-    output: Path | None,
-    progress: Progress,
+    loaded: Scene, model: Model, runs: int, error: float, output: Path | None, progress: Progress
 ) -> Written:
     """Benchmark many runs; errors as of `bench`."""
     _check_error(error)
-    paths = _paths(scene, source, output, "batch.json")
-    result = benchmark_batch(source, options, runs, error, progress)
+    paths = _paths(loaded, model, output, "batch.json")
+    result = benchmark_batch(*model, runs, error, progress)
     return _write(paths, batch_data(result), batch_report(result))
 
 
-def bench_scaling(
-    scene: Scene, source: str, options: Mapping[str, str], output: Path | None, progress: Progress
-) -> Written:
+def bench_scaling(loaded: Scene, model: Model, output: Path | None, progress: Progress) -> Written:
     """Benchmark right-hand sides over size; errors as of `bench`."""
-    check_sizable(source, options)
-    paths = _paths(scene, source, output, "scaling.json", "scaling.png")
-    result = measure_sizes(source, options, progress)
-    return _write(paths, scaling_data(result), scaling_report(result), scaling_picture(result))
+    check_sizable(*model)
+    paths = _paths(loaded, model, output, "scaling.json")
+    result = measure_sizes(*model, progress)
+    return _write(paths, scaling_data(result), scaling_report(result))
 
 
 def _check_error(error: float) -> None:
@@ -96,7 +86,7 @@ def _check_error(error: float) -> None:
         raise CrosscheckError(f"--error is {error:g}; needed: {needed}")
 
 
-def _paths(scene: Scene, source: str, output: Path | None, *names: str) -> list[Path]:
+def _paths(scene: Scene, model: Model, output: Path | None, *names: str) -> list[Path]:
     """Files to be written.
 
     Raises:
@@ -105,9 +95,9 @@ def _paths(scene: Scene, source: str, output: Path | None, *names: str) -> list[
     """
     folder = output or Path("output") / "bench" / scene.name
     if output is None:
-        check_own(folder, [source], "benchmark")
+        check_own(folder, [model.source], "benchmark")
     paths = [folder / name for name in names]
-    check_no_source(paths, [source])
+    check_no_source(paths, [model.source])
     check_writable(*paths)
     return paths
 

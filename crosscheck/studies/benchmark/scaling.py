@@ -8,17 +8,13 @@ from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
-
 from crosscheck.errors import CrosscheckError
-from crosscheck.report.plots import STYLES
 from crosscheck.report.table import Cell, Column, Lines, Report, Rows, Table, texts
 from crosscheck.scenes import SCENES
 from crosscheck.scenes.options import options_of
 from crosscheck.studies.benchmark.ladders import JUDGED
 from crosscheck.studies.benchmark.rhs import WAYS, Timing, Way, fastest_other, time_right_hand_sides
 from crosscheck.studies.benchmark.timing import Progress, machine, machine_line
-from crosscheck.studies.diagram import DASHES, Diagram, Line, picture
 
 SIZES = (1, 10, 100, 1000)
 """What the scene's option `OPTION` is set to in turn."""
@@ -137,21 +133,3 @@ def scaling_data(result: Scaling) -> dict[str, Any]:
         "sizes": {size: [asdict(t) for t in timings] for size, timings in result.timings.items()},
         "growth": {", ".join(way): list(result.growth(way)) for way in WAYS},
     }
-
-
-def scaling_picture(result: Scaling) -> bytes:
-    """Time (s) and peak memory (MB) over size, as a PNG."""
-    across = f"{OPTION} of {result.source}"
-    times, memory = [], []
-    for k, way in enumerate(WAYS):
-        ran = result.of(way)
-        if ran:
-            style = STYLES[way[0]][0], DASHES[k % 2]  # each engine has two ways
-            seconds = np.array([(size, t.median) for size, t in ran.items()])
-            megabytes = np.array([(size, t.memory / 1e6) for size, t in ran.items()])
-            times.append(Line(" ".join(way), seconds, *style))
-            memory.append(Line(" ".join(way), megabytes, *style))
-    return picture(
-        Diagram("one right-hand side", across, "s", tuple(times)),
-        Diagram("peak memory", across, "MB", tuple(memory)),
-    )

@@ -17,6 +17,7 @@ import numpy as np
 from crosscheck.comparison.figure import Figure
 from crosscheck.comparison.levels import compare_pair
 from crosscheck.comparison.samples import Samples, States
+from crosscheck.errors import CrosscheckError
 from crosscheck.studies.random_scenes import GRAVITY, random_scene
 from crosscheck.studies.stress.cases import PROCESSES, Progress, Row
 from crosscheck.workers import LostError, in_processes
@@ -82,7 +83,7 @@ def compare_random(seed: int, number: int, compiled: bool = False) -> list[Compa
     for system, build in _systems().items():
         try:
             rows = [*compare_pair(("relative", system), [own], [Samples(build(scene), states)])]
-        except (NewtonEulerError, np.linalg.LinAlgError) as error:
+        except (NewtonEulerError, CrosscheckError, np.linalg.LinAlgError) as error:
             found.append(Comparison(name, system, None, str(error)))
             continue
         worst = max((row for row in rows if not row.informs), key=lambda row: (not row.agrees, _share(row)))

@@ -101,7 +101,7 @@ def test_growth_is_the_exponent_between_sizes():
     assert list(SIZES.growth(OTHER)) == [(1, 10, pytest.approx(2.0))]
 
 
-def test_sizes_as_table_words_json_and_picture():
+def test_sizes_as_table_words_and_json():
     table, lines = scaling.scaling_report(SIZES).parts
     assert table.rows[0][2:6] == ["1", "10", "1000", "1.00, 2.00"]
     assert table.rows[1][2:6] == ["4", "400", "-", "2.00"]
@@ -110,7 +110,6 @@ def test_sizes_as_table_words_json_and_picture():
     assert "N = 10: newton_euler (relative) takes 0.025 times as long as mujoco (mj_forward)" in words
     assert "N = 100: mujoco (mj_forward) cannot run: too large" in words
     assert scaling.scaling_data(SIZES)["sizes"][100][1]["reason"] == "too large"
-    assert scaling.scaling_picture(SIZES).startswith(b"\x89PNG")
 
 
 def test_what_fails_at_a_size_is_not_tried_at_larger_ones(monkeypatch):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from command_line import EXAMPLE, run
+from command_line import run
 
 from crosscheck.scenes import load
-from crosscheck.studies.explain import features, left_out, operations_by_output, operations_by_term, structure
+from crosscheck.studies.explain import left_out, operations_by_output, operations_by_term, structure
 from newton_euler.integrators.compiled import FORMULATIONS, Code
 from newton_euler.model.scene import OUTPUTS
 
@@ -75,37 +75,6 @@ def test_what_was_left_out(tracker):
     assert "constraint rows: 2 of 6 say nothing that others do not" in windows
 
 
-def number(cells, column):
-    return float(cells[column].replace(",", ""))
-
-
-def test_features_cost_where_they_act():
-    found = features(load(str(EXAMPLE)))
-    bare = found["poses only"]
-    derivative, projection, output = (f"{k}\noperations" for k in ("derivative", "projection", "output"))
-    for name in ("gravity", "control", "Baumgarte"):
-        assert number(found[name], derivative) > number(bare, derivative)
-        assert found[name][output] == bare[output]
-    assert number(bare, projection) == 0.0
-    assert number(found["projection"], projection) > 0.0
-    assert found["projection"][derivative] == bare[derivative]
-    for name in ("velocities", "reactions", "energy", "actuation"):
-        assert number(found[name], output) > number(bare, output)
-    assert found["violation"][output] == bare[output]  # looked at anyway where nothing closes joints
-    assert found["reactions"][derivative] == bare[derivative]
-    for cells in found.values():
-        assert number(cells, "derivative\nus") > 0.0
-        assert number(cells, "output\nus") > 0.0
-    for name in ("projection", "reactions"):
-        assert number(found[name], "code\nkB") > number(bare, "code\nkB")
-    assert list(found)[-1] == "this scene"
-
-
-def test_features_that_a_scene_cannot_have():
-    found = features(load("chain", N=2))
-    assert not {"control", "actuation", "projection", "Baumgarte"} & set(found)
-
-
 def test_the_command(capsys):
     status, out, err = run(capsys, "explain", "four_bar", "--set", "N=1")
     assert (status, err) == (0, "")
@@ -115,7 +84,6 @@ def test_the_command(capsys):
         "operations of an output, by what is asked for beside poses",
         "native code",
         "left out, at no cost",
-        "joint coordinates, one feature at a time",
     ):
         assert f"{heading}" in out
     assert max(map(len, out.splitlines())) <= 100
