@@ -6,7 +6,7 @@ loops closed. Bodies that are fixed to each other are one body.
 
 What was read is verified against MuJoCo's own model of the file, see `newton_euler.verification` and
 `mjcf.original`. The reading is a function of the model and of the controls, and so that actuators show it is
-made and verified once more: with all controls at random, or as it is exercised at one moment.
+made and verified once more, with all controls at random.
 
 An exercised reading is one with controls that swing, and with start velocities; see `mjcf.reading.laws`.
 """
@@ -16,6 +16,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Mapping as Given
+from collections.abc import Sized
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -39,7 +40,6 @@ from mjcf.reading.start import Start
 from newton_euler.assemble import assemble
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import HIGHEST, LOWEST, moving
-from newton_euler.model.control import PD
 from newton_euler.model.forces import Armature, BallArmature
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Sine
@@ -54,9 +54,6 @@ from newton_euler.verification.verify import check
 
 MOST_NAMES = 5
 """Of actuators in one line of a report."""
-
-MOMENT = 0.5 / (LOWEST + HIGHEST)
-"""s, at which sines of all frequencies are at three quarters at least."""
 
 AT_REST = 1e-12
 """m/s and rad/s, below which velocities are round-off."""
@@ -105,11 +102,10 @@ def read(
         found = _reading(where, copy.copy(model), key, request)
         try:
             originals = [_original(copy.copy(model), key, found)]
-            if request.exercise:
-                found, other = _exercised(where, model, key, request, found)
-                originals.append(other)
-            elif model.nu:
+            if model.nu:
                 originals.append(_driven(where, model, key, request))
+            if request.exercise:
+                found = _exercised(where, model, key, request, found)
             report = found.report
             report.originals.extend(originals)
             if request.verified:
@@ -152,43 +148,32 @@ def _random_control(model: Any) -> Array:
 
 
 @np.errstate(all="ignore")  # what overflows is refused
-def _exercised(
-    where: str, model: Any, key: str | None, request: Request, found: Reading
-) -> tuple[Reading, tuple[Original, Scene]]:
-    """Drive actuators, and let joints move at the start unless the file does.
-
-    Returns:
-        The reading, and the same with controls held as they are at `MOMENT` with what it is verified against.
-    """
-    scene, start = found.scene, found.start
-    plan = exercised(scene, found.drives, np.array(start.data.ctrl), start.model.actuator_ctrladr)
+def _exercised(where: str, model: Any, key: str | None, request: Request, found: Reading) -> Reading:
+    """Drive actuators, and let joints move at the start unless the file does."""
+    start = found.start
+    plan = exercised(found.scene, found.drives, np.array(start.data.ctrl), start.model.actuator_ctrladr)
     driven = _reading(where, copy.copy(model), key, request, plan.control, plan.swings)
-    laws = (
-        replace(law, feedforward=law.feedforward_at(MOMENT)) if isinstance(law, PD) else law
-        for law in driven.scene.control
-    )
-    held = replace(driven, scene=replace(driven.scene, control=tuple(laws)))
-    controls = plan.at(MOMENT, model, np.array(driven.start.data.act))
-    original = _original(copy.copy(model), key, held, controls)
-    original[0].moment = MOMENT
-    report, said = driven.report, list[str]()
-    if count := len(plan.swings):
-        several = f"s driven by sines of {LOWEST:g} to {HIGHEST:g} Hz within their ranges"
-        said.append(f"{count} actuator{several if count > 1 else ' driven by a sine within its range'}")
-    if count := len(plan.moved):
-        several = "s moved off the ends of their ranges"
-        said.append(f"{count} control{several if count > 1 else ' moved off the end of its range'}")
+    said = []
+    if plan.swings:
+        sines = f"sines of {LOWEST:g} to {HIGHEST:g} Hz within their ranges"
+        said.append(f"{_count(plan.swings, 'actuator')} driven by {sines}")
+    if plan.moved:
+        said.append(f"{_count(plan.moved, 'control')} moved off the ends of their ranges")
     if kept := [k for k in range(model.nactuator) if k not in plan.swings]:
         names = ", ".join(model.actuator(k).name or repr(k) for k in kept[:MOST_NAMES])
         more = ", ..." if kept[MOST_NAMES:] else ""
-        several = "s keep their controls" if len(kept) > 1 else " keeps its control"
-        said.append(f"{len(kept)} actuator{several} ({names}{more})")
+        said.append(f"{_count(kept, 'actuator')} with the controls of the file ({names}{more})")
     if not np.any(start.data.qvel):
         moved, fastest = moving(driven.scene)
         driven = replace(driven, scene=moved)
         said.append(fastest)
-    report.start.append(f"exercised: {', '.join(said) or 'the velocities of the start are enough'}")
-    return driven, original
+    words = ", ".join(said) or "the velocities of the start are enough"
+    driven.report.start.append(f"exercised: {words}")
+    return driven
+
+
+def _count(elements: Sized, noun: str) -> str:
+    return f"{len(elements)} {noun}{'' if len(elements) == 1 else 's'}"
 
 
 def _reading(

@@ -30,16 +30,6 @@ class Exercise(NamedTuple):
     swings: dict[int, Sine]
     moved: list[int]
 
-    def at(self, time: float, model: Any, activation: Array) -> tuple[Array, Array]:
-        """Controls (nu,) and activations (na,) of a compiled model at a time, s, from those at the start."""
-        control, activation = self.control.copy(), activation.copy()
-        for k, swing in self.swings.items():
-            if (place := int(model.actuator_actadr[k])) < 0:
-                control[model.actuator_ctrladr[k]] += swing.value(time)
-            else:
-                activation[place] += swing.value(time)
-        return control, activation
-
 
 def exercise(scene: Scene, drives: Mapping[int, Drive], control: Array, places: Array) -> Exercise:
     """Choose sines within half of the room that the ranges leave about the start.

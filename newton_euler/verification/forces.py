@@ -69,9 +69,9 @@ def _limit_figure(placed: Placed) -> Figure:
 
 def _watched(placed: Placed, place: Place, bounds: Bounds) -> tuple[float, float]:
     """The quantity that is watched, and the sum of its terms' magnitudes."""
-    constant = bounds.constant
-    force = constant.value(placed.original.moment) if isinstance(constant, TimeFunction) else constant
-    scale, frames = abs(force), place.state.frames()
+    assert not isinstance(bounds.constant, TimeFunction)  # controls are held
+    force, frames = bounds.constant, place.state.frames()
+    scale = abs(force)
     for (joint, number), factor in bounds.terms:
         equations = placed.mechanism.joint_equations(joint)
         coordinate = equations.coordinates[number]

@@ -81,7 +81,6 @@ class Original(ABC):
         start: q where the scene starts, by its bodies.
         open: constraints as the file has them at `closest` and at `start`.
         unaccounted: elements that neither the scene nor its report can be held to.
-        moment: s, at which functions of time are what they are held at.
     """
 
     names: tuple[str, ...]
@@ -95,7 +94,6 @@ class Original(ABC):
     start: Array
     open: tuple[Constraints, Constraints]
     unaccounted: tuple[str, ...] = ()
-    moment: float = 0.0
 
     @abstractmethod
     def moved(self, q: Array, step: Array) -> Array:

@@ -277,16 +277,6 @@ def test_loops_that_a_start_closes_hide_no_fault_of_it(
         reading(tmp_path, APART)
 
 
-def test_what_drives_an_exercised_reading_is_that_of_the_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Half of the amplitude of a force, which is 0 at the start."""
-    of_control = Actuators._of_control
-    monkeypatch.setattr(Actuators, "_of_control", lambda self, k, share: of_control(self, k, 0.5 * share))
-    with pytest.raises(MjcfError, match="the scene is not what the file says: actuators, rel"):
-        reading(tmp_path, ZOO, exercise=True)
-
-
 def test_an_equality_that_is_reported_and_not_there_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
