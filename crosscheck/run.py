@@ -302,19 +302,20 @@ def _able(scene: Scene, engines: Sequence[Engine]) -> tuple[list[Engine], dict[s
     """The engines that can express a scene, and why the others cannot.
 
     Those that can make their finer run at most once, for all that it is compared with; where it stops, they
-    say whose it was.
+    say whose it was. Their equations of a scene are made once, too.
 
     Raises:
         NewtonEulerError: the first engine's own where none can.
     """
     able, errors = [], {}
     for engine in engines:
+        one = replace(engine, refined=lru_cache(_named(engine)), systems=lru_cache(engine.systems))
         try:
-            engine.systems(scene)
+            one.systems(scene)
         except NewtonEulerError as error:
             errors[engine.name] = error
         else:
-            able.append(replace(engine, refined=lru_cache(_named(engine))))
+            able.append(one)
     if not able:
         raise errors[engines[0].name]
     return able, {name: str(error) for name, error in errors.items()}

@@ -21,7 +21,7 @@ from crosscheck.comparison.figure import ROUND_OFF, START, Figure, reach, round_
 from crosscheck.comparison.kinematics import kinematics_rows
 from crosscheck.comparison.levels import Level
 from crosscheck.comparison.reactions import undetermined_in_both
-from crosscheck.comparison.samples import Samples, Scales, States
+from crosscheck.comparison.samples import Samples, States
 from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import body_wrenches, surroundings
 from newton_euler.equations.couplings import Coupling, couplings
@@ -240,7 +240,7 @@ def _dynamics(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> 
     """Gravity, rotors, what acts at joints and on bodies, each blamed on itself; energies, effective inertia
     and force after them. Tolerances are round-off times the condition of the constraints."""
     share = round_off(max(first.condition, second.condition), first.states.noise)
-    scales, states, failed = Scales(first), first.states.all, list[str]()
+    scales, states, failed = first.scales, first.states.all, list[str]()
 
     def noted(quantity: str, gaps: Mapping[str, float]) -> Figure:
         found = worst_figure("dynamics", quantity, pair, np.array(list(gaps.values())), share, tuple(gaps))

@@ -14,7 +14,7 @@ import numpy as np
 from crosscheck.comparison.blame import SHARE, dynamic_cause
 from crosscheck.comparison.figure import EPSILON, Figure, round_off
 from crosscheck.comparison.reactions import determined
-from crosscheck.comparison.samples import Samples, Scales
+from crosscheck.comparison.samples import Samples
 from newton_euler.equations.system import Evaluation
 from newton_euler.scalars import Array
 
@@ -39,7 +39,7 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
     tolerance, looser = (
         round_off(condition * masses, states.noise) for condition in (constraints, constraints**2)
     )
-    scales, mechanism = Scales(first), states.scene.mechanism
+    scales, mechanism = first.scales, states.scene.mechanism
 
     @cache
     def cause() -> str | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from crosscheck.comparison.blame import dynamic_cause
 from crosscheck.comparison.figure import Figure, round_off
-from crosscheck.comparison.samples import Samples, Scales, States
+from crosscheck.comparison.samples import Samples, States
 from newton_euler.scalars import Array
 
 Cause = Callable[[bool], str | None]
@@ -87,7 +87,7 @@ def _apart(one: list[Array], two: list[Array], floor: float) -> tuple[Array, flo
 
 def _actuator_units(samples: Samples) -> Array:
     """(a,) what actuator forces are relative to: the largest force, at the mechanism's size for torques."""
-    scene, scales = samples.states.scene, Scales(samples)
+    scene, scales = samples.states.scene, samples.scales
     units = []
     for law in scene.control:
         slides = scene.mechanism.is_slide(*law.key)

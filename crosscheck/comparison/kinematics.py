@@ -9,7 +9,7 @@ import numpy as np
 
 from crosscheck.comparison.blame import kinematic_cause
 from crosscheck.comparison.figure import EPSILON, Figure, reach, round_off
-from crosscheck.comparison.samples import Samples, Scales
+from crosscheck.comparison.samples import Samples
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 
@@ -48,6 +48,6 @@ def kinematics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> I
         yield Figure("kinematics", "open loops, rel", pair, opening, allowed, where)
     projector = np.array([a @ a.T - b @ b.T for a, b in zip(first.bases, second.bases, strict=True)])
     yield row("constraint Jacobian", np.abs(projector).max(axis=2).reshape(-1, len(bodies), 6).max(axis=2))
-    scales = Scales(first)
+    scales = first.scales
     yield row("linear velocity, rel", apart("linear_velocity") / scales.velocity)
     yield row("angular velocity, rel", apart("angular_velocity") * scales.size / scales.velocity)

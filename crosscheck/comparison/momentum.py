@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from crosscheck.comparison.figure import Figure, round_off
-from crosscheck.comparison.samples import Samples, Scales
+from crosscheck.comparison.samples import Samples
 from newton_euler.equations.system import Evaluation
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -24,7 +24,7 @@ def momentum_row(name: str, samples: Samples) -> Figure:
     """
     gap = np.abs(momentum_residuals(samples)).max(axis=(0, 2))
     worst = int(np.argmax(gap))
-    value = float(gap[worst]) / Scales(samples).force
+    value = float(gap[worst]) / samples.scales.force
     states = samples.states
     tolerance = round_off(samples.condition**2 * states.mass_condition, states.noise)
     body = samples.states.scene.mechanism.body_names[1 + worst]

@@ -200,8 +200,20 @@ class Samples:
 
     def stack(self, name: str) -> Array:
         """(n, bodies or joints, ...) array of that name, of the motions or else of the evaluations."""
-        sources = self.motions if hasattr(self.motions[0], name) else self.evaluations
-        return np.array([getattr(source, name) for source in sources])
+        if name not in self._stacks:
+            sources = self.motions if hasattr(self.motions[0], name) else self.evaluations
+            self._stacks[name] = np.array([getattr(source, name) for source in sources])
+        return self._stacks[name]
+
+    @cached_property
+    def _stacks(self) -> dict[str, Array]:
+        """Arrays by name."""
+        return {}
+
+    @cached_property
+    def scales(self) -> Scales:
+        """Of differences from these samples."""
+        return Scales(self)
 
 
 def body_units(scene: Scene) -> Array:

@@ -21,7 +21,7 @@ import numpy as np
 from crosscheck.comparison.energy import energy_balance
 from crosscheck.comparison.figure import OWN_ERROR, reach, round_off
 from crosscheck.comparison.reactions import determined
-from crosscheck.comparison.samples import Samples, Scales, States, admissible_basis
+from crosscheck.comparison.samples import Samples, States, admissible_basis
 from crosscheck.engines import ENGINES
 from crosscheck.regress.baseline import GroupName, Plan, StoredFigure, StoredState
 from newton_euler import compile_scene
@@ -237,7 +237,7 @@ class Measurement:
         self, label: str, samples: Samples, found: Evaluation, share: float, looser: float
     ) -> Iterator[StoredFigure]:
         """Accelerations of all bodies and reactions at all joints, as far as they are determined."""
-        mechanism, scales = self.scene.mechanism, Scales(samples)
+        mechanism, scales = self.scene.mechanism, samples.scales
         bodies, joints, size = mechanism.body_names[1:], mechanism.joint_names, scales.size
         linear, angular = found.linear_acceleration[1:], found.angular_acceleration[1:]
         allowed = share * scales.acceleration

@@ -166,7 +166,12 @@ def dimensionless_jacobian(system: System, q: Array) -> Array:
 
 def constraint_rate(system: System, q: Array, v: Array) -> Array:
     """Compute dPhi/dt (k,) = Phi_q qdot + Phi_t."""
-    rate = system.phi_jacobian(q) @ v
+    return rate_of_phi(system, system.phi_jacobian(q), v)
+
+
+def rate_of_phi(system: System, jacobian: Array, v: Array) -> Array:
+    """Compute the same where Phi_q (k, nv) is known."""
+    rate = jacobian @ v
     return np.asarray(rate + system.phi_t() if is_rheonomic(system) else rate)
 
 

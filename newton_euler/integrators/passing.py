@@ -61,6 +61,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         self._masses = system.mass_properties()
         self._rank = constraint_rank(system)
         self._best = 0.0
+        self._ratio_at_end: float | None = None
         self._states: deque[Array] = deque(maxlen=STAGES)
         self._hops = 0
         self._near = False
@@ -78,6 +79,10 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         scipy lets no step grow after one that was rejected, and steps that do not grow do not get across.
         """
         self._growth = LARGEST
+        if self._ratio_at_end is None:
+            self._ratio_at_start = self._pivot_ratio(self.y)
+        else:  # projection has hardly moved it since
+            self._ratio_at_start = self._ratio_at_end
         outcome = super()._step_impl()
         if outcome[0] and self._near:
             self.h_abs = max(self.h_abs, self.h_previous * self._growth)
@@ -118,9 +123,9 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         Near a singular configuration it is made just so large that the step is shortened to where it fits.
         """
         error = float(super()._estimate_error_norm(k, h, scale))
-        ends = self._pivot_ratio(self.y), self._pivot_ratio(self._states[-1])
+        self._ratio_at_end = self._pivot_ratio(self._states[-1])
         self._near = False
-        if min(ends) < FAR:
+        if min(self._ratio_at_start, self._ratio_at_end) < FAR:
             ratios = [self._pivot_ratio(y) for y in (self.y, *self._states)]
             self._near = min(ratios) < NEAR
         if not self._near:

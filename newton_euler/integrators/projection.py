@@ -20,7 +20,7 @@ from newton_euler.codegen.native import Vector, native
 from newton_euler.equations.couplings import couplings, residuals, row_owners, row_units
 from newton_euler.equations.dense import largest, minimum_norm, singular_values
 from newton_euler.equations.redundancy import loosely_closed, rows_left_out, without
-from newton_euler.equations.system import System, constraint_rate, is_rheonomic
+from newton_euler.equations.system import System, is_rheonomic, rate_of_phi
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.singular import DENSE_PIVOT_RATIO, WEAK, evaluate, leaving
 from newton_euler.integrators.stepper import (
@@ -296,8 +296,9 @@ def project_velocity(system: System, q: Array, v: Array) -> Array:
     if not len(system.phi_units):
         return v
     unused = rows_left_out(system)
-    jacobian, excess = without(system.phi_jacobian(q), unused), without(constraint_rate(system, q, v), unused)
-    step = minimum_norm(jacobian, excess, system.phi_units, system.velocity_units)
+    jacobian = system.phi_jacobian(q)
+    excess = without(rate_of_phi(system, jacobian, v), unused)
+    step = minimum_norm(without(jacobian, unused), excess, system.phi_units, system.velocity_units)
     return np.asarray(v - step)
 
 
