@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recordings import AXIS, LID_BOX, TILT, lid_runs, lid_scene
+from recordings import AXIS, LID_BOX, TILT
 
 from crosscheck.recording.plots import hinge_angle, panel, plots, rotated, rotation_vector, slide_position
 from newton_euler.model.euler_parameters import from_rotation_vector, product, rotation
@@ -17,16 +17,6 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-
-
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    return lid_scene()
-
-
-@pytest.fixture(scope="module")
-def runs(scene: Scene) -> dict[str, Trajectory]:
-    return lid_runs(scene)
 
 
 def turning(mechanism: Mechanism, quaternions: dict[int, Array]) -> Trajectory:

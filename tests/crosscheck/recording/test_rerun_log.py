@@ -16,8 +16,6 @@ from recordings import (
     VERDICT,
     N,
     Recording,
-    lid_runs,
-    lid_scene,
     motion,
     read_recording,
 )
@@ -35,16 +33,6 @@ from newton_euler.model.euler_parameters import angle_between, rotation
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-
-
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    return lid_scene()
-
-
-@pytest.fixture(scope="module")
-def runs(scene: Scene) -> dict[str, Trajectory]:
-    return lid_runs(scene)
 
 
 @pytest.fixture(scope="module")

@@ -7,23 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from recordings import VERDICT, lid_runs, lid_scene
+from recordings import VERDICT
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.recording.log import write_recording
 from crosscheck.recording.screenshot import screenshot
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
-
-
-@pytest.fixture(scope="module")
-def scene() -> Scene:
-    return lid_scene()
-
-
-@pytest.fixture(scope="module")
-def runs(scene: Scene) -> dict[str, Trajectory]:
-    return lid_runs(scene)
 
 
 def test_screenshot_of_no_recording(tmp_path: Path) -> None:

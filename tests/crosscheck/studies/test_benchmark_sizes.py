@@ -96,11 +96,6 @@ SIZES = scaling.Scaling(
 )
 
 
-def test_growth_is_the_exponent_between_sizes():
-    assert list(SIZES.growth(OWN)) == [(1, 10, pytest.approx(1.0)), (10, 100, pytest.approx(2.0))]
-    assert list(SIZES.growth(OTHER)) == [(1, 10, pytest.approx(2.0))]
-
-
 def test_sizes_as_table_words_and_json():
     table, lines = scaling.scaling_report(SIZES).parts
     assert table.rows[0][2:6] == ["1", "10", "1000", "1.00, 2.00"]
