@@ -35,7 +35,7 @@ from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
 from newton_euler.errors import check_type
 from newton_euler.model.control import Law, Sampled
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
-from newton_euler.model.geometry import Box, Capsule, Shape
+from newton_euler.model.geometry import Box, Shape
 from newton_euler.model.joint import Key, Pose
 from newton_euler.model.joint_kinds import Rod, Spherical
 from newton_euler.model.mechanism import Body
@@ -133,65 +133,23 @@ def _settings(root: ET.Element, scene: Scene) -> None:
     ET.SubElement(default, "equality", solref=numbers([2.0 * TIMESTEP, 1.0]), solimp=numbers(SOLIMP))
 
 
-def _look(root: ET.Element, world: ET.Element, scene: Scene) -> None:
-    """Camera, light and floor fitted to the mechanism."""
+def _look(root: ET.Element, scene: Scene) -> None:
+    """The part of the world that viewers show at first, fitted to the mechanism."""
     mechanism = scene.mechanism
     points = [body.center_of_mass for body in mechanism.bodies[1:]]
     points += [joint.point for joint in mechanism.joints]
-    for index in range(len(mechanism.bodies)):
-        for shape in mechanism.shapes(index):
-            if isinstance(shape, Capsule):
-                points += [shape.start - shape.radius, shape.end + shape.radius]
-            else:
-                points += [shape.center - shape.half_sizes, shape.center + shape.half_sizes]
     low, high = np.min(points, axis=0), np.max(points, axis=0)
-    center = 0.5 * (low + high)
     extent = max(float(np.linalg.norm(high - low)), mechanism.size)
-    ET.SubElement(root, "statistic", center=numbers(center), extent=number(extent))
+    ET.SubElement(root, "statistic", center=numbers(0.5 * (low + high)), extent=number(extent))
     visual = ET.SubElement(root, "visual")
     ET.SubElement(visual, "headlight", ambient="0.4 0.4 0.4", diffuse="0.5 0.5 0.5")
     ET.SubElement(visual, "global", azimuth="135", elevation="-20")
-    asset = ET.SubElement(root, "asset")
-    ET.SubElement(
-        asset,
-        "texture",
-        name="floor",
-        type="2d",
-        builtin="checker",
-        rgb1="0.85 0.87 0.9",
-        rgb2="0.75 0.78 0.82",
-        width="256",
-        height="256",
-    )
-    ET.SubElement(asset, "material", name="floor", texture="floor", texrepeat="16 16")
-    ET.SubElement(
-        asset,
-        "texture",
-        type="skybox",
-        builtin="gradient",
-        rgb1="0.95 0.97 1",
-        rgb2="0.6 0.7 0.8",
-        width="256",
-        height="256",
-    )
-    above = center + np.array([0.0, 0.0, 2.0 * extent])
-    ET.SubElement(world, "light", pos=numbers(above), dir="0 0 -1", diffuse="0.5 0.5 0.5")
-    ET.SubElement(
-        world,
-        "geom",
-        name="floor",
-        type="plane",
-        pos=numbers([center[0], center[1], low[2]]),
-        size=numbers([2.0 * extent, 2.0 * extent, 0.1 * extent]),
-        material="floor",
-    )
 
 
 def _world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
     """The tree of bodies, each nested in its parent."""
-    world = ET.Element("worldbody")
-    _look(root, world, scene)
-    root.append(world)
+    _look(root, scene)
+    world = ET.SubElement(root, "worldbody")
     in_world = Pose(np.zeros(3), np.eye(3))
     for shape in scene.mechanism.shapes(0):
         _geom(world, shape, GROUND_COLOR, in_world, np.array([1.0, 0.0, 0.0, 0.0]))
