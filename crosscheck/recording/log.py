@@ -5,7 +5,6 @@ Entities:
     /ground/mesh_K               its meshes
     /mechanism/ENGINE/BODY       shapes, and the body's pose over time
     /mechanism/ENGINE/BODY/mesh_K  its meshes
-    /mechanism/ENGINE/BODY/normal  an arrow across the panel
     /joints/ENGINE/JOINT         joint point on the second body over time
     /reactions/ENGINE/JOINT      constraint force on the second body over time
     /plots/QUANTITY/.../ENGINE   scalars over time, see `crosscheck.recording.plots`
@@ -31,9 +30,8 @@ import rerun as rr
 
 from crosscheck.files import write_files
 from crosscheck.recording.blueprint import blueprint
-from crosscheck.recording.plots import Plot, panel, plots, rotated
+from crosscheck.recording.plots import Plot, plots, rotated
 from crosscheck.recording.shapes import Style, log_shapes, xyzw
-from newton_euler.model.geometry import Box
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
@@ -202,33 +200,6 @@ def _log_bodies(
         position, quaternion = run.position[:, k], xyzw(run.quaternion[:, k])
         pose = rr.Transform3D.columns
         _send(recording, path, run.time, pose, translation=position, quaternion=quaternion)
-    found = panel(mechanism)
-    if found is not None:
-        body, box = found
-        path = rr.new_entity_path(["mechanism", engine, mechanism.body_names[body]])
-        _log_normal(recording, path, mechanism, body, box, style)
-
-
-def _log_normal(
-    recording: rr.RecordingStream,
-    path: str,
-    mechanism: Mechanism,
-    body: int,
-    box: Box,
-    style: Style,
-) -> None:
-    pose = mechanism.bodies[body].pose
-    thin = np.zeros(3)
-    thin[int(np.argmin(box.half_sizes))] = 1.0
-    normal = pose.vector_to_body(rotated(box.quaternion, thin))
-    # each engine's arrow is longer and thinner than that of the engine before it
-    arrow = rr.Arrows3D(
-        origins=pose.point_to_body(box.center),
-        vectors=normal * float(np.max(box.half_sizes)) * (0.4 + 0.2 * style.rank),
-        radii=0.03 * mechanism.size / (1.0 + style.rank),
-        colors=style.color,
-    )
-    recording.log(f"{path}/normal", arrow, static=True)
 
 
 def _arrow_scale(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> float | None:

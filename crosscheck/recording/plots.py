@@ -9,7 +9,6 @@ import numpy as np
 
 from crosscheck.comparison.runs import orientations_apart, positions_apart
 from newton_euler.model.euler_parameters import conjugate, product
-from newton_euler.model.geometry import Box
 from newton_euler.model.joint import Joint, Motion
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -19,16 +18,13 @@ from newton_euler.scalars import Array
 SMALLEST = 1e-18
 """Where logarithms are cut off, so that a difference of zero can be drawn."""
 
-THIN = 0.2
-"""A box is a panel if it is thinner than this fraction of its second smallest side."""
-
 
 @dataclass(frozen=True, eq=False)
 class Plot:
     """One quantity over time.
 
     Attributes:
-        row: 0 for joints, control and energy, 1 for the panel, 2 for what engines are judged by.
+        row: 0 for joints, control and energy, 1 for the last body, 2 for what engines are judged by.
         group: plots of one group are shown side by side, the groups of one row as tabs.
         path: where its lines are logged, below `/plots`; the engine's name is added.
         title: the quantity and its unit.
@@ -61,30 +57,11 @@ def plots(scene: Scene, trajectories: dict[str, Trajectory]) -> list[Plot]:
     return [plot for plot in candidates if plot.lines]
 
 
-def panel(mechanism: Mechanism) -> tuple[int, Box] | None:
-    """Index of the body that carries the largest thin box, and that box; None without any."""
-    boxes = [
-        (k, shape)
-        for k in range(1, len(mechanism.bodies))
-        for shape in mechanism.shapes(k)
-        if isinstance(shape, Box) and np.min(shape.half_sizes) < THIN * np.median(shape.half_sizes)
-    ]
-    return max(boxes, key=lambda entry: float(np.prod(entry[1].half_sizes)), default=None)
-
-
 def rotated(quaternion: Array, vector: Array) -> Array:
     """Body-frame vectors (..., 3) in world components, for unit quaternions (..., 4)."""
     e0, e = quaternion[..., :1], quaternion[..., 1:]
     turned = 2.0 * np.cross(e, vector)
     return np.asarray(vector + e0 * turned + np.cross(e, turned))
-
-
-def rotation_vector(quaternion: Array) -> Array:
-    """(n, 3) axis times angle, rad, of unit quaternions (n, 4); angles from 0 to 2 pi."""
-    sine = np.linalg.norm(quaternion[:, 1:], axis=1)
-    angle = 2.0 * np.arctan2(sine, quaternion[:, 0])
-    quotient = angle / np.maximum(sine, np.finfo(float).tiny)
-    return np.asarray(quaternion[:, 1:] * quotient[:, None])
 
 
 def slide_position(mechanism: Mechanism, joint: Joint, motion: Motion, run: Trajectory) -> Array:
@@ -172,18 +149,10 @@ def _energy_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
 
 
 def _orientation_plots(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
-    """Orientation of the panel; of the last body in a mechanism without one."""
-    found = panel(mechanism)
-    body = len(mechanism.bodies) - 1 if found is None else found[0]
-    name = mechanism.body_names[body]
-    vectors = {engine: rotation_vector(run.quaternion[:, body]) for engine, run in trajectories.items()}
-    for axis, letter in enumerate("xyz"):
-        lines = {engine: vector[:, axis] for engine, vector in vectors.items()}
-        group = f"Rotation vector of {name}"
-        yield Plot(1, group, ("rotation_vector", letter), f"about {letter} [rad]", lines)
+    """Orientation of the last body."""
     for k in range(4):
-        lines = {engine: run.quaternion[:, body, k] for engine, run in trajectories.items()}
-        group = f"Euler parameters of {name}"
+        lines = {engine: run.quaternion[:, -1, k] for engine, run in trajectories.items()}
+        group = f"Euler parameters of {mechanism.body_names[-1]}"
         yield Plot(1, group, ("euler_parameters", f"e{k}"), f"e{k}", lines)
 
 

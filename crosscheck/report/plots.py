@@ -25,12 +25,6 @@ STYLES = {
 SMALLEST = 1e-18
 """Where logarithms are cut off, so that zero can be drawn."""
 
-MOST_BODIES = 4
-"""Bodies whose paths are drawn: those that move the furthest."""
-
-MOST_ACTUATORS = 4
-"""Actuators whose forces are drawn: the first."""
-
 OTHER_STYLE = ("#555555", "-.", 1.6)
 """Of an engine that `STYLES` does not know."""
 
@@ -43,7 +37,7 @@ Line = tuple[str, str, Array, Array]
 
 def pictures(runs: Runs) -> Iterator[tuple[bytes, str]]:
     """Pictures (PNG) and captions; what was not saved is left out."""
-    for draw in (_differences, _drift, _energy, _balance, _paths, _control):
+    for draw in (_differences, _drift, _energy):
         yield from draw(runs)
 
 
@@ -124,38 +118,3 @@ def _energy(runs: Runs) -> Iterator[tuple[bytes, str]]:
     lines += _over_time(runs, "potential_energy", "potential, J")
     lines += _over_time(runs, "work", "work done by what has no potential, J")
     yield from _drawn(lines, "Energy")
-
-
-def _balance(runs: Runs) -> Iterator[tuple[bytes, str]]:
-    lines = []
-    for engine, run in runs.items():
-        if {"kinetic_energy", "potential_energy", "work"} <= run.keys():
-            total = run["kinetic_energy"] + run["potential_energy"] - run["work"]
-            change = np.maximum(np.abs(total - total[0]), SMALLEST)
-            lines.append(("energy less work, change since the start, J", engine, run["time"], change))
-    yield from _drawn(lines, "Energy balance", logarithmic=True)
-
-
-def _paths(runs: Runs) -> Iterator[tuple[bytes, str]]:
-    """Centers of mass of the bodies that move the furthest."""
-    first = next(iter(runs.values()))
-    moved = np.ptp(first["position"], axis=0).max(axis=1)
-    furthest = [int(k) for k in np.argsort(-moved, kind="stable")[:MOST_BODIES] if moved[k] > 0.0]
-    for body in sorted(furthest):
-        name = str(first["body_names"][body])
-        lines = [
-            (f"{letter}, m", engine, run["time"], run["position"][:, body, axis])
-            for axis, letter in enumerate("xyz")
-            for engine, run in runs.items()
-        ]
-        yield from _drawn(lines, f"Center of mass of {name}")
-
-
-def _control(runs: Runs) -> Iterator[tuple[bytes, str]]:
-    lines = []
-    for engine, run in runs.items():
-        for k, force in enumerate(
-            run["actuator_force"].T[:MOST_ACTUATORS] if "actuator_force" in run else ()
-        ):
-            lines.append((f"actuator {k + 1}, N or N m", engine, run["time"], force))
-    yield from _drawn(lines, "Control")

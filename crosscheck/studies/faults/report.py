@@ -103,7 +103,7 @@ def report(scene: Scene, options: Mapping[str, str], search: Search, wall_time: 
         f"no fault planted in {engine}, which cannot express the scene: {why}"
         for engine, why in search.left_out.items()
     ]
-    said = Lines("", [*told, *lines(scene, search.found)])
+    said = Lines("", [*told, *lines(search.found)])
     parts: list[Part] = [
         *tables(scene, search.found),
         said,
@@ -126,74 +126,34 @@ def _of_size(faults: Iterable[Found], size: float | None) -> list[Found]:
     return [found for found in faults if found.fault.size == size]
 
 
-def lines(scene: Scene, faults: Sequence[Found]) -> Iterator[str]:
-    """Lines on faults not found or blamed wrongly, with the reason, and on those that cannot be observed."""
+def lines(faults: Sequence[Found]) -> Iterator[str]:
+    """Lines on faults not found or blamed wrongly, and on those that cannot be observed."""
     for found in faults:
         if (found.counts and not found.blamed) or found.lost:
-            yield f"{_outcome(found, found.seen)}{_explanation(scene, found, found.seen)}"
-    blurred = [x for x in faults if x.observable and not x.blamed_by_motion and x.lost is None]
-    for found in _largest(blurred):
-        yield f"by motion alone, {_outcome(found, found.moves)}{_explanation(scene, found, found.moves)}"
+            yield _outcome(found, found.seen)
+    blurred = {
+        x.fault.alike: x for x in faults[::-1] if x.observable and not x.blamed_by_motion and not x.lost
+    }
+    for found in blurred.values():  # the largest of each, which is the first
+        yield f"by motion alone, {_outcome(found, found.moves)}"
     hidden = [found for found in faults if not found.observable and found.lost is None]
-    for seen, what in (
-        (True, "only the model's numbers show"),
-        (False, "the model's numbers do not show either"),
-    ):
-        names = list(_grouped(found for found in hidden if (found.seen is not None) == seen))
-        if names:
-            yield f"unobservable, {what}; {PROOF}:"
-            yield from (f"  {name}" for name in names)
+    if hidden:
+        names = dict.fromkeys(" ".join(filter(None, found.fault.alike)) for found in hidden)
+        yield f"unobservable, {PROOF}: {'; '.join(names)}"
 
 
 def _outcome(found: Found, sighting: Sighting | None) -> str:
     """The outcome of a fault that was not blamed right."""
     planted = f"{found.fault.name}, in {found.engine}"
+    if found.lost is not None:
+        lost = f"its {found.lost.quantity} is off by {found.lost.value:.1e} at {found.lost.where}"
+        return f"missed: {planted}: {found.engine}'s own model does not hold it: made with the fault, {lost}"
     if sighting is None:
-        return f"missed: {planted}"
+        return f"missed: {planted}: smaller than the tolerances"
     if sighting.level == REFUSED:
         return f"blamed wrongly: {planted}: refused: {sighting.quantity}"
     place = f"{sighting.odd or 'nobody'}, level {sighting.level!r}, {sighting.quantity}, at {sighting.where}"
     return f"blamed wrongly: {planted}: {place}"
-
-
-def _explanation(scene: Scene, found: Found, sighting: Sighting | None) -> str:
-    """Why a fault is blamed on something else, where that has a reason."""
-    mechanism = scene.mechanism
-    if found.lost is not None:
-        lost = f"{found.lost.quantity} is off by {found.lost.value:.1e} at {found.lost.where}"
-        return (
-            f": {found.engine}'s own model does not hold it: made from the scene with the fault, its {lost}"
-        )
-    if sighting is None:
-        return ": smaller than the tolerances"
-    if not sighting.where:
-        return "nothing: its loop cannot move at all, and all joints are closed where it stays"
-    if found.fault.element not in mechanism.body_names or sighting.where not in mechanism.joint_names:
-        return ""
-    joint = mechanism.joint(sighting.where)
-    if found.fault.element not in (joint.first, joint.second):
-        return ""
-    if sighting.level == "kinematics":
-        return f": the body's other joints let it move so, and {joint.name} elsewhere does the same"
-    return f": {joint.name} alone carries what it does, as it would if its point were elsewhere"
-
-
-def _largest(faults: Iterable[Found]) -> list[Found]:
-    """The first of each kind, element and detail, which is the largest."""
-    first: dict[tuple[str, str, str], Found] = {}
-    for found in faults:
-        first.setdefault(found.fault.alike, found)
-    return list(first.values())
-
-
-def _grouped(faults: Iterable[Found]) -> Iterator[str]:
-    """Faults of an element together, whatever their size: "inertia entry of rod (xx, xy)"."""
-    details: dict[tuple[str, str], dict[str, None]] = {}
-    for found in faults:
-        details.setdefault((found.fault.kind, found.fault.element), {})[found.fault.detail] = None
-    for (kind, element), named in details.items():
-        listed = ", ".join(filter(None, named))
-        yield f"{kind} of {element}" + (f" ({listed})" if listed else "")
 
 
 def holds(faults: Sequence[Found]) -> bool:

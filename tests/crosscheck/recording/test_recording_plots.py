@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
-from recordings import AXIS, LID_BOX, TILT
+from recordings import TILT
 
-from crosscheck.recording.plots import hinge_angle, panel, plots, rotated, rotation_vector, slide_position
+from crosscheck.recording.plots import hinge_angle, plots, rotated, slide_position
 from newton_euler.model.euler_parameters import from_rotation_vector, product, rotation
-from newton_euler.model.geometry import Box
 from newton_euler.model.joint_kinds import Prismatic, Spherical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -82,25 +78,3 @@ def test_rotated_agrees_with_the_rotation_matrix(runs: dict[str, Trajectory]) ->
     quaternions = runs["zeta"].quaternion[:, 2]
     expected = [rotation(p) @ vector for p in quaternions]
     np.testing.assert_allclose(rotated(quaternions, vector), expected, atol=1e-15)
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-5, 1.0, np.pi, 4.0, 6.28])
-def test_rotation_vector_at_any_angle(angle: float) -> None:
-    vector = angle * AXIS
-    np.testing.assert_allclose(
-        rotation_vector(from_rotation_vector(vector)[None])[0], vector, rtol=1e-12, atol=0.0
-    )
-
-
-def test_panel_is_the_largest_thin_box_of_a_moving_body(scene: Scene) -> None:
-    found = panel(scene.mechanism)
-    assert found is not None
-    assert found[0] == 2
-    assert found[1] is LID_BOX
-    ground, slider, lid = scene.mechanism.bodies
-    both = replace(lid, shapes=(Box([0.1, 0.1, 0.01], [0.5, 0.1, 0.3]), LID_BOX))
-    found = panel(Mechanism((ground, slider, both), scene.mechanism.joints))
-    assert found is not None
-    assert found[1] is LID_BOX
-    cube = replace(lid, shapes=(Box([0.1, 0.1, 0.05], [0.5, 0.1, 0.3]),))
-    assert panel(Mechanism((ground, slider, cube), scene.mechanism.joints)) is None

@@ -59,7 +59,6 @@ MOVING = of_engines(
     "/plots/control/rail/*",
     "/plots/energy/kinetic/*",
     "/plots/energy/potential/*",
-    *(f"/plots/rotation_vector/{axis}/*" for axis in "xyz"),
     *(f"/plots/euler_parameters/e{k}/*" for k in range(4)),
     "/plots/drift_log10/*",
 ) | {
@@ -70,8 +69,7 @@ MOVING = of_engines(
 
 
 def test_holds_these_entities_and_no_others(recording: Recording) -> None:
-    still = {"/", "/ground", "/verdict", "/__properties"} | of_engines("/mechanism/*/lid/normal")
-    assert recording.entities == MOVING | still
+    assert recording.entities == MOVING | {"/", "/ground", "/verdict", "/__properties"}
 
 
 def test_every_moving_entity_has_every_output_time(recording: Recording) -> None:
@@ -157,25 +155,16 @@ def test_engines_are_drawn_apart(scene: Scene, recording: Recording) -> None:
     np.testing.assert_allclose(half_sizes, LID_BOX.half_sizes + shell, rtol=1e-6)
     (radius,) = recording.static[other, "Capsules3D:radii"]
     assert radius == pytest.approx(LID_BAR.radius + shell)
-    short, long = (np.linalg.norm(recording.static[f"{p}/normal", "Arrows3D:vectors"]) for p in (path, other))
-    assert long > 1.2 * short
 
 
 def test_an_engine_has_one_color_and_its_name_in_every_plot(recording: Recording) -> None:
     for engine in ("zeta", "alpha"):
         color = recording.static[f"/mechanism/{engine}/lid", "Boxes3D:colors"]
         lines = [p for p in MOVING if p.startswith("/plots/") and p.endswith(f"/{engine}")]
-        assert len(lines) >= 12
+        assert len(lines) >= 9
         for path in lines:
             assert recording.static[path, "SeriesLines:colors"] == color
             assert recording.static[path, "SeriesLines:names"] == [engine]
-
-
-def test_normal_is_the_thin_axis_of_the_panel(recording: Recording) -> None:
-    # the box is turned like the body, so that its thin axis is the body's z
-    path = "/mechanism/zeta/lid/normal"
-    vector = np.array(recording.static[path, "Arrows3D:vectors"][0])
-    np.testing.assert_allclose(vector / np.linalg.norm(vector), [0.0, 0.0, 1.0], atol=1e-6)
 
 
 def test_joint_points_and_reactions_follow_the_second_body(
@@ -245,7 +234,7 @@ def test_blueprint_is_in_the_file_and_shows_every_plot(
     write_recording(path, scene, runs, VERDICT)
     origins, timelines = layout(path).values()
     expected = {"/plots/" + "/".join(plot.path) for plot in plots(scene, runs)}
-    assert len(expected) == 16
+    assert len(expected) == 13
     assert origins == sorted(expected | {"/", "/verdict"})
     assert timelines == [TIME]
 
@@ -267,7 +256,7 @@ def test_outputs_that_were_not_asked_for_are_left_out(
     skipped = {path for path in MOVING if path.startswith(kinds)}
     assert len(skipped) == 12
     assert set(read_recording(tmp_path / "bare.rrd").times) == MOVING - skipped
-    assert len(plots(scene, {"zeta": bare})) == 8  # without the lines there is no empty plot either
+    assert len(plots(scene, {"zeta": bare})) == 5  # without the lines there is no empty plot either
 
 
 def test_one_engine_alone_has_no_differences(
