@@ -55,12 +55,14 @@ class Element:
         violated: by how much poses violate the changed constraints, in what they may where they are off by a
             length (m) and an angle (rad): with more than 1 they are no poses of the changed scene, nor within
             that of any. 0 where nothing is told.
+        displaced: the changed joint, where the element is one that nothing acts on but its reaction.
     """
 
     name: str
     changed: Callable[[Scene], Scene]
     parameters: tuple[str, ...] | None = None
     violated: Callable[[Moments, float, float], float] = lambda moments, length, angle: 0.0
+    displaced: JointEquations | None = None
 
 
 def elements(scene: Scene) -> Iterator[Element]:
@@ -103,7 +105,8 @@ def _constraints(scene: Scene) -> Iterator[Element]:
         if isinstance(joint, Fixed) or not constrains:
             continue  # where two bodies are one, or not tied, another point or axis changes nothing
         name = f"{'joint' if number in tree else 'loop'} {joint.name!r}"
-        yield _of_joint(mechanism, name, number, _displaced(joint, CHANGE * mechanism.longest))
+        element = _of_joint(mechanism, name, number, _displaced(joint, CHANGE * mechanism.longest))
+        yield replace(element, displaced=None) if joint.name in loaded else element
     for number, coupling in enumerate(mechanism.couplings):
         yield _of_coupling(scene, number, _with_other_factors(coupling))
     for number, motion in enumerate(scene.motions):
@@ -128,10 +131,11 @@ def _of_joint(mechanism: Mechanism, name: str, number: int, displaced: Joint) ->
         joints[number] = displaced
         return _begun(scene, Mechanism(scene.mechanism.bodies, joints, scene.mechanism.couplings))
 
+    own = mechanism.equations[number]
+    first, second = (mechanism.bodies[k].pose for k in (own.first, own.second))
+    equations = displaced.attach(own.first, first, own.second, second)
+
     def violated(moments: Moments, length: float, angle: float) -> float:
-        own = mechanism.equations[number]
-        first, second = (mechanism.bodies[k].pose for k in (own.first, own.second))
-        equations = displaced.attach(own.first, first, own.second, second)
         found = 0.0
         for _, frames in moments:
             ends = frames[own.first], frames[own.second]
@@ -139,7 +143,7 @@ def _of_joint(mechanism: Mechanism, name: str, number: int, displaced: Joint) ->
             found = max(found, float(np.max(np.abs(equations.phi(*ends)) / allowed, initial=0.0)))
         return found
 
-    return Element(name, changed, violated=violated)
+    return Element(name, changed, violated=violated, displaced=equations)
 
 
 def _allowed(ends: JointEquations, jacobian: Jacobian, length: float, angle: float) -> Array:

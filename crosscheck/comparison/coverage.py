@@ -7,8 +7,9 @@ and against what both may be off by themselves.
 
 Changes of parameters run in code that is compiled once, until they show. Those of constraints have equations
 of their own, and are run only where nothing else tells: poses that violate the changed constraints by more
-than they could within the tolerance are the poses of no run of the changed scene; and where the changed
-equations give the same accelerations all along the run, it is theirs too.
+than they could within the tolerance are the poses of no run of the changed scene, nor are those along which a
+changed joint of a tree does not carry the reactions; where it does, or where the changed equations give the
+same accelerations all along the run, it is theirs too.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import numpy as np
 
 from crosscheck.comparison.changes import Element, Moments, elements
 from crosscheck.comparison.figure import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Figure, reach
+from crosscheck.comparison.joint_loads import JointLoads
 from crosscheck.comparison.runs import orientations_apart, positions_apart
 from crosscheck.engines import NATIVE_STEPS, adaptive
 from newton_euler.equations.relative import Relative
@@ -37,6 +39,10 @@ from newton_euler.simulate import CompiledScene, simulate
 
 MOMENTS = 16
 """Times of the run at which changed constraints are held against it."""
+
+UNFELT, PLAIN = 0.1, 10.0
+"""Bounds of the share of a changed joint below and above which it is not run. Joints of a long chain that do
+not turn yet, and carry loads, would take a compilation each."""
 
 SHARES = (1 / 64, 1 / 16, 1 / 4, 1)
 """Of the run: changes that show in one are not run any farther, and most show in the first."""
@@ -191,6 +197,13 @@ class _Runs:
         violated = element.violated(self._moments, self._length, self._angle)
         if violated > 1.0:
             return violated
+        if element.displaced is not None and self._loads is not None:
+            least, most = self._loads.parting(element.displaced)
+            units = self._length, self._angle * self._scene.mechanism.longest
+            if least > PLAIN * max(units):
+                return least / max(units)
+            if max(violated, most / min(units)) < UNFELT:
+                return max(violated, most / min(units))
         try:
             changed = element.changed(self._scene)
         except AssemblyError:
@@ -198,6 +211,14 @@ class _Runs:
         if self._has_same_motion(changed):
             return 0.0
         return self._apart(_run(lambda: simulate(changed, **self._settings)))
+
+    @cached_property
+    def _loads(self) -> JointLoads | None:
+        """Reactions at the moments; None where there are none, or no function of the states."""
+        if not self._scene.sampled:
+            with suppress(NewtonEulerError):
+                return JointLoads(self._scene, self._states)
+        return None
 
     def _apart(self, run: Trajectory | None) -> float:
         """Measure a run's distance from the scene's own, in what engines may differ by; infinite for none."""

@@ -1,0 +1,39 @@
+"""Bounds of how far a displaced joint makes a motion part, against runs of the changed scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import newton_euler
+from crosscheck.comparison.changes import elements
+from crosscheck.comparison.joint_loads import JointLoads
+from crosscheck.scenes import load
+from newton_euler.model.state import State
+
+
+def test_a_displaced_joint_parts_motions_by_what_it_does_not_carry():
+    scene = replace(load("chain", N=4), duration=0.1)
+    run = newton_euler.simulate(scene)
+    arrays = run.position, run.quaternion, run.linear_velocity, run.angular_velocity
+    states = [(float(t), State(*state)) for t, *state in zip(run.time, *arrays, strict=True)][::5]
+    loads = JointLoads(scene, states)
+    joints = [element for element in elements(scene) if element.displaced is not None]
+    assert len(joints) == 4
+    for element in joints:
+        other = newton_euler.simulate(element.changed(scene))
+        parted = np.max(np.linalg.norm(other.position - run.position, axis=-1))
+        least, most = loads.parting(element.displaced)
+        assert 1e-5 < least < parted < most, element.name
+
+
+def test_a_joint_of_a_loop_parts_by_nothing_for_certain():
+    scene = load("four_bar")
+    run = newton_euler.simulate(replace(scene, duration=0.1))
+    assert run.linear_velocity is not None
+    state = State(run.position[-1], run.quaternion[-1], run.linear_velocity[-1], run.angular_velocity[-1])
+    loads = JointLoads(scene, [(0.0, state), (0.1, state)])
+    joints = [element.displaced for element in elements(scene) if element.displaced is not None]
+    assert joints
+    assert all(loads.parting(joint)[0] == 0.0 for joint in joints)
