@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from crosscheck.comparison.levels import Figure
+from crosscheck.comparison.figure import Figure
 from crosscheck.engines import choose
 from crosscheck.errors import reason_of
 from crosscheck.files import check_writable

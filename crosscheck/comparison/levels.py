@@ -17,11 +17,10 @@ from itertools import combinations, product
 
 from crosscheck.comparison.accelerations import acceleration_rows, softness_row
 from crosscheck.comparison.dynamics import dynamics_rows
-from crosscheck.comparison.figure import LEVELS, Figure, in_full, not_compared
+from crosscheck.comparison.figure import FILE, LEVELS, Figure, in_full
 from crosscheck.comparison.kinematics import kinematics_rows
 from crosscheck.comparison.model import model_rows
 from crosscheck.comparison.momentum import momentum_row
-from crosscheck.comparison.reading import reading_rows
 from crosscheck.comparison.runs import Runs, compare_runs
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.engines import Engine
@@ -30,8 +29,7 @@ from newton_euler.errors import AssemblyError
 from newton_euler.exercise import random_states
 from newton_euler.model.scene import Scene
 from newton_euler.verification.import_report import ImportReport
-
-__all__ = ["LEVELS", "Figure", "compare", "compare_equations", "in_order", "not_compared", "stages"]
+from newton_euler.verification.verify import verify
 
 Level = Callable[[tuple[str, str], Samples, Samples], Iterator[Figure]]
 
@@ -151,3 +149,19 @@ def stages(
 def in_order(rows: Iterable[Figure]) -> list[Figure]:
     """Rows by their levels."""
     return sorted(rows, key=lambda row: LEVELS.index(row.level))
+
+
+def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iterator[Figure]:
+    """Figures of `newton_euler.verification.verify` for each engine; none for a scene that is from no file.
+
+    Of the scene as the file says and with controls at random the one that is worst for its tolerance.
+    """
+    for engine in engines if report else ():
+        found: dict[str, Figure] = {}
+        for original, scene in report.originals if report else ():
+            for quantity, value, tolerance, where in verify(original, engine.systems(scene)[0]):
+                row = Figure(LEVELS[0], quantity, (engine.name, FILE), value, tolerance, where)
+                known = found.setdefault(quantity, row)
+                if not value / tolerance <= known.value / known.tolerance:
+                    found[quantity] = row
+        yield from found.values()

@@ -9,9 +9,8 @@ import numpy as np
 from crosscheck.advice import distance
 from crosscheck.against.compare import Against, Model
 from crosscheck.comparison.coverage import Coverage
-from crosscheck.comparison.figure import FILE, NOT_NEARER
+from crosscheck.comparison.figure import FILE, NOT_NEARER, Figure, not_compared
 from crosscheck.comparison.known_figures import Measured
-from crosscheck.comparison.levels import Figure, not_compared
 from crosscheck.comparison.reactions import undetermined_joints
 from crosscheck.comparison.runs import displacements
 from crosscheck.comparison.samples import admissible_basis, body_units

@@ -13,7 +13,7 @@ import pytest
 from command_line import check_refused, command, run, scene_file
 from urdf_files import CHAIN
 
-from crosscheck.comparison.levels import LEVELS, Figure
+from crosscheck.comparison.figure import LEVELS, Figure
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from newton_euler.model.trajectory import load_arrays

@@ -17,7 +17,7 @@ import mjcf
 import mjcf.read
 import newton_euler
 from crosscheck.advice import WANTED, Advice, distance, fitting, redundancy_advice, soft_advice
-from crosscheck.comparison.levels import Figure
+from crosscheck.comparison.figure import Figure
 from crosscheck.comparison.reactions import undetermined_joints
 from crosscheck.comparison.runs import rests
 from crosscheck.engines import ENGINES, choose

@@ -13,7 +13,8 @@ from verdicts import ALL, figure, verdicts
 
 import mjcf
 import mjcf.read
-from crosscheck.comparison.levels import LEVELS, Figure, compare, compare_equations, not_compared, sampled
+from crosscheck.comparison.figure import LEVELS, Figure, not_compared
+from crosscheck.comparison.levels import compare, compare_equations, sampled
 from crosscheck.comparison.momentum import momentum_row
 from crosscheck.comparison.runs import compare_runs
 from crosscheck.comparison.samples import Samples, States
