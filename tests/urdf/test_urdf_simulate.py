@@ -48,19 +48,20 @@ def test_tracker_moves_as_in_newton_euler_to_1e_9(tracker_run, run, stabilizatio
 @pytest.mark.parametrize(
     ("stabilization", "drift"), [("projection", 1e-14), ("baumgarte", 1e-10), ("none", 1e-9)]
 )
-def test_loops_stay_closed(run, stabilization, drift):
+def test_loops_stay_closed(tracker, stabilization, drift):
     """m and rad. Projection: round-off. Without: the steps' error, rtol 1e-10, which adds up only
     where nothing pulls it back."""
-    assert np.max(run(stabilization=stabilization).constraint_violation) < drift
+    run = urdf.simulate(replace(tracker, duration=1.0), stabilization=stabilization)
+    assert np.max(run.constraint_violation) < drift
 
 
-def test_fixed_steps_converge_with_order_four(run):
+def test_fixed_steps_converge_with_order_four(tracker):
     """Runge-Kutta's order 4 within 10 %, between steps that are well inside its stability limit and
     whose errors of 1e-6 m and less are far above those of the run they are measured against."""
-    exact = run()
-    errors = [
-        np.max(np.abs(run(integrator="RK4", step=step).position - exact.position)) for step in (5e-3, 2.5e-3)
-    ]
+    scene = replace(tracker, duration=1.0)
+    exact = urdf.simulate(scene)
+    runs = [urdf.simulate(scene, integrator="RK4", step=step) for step in (5e-3, 2.5e-3)]
+    errors = [np.max(np.abs(run.position - exact.position)) for run in runs]
     assert errors[0] < 1e-6
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, rel=0.1)
 

@@ -65,7 +65,7 @@ def test_noise_of_files_moves_bodies_by_its_own_size(name):
         assert np.abs(found - design).max() < SENSITIVITY * noise + 1e-10, form
 
 
-@pytest.mark.parametrize("tilt", [1e-12, 1e-7, 1e-5])
+@pytest.mark.parametrize("tilt", [1e-12, 1e-5])
 def test_a_parallelogram_passes_its_flat_configuration(tilt):
     """Where a second singular value vanishes beside the one that noise has left."""
     wanted = run(flat_four_bar(0.0, 0.5))

@@ -115,7 +115,7 @@ def test_rates_powers_and_projections_are_the_float_forms(name, formulation):
 @pytest.mark.parametrize("formulation", ["relative", "cartesian"])
 def test_runs_are_the_float_forms(tracker, formulation):
     """The same steps, so the same trajectory to the growth of round-off; scipy takes them in floats."""
-    scene = replace(tracker, duration=0.5)
+    scene = replace(tracker, duration=0.2)
     compiled = newton_euler.simulate(scene, formulation, rtol=1e-10, atol=1e-12)
     floats = run(formulate(scene, formulation), "newton_euler", Options(rtol=1e-10, atol=1e-12), {})
     for name, tolerance in (
