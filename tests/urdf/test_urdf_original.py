@@ -33,7 +33,12 @@ def test_faults_in_the_reading_of_a_urdf_are_found_and_named(tmp_path: Path) -> 
     assert not [
         (outcome.fault.name, outcome.where) for outcome in found if outcome.figure and not outcome.named
     ]
-    assert {outcome.fault.kind for outcome in found} >= {"mass", "axis", "gear", "damping of JointSpring"}
+    assert {outcome.fault.kind for outcome in found} >= {
+        "mass",
+        "axis direction",
+        "gear",
+        "damping of JointSpring",
+    }
 
 
 def test_a_urdf_that_is_not_read_right_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -72,8 +72,8 @@ class Fault:
 def catalog(scene: Scene, sizes: Sequence[float] = SIZES) -> list[Fault]:
     """All faults of a scene: those with a size at each of the sizes, then those without; `MOST` of a kind."""
     most = most_of(len(scene.mechanism.bodies))
-    of_sizes = [[*_of_bodies(scene, size), *_sized(scene, size)] for size in sizes]
-    mistakes = [*_body_mistakes(scene), *_joint_mistakes(scene)]
+    of_sizes = [[*of_numbers(scene, size), *_of_forces(scene, size)] for size in sizes]
+    mistakes = list(mistaken(scene))
     return [fault for faults in (*of_sizes, mistakes) for fault in _spread(faults, most)]
 
 
@@ -91,6 +91,20 @@ def _spread(faults: list[Fault], most: int) -> list[Fault]:
     return kept
 
 
+def of_numbers(scene: Scene, size: float) -> Iterator[Fault]:
+    """Yield faults of a size in the numbers of bodies, joints and gravity."""
+    yield from _of_bodies(scene, size)
+    yield from _of_joints(scene, size)
+    for detail, vector in _other_gravities(scene.gravity, size).items():
+        yield Fault("gravity", "gravity", detail, size, plant.gravity(vector), frozenset({"gravity"}))
+
+
+def mistaken(scene: Scene) -> Iterator[Fault]:
+    """Yield faults without a size: bodies and joints that are taken for others or left out."""
+    yield from _body_mistakes(scene)
+    yield from _joint_mistakes(scene)
+
+
 def _of_bodies(scene: Scene, size: float) -> Iterator[Fault]:
     length = scene.mechanism.size
     for body in scene.mechanism.body_names[1:]:
@@ -106,8 +120,7 @@ def _of_bodies(scene: Scene, size: float) -> Iterator[Fault]:
         yield Fault("frame of inertia", body, "", size, plant.inertia_frame(body, SKEW, size), right)
 
 
-def _sized(scene: Scene, size: float) -> Iterator[Fault]:
-    """Of joints, gravity and forces."""
+def _of_joints(scene: Scene, size: float) -> Iterator[Fault]:
     length, cuts = scene.mechanism.size, SpanningTree(scene.mechanism).cuts
     for index, joint in enumerate(scene.mechanism.joints):
         right, near = frozenset({joint.name}), bodies_at(joint)
@@ -120,8 +133,9 @@ def _sized(scene: Scene, size: float) -> Iterator[Fault]:
                 yield Fault("closure point", joint.name, label, size, opened, right, near, shift)
         for label, tilted in plant.tilted(joint, size).items():
             yield Fault("axis direction", joint.name, label, size, tilted, right, near)
-    for detail, vector in _other_gravities(scene.gravity, size).items():
-        yield Fault("gravity", "gravity", detail, size, plant.gravity(vector), frozenset({"gravity"}))
+
+
+def _of_forces(scene: Scene, size: float) -> Iterator[Fault]:
     for index, law in enumerate(scene.control):
         if isinstance(law, PD):
             yield from _of_law(scene, index, law, size)

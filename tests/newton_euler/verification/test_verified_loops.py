@@ -58,7 +58,9 @@ def test_offsets_that_loops_keep_hide_no_fault(tmp_path: Path) -> None:
         report = reading(tmp_path, offset(each)).report
         (line,) = (line for line in report.start if line.startswith("verified"))
         faults = [
-            f for f in misreadings(report.originals[-1][1]) if "1e-6" in f.detail or "1e-06" in f.detail
+            f
+            for f in misreadings(report.originals[-1][1])
+            if f.size == 1e-6 or "1e-6" in f.detail or "1e-06" in f.detail
         ]
         found = find_in_reading(report, lambda _: None, faults)
         seen.append([(outcome.fault.name, outcome.figure) for outcome in found if outcome.figure])
