@@ -347,8 +347,8 @@ MISTAKES = {
     ),
     "a run that is not finished and counts as agreement": (
         "crosscheck/cli/run.py",
-        "status = UNFINISHED  #",
-        "status = AGREE  #",
+        "return UNFINISHED  #",
+        "return AGREE  #",
         "newton_euler/integrators/test_stopped.py::test_crosscheck_run_compares_what_each_engine_computed",
     ),
     "a tolerance of trajectories without the mechanism's reach": (
