@@ -105,7 +105,7 @@ class Stepper:
         outputs = 1 + sum(count for count, _ in intervals)
         self.position = np.empty((outputs, system.model.nbody, 3))
         self.quaternion = np.empty((outputs, system.model.nbody, 4))
-        self._march = _march_whole if integrator == "RK4" else _march_split
+        self._advance = _whole_steps if integrator == "RK4" else _split_steps
 
     def reset(self) -> None:
         """Put everything back to the start."""
@@ -121,7 +121,7 @@ class Stepper:
         with heard_warnings(), self._system.following():
             for count, interval in self._intervals:
                 _use(model, interval / self._number, self._ratio)
-                self._march(model, data, rows, count, self._number)
+                self._advance(model, data, rows, count, self._number)
             mujoco.mj_kinematics(model, data)
         self.position[-1], self.quaternion[-1] = data.xpos, data.xquat
 
@@ -134,7 +134,7 @@ class Stepper:
         return _of_scene(self._system, self.position, self.quaternion)
 
 
-def _march_split(model: Any, data: Any, rows: Iterator[Any], count: int, number: int) -> None:
+def _split_steps(model: Any, data: Any, rows: Iterator[Any], count: int, number: int) -> None:
     """Poses at the beginnings of `count` intervals, and `number` steps after each.
 
     Halfway through its first step MuJoCo has worked out where the bodies are before it.
@@ -150,7 +150,7 @@ def _march_split(model: Any, data: Any, rows: Iterator[Any], count: int, number:
             step(model, data, rest)
 
 
-def _march_whole(model: Any, data: Any, rows: Iterator[Any], count: int, number: int) -> None:
+def _whole_steps(model: Any, data: Any, rows: Iterator[Any], count: int, number: int) -> None:
     """The same for RK4, which has no halves of steps."""
     step, kinematics = mujoco.mj_step, mujoco.mj_kinematics
     xpos, xquat = data.xpos, data.xquat

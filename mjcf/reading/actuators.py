@@ -133,7 +133,7 @@ class Actuators:
         elif kind == TRANSMISSION.mjTRN_SITE:
             self._add_wrench(actuator, element, law, model.actuator_gear[actuator])
         else:
-            self._leave(actuator, element, f"no control law acts {self._through(actuator, kind)}")
+            self._report.left_out(element, f"no control law acts {self._through(actuator, kind)}")
 
     def _moments(self, actuator: int, kind: mujoco.mjtTrn) -> dict[int, float] | None:
         """Return its moment on each joint; None if it acts on others than hinges and slides."""
@@ -198,8 +198,7 @@ class Actuators:
         )
         activation = self._activation(actuator)
         if not known or activation is None:
-            self._leave(
-                actuator,
+            self._report.left_out(
                 element,
                 "has dynamics that do not rest, a delay, a plugin, or no affine gain or bias",
             )
@@ -214,9 +213,6 @@ class Actuators:
     def _tell(self, actuator: int, how: str, became: str) -> None:
         silent = self._control(actuator) == 0.0 and actuator not in self._swings
         self._report.exactly(self._element(actuator), how, became, inert=silent)
-
-    def _leave(self, actuator: int, element: str, why: str) -> None:
-        self._report.left_out(element, why)
 
     def _report_limits(
         self, actuator: int, element: str, law: Affine, moments: dict[int, float] | None
@@ -290,7 +286,7 @@ class Actuators:
         slopes = self._ties.slopes({keys[joint]: moment for joint, moment in moments.items()})
         if slopes is None and (law.by_length or law.by_rate or inertia):
             what = f"a sum of {len(moments)} joint coordinates that no gears tie"
-            self._leave(actuator, element, f"its force depends on {what}")
+            self._report.left_out(element, f"its force depends on {what}")
             return
         constant = law.constant + law.by_length * float(self._data.actuator_length[actuator])
         self._add_rotor(actuator, element, moments)
@@ -379,7 +375,7 @@ class Actuators:
         rotor = reduced_inertia(self._start, self._joints, self._ties, moments or {}, inertia)
         if rotor is None:
             why = f"its armature {inertia:g}: no single joint coordinate tells its length"
-            self._leave(actuator, element, why)
+            self._report.left_out(element, why)
             return
         self.armatures[rotor[0]] = self.armatures.get(rotor[0], 0.0) + rotor[1]
         self._report.exactly(element, f"its armature {inertia:g} at joint {rotor[0][0]!r}", ROTOR)
@@ -391,10 +387,10 @@ class Actuators:
         body = self._bodies.names[int(model.site_bodyid[site])]
         turning = reference < 0
         if law.by_length or law.by_rate or body == GROUND:
-            self._leave(actuator, element, "its force on a site depends on where that is")
+            self._report.left_out(element, "its force on a site depends on where that is")
             return
         if not turning and self._bodies.names[int(model.site_bodyid[reference])] != GROUND:
-            self._leave(actuator, element, "its force on a site turns with another moving body")
+            self._report.left_out(element, "its force on a site turns with another moving body")
             return
         axes = data.site_xmat[site if turning else reference].reshape(3, 3)
         force, torque = law.constant * (gear.reshape(2, 3) @ axes.T)

@@ -130,16 +130,13 @@ class Forces:
         ends = straight(self._start, tendon)
         weights = fixed(self._start, tendon)
         if low != high and stiffness:
-            self._leave_tendon(tendon, element, f"{what}: it is slack between {low:g} and {high:g} m")
+            self._report.left_out(element, f"{what}: it is slack between {low:g} and {high:g} m")
         elif weights is not None:
             self._add_sum(tendon, element, what, weights, JointSpring("", stiffness, damping, low))
         elif ends is None:
-            self._leave_tendon(tendon, element, f"{what}: springs are straight, not tendons around corners")
+            self._report.left_out(element, f"{what}: springs are straight, not tendons around corners")
         else:
             self._add_straight(tendon, element, what, ends, (stiffness, damping, max(low, 0.0)))
-
-    def _leave_tendon(self, tendon: int, element: str, why: str) -> None:
-        self._report.left_out(element, why)
 
     def _add_sum(
         self, tendon: int, element: str, what: str, weights: dict[int, float], along: JointSpring
@@ -148,7 +145,7 @@ class Forces:
         slopes = self._ties.slopes({self._joints.keys[joint]: w for joint, w in weights.items()})
         if slopes is None:
             why = f"{what}: it acts on a sum of {len(weights)} joint coordinates that no gears tie"
-            self._leave_tendon(tendon, element, why)
+            self._report.left_out(element, why)
             return
         (joint, coordinate), slope = next(iter(slopes.items()))
         if slope == 0.0:
