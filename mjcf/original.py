@@ -14,8 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjcf.accounts import name_of, straighten, switch_off, unaccounted, without_force
-from mjcf.equalities import Equalities
+from mjcf.accounts import Equalities, name_of, straighten, switch_off, unaccounted, without_force
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross
