@@ -56,6 +56,7 @@ class Element:
             length (m) and an angle (rad): with more than 1 they are no poses of the changed scene, nor within
             that of any. 0 where nothing is told.
         displaced: the changed joint, where the element is one that nothing acts on but its reaction.
+        body: the number of the body whose "mass" or "inertia" it changes.
     """
 
     name: str
@@ -63,13 +64,15 @@ class Element:
     parameters: tuple[str, ...] | None = None
     violated: Callable[[Moments, float, float], float] = lambda moments, length, angle: 0.0
     displaced: JointEquations | None = None
+    body: tuple[int, str] | None = None
 
 
 def elements(scene: Scene) -> Iterator[Element]:
     """All elements of a scene that a motion may depend on."""
     for k, body in enumerate(scene.mechanism.bodies[1:], start=1):
         for what in ("mass", "inertia"):
-            yield _of_values(scene, f"{what} of body {body.name!r}", "bodies", k, what)
+            element = _of_values(scene, f"{what} of body {body.name!r}", "bodies", k, what)
+            yield replace(element, body=(k, what))
     for field in ("control", "forces", "armatures"):
         for k, acting in enumerate(getattr(scene, field)):
             if isinstance(acting, Sampled):

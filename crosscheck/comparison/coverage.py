@@ -5,11 +5,12 @@ a spring that stays at rest, a hinge that does not turn. Each element is therefo
 scene run with it: how far that run parts from the scene's own is held against the tolerance of trajectories,
 and against what both may be off by themselves.
 
-Changes of parameters run in code that is compiled once, until they show. Those of constraints have equations
-of their own, and are run only where nothing else tells: poses that violate the changed constraints by more
-than they could within the tolerance are the poses of no run of the changed scene, nor are those along which a
-changed joint of a tree does not carry the reactions; where it does, or where the changed equations give the
-same accelerations all along the run, it is theirs too.
+Changes of parameters run in code that is compiled once, until they show; those of bodies of a tree are not
+run where the accelerations that they cause show. Changes of constraints have equations of their own, and
+are run only where nothing else tells: poses that violate the changed constraints by more than they could
+within the tolerance are the poses of no run of the changed scene, nor are those along which a changed joint
+of a tree does not carry the reactions; where it does, or where the changed equations give the same
+accelerations all along the run, it is theirs too.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.comparison.changes import Element, Moments, elements
+from crosscheck.comparison.changes import CHANGE, Element, Moments, elements
 from crosscheck.comparison.figure import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Figure, reach
 from crosscheck.comparison.joint_loads import JointLoads
 from crosscheck.comparison.runs import orientations_apart, positions_apart
@@ -41,8 +42,8 @@ MOMENTS = 16
 """Times of the run at which changed constraints are held against it."""
 
 UNFELT, PLAIN = 0.1, 10.0
-"""Bounds of the share of a changed joint below and above which it is not run. Joints of a long chain that do
-not turn yet, and carry loads, would take a compilation each."""
+"""Bounds of the share of a changed joint or body below and above which it is not run. Joints of a long chain
+that do not turn yet, and carry loads, would take a compilation each."""
 
 SHARES = (1 / 64, 1 / 16, 1 / 4, 1)
 """Of the run: changes that show in one are not run any farther, and most show in the first."""
@@ -137,8 +138,7 @@ class _Runs:
     ) -> None:
         self._settings, refined = (adaptive(scene, NATIVE_STEPS, refined=each) for each in (False, True))
         scene = replace(scene, outputs=frozenset({"velocities"}))
-        names = dict.fromkeys(name for element in found for name in element.parameters or ())
-        self._code = CompiledScene(scene, parameters=tuple(names))
+        self._elements, self._code = found, CompiledScene(scene)
         self.run = self._as_far_as_it_goes(scene if end is None else _until(scene, scene.times[end - 1]))
         self._scene = _until(scene, self.run.time[-1])
         finer = self._as_far_as_it_goes(self._scene, refined)
@@ -152,7 +152,13 @@ class _Runs:
 
     def _of(self, scene: Scene) -> Trajectory | None:
         """The run to its end of a scene with other parameters; None where there is none."""
-        return _run(lambda: self._code.with_scene(scene).simulate(**self._settings))
+        return _run(lambda: self._parametrized.with_scene(scene).simulate(**self._settings))
+
+    @cached_property
+    def _parametrized(self) -> CompiledScene:
+        """The code of all changes of parameters."""
+        names = dict.fromkeys(name for element in self._elements for name in element.parameters or ())
+        return CompiledScene(self._code.scene, parameters=tuple(names))
 
     def _as_far_as_it_goes(self, scene: Scene, settings: dict[str, Any] | None = None) -> Trajectory:
         """The run of the scene itself."""
@@ -189,6 +195,10 @@ class _Runs:
         """See `Covered.share`."""
         if element.parameters is not None:
             found = 0.0
+            if element.body is not None and self._loads is not None:
+                found = self._loads.share_of_body(*element.body, CHANGE, self._length, self._angle)
+                if found > PLAIN:
+                    return found
             for part in self._parts:
                 found = self._apart(self._of(element.changed(part)))
                 if found > 1.0:

@@ -1,4 +1,4 @@
-"""Loads of joints: how far a scene's motion parts where a displaced joint does not carry its reaction."""
+"""Loads of joints: how far motions part where a displaced joint does not carry them, or a body is heavier."""
 
 from __future__ import annotations
 
@@ -34,8 +34,13 @@ class JointLoads:
         self._system, self._states = Relative(scene), states
         self._size = scene.mechanism.longest
         self._frames = [state.frames() for _, state in states]
-        found = (at_time(self._system, t).evaluate(*self._system.coordinates(x)) for t, x in states)
-        self._reactions = [(each.reaction_force, each.reaction_torque) for each in found]
+        self._coordinates = [self._system.coordinates(state) for _, state in states]
+        self._found = [
+            at_time(self._system, time).evaluate(*each)
+            for (time, _), each in zip(states, self._coordinates, strict=True)
+        ]
+        self._open = not (self._system.tree.cuts or self._system.couplings)
+        self._moving: dict[int, tuple[Array, Array]] = {}
 
     @cached_property
     def lightest(self) -> float:
@@ -55,7 +60,7 @@ class JointLoads:
         norms, times = np.linalg.norm(left, axis=1), np.array([time for time, _ in self._states])
         most = 0.5 * float(times[-1] ** 2 * np.max(norms)) / self.lightest
         held = np.diff(times) ** 2 * np.minimum(norms[1:], norms[:-1])
-        if self._system.tree.cuts or self._system.couplings or not np.any(held):
+        if not (self._open and np.any(held)):
             return 0.0, most
         k = int(np.argmax(held))
         return 0.5 * float(held[k]) / self._inertia(k, displaced, left[k] / norms[k]), most
@@ -67,10 +72,11 @@ class JointLoads:
         point = mechanism.joints[number].reaction_point
         arm = mechanism.bodies[displaced.second].pose.point_to_body(point)
         found = []
-        for frames, (forces, torques) in zip(self._frames, self._reactions, strict=True):
+        for frames, evaluation in zip(self._frames, self._found, strict=True):
             first, second = frames[displaced.first], frames[displaced.second]
-            torque = torques[number] + np.cross(second.rotation @ arm, forces[number])
-            wrench = np.concatenate([forces[number], torque / self._size])
+            force = evaluation.reaction_force[number]
+            torque = evaluation.reaction_torque[number] + np.cross(second.rotation @ arm, force)
+            wrench = np.concatenate([force, torque / self._size])
             rows = displaced.jacobian(first, second)
             carried = np.concatenate([rows.r_second.T, rows.theta_second.T / self._size])
             found.append(wrench - carried @ np.linalg.lstsq(carried, wrench)[0])
@@ -82,7 +88,7 @@ class JointLoads:
         number = self._system.mechanism.joint_index(displaced.joint.name)
         kept = next(each for each in tree.joints if each.joint == number)
         others = np.delete(np.arange(tree.nv), np.arange(kept.v.start, kept.v.stop))
-        motions = self._motions[k]
+        motions, mass = self._inertias(k)
         moving = np.any(motions[:, :, kept.v] != 0.0, axis=(1, 2))
         center = frames[displaced.second].position
         yielding = np.zeros((len(frames), 6))
@@ -92,23 +98,51 @@ class JointLoads:
             yielding[body, 3:] = turn
         weighted = self._weighted(k, yielding[:, :, None])[:, :, 0]
         shared = np.einsum("bin,bi->n", motions, weighted)[others]
-        answer = np.linalg.solve(self._masses[k][np.ix_(others, others)], shared)
+        answer = np.linalg.solve(mass[np.ix_(others, others)], shared)
         return float(np.sum(yielding * weighted) - shared @ answer)
 
-    @cached_property
-    def _motions(self) -> list[Array]:
-        """(b, 6, nv) velocities of all bodies for each joint velocity, at each time."""
-        coordinates = (self._system.coordinates(state) for _, state in self._states)
-        nv = self._system.nv
-        return [self._system.velocity_transformation(q).reshape(-1, 6, nv) for q, _ in coordinates]
+    def share_of_body(self, number: int, what: str, change: float, length: float, angle: float) -> float:
+        """Bound how far a relative change of a body's "mass" or "inertia" makes poses part, in these units.
 
-    @cached_property
-    def _masses(self) -> list[Array]:
-        """(nv, nv) mass matrices of the tree at each time."""
-        return [
-            np.einsum("bim,bin->mn", motions, self._weighted(k, motions), optimize=True)
-            for k, motions in enumerate(self._motions)
-        ]
+        At least, from one of the times to the next, as `parting`: by M' dv = -J^T w, with the wrench w, and
+        the mass matrix M', of the change. 0 in mechanisms with loops, which have no such M'.
+        """
+        times, found = [time for time, _ in self._states], 0.0
+        for k in (len(times) - 2, 0) if self._open and len(times) > 1 else ():
+            pair = [self._acceleration(at, number, what, change) for at in (k, k + 1)]
+            linear, angular = (min(each[n] for each in pair) for n in (0, 1))
+            found = max(found, 0.5 * (times[k + 1] - times[k]) ** 2 * max(linear / length, angular / angle))
+        return found
+
+    def _acceleration(self, k: int, number: int, what: str, change: float) -> tuple[float, float]:
+        """Compute the largest accelerations, m/s^2 and rad/s^2, of all bodies by a changed body at a time."""
+        body, frame, found = self._system.mechanism.bodies[number], self._frames[k][number], self._found[k]
+        motions, mass = self._inertias(k)
+        linear, angular = motions[number, :3], motions[number, 3:]
+        if what == "mass":
+            added = change * body.mass * linear.T @ linear
+            free_fall = found.linear_acceleration[number] - self._system.scene.gravity
+            push = -change * body.mass * linear.T @ free_fall
+        else:
+            inertia = change * frame.rotation @ body.inertia @ frame.rotation.T
+            added = angular.T @ inertia @ angular
+            omega = found.state.angular_velocity[number]
+            rate = inertia @ found.angular_acceleration[number] + np.cross(omega, inertia @ omega)
+            push = -angular.T @ rate
+        moved = motions @ np.linalg.solve(mass + added, push)
+        return (
+            float(np.max(np.linalg.norm(moved[:, :3], axis=1))),
+            float(np.max(np.linalg.norm(moved[:, 3:], axis=1))),
+        )
+
+    def _inertias(self, k: int) -> tuple[Array, Array]:
+        """Compute body velocities (b, 6, nv) for each joint velocity, and the mass matrix (nv, nv)."""
+        if k not in self._moving:
+            transformation = self._system.velocity_transformation(self._coordinates[k][0])
+            motions = transformation.reshape(-1, 6, self._system.nv)
+            mass, _ = at_time(self._system, self._states[k][0]).mass_and_force(*self._coordinates[k])
+            self._moving[k] = motions, mass
+        return self._moving[k]
 
     def _weighted(self, k: int, motions: Array) -> Array:
         """Compute momenta (b, 6, n) of velocities (b, 6, n) at a time."""

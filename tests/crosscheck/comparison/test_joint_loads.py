@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 import newton_euler
-from crosscheck.comparison.changes import elements
+from crosscheck.comparison.changes import CHANGE, elements
 from crosscheck.comparison.joint_loads import JointLoads
 from crosscheck.scenes import load
 from newton_euler.model.state import State
@@ -37,3 +37,17 @@ def test_a_joint_of_a_loop_parts_by_nothing_for_certain():
     joints = [element.displaced for element in elements(scene) if element.displaced is not None]
     assert joints
     assert all(loads.parting(joint)[0] == 0.0 for joint in joints)
+
+
+def test_a_body_parts_motions_by_its_share():
+    scene = replace(load("chain", N=4), duration=0.1)
+    run = newton_euler.simulate(scene)
+    arrays = run.position, run.quaternion, run.linear_velocity, run.angular_velocity
+    states = [(float(t), State(*state)) for t, *state in zip(run.time, *arrays, strict=True)][::5]
+    loads = JointLoads(scene, states)
+    bodies = [element for element in elements(scene) if element.body is not None]
+    assert len(bodies) == 8
+    for element in bodies:
+        other = newton_euler.simulate(element.changed(scene))
+        parted = np.max(np.linalg.norm(other.position - run.position, axis=-1))
+        assert 1e-6 < loads.share_of_body(*element.body, CHANGE, 1.0, np.inf) < parted, element.name
