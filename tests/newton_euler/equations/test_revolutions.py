@@ -121,8 +121,8 @@ def test_a_slide_determines_the_revolutions_of_all_that_it_drives():
         scene = Scene("rack", mechanism, 1.0, 0.5, motions=(motion,))
         moved = replace(scene, motions=(), initial_state=initial_state(scene))
         for found in (scene, moved):
-            q, v = formulate(found).coordinates(initial_state(found))
-            seen = formulate(found).seen(q, v).measured
+            q, v = formulate(found, "relative").coordinates(initial_state(found))
+            seen = formulate(found, "relative").seen(q, v).measured
             at = {key: float(values[0]) for key, values in seen.items()}
             expected = {"guide": 1.3, "shaft": 26.0, "axle": 52.0, "thread": 1.3}
             assert {name: at[name, 0] for name in expected} == pytest.approx(expected, abs=1e-8)
