@@ -17,9 +17,6 @@ from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross, tilde
 from newton_euler.verification.import_report import (
-    CONTACTS,
-    FRICTION,
-    LIMITS,
     ImportReport,
     left_out,
     unique_name,
@@ -145,28 +142,14 @@ class UrdfOriginal(Original):
         self._rows, self._offsets = self._rows / scale[:, None], np.array(offsets) / scale
 
     def _unaccounted(self, report: ImportReport) -> Iterator[str]:
-        """Elements that a report says nothing of, or not what is outside of rigid dynamics."""
-        topics = {(entry.element, entry.topic) for entry in report.entries}
-        told = {element for element, _ in topics}
-        for k in range(1, self._model.njoints):
-            if f"joint {self._of[k]!r}" not in told and self._of[k] != "root_joint":
-                yield f"joint {self._of[k]!r}"
+        """Joints, mimics and closures that a report says nothing of."""
+        told = {entry.element for entry in report.entries}
+        elements = [f"joint {name!r}" for name in self._of[1:] if name != "root_joint"]
         for joint in self._root.findall("joint"):
-            name, dynamics = f"joint {joint.get('name')!r}", joint.find("dynamics")
-            limited = joint.find("limit") is not None and joint.get("type") in ("revolute", "prismatic")
-            if limited and (name, LIMITS) not in topics:
-                yield f"{name}: {LIMITS}"
-            rough = dynamics is not None and float(dynamics.get("friction", 0.0))
-            if rough and (name, FRICTION) not in topics:
-                yield f"{name}: {FRICTION}"
-            for _ in joint.findall("mimic"):
-                if joint.get("type") != "fixed" and f"mimic of {name}" not in told:
-                    yield f"mimic of {name}"
-        for pair in self._loops.closed_loop:
-            if f"closed_loop {' and '.join(pair)}" not in told:
-                yield f"closed_loop {' and '.join(pair)}"
-        if self._root.findall("link/collision") and CONTACTS not in {topic for _, topic in topics}:
-            yield CONTACTS
+            if joint.get("type") != "fixed" and joint.find("mimic") is not None:
+                elements.append(f"mimic of joint {joint.get('name')!r}")
+        elements += [f"closed_loop {' and '.join(pair)}" for pair in self._loops.closed_loop]
+        yield from (element for element in elements if element not in told)
 
     # What Pinocchio says
 

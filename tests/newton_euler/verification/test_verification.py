@@ -162,27 +162,6 @@ def test_dynamics_of_actuators_that_are_lost_are_found(
         reading(tmp_path, LIMITED, exercise=exercise)
 
 
-@pytest.mark.parametrize(
-    ("element", "lost"),
-    [
-        ("actuator 'm'", "limit of the force"),
-        ("actuator 'pull'", "limit of its tendon"),
-        ("joint 'a'", "limit of actuator forces"),
-    ],
-)
-def test_limits_of_forces_that_are_lost_are_found(
-    element: str, lost: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def left_out(self: Any, element: str, why: str, topic: str = "", **rest: Any) -> None:
-        if topic != lost:
-            kept(self, element, why, topic, **rest)
-
-    kept = ImportReport.left_out
-    monkeypatch.setattr(ImportReport, "left_out", left_out)
-    with pytest.raises(MjcfError, match=f"{element}: {lost}: .* elements unaccounted for"):
-        reading(tmp_path, LIMITED)
-
-
 POSE = "0 0 0 0.2 2 1 0.8 0.2 -0.4 0.4 1 0 0 0 0.1 0.2 -0.08 -0.2"
 
 SPEEDS = "0 0 0 1 0 0 0 2 0 0 0 3 1 2 -0.8 -2"
@@ -303,7 +282,7 @@ def test_every_element_has_to_be_accounted_for(tmp_path: Path) -> None:
         entry for entry in report.entries if "'r'" not in entry.element and "'c'" not in entry.element
     ]
     missing = set(unaccounted(original._model, original._roots, kept))  # type: ignore[attr-defined]
-    assert missing == {"joint 'r'", "joint 'r': limits", "joint 'r': dry friction", "equality 'c'"}
+    assert missing == {"joint 'r'", "equality 'c'"}
 
 
 def test_an_error_keeps_its_values(tmp_path: Path) -> None:
