@@ -9,10 +9,8 @@ Pinocchio's hold a second and a third model, in other units, that choose the reg
 
 from __future__ import annotations
 
-import json
 import os
 import resource
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -27,6 +25,7 @@ from crosscheck.report.table import Cell, Lines, Report, Rows, Table, figures, t
 from crosscheck.scenes import load
 from crosscheck.studies.benchmark.ladders import JUDGED, poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, machine
+from crosscheck.workers import LostError, in_processes
 from newton_euler.assemble import initial_state
 from newton_euler.codegen.cache import CACHE_VARIABLE
 from newton_euler.model.scene import Scene
@@ -41,7 +40,7 @@ TOTAL = 2.0
 """s for all batches of one right-hand side."""
 
 PROBE_LIMIT = 120.0
-"""s that loading in a fresh process may take."""
+"""s of processor time that loading in a fresh process may take."""
 
 MEMORY_SHARE = 0.4
 """Of the machine's memory that the address space of that process may be."""
@@ -192,37 +191,27 @@ def _batch(calls: Callable[[int], float]) -> int:
 
 def _probe(way: Way, source: str, options: Mapping[str, str], limit: float) -> Timing:
     """Load one right-hand side in a fresh process and call it once."""
-    arguments = json.dumps([*way, source, dict(options)])
-    failed = Timing(*way)
+    load_it = partial(probe, source=source, options=dict(options))
+    (found,) = in_processes(load_it, [way], 1, lambda *_: None, lambda _: limit)
+    return Timing(*way, reason=str(found)) if isinstance(found, LostError) else found
+
+
+def probe(way: Way, source: str, options: Mapping[str, str]) -> Timing:
+    """Measure loading in this process, without a cache, its memory limited; what goes wrong is the reason."""
+    most = int(MEMORY_SHARE * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    os.environ[CACHE_VARIABLE] = ""
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "crosscheck.studies.benchmark.rhs", arguments],
-            capture_output=True,
-            text=True,
-            timeout=limit,
-            env=os.environ | {CACHE_VARIABLE: ""},
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return replace(failed, reason=f"not loaded after {limit:g} s")
-    if done.returncode != 0:
-        said = done.stderr.strip().splitlines()
-        return replace(
-            failed, reason=said[-1] if said else f"its process ended with status {done.returncode}"
-        )
-    return Timing(*way, **json.loads(done.stdout.splitlines()[-1]))
-
-
-def probe(engine: str, way: str, source: str, options: Mapping[str, str]) -> dict[str, Any]:
-    """Measure what `Timing` says of loading, for this process."""
-    scene = poses_only(load(source, **options))
-    before = _peak_memory()
-    start = time.perf_counter()
-    side = WAYS[engine, way](scene)
-    side.repeat(1)
-    seconds = time.perf_counter() - start
+        scene = poses_only(load(source, **options))
+        before = _peak_memory()
+        start = time.perf_counter()
+        side = WAYS[way](scene)
+        side.repeat(1)
+        seconds = time.perf_counter() - start
+    except Exception as error:  # whatever an engine has against a scene belongs in the table
+        return Timing(*way, reason=" ".join(str(error).split()) or type(error).__name__)
     peak = _peak_memory()
-    return {"operations": side.operations, "load": seconds, "memory": peak, "own_memory": peak - before}
+    return Timing(*way, side.operations, (), seconds, peak, peak - before)
 
 
 def _peak_memory() -> int:
@@ -296,17 +285,3 @@ def rhs_data(source: str, options: Mapping[str, str], timings: Sequence[Timing])
         "machine": machine(),
         "right_hand_sides": [asdict(t) for t in timings],
     }
-
-
-def main() -> None:
-    """Print what `probe` says of the arguments, one JSON list; one line on standard error if it fails."""
-    most = int(MEMORY_SHARE * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    try:
-        print(json.dumps(probe(*json.loads(sys.argv[1]))))
-    except Exception as error:
-        sys.exit(" ".join(str(error).split()) or type(error).__name__)
-
-
-if __name__ == "__main__":
-    main()
