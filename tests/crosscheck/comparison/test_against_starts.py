@@ -125,8 +125,13 @@ def stacked(joints: list[str]) -> str:
     <keyframe><key name="k0" qpos="{poses[0]}"/><key name="k1" qpos="{poses[1]}"/></keyframe></mujoco>"""
 
 
-@pytest.mark.parametrize("backwards", [False, True])
-@pytest.mark.parametrize("kind", STACKS)
+@pytest.mark.parametrize(
+    ("kind", "backwards"),
+    [
+        *((kind, False) for kind in STACKS),
+        *((kind, True) for kind in STACKS if STACKS[kind].count("<joint") > 1),
+    ],
+)
 def test_another_keyframe_of_one_file_is_another_start(tmp_path: Path, kind: str, backwards: bool) -> None:
     """Only a motion's axis that the others do not turn in a body is that body's."""
     joints = re.findall("<joint[^>]*>", STACKS[kind])
