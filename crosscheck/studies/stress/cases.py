@@ -55,6 +55,14 @@ class Bound:
         return f"{'>=' if self.at_least else '<='} {self.survives:.0e}" if self.has_answer else "refusal"
 
 
+# Bounds of several topics
+
+ENERGY = Bound(
+    "energy error", "rel", 1e-6, 1e-2, "no plot would show less; more than a hundredth is another motion"
+)
+ANGLE = Bound("angle error", "rad", 1e-6, 1e-2, "no plot would show less; half a degree can be seen")
+
+
 def refusal(quantity: str, unit: str) -> Bound:
     """Return the bound of cases that have no answer: no figure is good enough."""
     reason = "what has no answer has to be refused, with the time or the element named"

@@ -10,9 +10,7 @@ from functools import partial
 import numpy as np
 
 from crosscheck.scenes import load
-from crosscheck.studies.stress.cases import Bound, Case, Measured, refusal
-from crosscheck.studies.stress.integration import ENERGY
-from crosscheck.studies.stress.rotation import ANGLE
+from crosscheck.studies.stress.cases import ANGLE, ENERGY, Bound, Case, Measured, refusal
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
     GRAVITY,

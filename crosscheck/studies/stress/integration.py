@@ -10,7 +10,7 @@ import numpy as np
 
 from crosscheck.scenes import load
 from crosscheck.studies.bisection import smallest
-from crosscheck.studies.stress.cases import Bound, Case, Measured
+from crosscheck.studies.stress.cases import ENERGY, Bound, Case, Measured
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
     TIGHT,
@@ -39,9 +39,6 @@ OUTPUTS = 200
 LAST_DIGIT = 4.0 * np.finfo(float).eps
 """Share by which a run's start is off to be rounded differently from then on."""
 
-ENERGY = Bound(
-    "energy error", "rel", 1e-6, 1e-2, "no plot would show less; more than a hundredth is another motion"
-)
 DRIFT = Bound("drift", "m or rad", 1e-6, 1e-4, "a thousandth of a millimeter on a machine of 0.1 m")
 
 LONG_RUNS: dict[str, tuple[float, dict[float, tuple[Setting, ...]]]] = {

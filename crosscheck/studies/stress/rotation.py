@@ -9,8 +9,7 @@ import numpy as np
 
 from crosscheck.references import known_figures
 from crosscheck.scenes import FIGURES, load
-from crosscheck.studies.stress.cases import Bound, Case, Measured
-from crosscheck.studies.stress.integration import ENERGY
+from crosscheck.studies.stress.cases import ANGLE, ENERGY, Bound, Case, Measured
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
     ONE_EACH,
@@ -35,7 +34,6 @@ SPEEDS = (1.0, 1e2, 1e3, 1e4)
 
 TURNS = (0.499, 0.5, 0.501, 1.0, 10.0, 1e3)
 
-ANGLE = Bound("angle error", "rad", 1e-6, 1e-2, "no plot would show less; half a degree can be seen")
 TORQUE = Bound("torque error", "rel", 1e-6, 1e-2, "no plot would show less; a turn miscounted is far more")
 KNOWN = Bound("largest error", "SI", 1e-6, 1e-2, "no plot would show less; a hundredth can be seen")
 
