@@ -18,10 +18,10 @@ from mjcf.reading.loops import fixed
 from mjcf.reading.start import Start
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.scalars import Array
-from newton_euler.verification.activity import PARTS, Bounds, Course, Judged, Rest, Watch
+from newton_euler.verification.activity import PARTS, UNSEEN, Bounds, Course, Judged, Rest, Watch
 from newton_euler.verification.import_report import CONTACTS, FRICTION, LIMITS, ImportReport
 
-UNSEEN = {
+UNMOVING = {
     "sensor": "sensors",
     "cam": "cameras",
     "light": "lights",
@@ -78,7 +78,7 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Impor
         names = ", ".join(repr(model.key(k).name or str(k)) for k in range(model.nkey))
         why = f"one is the start; --set key=NAME for another of {names}"
         report.left_out("other keyframes", why, inert=True)
-    for prefix, what in UNSEEN.items():
+    for prefix, what in UNMOVING.items():
         count = int(getattr(model, f"n{prefix}"))
         if count:
             report.left_out(f"{count} {what}", "they move nothing", inert=True)
@@ -190,6 +190,8 @@ class Touching:
                 first = f"first at {time:.4g} s: {names}, {depth:.3g} m nearer than their margin"
         if count:
             return Judged(True, f"active at {count} of {len(course.time)} moments, {first}")
+        if not course.is_fine:
+            return Judged(True, UNSEEN)
         between = f"and at {PARTS - 1} moments between each two"
         return Judged(False, f"inactive at all {len(course.run.time)} output times {between}")
 
@@ -214,4 +216,5 @@ class Stretched:
         for _, data in self._poses.along(course):
             mujoco.mj_tendon(model, data)
             lengths.append(float(data.ten_length[self._tendon]))
-        return Bounds((), low + margin, high - margin, "m").judged(course.time, np.array(lengths))
+        doubt = np.full(len(course.run.time) - 1, 0.0 if course.is_fine else np.inf)
+        return Bounds((), low + margin, high - margin, "m").judged(course.time, np.array(lengths), doubt)

@@ -2,7 +2,8 @@
 
 Limits, contacts and dry friction are no bilateral constraints, and scenes have none. Where a limit is not
 reached and nothing touches, the run is that of the file all the same. Between output times motion is that of
-cubics through values and rates: what is faster than outputs tell is not seen.
+cubics through values and rates, which are off by about as much as those across an output miss it, and less
+where outputs are close enough. What these leave open counts as active.
 """
 
 from __future__ import annotations
@@ -29,6 +30,32 @@ AT_REST = 1e-12
 PARTS = 16
 """Of the time between outputs, at whose ends elements are looked at."""
 
+FINE = 1e-2
+"""rad, and m per m of the longest body, by which poses between outputs may be off where they are judged."""
+
+UNSEEN = "not seen between output times: ask for more of them"
+"""Words on what may have been active there."""
+
+
+def missed(time: Array, x: Array, rate: Array) -> Array:
+    """Bound by how much cubics miss values (n, ...) between outputs, (n - 1, ...).
+
+    The larger, of the outputs at both ends, of what the cubic across that output misses there: of the value,
+    and of the rate times the step. Infinite if there are too few outputs to tell.
+    """
+    if len(time) < 3:
+        return np.full((len(time) - 1, *x.shape[1:]), np.inf)
+    miss = np.zeros(x.shape)
+    for first in (0, 1):
+        ends, within = slice(first, None, 2), slice(first + 1, len(time) - 1, 2)
+        if len(time[within]):
+            curve = _curve(time[ends], x[ends], rate[ends])
+            steps = np.diff(time)[within].reshape(-1, *(1,) * (x.ndim - 1))
+            slopes = curve(time[within], 1) - rate[within]
+            miss[within] = np.abs(curve(time[within]) - x[within]) + steps * np.abs(slopes)
+    miss[0], miss[-1] = miss[1], miss[-2]
+    return np.maximum(miss[:-1], miss[1:])
+
 
 class Course:
     """A scene's bodies and joint coordinates along a run with velocities.
@@ -43,7 +70,7 @@ class Course:
         shares = np.arange(PARTS) / PARTS
         between = run.time[:-1, None] + np.diff(run.time)[:, None] * shares
         self.time: Array = np.append(between.ravel(), run.time[-1])
-        self._found: dict[Key, tuple[Array, Array]] = {}
+        self._found: dict[Key, tuple[Array, Array, Array]] = {}
 
     @cached_property
     def _frames(self) -> list[list[Frame]]:
@@ -60,7 +87,8 @@ class Course:
         return _curve(self.run.time, self.run.position, self.run.linear_velocity)
 
     @cached_property
-    def _quaternions(self) -> Callable[[float], Array]:
+    def _spins(self) -> Array:
+        """(n, b, 4) rates of the quaternions, 1/s."""
         omega = self.run.angular_velocity
         assert omega is not None
         pure = np.concatenate([np.zeros((*omega.shape[:2], 1)), omega], axis=2)
@@ -68,7 +96,21 @@ class Course:
             [0.5 * product(w, q) for w, q in zip(*each, strict=True)]
             for each in zip(pure, self.run.quaternion, strict=True)
         ]
-        return _curve(self.run.time, self.run.quaternion, np.array(rates))
+        return np.array(rates)
+
+    @cached_property
+    def _quaternions(self) -> Callable[[float], Array]:
+        return _curve(self.run.time, self.run.quaternion, self._spins)
+
+    @cached_property
+    def is_fine(self) -> bool:
+        """True if outputs are close enough to tell poses between them to within `FINE`."""
+        run = self.run
+        assert run.linear_velocity is not None
+        moved = np.linalg.norm(missed(run.time, run.position, run.linear_velocity), axis=2)
+        turned = 2.0 * np.linalg.norm(missed(run.time, run.quaternion, self._spins), axis=2)
+        longest = self.scene.mechanism.longest
+        return bool(np.all(moved <= FINE * longest) and np.all(turned <= FINE))
 
     def poses(self, time: float) -> tuple[Array, Array]:
         """Compute centers of mass (b, 3) and quaternions (b, 4) at a time, s."""
@@ -76,25 +118,30 @@ class Course:
         return self._centers(time), turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
     @np.errstate(invalid="ignore")  # of hinges in a row, which do not reach every orientation
-    def coordinate(self, key: Key) -> tuple[Array, Array]:
-        """Compute a joint coordinate (m,), m or rad from the initial pose, turns counted, and its rate (m,).
+    def coordinate(self, key: Key) -> tuple[Array, Array, Array]:
+        """Compute a joint coordinate, m or rad from the initial pose, turns counted.
 
-        Both are NaN where poses do not tell it at all output times.
+        Returns:
+            The coordinate (m,), its rate (m,), and by how much it may be off between outputs (n - 1,). NaN
+            where poses do not tell it at all output times.
         """
         if key not in self._found:
             mechanism = self.scene.mechanism
             equations = mechanism.joint_equations(key[0])
             measure = equations.coordinates[key[1]]
-            x, rate = np.zeros((2, len(self.run.time)))
+            time = self.run.time
+            x, rate = np.zeros((2, len(time)))
             for n, frames in enumerate(self._frames):
                 first, second = frames[equations.first], frames[equations.second]
                 x[n] = measure.phi(first, second)[0]
                 rate[n] = measure.jacobian(first, second).rate(first, second)[0]
             if np.all(np.isfinite([x, rate])):
-                curve = _curve(self.run.time, x if measure.is_length else np.unwrap(x), rate)
-                self._found[key] = curve(self.time), curve(self.time, 1)
+                x = x if measure.is_length else np.unwrap(x)
+                curve = _curve(time, x, rate)
+                self._found[key] = curve(self.time), curve(self.time, 1), missed(time, x, rate)
             else:
-                self._found[key] = np.full(self.time.shape, np.nan), np.full(self.time.shape, np.nan)
+                unknown = np.full(self.time.shape, np.nan)
+                self._found[key] = unknown, unknown, unknown[1 : len(time)]
         return self._found[key]
 
 
@@ -143,18 +190,21 @@ class Bounds:
 
     def judge(self, course: Course) -> Judged:
         x, rate = np.zeros((2, len(course.time)))
+        steps = np.diff(course.run.time)
+        doubt = np.zeros(steps.shape)
         for key, factor in self.terms:
-            value, slope = course.coordinate(key)
+            value, slope, miss = course.coordinate(key)
             x, rate = x + factor * value, rate + factor * slope
+            doubt += abs(factor) * (abs(self.by_value) + abs(self.by_rate) / steps) * miss
         if not np.all(np.isfinite(x)):
             return Judged(True, "not judged: its coordinate cannot be told from the poses")
         constant: Any = self.constant
         if isinstance(constant, TimeFunction):
             constant = np.array([constant.value(time) for time in course.time.tolist()])
-        return self.judged(course.time, constant + self.by_value * x + self.by_rate * rate)
+        return self.judged(course.time, constant + self.by_value * x + self.by_rate * rate, doubt)
 
-    def judged(self, times: Array, found: Array) -> Judged:
-        """Judge values (m,) at times (m,), s."""
+    def judged(self, times: Array, found: Array, doubt: Array) -> Judged:
+        """Judge values (m,) at times (m,), s, that may be off by `doubt` (n - 1,) between outputs."""
         room = np.minimum(found - self.low, self.high - found)
         least = int(np.argmin(room))
         if room[least] < 0.0:
@@ -162,6 +212,9 @@ class Bounds:
             return Judged(True, f"passed from {first:.4g} s on, by up to {-room[least]:.3g} {self.unit}")
         if np.isinf(room[least]):
             return Judged(False, "no limit")
+        nearest = np.min(np.minimum(room[1:], room[:-1]).reshape(-1, PARTS), axis=1)
+        if np.any((nearest < doubt) & (doubt > AT_REST)):
+            return Judged(True, UNSEEN)
         return Judged(False, f"closest {room[least]:.3g} {self.unit} at {times[least]:.4g} s")
 
 
@@ -173,7 +226,7 @@ class Rest:
 
     def judge(self, course: Course) -> Judged:
         seen = (course.coordinate(key) for key in self.keys)
-        moves = np.max([np.maximum(np.abs(x - x[0]), np.abs(rate)) for x, rate in seen], axis=0)
+        moves = np.max([np.maximum(np.abs(x - x[0]), np.abs(rate)) for x, rate, _ in seen], axis=0)
         if np.max(moves) <= AT_REST:
             return Judged(False, "it stays where it is")
         first = float(course.time[int(np.argmax(moves > AT_REST))])
@@ -195,7 +248,7 @@ class Tangent:
     unit: str
 
     def judge(self, course: Course) -> Judged:
-        x, _ = course.coordinate(self.key)
+        x, *_ = course.coordinate(self.key)
         if not np.all(np.isfinite(x)):
             return Judged(True, "not judged: its coordinate cannot be told from the poses")
         away = np.abs(np.polynomial.Polynomial((0.0, 0.0, *self.coefficients[2:]))(x))

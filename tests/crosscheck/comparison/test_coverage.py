@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from mechanisms import MASS, bar, line_spring, mass_on_rail, pendulum
+from planted_changes import check, shortened
 
 import newton_euler
 from crosscheck import run
@@ -208,3 +211,24 @@ def test_what_fails_beside_the_comparison_is_a_note(monkeypatch):
         f"working out advice: {reason}",
     )
     assert found.summary()["notes"] == list(found.notes)
+
+
+MODELS = (
+    "slider_crank",
+    "four_bar",
+    "free_top",
+    "heavy_top",
+    "andrews",
+    "bricard",
+    "stewart",
+    "examples/linkage.xml",
+    "mjcf/tracker.xml",
+    str(Path(mujoco.__file__).parent / "testdata" / "model.xml"),
+)
+"""Of the library, of this repository and of an installed package."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", MODELS)
+def test_what_is_covered_shows_in_comparisons(source):
+    assert not check(shortened(source, 0.3)).wrong

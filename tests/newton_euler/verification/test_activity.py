@@ -158,14 +158,20 @@ def test_contacts_between_outputs_are_seen(x, fate, changes, geoms, tmp_path):
     assert ("active at 1 of 49 moments, first at 0.015 s" in how) == (fate == "left out")
 
 
-def test_limits_between_outputs_are_seen(tmp_path):
-    """Half a period of a swing of 1 rad from output to output, where it is at its middle."""
-    inertia, rate = 1e3 + (0.5**2 + 0.1**2) / 3.0 + 0.5**2, 100.0 * np.pi
+@pytest.mark.parametrize(
+    ("rate", "how"), [(100.0 * np.pi, "passed from 0.00375 s on"), (200.0 * np.pi, "ask for more of them")]
+)
+def test_limits_between_outputs_are_seen_or_said_not_to_be(rate, how, tmp_path):
+    """Half a period of a swing of 1 rad, or a whole one, from output to output, where it is at its middle."""
+    inertia = 1e3 + (0.5**2 + 0.1**2) / 3.0 + 0.5**2
     joint = f'range="-40 40" stiffness="{inertia * rate**2!r}" armature="1e3"'
     text = SWING.format(gravity=0, joint=joint, more=f'<keyframe><key qvel="{rate!r}"/></keyframe>')
-    fate, said = told(after(mjcf(tmp_path, text), 0.1), "joint 'j': its limits")
+    post = '<geom size="0.05" pos="1.2 0 0"/></worldbody>'  # beyond the bar's reach
+    report = after(mjcf(tmp_path, text.replace("</worldbody>", post)), 0.1)
+    fate, said = told(report, "joint 'j': its limits")
     assert fate == "left out"
-    assert "passed from 0.00375 s on" in said
+    assert how in said
+    assert "ask for more of them" in told(report, "2 geoms that can touch")[1]
 
 
 @pytest.mark.parametrize(("limit", "fate"), [(2.9, "left out"), (3.1, "inactive")])
