@@ -60,15 +60,15 @@ def run_command(
     settings: tuple[str, ...],
     against: str | None,
     against_settings: tuple[str, ...],
-    output: Path | None,
     advice: bool,
-    save: Path | None,
+    **files: Path | None,
 ) -> int:
     """Run SCENE through the engines and compare them, or with --against compare it with another model.
 
     SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given. What OPTION can be is told
     by crosscheck list.
     """
+    output, save = files["output"], files["save"]
     wanted = _names(engines)
     if library:
         alone = scene is None and against is None and not (settings or advice or save)

@@ -102,7 +102,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         values = np.linalg.svd(self._jacobian(y), compute_uv=False)
         found = float((values[self._rank - 1] / values[0]) ** 2)
         self._best = max(self._best, found)
-        return found / self._best
+        return found / self._best if self._best else 1.0
 
     def project(self, t: float, y: Array) -> Array:
         """Put a state of the last step on the constraints.
@@ -136,7 +136,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         error = min(error, self._error_on_constraints(k, h))
         shorter = SAFETY * error**EXPONENT if error > 1.0 else 1.0
         factor = crossing_factor(ratios[0], ratios[9], ratios[STAGES], shorter)
-        if factor < 1.0 and self._hops < HOPS:
+        if 0.0 < factor < 1.0 and self._hops < HOPS:  # 0 from the singular configuration itself
             self._hops += 1
             return _error_for(factor)
         if error < 1.0:

@@ -12,6 +12,7 @@ from command_line import run as run_command
 from scipy.special import ellipj, ellipk
 
 import newton_euler
+import urdf
 from crosscheck.errors import CrosscheckError
 from crosscheck.references import known_figures
 from crosscheck.scenes import FIGURES, load
@@ -189,11 +190,14 @@ def test_windows_pass_flat_ten_times(windows):
     assert run.settings["rejected"] < 0.5 * run.settings["steps"]
 
 
-@pytest.mark.parametrize("windows", [1, 2, 10])
-def test_windows_start_flat(windows):
+@pytest.mark.parametrize(
+    ("windows", "simulate"),
+    [*((n, newton_euler.simulate) for n in (1, 2, 10)), *((n, urdf.simulate) for n in (1, 2))],
+)
+def test_windows_start_flat(windows, simulate):
     """From a singular configuration, where the constraints in use cannot be told from its own Jacobian."""
     scene = from_flat(lasting(load("four_bar", N=windows), 2.0, 50), windows)
-    run = newton_euler.simulate(scene)
+    run = simulate(scene)
     bars = run.position[:, 1 : windows + 2] - np.array([[k, 0.0, 0.0] for k in range(windows + 1)])
     assert np.abs(bars - bars[:, :1]).max() < 1e-8  # parallel; another branch is off by 1
     assert np.ptp(bars[:, 0, 0]) > 0.5  # and all the way round
