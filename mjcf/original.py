@@ -18,9 +18,10 @@ from mjcf.accounts import Equalities, name_of, straighten, switch_off, unaccount
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross
+from newton_euler.verification.activity import Bounds
 from newton_euler.verification.import_report import ImportReport, approximated, left_out, unique_name
 from newton_euler.verification.original import Original, Sample, wholes
-from newton_euler.verification.quantities import Constraints, Forces, Kinematics
+from newton_euler.verification.quantities import Constraints, ForceLimit, Forces, Kinematics
 
 SEVERAL_HINGES = 1.2
 """rad, that hinges of a body with others are moved from the start: beyond a quarter turn of the second of
@@ -82,6 +83,7 @@ class MjcfOriginal(Original):
         self.unaccounted = tuple(unaccounted(self._model, self._roots, report))
         self.begin(scene)
         self.unaccounted += tuple(self._changing(report, self._data.act == stated))
+        self._watched = tuple(self._force_watches(report))
         self._leave_out(report)
         self.keep_offsets()
 
@@ -120,6 +122,20 @@ class MjcfOriginal(Original):
             if np.sum(hinges & (model.jnt_bodyid == model.jnt_bodyid[joint])) > 1:
                 self.ranges[dof] = SEVERAL_HINGES
         self.units = np.where(self.lengths, self.size, 1.0)
+
+    def _force_watches(self, report: ImportReport) -> Iterator[tuple[str, str, int, Bounds]]:
+        """Element, its kind and number, and watch of each limit of a force that the scene never reaches."""
+        model = self._model
+        for topic, kind, count in (
+            ("limit of the force", "actuator", model.nactuator),
+            ("limit of actuator forces", "joint", model.njnt),
+        ):
+            numbers = {name_of(model, kind, k): k for k in range(count)}
+            for entry, watches in ((report.entries[n], each) for n, each in report.watches.items()):
+                if entry.topic == topic:
+                    for watch in watches:
+                        assert isinstance(watch, Bounds)
+                        yield entry.element, kind, numbers[entry.element], watch
 
     def _changing(self, report: ImportReport, kept: Array) -> Iterator[str]:
         """Actuators in the scene whose activations change, those apart that are not `kept` (na,)."""
@@ -261,6 +277,19 @@ class MjcfOriginal(Original):
         others = data.qfrc_passive - springs - dampers
         others[np.abs(others) <= ROUND_OFF * np.abs(springs) + ROUND_OFF * np.abs(dampers)] = 0.0
         return Forces(weight, springs, dampers, data.qfrc_actuator + others, data.qfrc_bias + weight)
+
+    def force_limits(self, q: Array, v: Array) -> list[ForceLimit]:
+        """Limits of actuators' forces, and of those on joints."""
+        model, data = self._model, self._data
+        self._go(q, v)
+        found = []
+        for element, kind, k, watch in self._watched:
+            if kind == "actuator":
+                force, limits = data.actuator_force[model.actuator_outadr[k]], model.actuator_forcerange[k]
+            else:
+                force, limits = data.qfrc_actuator[model.jnt_dofadr[k]], model.jnt_actfrcrange[k]
+            found.append(ForceLimit(element, watch, float(force), *(float(x) for x in limits)))
+        return found
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
         """Kinetic, and potential of gravity and springs, J."""

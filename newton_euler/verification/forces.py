@@ -13,9 +13,11 @@ import numpy as np
 from newton_euler.equations.dense import least_squares
 from newton_euler.model.balls import SPIN, ends
 from newton_euler.model.forces import Wrench
+from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
+from newton_euler.verification.activity import Bounds
 from newton_euler.verification.figure import SPREAD, Figure, figure, positive, worst
 from newton_euler.verification.original import Original
 from newton_euler.verification.placed import Place, Placed
@@ -37,6 +39,51 @@ def force_figures(placed: Placed) -> Iterator[Figure]:
     for n in range(len(KINDS)):
         yield _force_figure(placed, n, [each[n] for each in acting], [each[n] for each in wanted])
     yield _armature_figure(placed)
+    if placed.original.force_limits(placed.original.start, placed.original.stated[1]):
+        yield _limit_figure(placed)
+
+
+def _limit_figure(placed: Placed) -> Figure:
+    """Limits of forces, and the forces, as runs are watched for them: at the samples, relative to the forces.
+
+    The largest terms at any sample, or at 1 rad or a size times `SPREAD`, are what forces are relative to.
+    """
+    original = placed.original
+    gaps, scales, names = [], [], list[str]()
+    for place in placed.places:
+        limits = original.force_limits(place.sample.q, place.sample.v)
+        names = [limit.element for limit in limits]
+        worked_out = [_watched(placed, place, limit.watched) for limit in limits]
+        scales.append([scale for _, scale in worked_out])
+        gaps.append(
+            [
+                abs(force - limit.force)
+                if (limit.watched.low, limit.watched.high) == (limit.low, limit.high)
+                else np.inf
+                for limit, (force, _) in zip(limits, worked_out, strict=True)
+            ]
+        )
+    relative = np.array(gaps) / positive(np.max(scales, axis=0))
+    return figure("limits of forces, rel", relative, np.array(placed.limits)[:, None], names)
+
+
+def _watched(placed: Placed, place: Place, bounds: Bounds) -> tuple[float, float]:
+    """The quantity that is watched, and the sum of its terms' magnitudes."""
+    assert not isinstance(bounds.constant, TimeFunction)  # controls are held
+    force, frames = bounds.constant, place.state.frames()
+    scale = abs(force)
+    for (joint, number), factor in bounds.terms:
+        equations = placed.mechanism.joint_equations(joint)
+        coordinate = equations.coordinates[number]
+        ends = frames[equations.first], frames[equations.second]
+        least = SPREAD * (placed.original.size if coordinate.is_length else 1.0)
+        for gain, x in (
+            (bounds.by_value, coordinate.phi(*ends)[0]),
+            (bounds.by_rate, coordinate.jacobian(*ends).rate(*ends)[0]),
+        ):
+            force += gain * factor * x
+            scale += abs(gain * factor) * max(abs(x), least)
+    return float(force), float(scale)
 
 
 def _force_figure(

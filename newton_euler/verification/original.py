@@ -21,6 +21,7 @@ from newton_euler.scalars import Array
 from newton_euler.verification.quantities import (
     DOUBT,
     Constraints,
+    ForceLimit,
     Forces,
     Freedom,
     Kinematics,
@@ -118,6 +119,10 @@ class Original(ABC):
 
     @abstractmethod
     def forces(self, q: Array, v: Array) -> Forces: ...
+
+    def force_limits(self, q: Array, v: Array) -> list[ForceLimit]:
+        """Limits of forces that are watched; the same ones at all states."""
+        return []
 
     @abstractmethod
     def energies(self, q: Array, v: Array) -> tuple[float, float]:

@@ -17,6 +17,7 @@ import numpy as np
 
 from newton_euler.equations.dense import singular_values
 from newton_euler.scalars import Array
+from newton_euler.verification.activity import Bounds
 
 FREE = 1e-10
 """Largest singular value that is round-off, of a dimensionless Jacobian or as a share of its largest."""
@@ -65,6 +66,19 @@ class Forces(NamedTuple):
 
 KINDS = Forces._fields[:4]
 """Of forces that are compared apart, so that small ones do not drown."""
+
+
+class ForceLimit(NamedTuple):
+    """A limit of a force that a scene is without, watched in its runs."""
+
+    element: str
+    watched: Bounds
+    """The force and the limit as the reading has them."""
+    force: float
+    """Without the limit, by the file's own model, N or N m."""
+    low: float
+    high: float
+    """By the file."""
 
 
 class Freedom(NamedTuple):

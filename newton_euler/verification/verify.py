@@ -9,7 +9,8 @@ moving, with springs displaced and actuators on:
 3. joints, gears and motions of the scene where the file's own equalities are closed, how fast they open where
    the file lets bodies move, and how far what the scene leaves free opens the file's equalities;
 4. forces of gravity, springs, dampers and actuators apart, and armatures, as independent velocities see
-   them; a difference is blamed on the element of the file whose own force, alone, is most like it;
+   them, and forces that runs are watched for, with their limits; a difference is blamed on the element of
+   the file whose own force, alone, is most like it;
 5. what a system makes of the scene: poses, energies, and accelerations.
 
 Figures are relative to what the mechanism does at all of the states together, row by row, before anything

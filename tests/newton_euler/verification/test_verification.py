@@ -162,6 +162,44 @@ def test_dynamics_of_actuators_that_are_lost_are_found(
         reading(tmp_path, LIMITED, exercise=exercise)
 
 
+COMPENSATED = model(
+    '<body gravcomp="1"><joint name="a" axis="0 1 0" actuatorgravcomp="true" actuatorfrcrange="-99 99"/>'
+    f"{BOX.format('0.1 0 0')}</body>",
+    '<actuator><position name="servo" joint="a" kp="3" kv="1" forcerange="-9 9"/></actuator>',
+)
+"""A limit that counts more than the control law."""
+
+
+@pytest.mark.parametrize("exercise", [False, True])
+@pytest.mark.parametrize(
+    ("of", "method", "fault", "named"),
+    [
+        (Actuators, "_others", lambda *_: "", "joint 'a'"),
+        (Actuators, "_report_limits", None, "actuator 'servo'"),
+    ],
+    ids=["gravity compensation", "half of a force"],
+)
+def test_limits_are_watched_of_the_forces_that_the_file_has(
+    of: type,
+    method: str,
+    fault: Any,
+    named: str,
+    exercise: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert reading(tmp_path, COMPENSATED, exercise=exercise)
+
+    def half(
+        self: Any, k: int, element: str, law: Affine, moments: Any, kept: Any = Actuators._report_limits
+    ) -> None:
+        kept(self, k, element, Affine(*(0.5 * x for x in law)), moments)
+
+    monkeypatch.setattr(of, method, fault or half)
+    with pytest.raises(MjcfError, match=f"{named}: .*limits of forces, rel"):
+        reading(tmp_path, COMPENSATED, exercise=exercise)
+
+
 POSE = "0 0 0 0.2 2 1 0.8 0.2 -0.4 0.4 1 0 0 0 0.1 0.2 -0.08 -0.2"
 
 SPEEDS = "0 0 0 1 0 0 0 2 0 0 0 3 1 2 -0.8 -2"
