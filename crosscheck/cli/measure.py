@@ -1,4 +1,4 @@
-"""`crosscheck bench`, `stress`, `faults`, `explain`, `figures`, and `report` on what they wrote."""
+"""`crosscheck bench`, `stress`, `faults`, `figures`, and `report` on what they wrote."""
 
 from __future__ import annotations
 
@@ -22,20 +22,6 @@ from crosscheck.cli.shared import (
 from crosscheck.errors import CrosscheckError
 from crosscheck.report.render import as_json, terminal
 from crosscheck.studies.faults import PLANTED_IN
-
-
-@cli.command("explain")
-@click.argument("scene", default="tracker")
-@setting_options
-def explain_command(scene: str, settings: tuple[str, ...]) -> int:
-    """Say what the compiler keeps of SCENE, what it leaves out, and what each feature costs."""
-    from crosscheck.studies.explain import explain
-
-    loaded = load_and_tell(scene, scene_options(settings))
-    with progress_shown() as progress:
-        parts = list(explain(loaded, progress))
-    click.echo(terminal(parts), nl=False)
-    return AGREE
 
 
 @cli.command("figures")

@@ -139,11 +139,6 @@ class Code:
         return {name: function.operations for name, function in self.functions.items()}
 
     @property
-    def code_size(self) -> int:
-        """Bytes of object code."""
-        return sum(function.module.size for function in self.functions.values())
-
-    @property
     def from_cache(self) -> bool:
         """True if all of it came from the cache."""
         return all(function.module.from_cache for function in self.functions.values())

@@ -363,7 +363,6 @@ PENDULUM_URDF = """<robot name="pendulum"><link name="base"/><link name="bob"><i
 @pytest.mark.parametrize(
     ("arguments", "target"),
     [
-        (["explain"], "crosscheck.studies.explain.explain"),
         (["bench"], "crosscheck.studies.benchmark.run.bench"),
         (["faults"], "crosscheck.studies.faults.find.find_faults"),
         (["regress"], "crosscheck.regress.run.check"),
