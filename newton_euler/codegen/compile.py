@@ -67,7 +67,6 @@ class NativeModule:
 
     Attributes:
         from_cache: True if the machine code was on disk when this was made.
-        size: bytes of the object code.
         addresses: of the functions, by name.
     """
 
@@ -109,7 +108,6 @@ class NativeModule:
                 passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
             code = machine.emit_object(module)
             write_cache(key, code)
-        self.size = len(code)
         self._engine: Any = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         self._engine.finalize_object()
