@@ -1,29 +1,27 @@
-"""Alignment of two scenes: the same bodies in the same order, names and frames, joints paired by name."""
+"""Alignment of two models by names: bodies and joints paired, the second restated with the first's bodies."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscheck.against.bodies import (
-    Members,
-    Placed,
-    features,
-    forces_with_bodies,
-    merge_fixed,
-    place,
-    with_bodies,
-)
 from newton_euler.assemble import initial_state
+from newton_euler.equations.system import MassProperties
+from newton_euler.model.elements import BALL
 from newton_euler.model.euler_parameters import from_rotation, rotation
+from newton_euler.model.forces import Force
 from newton_euler.model.joint import Joint, Key
-from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.scene import Scene
+from newton_euler.model.joint_kinds import Fixed
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.state import State
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, cross
+
+Groups = Mapping[str, tuple[str, ...]]
+"""Names of bodies that are fixed to each other, by the name of the body that they are together."""
 
 
 class Partner(NamedTuple):
@@ -76,40 +74,74 @@ class Aligned:
         a, b = (scene.mechanism for scene in self.both)
         return a.joint(name), b.joint(self.joints[name])
 
+    def same_kind(self, name: str) -> bool:
+        """Return True if a joint of the first model and its partner allow the same motions."""
+        one, two = self.joint_pair(name)
+        kinds = [sorted(motion.kind for motion in joint.motions) for joint in (one, two)]
+        return kinds[0] == kinds[1] and one.only_closes == two.only_closes
 
-def align(first: Scene, second: Scene) -> Aligned:
-    """Pair bodies, joints and coordinates of two scenes; the second gets the first's output times."""
-    first, first_of = merge_fixed(first)
-    second, second_of = merge_fixed(second)
-    names = pair_bodies(first.mechanism, first_of, second.mechanism, second_of)
-    notes = [
-        f"body {name} is {' and '.join(second_of[other])} there"
-        for other, name in names.items()
-        if second_of[other] != first_of[name] and other != second.mechanism.body_names[0]
-    ]
+    def of_first(self, key: Key) -> Partner:
+        """Find the first's coordinate, or ball, of one of the second; itself if there is none."""
+        for name, other in self.joints.items():
+            if key == (other, BALL):
+                one, two = self.joint_pair(name)
+                return Partner((name, BALL), 1.0 if one.second == two.second else -1.0)
+        found = (Partner(own, other.sense) for own, other in self.coordinates.items() if other.key == key)
+        return next(found, Partner(key, 1.0))
+
+
+def alignments(first: Scene, second: Scene) -> Iterator[Aligned]:
+    """Align two models: as bodies start, by equal frames and a joint's point, or by equal frames alone.
+
+    In the last centers of mass coincide. The second gets the first's output times, and its ground: that is
+    the world, whatever frame it is given.
+    """
+    here, there = _groups(first.mechanism), _groups(second.mechanism)
+    names = pair_bodies(first.mechanism, here, second.mechanism, there)
     alone = (
-        tuple(name for name in first.mechanism.body_names if name not in names.values()),
-        tuple(name for name in second.mechanism.body_names if name not in names),
+        tuple(name for name in here if name not in names.values()),
+        tuple(name for name in there if name not in names),
     )
+    ground = first.mechanism.bodies[0]
+    notes = [
+        f"body {name} is {' and '.join(there[other])} there"
+        for other, name in names.items()
+        if there[other] != here[name] and name != ground.name
+    ]
+    first = _restated(first, here, ground)
     if any(alone):
         notes.append("bodies are paired by their names, and what is left by the names of its joints")
-        return Aligned(first, None, alone, names, {}, {}, np.zeros((0, 3)), tuple(notes))
-    second = _renamed(second, names, first)
+        yield Aligned(first, None, alone, names, {}, {}, np.zeros((0, 3)), tuple(notes))
+        return
+    others = {name: other for other, name in names.items()}
+    second = _restated(second, {name: there[others[name]] for name in here}, ground)
+    second = replace(second, duration=first.duration, output_period=first.output_period)
     joints = pair_joints(first.mechanism, second.mechanism)
-    placed = [Placed(np.eye(3), np.zeros(3))]
-    for k, body in enumerate(first.mechanism.body_names[1:], 1):
-        pairs = [(name, other) for name, other in joints.items() if body in _ends(_joint(first, name))]
-        here = features(first, k, [name for name, _ in pairs])
-        there = features(second, k, [other for _, other in pairs])
-        placed.append(place(here, there, first.mechanism.size))
-    second = _reframed(second, placed)
-    coordinates = _pair_coordinates(first.mechanism, second.mechanism, joints)
-    notes += _joint_notes(first.mechanism, second.mechanism, joints, coordinates)
-    centers = np.array([way.center for way in placed])
-    return Aligned(first, second, alone, names, joints, coordinates, centers, tuple(notes))
+    at_joints = _centers_at_joints(first.mechanism, second.mechanism, joints)
+    for placed, centers in (
+        _turned_as_first(first, second),
+        (second, at_joints),
+        (second, np.zeros_like(at_joints)),
+    ):
+        coordinates = _pair_coordinates(first.mechanism, placed.mechanism, joints)
+        told = _joint_notes(first.mechanism, placed.mechanism, joints, coordinates)
+        yield Aligned(first, placed, alone, names, joints, coordinates, centers, (*notes, *told))
 
 
-def pair_bodies(first: Mechanism, first_of: Members, second: Mechanism, second_of: Members) -> dict[str, str]:
+def _groups(mechanism: Mechanism) -> Groups:
+    """Group bodies that are fixed to each other, in the mechanism's order, by the name of the first."""
+    owner = {name: name for name in mechanism.body_names}
+    for joint in mechanism.joints:
+        if isinstance(joint, Fixed):
+            kept, other = sorted((owner[joint.first], owner[joint.second]), key=mechanism.body_names.index)
+            owner = {name: kept if of == other else of for name, of in owner.items()}
+    return {
+        group: tuple(name for name in mechanism.body_names if owner[name] == group)
+        for group in dict.fromkeys(owner.values())
+    }
+
+
+def pair_bodies(first: Mechanism, here: Groups, second: Mechanism, there: Groups) -> dict[str, str]:
     """Pair bodies by the names of what they are made of, the rest by the names of their joints.
 
     The ground is the ground, whatever it is called.
@@ -118,33 +150,34 @@ def pair_bodies(first: Mechanism, first_of: Members, second: Mechanism, second_o
         The first model's name of each body that both have, by the second's.
     """
     names = {second.body_names[0]: first.body_names[0]}
-
-    def pair(one: Mapping[str, frozenset[str]], two: Mapping[str, frozenset[str]]) -> None:
-        """Those that have more in common with each other than with anything else."""
+    for one, two in (
+        ({name: frozenset(group) for name, group in of.items()} for of in (here, there)),
+        (_joints_of(first, here), _joints_of(second, there)),
+    ):
         left = {name: one[name] for name in one if name not in names.values()}
         right = {name: two[name] for name in two if name not in names}
         for a, has in left.items():
             b = _nearest(has, right)
             if b is not None and _nearest(two[b], left) == a:
                 names[b] = a
-
-    pair({a: frozenset(first_of[a]) for a in first_of}, {b: frozenset(second_of[b]) for b in second_of})
-    pair(_joints_of(first), _joints_of(second))
     return names
 
 
 def _nearest(wanted: frozenset[str], among: Mapping[str, frozenset[str]]) -> str | None:
-    """The one that has the most in common with what is wanted, if anything and no other has as much."""
+    """Find the one that has the most in common with what is wanted, if anything and no other has as much."""
     shared = {name: len(wanted & has) for name, has in among.items()}
     most = max(shared.values(), default=0)
     best = [name for name, count in shared.items() if count == most]
     return best[0] if most and len(best) == 1 else None
 
 
-def _joints_of(mechanism: Mechanism) -> dict[str, frozenset[str]]:
+def _joints_of(mechanism: Mechanism, groups: Groups) -> dict[str, frozenset[str]]:
+    """Names of the joints between each group and others."""
     return {
-        name: frozenset(mechanism.joint_names[k] for k in joints)
-        for name, joints in zip(mechanism.body_names, mechanism.joints_at, strict=True)
+        name: frozenset(
+            joint.name for joint in mechanism.joints if len({joint.first, joint.second} & set(group)) == 1
+        )
+        for name, group in groups.items()
     }
 
 
@@ -171,10 +204,6 @@ def pair_joints(first: Mechanism, second: Mechanism) -> dict[str, str]:
         if len(beside) == len(between) == 1:
             found[joint.name] = between[0].name
     return found
-
-
-def _joint(scene: Scene, name: str) -> Joint:
-    return scene.mechanism.joint(name)
 
 
 def _ends(joint: Joint) -> frozenset[str]:
@@ -210,48 +239,6 @@ def _axes(mechanism: Mechanism, joint: Joint, like: Joint) -> Iterator[tuple[str
             yield motion.kind, np.array([pose.vector_to_body(motion.axis) for pose in poses])
 
 
-def _renamed(scene: Scene, names: Mapping[str, str], like: Scene) -> Scene:
-    """The scene with other names of bodies, in the order and with the output times of another scene.
-
-    The ground is the other's: it is the world, whatever frame it is given.
-    """
-    mechanism, start = scene.mechanism, initial_state(scene)
-    old = {new: name for name, new in names.items()}
-    order = [mechanism.body_index(old[name]) for name in like.mechanism.body_names]
-    bodies = [replace(mechanism.bodies[k], name=names[mechanism.body_names[k]]) for k in order]
-    ground = like.mechanism.bodies[0]
-    bodies[0] = ground
-    position, quaternion = start.position[order], start.quaternion[order]
-    position[0], quaternion[0] = ground.center_of_mass, ground.quaternion
-    joints = [with_bodies(joint, names) for joint in mechanism.joints]
-    return replace(
-        scene,
-        mechanism=Mechanism(bodies, joints, mechanism.couplings),
-        initial_state=State(
-            position, quaternion, start.linear_velocity[order], start.angular_velocity[order]
-        ),
-        forces=forces_with_bodies(scene.forces, names, ground.name),
-        duration=like.duration,
-        output_period=like.output_period,
-    )
-
-
-def _reframed(scene: Scene, placed: list[Placed]) -> Scene:
-    """The scene with other body frames; centers of mass stay where they are."""
-    mechanism, start = scene.mechanism, initial_state(scene)
-    bodies = []
-    for body, way in zip(mechanism.bodies, placed, strict=True):
-        inertia = way.turn.T @ body.inertia @ way.turn
-        quaternion = from_rotation(body.pose.rotation @ way.turn)
-        bodies.append(replace(body, inertia=0.5 * (inertia + inertia.T), quaternion=quaternion))
-    turned = [from_rotation(rotation(p) @ way.turn) for p, way in zip(start.quaternion, placed, strict=True)]
-    return replace(
-        scene,
-        mechanism=Mechanism(bodies, mechanism.joints, mechanism.couplings),
-        initial_state=replace(start, quaternion=np.array(turned)),
-    )
-
-
 def _joint_notes(
     first: Mechanism, second: Mechanism, joints: Mapping[str, str], coordinates: Mapping[Key, Partner]
 ) -> Iterator[str]:
@@ -274,3 +261,107 @@ def _joint_notes(
     ):
         if names:
             yield f"{what}: {', '.join(names)}"
+
+
+def _restated(scene: Scene, groups: Groups, ground: Body) -> Scene:
+    """Restate a scene without `fixed` joints, all outputs asked for.
+
+    Each group of bodies becomes one of that name, with the frame of the first of them, in the order of the
+    groups; the first group becomes the ground, another model's maybe.
+    """
+    mechanism, start = scene.mechanism, initial_state(scene)
+    bodies, state = [ground], State(*(np.zeros((len(groups), n)) for n in (3, 4, 3, 3)))
+    state.position[0], state.quaternion[0] = ground.center_of_mass, ground.quaternion
+    for k, (name, group) in enumerate(list(groups.items())[1:], 1):
+        index = mechanism.body_index(group[0])
+        body = replace(_merged(mechanism, [mechanism.body_index(member) for member in group]), name=name)
+        before = mechanism.bodies[index].pose
+        arm = rotation(start.quaternion[index]) @ before.point_to_body(body.center_of_mass)
+        spin = start.angular_velocity[index]
+        bodies.append(body)
+        state.position[k], state.quaternion[k] = start.position[index] + arm, start.quaternion[index]
+        state.linear_velocity[k] = start.linear_velocity[index] + cross(spin, arm)
+        state.angular_velocity[k] = spin
+    names = {member: name for name, group in groups.items() for member in group}
+    joints = [replace(each, first=names[each.first], second=names[each.second]) for each in mechanism.joints]
+    return replace(
+        scene,
+        mechanism=Mechanism(
+            bodies, [joint for joint in joints if joint.first != joint.second], mechanism.couplings
+        ),
+        initial_state=state,
+        forces=tuple(_forces_between(scene.forces, names, ground.name)),
+        outputs=frozenset(OUTPUTS),
+    )
+
+
+def _merged(mechanism: Mechanism, indices: Sequence[int]) -> Body:
+    """One body of several, in the frame of the first."""
+    first = mechanism.bodies[indices[0]]
+    if len(indices) == 1:
+        return first
+    found, parts = MassProperties.of(mechanism), [mechanism.bodies[k] for k in indices]
+    masses, centers = found.mass[indices], found.center_of_mass[indices]
+    center = masses @ centers / masses.sum()
+    inertia = found.inertia[indices].sum(axis=0)
+    for mass, arm in zip(masses, centers - center, strict=True):
+        inertia = inertia + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    into = first.pose.rotation.T
+    local = into @ inertia @ into.T
+    return replace(
+        first,
+        mass=float(masses.sum()),
+        center_of_mass=center,
+        inertia=0.5 * (local + local.T),
+        shapes=tuple(shape for part in parts for shape in part.shapes),
+        meshes=tuple(mesh for part in parts for mesh in part.meshes),
+        allow_unrealisable_inertia=any(part.allow_unrealisable_inertia for part in parts),
+    )
+
+
+def _forces_between(forces: Sequence[Force], names: Mapping[str, str], ground: str) -> Iterator[Force]:
+    """Forces on bodies of other names, without those that act within a body or on the ground alone."""
+    for force in forces:
+        renamed: dict[str, Any] = {field: names[getattr(force, field)] for field in force.body_fields}
+        bodies = set(renamed.values())
+        if len(bodies) == len(force.body_fields) and bodies != {ground}:
+            yield replace(force, **renamed)
+
+
+def _turned_as_first(first: Scene, second: Scene) -> tuple[Scene, Array]:
+    """The second scene with frames of bodies that start as the first's do; centers of mass stay.
+
+    Returns:
+        It, and (b, 3) its centers of mass from the first's, in the first's body frames, m.
+    """
+    mechanism, start, here = second.mechanism, initial_state(second), initial_state(first)
+    own, others = ([rotation(p) for p in state.quaternion] for state in (start, here))
+    bodies = []
+    for body, before, after in zip(mechanism.bodies, own, others, strict=True):
+        turn = before.T @ after
+        inertia = turn.T @ body.inertia @ turn
+        quaternion = from_rotation(body.pose.rotation @ turn)
+        bodies.append(replace(body, inertia=0.5 * (inertia + inertia.T), quaternion=quaternion))
+    turned = replace(
+        second,
+        mechanism=Mechanism(bodies, mechanism.joints, mechanism.couplings),
+        initial_state=replace(start, quaternion=np.array([from_rotation(turn) for turn in others])),
+    )
+    return turned, np.einsum("bij,bi->bj", others, start.position - here.position)
+
+
+def _centers_at_joints(first: Mechanism, second: Mechanism, joints: Mapping[str, str]) -> Array:
+    """(b, 3) the second's centers of mass from the first's where frames and points of a joint coincide, m."""
+    centers = np.zeros((len(first.bodies), 3))
+    for k, body in enumerate(first.bodies[1:], 1):
+        paired = [first.joint_names[n] for n in first.joints_at[k] if first.joint_names[n] in joints]
+        for name in paired[:1]:
+            pair = (first, first.joint(name)), (second, second.joint(joints[name]))
+            here, there = (
+                mechanism.bodies[k].pose.point_to_body(
+                    joint.point if joint.first == body.name else joint.reaction_point
+                )
+                for mechanism, joint in pair
+            )
+            centers[k] = here - there
+    return centers

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from crosscheck.against.align import Aligned, align
-from crosscheck.against.levels import SharedStates, bodies_row, differences, motions, numbers
+from crosscheck.against.align import Aligned, alignments
+from crosscheck.against.levels import LEVELS, SharedStates, bodies_row, differences, start_rows
 from crosscheck.comparison.diagnosis import Diagnosis
 from crosscheck.comparison.figure import Figure, not_judged
-from crosscheck.comparison.levels import Level, compare_pair
+from crosscheck.comparison.levels import compare_pair
 from crosscheck.comparison.runs import compare_runs
-from crosscheck.comparison.samples import Samples, States
+from crosscheck.comparison.samples import Samples
 from crosscheck.each_run import as_far_as_it_goes, each_run, finite
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.limit import SHORTER, limited
@@ -33,7 +33,6 @@ from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.joint import Joint
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import CONTACTS, LIMITS, ImportedElement, ImportReport
@@ -164,27 +163,26 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
     """
     begun = time.perf_counter()
     pair = first.name, second.name
-    aligned = align(first.scene, second.scene)
-    engines = _engines(pair, aligned)
     with limited("comparing equations", SHORTER, progress):
-        rows, notes, energy = _equations_compared(pair, engines, aligned)
+        states = _aligned_best(list(alignments(first.scene, second.scene)))
+        aligned, engines = states.aligned, _engines(pair, states.aligned)
+        rows, notes = _equations_compared(pair, engines, states)
     runs, stops = each_run(aligned.first, engines, progress)
-    if energy is not None and len(runs) == len(pair):
+    if len(runs) == len(pair) and all(row.agrees for row in rows):
         # of both together: what a run is off by itself is no difference between models
         pairs = {
             name: replace(run, constraint_violation=None, potential_energy=None) for name, run in runs.items()
         }
         what = "comparing runs"
         with as_far_as_it_goes(what, stops), limited(what, SHORTER, progress):
-            for row in finite(compare_runs(aligned.first, engines, pairs, energy)):
+            for row in finite(compare_runs(aligned.first, engines, pairs, states.energy)):
                 rows.append(row)  # not all at once: those before an error are kept
     same_file = os.path.realpath(first.source) == os.path.realpath(second.source)
     if same_file and first.options == second.options:
         notes.insert(0, f"both are {first.title}: one model against itself")
-    others = tuple(unsimulated(first, second, aligned))
-    notes = [*aligned.notes, *notes, *(f"not compared, and {other.text}" for other in others)]
     if stops:
         notes.insert(0, f"{TO_THE_END}: {'; '.join(map(str, stops))}")
+    others = tuple(unsimulated(first, second, aligned))
     scene = replace(
         aligned.first, name=together((first, second)), description="newton_euler's equations of each"
     )
@@ -202,8 +200,34 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
         unfinished=tuple(stops),
         models=(first, second),
         unsimulated=others,
-        notes=tuple(notes),
+        notes=(*notes, *aligned.notes, *(f"not compared, and {other.text}" for other in others)),
     )
+
+
+def _aligned_best(candidates: Sequence[Aligned]) -> SharedStates:
+    """The alignment by which the fewest bodies and joints differ, of equals the first, and states for it."""
+    scene = candidates[0].first
+    if candidates[0].second is None:
+        return SharedStates(scene, (initial_state(scene),), candidates[0])
+    states = initial_state(scene), *random_states(scene, RANDOM_STATES)
+    shared = [SharedStates(scene, states, aligned) for aligned in candidates]
+    return min(shared, key=lambda each: sum(len(found.larger) for found in differences(each)))
+
+
+def _equations_compared(
+    pair: tuple[str, str], engines: Sequence[Engine], states: SharedStates
+) -> tuple[list[Figure], list[str]]:
+    """Figures of equations up to the first level that disagrees, and what there is to say of the starts."""
+    if states.aligned.second is None:
+        return [bodies_row(pair, states.aligned)], []
+    one, two = (Samples(engine.systems(states.scene)[0], states) for engine in engines)
+    rows = list(finite(compare_pair(pair, [one], [two], LEVELS)))
+    apart = [
+        f"{row.quantity}: {row.value:.1e} at {row.where}"
+        for row in start_rows(pair, one, two)
+        if not row.agrees
+    ]
+    return rows, [f"starts differ: {'; '.join(apart)}"] if apart else []
 
 
 class _Second(Relative):
@@ -288,14 +312,12 @@ def _in_first(run: Trajectory, aligned: Aligned) -> Trajectory:
     for name, other in aligned.joints.items():
         k = b.mechanism.joint_index(other)
         violation[:, a.mechanism.joint_index(name)] = run.constraint_violation[:, k]
-    actuation = None
-    if run.actuator_force is not None:
-        actuation = np.zeros((len(run.time), len(a.control)))
-        laws = {(law.joint, law.coordinate): k for k, law in enumerate(b.control)}
-        for n, law in enumerate(a.control):
-            partner = aligned.coordinates.get((law.joint, law.coordinate))
-            if partner is not None and partner.key in laws:
-                actuation[:, n] = partner.sense * run.actuator_force[:, laws[partner.key]]
+    actuation = np.zeros((len(run.time), len(a.control)))
+    numbers = {law.key: n for n, law in enumerate(a.control)}
+    for k, law in enumerate(b.control):
+        key, sense = aligned.of_first(law.key)
+        if key in numbers and run.actuator_force is not None:
+            actuation[:, numbers[key]] = sense * run.actuator_force[:, k]
     return replace(
         run,
         joint_names=a.mechanism.joint_names,
@@ -304,43 +326,6 @@ def _in_first(run: Trajectory, aligned: Aligned) -> Trajectory:
         constraint_violation=violation,
         actuator_force=actuation,
     )
-
-
-def _equations_compared(
-    pair: tuple[str, str], engines: Sequence[Engine], aligned: Aligned
-) -> tuple[list[Figure], list[str], float | None]:
-    """Figures of equations up to the first level that disagrees, and what there is to say about them.
-
-    And if all agree the energy that those of runs are relative to at least, J.
-    """
-    if aligned.second is None:
-        return [bodies_row(pair, aligned)], [], None
-    scene = aligned.first
-
-    def compared(levels: Sequence[Level], *more: State) -> Iterator[Figure]:
-        states = SharedStates(scene, (initial_state(scene), *more), aligned)
-        one, two = (Samples(engine.systems(scene)[0], states) for engine in engines)
-        return finite(compare_pair(pair, [one], [two], levels))
-
-    own, start = numbers(aligned)
-    notes = [difference.note for difference in differences(aligned) if difference.note]
-    if apart := [row for row in compared([start]) if not row.agrees]:
-        notes.insert(
-            0, f"starts differ: {_listed(apart)}; the models are compared where their bodies coincide best"
-        )
-    rows = list(compared([own, start]))
-    if all(row.agrees for row in rows):
-        random = random_states(scene, RANDOM_STATES)
-        rows += compared(motions(aligned), *random)
-    failed = [row for row in rows if not row.agrees]
-    if len(failed) > 1:
-        notes.append(f"differs too at level {failed[0].level!r}: {_listed(failed[1:])}")
-    energy = None if failed else States(scene, (initial_state(scene), *random)).energy
-    return rows, notes, energy
-
-
-def _listed(rows: Sequence[Figure]) -> str:
-    return "; ".join(f"{row.quantity}: {row.value:.1e} at {row.where}" for row in rows)
 
 
 def unsimulated(first: Model, second: Model, aligned: Aligned) -> Iterator[Unsimulated]:

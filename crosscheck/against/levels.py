@@ -7,15 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from crosscheck.against.align import Aligned
-from crosscheck.against.bodies import axes_apart, carried, inertia_apart, points_apart
+from crosscheck.against.align import Aligned, Partner
 from crosscheck.comparison.accelerations import acceleration_rows
-from crosscheck.comparison.blame import kinematic_cause
 from crosscheck.comparison.dynamics import motion_rows
 from crosscheck.comparison.figure import ROUND_OFF, START, Figure, reach, round_off, worst_figure
 from crosscheck.comparison.kinematics import kinematics_rows
@@ -26,19 +24,16 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import body_wrenches, surroundings
 from newton_euler.equations.couplings import Coupling, couplings
 from newton_euler.model.control import Law
-from newton_euler.model.elements import BALL, OnBall, OnCoordinate
-from newton_euler.model.euler_parameters import angle_between, rotation
+from newton_euler.model.elements import OnBall, OnCoordinate
+from newton_euler.model.euler_parameters import angle_between, rotation, rotations
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-Pair = tuple[str, str]
-
 MOST_NAMED = 4
-"""Bodies or joints that are named beside the worst."""
-
+"""Bodies or joints that differ and are named, the worst first."""
 
 ROTORS = "rotor momentum, rel"
 
@@ -50,7 +45,7 @@ ACTING: Mapping[str, Callable[[Scene], Iterable[Acting]]] = {
     "actuator force, rel": lambda scene: scene.control,
     "spring force, rel": lambda scene: [f for f in scene.forces if isinstance(f, OnCoordinate | OnBall)],
 }
-"""What acts at joints, by the quantity that it is compared in."""
+"""Elements that act at joints, by the quantity that they are compared in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,91 +64,90 @@ class SharedStates(States):
         return [np.hstack([undetermined_in_both(first, second, joints, s), columns]) for s in self.all]
 
 
-def numbers(aligned: Aligned) -> tuple[Level, ...]:
-    """The levels of the models' own numbers, which need no states but the start."""
-    return partial(_model, aligned), partial(_start, aligned)
-
-
-def motions(aligned: Aligned) -> tuple[Level, ...]:
-    """The levels of what the models do at consistent states."""
-    return partial(_kinematics, aligned), partial(_dynamics, aligned), acceleration_rows
-
-
-def bodies_row(pair: Pair, aligned: Aligned) -> Figure:
-    """Count the bodies that have no partner."""
-    alone = [name for names in aligned.alone for name in names]
-    return Figure("model", "bodies without partner", pair, float(len(alone)), 0.5, ", ".join(alone))
+def _shared(samples: Samples) -> SharedStates:
+    assert isinstance(samples.states, SharedStates)
+    return samples.states
 
 
 class Difference(NamedTuple):
     """One quantity of the models, for each body, joint or coupling."""
 
     quantity: str
-    gap: Array
+    values: Array
     """(n,)."""
     tolerance: float
     names: Sequence[str]
 
     @property
-    def note(self) -> str:
-        """Say what differs where several bodies or joints do; empty if at most one does."""
-        order = [int(k) for k in np.argsort(-self.gap) if not self.gap[k] <= self.tolerance]
-        named = ", ".join(f"{self.names[k]} {self.gap[k]:.1e}" for k in order[:MOST_NAMED])
-        more = f" and {len(order) - MOST_NAMED} more" if len(order) > MOST_NAMED else ""
-        return f"{self.quantity} differs at {named}{more}" if len(order) > 1 else ""
+    def larger(self) -> list[int]:
+        """Numbers of those above the tolerance, the largest first."""
+        return [int(k) for k in np.argsort(-self.values) if not self.values[k] <= self.tolerance]
+
+    def figure(self, level: str, pair: tuple[str, str]) -> Figure:
+        """The largest difference, with all that differ named."""
+        found, larger = worst_figure(level, self.quantity, pair, *self[1:]), self.larger
+        if len(larger) < 2:
+            return found
+        named = ", ".join(self.names[k] for k in larger[:MOST_NAMED])
+        more = f" and {len(larger) - MOST_NAMED} more" if len(larger) > MOST_NAMED else ""
+        return replace(found, where=f"{named}{more}")
 
 
-def differences(aligned: Aligned) -> Iterator[Difference]:
-    """Differences of each quantity of the models, in the bodies' frames, wherever the bodies start.
+def bodies_row(pair: tuple[str, str], aligned: Aligned) -> Figure:
+    """Count the bodies that have no partner."""
+    alone = [name for names in aligned.alone for name in names]
+    return Figure("model", "bodies without partner", pair, float(len(alone)), 0.5, ", ".join(alone))
 
-    Points of joints count as far as their kinds tell them, and axes as lines.
-    """
-    first, second = aligned.both
-    a, b = first.mechanism, second.mechanism
-    bodies, pairs = a.body_names[1:], list(zip(a.bodies[1:], b.bodies[1:], strict=True))
-    length = ROUND_OFF * reach(first, initial_state(first).position)
+
+def differences(states: SharedStates) -> Iterator[Difference]:
+    """Differences of bodies in their frames, of joints where the first's are closed, and of couplings."""
+    aligned, first = states.aligned, states.scene
+    names = first.mechanism.body_names[1:]
+    pairs = list(zip(*(scene.mechanism.bodies[1:] for scene in aligned.both), strict=True))
     masses = [abs(two.mass - one.mass) / one.mass for one, two in pairs]
-    yield Difference("mass, rel", np.array(masses), ROUND_OFF, bodies)
-    yield Difference("center of mass, m", np.linalg.norm(aligned.centers[1:], axis=1), length, bodies)
-    inertias = [inertia_apart(one.inertia, two.inertia) for one, two in pairs]
-    yield Difference("inertia, rel", np.array(inertias), ROUND_OFF, bodies)
-    if joints := tuple(aligned.joints):
-        axes, points = np.array([_joint_apart(aligned, name) for name in joints]).T
-        yield Difference("joint axes, rad", axes, ROUND_OFF, joints)
-        yield Difference("joint points, m", points, length, joints)
+    inertias = [np.max(np.abs(two.inertia - one.inertia)) / np.max(np.abs(one.inertia)) for one, two in pairs]
+    length = ROUND_OFF * reach(first, initial_state(first).position)
+    yield Difference("mass, rel", np.array(masses), ROUND_OFF, names)
+    yield Difference("center of mass, m", np.linalg.norm(aligned.centers[1:], axis=1), length, names)
+    yield Difference("inertia, rel", np.array(inertias), ROUND_OFF, names)
+    if joints := [aligned.joint_names.get(name, name) for name in aligned.both[1].mechanism.joint_names]:
+        lengths, angles = joint_residuals(states)
+        share = round_off(states.condition, states.noise) + states.condition * states.opening
+        far = max(reach(first, state.position) for state in states.all)
+        yield Difference("joint axes, rad", angles, share, joints)
+        yield Difference("joint points, m", lengths, share * far, joints)
     if coupled := dict(_couplings_apart(aligned)):
         yield Difference("couplings, rel", np.array(list(coupled.values())), ROUND_OFF, tuple(coupled))
 
 
-def _model(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Figure]:
+def joint_residuals(states: SharedStates) -> Array:
+    """(2, j) how far joints of the second model are open where the first's are closed, m and rad.
+
+    Whatever their kinds and directions are: a joint that holds wherever the first model moves is the same.
+    """
+    mechanism = states.aligned.both[1].mechanism
+    found = np.zeros((2, len(mechanism.joints)))
+    for state in states.all:
+        arms = rotations(state.quaternion) @ states.aligned.centers[:, :, None]
+        frames = replace(state, position=state.position + arms[:, :, 0]).frames()
+        for n, equations in enumerate(mechanism.equations):
+            phi = np.abs(equations.phi(frames[equations.first], frames[equations.second]))
+            for unit, rows in enumerate((equations.is_length, ~equations.is_length)):
+                found[unit, n] = max(found[unit, n], np.max(phi[rows], initial=0.0))
+    return found
+
+
+def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
     """The largest of each of the `differences`, and how many joints are of other kinds, which the levels
     after this have to judge: a ball closes a plane loop as a hinge does."""
+    states, aligned = _shared(first), _shared(first).aligned
     yield bodies_row(pair, aligned)
-    other = [name for name in aligned.joints if not _same_kind(aligned, name)]
+    other = [name for name in aligned.joints if not aligned.same_kind(name)]
     yield Figure(
         "model", "joints of another kind", pair, float(len(other)), 0.5, ", ".join(other), informs=True
     )
-    for quantity, gap, tolerance, names in differences(aligned):
-        yield worst_figure("model", quantity, pair, gap, tolerance, names)
-
-
-def _joint_apart(aligned: Aligned, name: str) -> tuple[float, float]:
-    """The angle between a joint's axes, rad, and the distance of its points, m; the larger on its bodies."""
-    first, second = aligned.both
-    one, two = aligned.joint_pair(name)
-    angle = distance = 0.0
-    for body in (one.first, one.second):
-        k = first.mechanism.body_index(body)
-        here, there = carried(first.mechanism.bodies[k], one), carried(second.mechanism.bodies[k], two)
-        there = there.turned(np.eye(3), aligned.centers[k])
-        angle, distance = max(angle, axes_apart(here, there)), max(distance, points_apart(here, there))
-    return angle, distance
-
-
-def _same_kind(aligned: Aligned, name: str) -> bool:
-    one, two = aligned.joint_pair(name)
-    kinds = [sorted(motion.kind for motion in joint.motions) for joint in (one, two)]
-    return kinds[0] == kinds[1] and one.only_closes == two.only_closes
+    for difference in differences(states):
+        yield difference.figure("model", pair)
 
 
 def _couplings_apart(aligned: Aligned) -> Iterator[tuple[str, float]]:
@@ -186,113 +180,85 @@ def functions_apart(scene: Scene, one: Coupling, two: Coupling, scale: float) ->
     return float(np.max(np.abs(scale * b - a)) / max(float(np.max(np.abs(a))), 1e-12))
 
 
-def _start(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Figure]:
+def start_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
     """Compare starting poses and velocities of bodies; tolerances are round-off times the condition of
     the constraints, which starts are assembled by."""
-    scene, share = aligned.first, round_off(first.condition)
-    here, there = (initial_state(each) for each in aligned.both)
+    states = _shared(first)
+    scene, share = states.scene, round_off(first.condition)
+    here, there = (initial_state(each) for each in states.aligned.both)
     # where the first's center of mass is on the second's body
     turns = [rotation(p) for p in there.quaternion]
-    arms = np.array([-turn @ center for turn, center in zip(turns, aligned.centers, strict=True)])
+    arms = np.array([-turn @ center for turn, center in zip(turns, states.aligned.centers, strict=True)])
     length = scene.mechanism.size
     speeds = here.linear_velocity, length * here.angular_velocity
     unit = max(length, *(float(np.max(np.abs(speed))) for speed in speeds))
     position = there.position + arms - here.position
     velocity = there.linear_velocity + np.cross(there.angular_velocity, arms) - here.linear_velocity
     spin = there.angular_velocity - here.angular_velocity
-    for quantity, gap, tolerance in (
+    for quantity, values, tolerance in (
         ("positions, m", np.linalg.norm(position, axis=1), share * reach(scene, here.position)),
         ("orientations, rad", angle_between(here.quaternion, there.quaternion), share),
         ("velocities, rel", np.linalg.norm(velocity, axis=1) / unit, share),
         ("angular velocities, rel", np.linalg.norm(spin, axis=1) * length / unit, share),
     ):
-        yield worst_figure(START, quantity, pair, gap, tolerance, scene.mechanism.body_names)
+        yield worst_figure(START, quantity, pair, values, tolerance, scene.mechanism.body_names)
 
 
-def _kinematics(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Figure]:
-    """As between engines; what fails is blamed on the joint of either model that the other opens, if it can
-    be on one of another kind or that one model has alone.
-
-    On two where nothing tells which is meant: where hinges and balls of a loop change places, an axis that is
-    off is in neither model the other's.
-    """
-    here, there = (scene.mechanism.joint_names for scene in aligned.both)
-    alone = {*here, *there} - {*aligned.joints, *aligned.joints.values()}
-    suspects = alone | {name for name in aligned.joints if not _same_kind(aligned, name)}
-
-    @cache
-    def opened_by_first() -> str | None:
-        states = States(second.system.scene, first.states.all)
-        found = kinematic_cause(*(Samples(samples.system, states) for samples in (second, first)))
-        return aligned.joint_names.get(found, found) if found else None
-
-    for row in kinematics_rows(pair, first, second):
-        if not row.agrees:
-            causes = dict.fromkeys(
-                filter(None, [row.where if row.where in here else None, opened_by_first()])
-            )
-            named = [cause for cause in causes if cause in suspects] or list(causes) or [row.where]
-            row = replace(row, where=" or ".join(named))
-        yield row
-
-
-def _dynamics(aligned: Aligned, pair: Pair, first: Samples, second: Samples) -> Iterator[Figure]:
+def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:
     """Gravity, rotors, what acts at joints and on bodies, each blamed on itself; energies, effective inertia
     and force after them. Tolerances are round-off times the condition of the constraints."""
+    aligned, states = _shared(first).aligned, first.states.all
     share = round_off(max(first.condition, second.condition), first.states.noise)
-    scales, states, failed = first.scales, first.states.all, list[str]()
+    scales, failed = first.scales, list[str]()
 
-    def noted(quantity: str, gaps: Mapping[str, float]) -> Figure:
-        found = worst_figure("dynamics", quantity, pair, np.array(list(gaps.values())), share, tuple(gaps))
-        failed.extend([] if found.agrees else [found.where])
-        return found
+    def term(quantity: str, values: Mapping[str, float]) -> Figure:
+        found = Difference(quantity, np.array(list(values.values())), share, tuple(values))
+        row = found.figure("dynamics", pair)
+        failed.extend([] if row.agrees else [row.where])
+        return row
 
     one, two = (scene.gravity for scene in aligned.both)
     strength = max(float(np.linalg.norm(one)), float(np.linalg.norm(two))) or 1.0
-    yield noted("gravity, rel", {"gravity": float(np.linalg.norm(two - one)) / strength})
+    yield term("gravity, rel", {"gravity": float(np.linalg.norm(two - one)) / strength})
     for quantity, members in ACTING.items():
-        here, there = (_at_joints(scene, members(scene), states, scales.size) for scene in aligned.both)
-        there = _in_first(aligned, there)
+        here = _at_joints(aligned.both[0], members, states, scales.size, lambda key: Partner(key, 1.0))
+        there = _at_joints(aligned.both[1], members, states, scales.size, aligned.of_first)
         if here or there:
             largest = max(float(np.max(np.abs(values))) for values in (*here.values(), *there.values()))
             unit = (largest or 1.0) if quantity == ROTORS else max(scales.force, largest)
-            gaps, nothing = dict[str, float](), np.zeros(1)
+            values, nothing = dict[str, float](), np.zeros(1)
             for key in dict.fromkeys([*here, *there]):
-                gap = np.abs(there.get(key, nothing) - here.get(key, nothing))
-                gaps[key[0]] = max(gaps.get(key[0], 0.0), float(gap.max()) / unit)
-            yield noted(quantity, gaps)
+                apart = np.abs(there.get(key, nothing) - here.get(key, nothing))
+                values[key[0]] = max(values.get(key[0], 0.0), float(apart.max()) / unit)
+            yield term(quantity, values)
     wrenches = np.array([_on_bodies(scene, states, scales.size) for scene in aligned.both])
     if np.any(wrenches):
         unit = max(scales.force, float(np.max(np.abs(wrenches))))
-        gap = np.abs(wrenches[1] - wrenches[0]).max(axis=(0, 2)) / unit
-        yield noted("forces on bodies, rel", dict(zip(aligned.first.mechanism.body_names, gap, strict=True)))
+        apart = np.abs(wrenches[1] - wrenches[0]).max(axis=(0, 2)) / unit
+        yield term("forces on bodies, rel", dict(zip(aligned.first.mechanism.body_names, apart, strict=True)))
     yield from motion_rows(pair, first, second, lambda _: failed[0] if failed else None)
 
 
 def _at_joints(
-    scene: Scene, acting: Iterable[Acting], states: Sequence[State], size: float
+    scene: Scene,
+    members: Callable[[Scene], Iterable[Acting]],
+    states: Sequence[State],
+    size: float,
+    of_first: Callable[[Key], Partner],
 ) -> dict[Key, Array]:
-    """Sum the forces of some elements at n states along joint coordinates, or about the axes of a `BALL`.
+    """Sum the forces of some elements at n states along the first's coordinates, or about a ball's axes.
 
     Returns:
         (n, 1) or (n, 3) by coordinate, N, and N m over the size; of rotors the momentum, N s.
     """
-    found, mechanism = dict[Key, Array](), scene.mechanism
+    found = dict[Key, Array]()
     places = [surroundings(scene, state) for state in states]
-    for element in acting:
-        slides = not element.on_ball and mechanism.is_slide(*element.key)
+    for element in members(scene):
+        slides = not element.on_ball and scene.mechanism.is_slide(*element.key)
         values = np.array([np.atleast_1d(element.at_joint(at)) for at in places]) / (1.0 if slides else size)
-        found[element.key] = found.get(element.key, 0.0) + values
+        key, sense = of_first(element.key)
+        found[key] = found.get(key, 0.0) + sense * values
     return found
-
-
-def _in_first(aligned: Aligned, found: Mapping[Key, Array]) -> dict[Key, Array]:
-    """Express forces along the second model's coordinates along those of the first; others keep their own."""
-    ways = {partner.key: (key, partner.sense) for key, partner in aligned.coordinates.items()}
-    for name, other in aligned.joints.items():
-        one, two = aligned.joint_pair(name)
-        ways[other, BALL] = (name, BALL), 1.0 if one.second == two.second else -1.0
-    return {ways.get(key, (key, 1.0))[0]: ways.get(key, (key, 1.0))[1] * x for key, x in found.items()}
 
 
 def _on_bodies(scene: Scene, states: Iterable[State], size: float) -> Array:
@@ -302,3 +268,13 @@ def _on_bodies(scene: Scene, states: Iterable[State], size: float) -> Array:
     found[:, 0] = 0.0
     found[..., 3:] /= size
     return found
+
+
+LEVELS: tuple[Level, ...] = (
+    model_rows,
+    start_rows,
+    kinematics_rows,
+    term_rows,
+    acceleration_rows,
+)
+"""In their order; runs are after them."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from command_line import run
 
-from crosscheck.against.align import align
+from crosscheck.against.align import alignments
 from crosscheck.against.compare import Model, unsimulated
 from crosscheck.model_files.read import read_model
 
@@ -90,7 +90,7 @@ def loaded(folder: Path, name: str, text: str) -> Model:
 
 def apart(first: Model, second: Model) -> list[tuple[str, bool]]:
     """Elements that only one file has and no figure is about, and whether they move something."""
-    return [tuple(found) for found in unsimulated(first, second, align(first.scene, second.scene))]
+    return [tuple(found) for found in unsimulated(first, second, next(alignments(first.scene, second.scene)))]
 
 
 def test_values_and_counts_of_what_is_not_simulated_are_no_difference(tmp_path: Path) -> None:
