@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -64,24 +67,36 @@ def bench_command(
     output: Path | None,
 ) -> int:
     """Measure run time against error on SCENE, for every engine and setting."""
-    from crosscheck.studies.benchmark import run
+    from crosscheck.studies.benchmark.run import (
+        Model,
+        bench,
+        many_runs,
+        right_hand_sides,
+        sizes,
+        work_precision,
+    )
 
     options = exercised(scene, scene_options(settings))
     if rhs + scaling + (batch is not None) > 1:
         raise CrosscheckError("--rhs, --scaling and --batch are different benchmarks; choose one")
-    loaded, model = load_and_tell(scene, options), run.Model(scene, options)
-    with progress_shown() as progress:
-        if rhs:
-            found, written = run.bench_rhs(loaded, model, output, progress)
-        elif scaling:
-            found, written = run.bench_scaling(loaded, model, output, progress)
-        elif batch is not None:
-            found, written = run.bench_batch(loaded, model, batch, error, output, progress)
-        else:
-            found, written = run.bench(loaded, model, error, output, progress)
+    if rhs or scaling:
+        kind = right_hand_sides() if rhs else sizes(scene, options)
+    else:
+        kind = work_precision(error) if batch is None else many_runs(batch, error)
+    model = Model(load_and_tell(scene, options), scene, options)
+    with _stages_shown() as progress:
+        found, written = bench(model, kind, output, progress)
     click.echo(terminal(found.parts), nl=False)
     say("wrote " + ", ".join(str(path) for path in written))
     return AGREE
+
+
+@contextmanager
+def _stages_shown() -> Iterator[Callable[[str], None]]:
+    """Progress of what takes minutes: where standard error is no terminal each stage is a line of it."""
+    with progress_shown() as progress:
+        terminal = sys.stderr.isatty()
+        yield progress if terminal else lambda stage: click.echo(stage, err=True)
 
 
 @cli.command("stress")

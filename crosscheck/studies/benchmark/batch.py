@@ -12,31 +12,40 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.limit import time_limit
-from crosscheck.report.table import Cell, Lines, Report, Rows, Table, figures, texts
-from crosscheck.scenes import load as load_scene
-from crosscheck.studies.benchmark import reference
-from crosscheck.studies.benchmark.engines import Done, Engine, Method, MuJoCo, Options, Own, Poses
-from crosscheck.studies.benchmark.ladders import JUDGED, poses_only
-from crosscheck.studies.benchmark.reference import pose_errors
-from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, machine, machine_line, steady
+from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
+from crosscheck.studies.benchmark.ladders import (
+    JUDGED,
+    STEPS,
+    Ladder,
+    Options,
+    Poses,
+    adaptive_ladders,
+    mujoco_ladders,
+    output_interval,
+    poses_only,
+)
+from crosscheck.studies.benchmark.reference import BATCH_RTOL, batch_references, pose_errors
+from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
 from crosscheck.studies.bisection import smallest
-from newton_euler.batch import Batch
+from newton_euler.batch import Batch, simulate_batch
+from newton_euler.codegen.compile import uncollected
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
+from newton_euler.integrators.compiled import FORMULATIONS, STABILIZATIONS
+from newton_euler.integrators.run import load
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.simulate import simulate
-from urdf import simulate as simulate_pinocchio
+from newton_euler.simulate import compile_scene
 
 REPEATS = 5
 """Of every batch, engines and numbers of threads taking turns."""
@@ -51,14 +60,104 @@ LIMIT = 10.0
 """s that MuJoCo's runs on one thread may take; it makes fewer runs than newton_euler where they would take
 longer."""
 
-RTOL = 1e-12
-"""Of the sample's reference, with atol = 0.01 rtol."""
-
 LONGEST = 20.0
 """s that a sample may take: settings that are slower are not tried."""
 
 TRIES = 2
 """How often a sample is run at a setting that reaches the error; the quicker counts."""
+
+DELIVERED = {
+    JUDGED: "poses of all bodies at all outputs",
+    "mujoco": "time, qpos and qvel after every step, of which qpos at outputs is kept",
+}
+"""Included in the time of a run, by engine."""
+
+
+# Engines
+
+
+class Done(NamedTuple):
+    """A batch that was run.
+
+    Attributes:
+        seconds: what it took.
+        setup: s that it took before to turn states into the engine's own, and to load.
+        poses: works out those of each run; raises what ended one of them.
+        batch: of newton_euler.
+    """
+
+    seconds: float
+    setup: float
+    poses: Callable[[], list[Poses]]
+    batch: Batch | None = None
+
+
+class Engine(Protocol):
+    """One engine on the states of one scene."""
+
+    name: str
+
+    def ladders(self) -> Iterator[Ladder]:
+        """Yield all methods that run a batch."""
+
+    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
+        """Run a batch."""
+
+
+class Own:
+    """newton_euler: its adaptive methods. Fixed steps could only favor MuJoCo."""
+
+    name = JUDGED
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+
+    def ladders(self) -> Iterator[Ladder]:
+        for how in product(FORMULATIONS, STABILIZATIONS):
+            compiled = compile_scene(self._scene, formulation=how[0], stabilization=how[1])
+            for ladder in adaptive_ladders(*how):
+                load(compiled, ladder.finer(1)[1]["integrator"])  # compiling is no time of a sample's
+                yield ladder._replace(finer=partial(self._of_formulation, how, ladder))
+
+    @staticmethod
+    def _of_formulation(how: tuple[str, str], ladder: Ladder, number: int) -> tuple[str, Options]:
+        name, options = ladder.finer(number)
+        return name, options | {"formulation": how[0], "stabilization": how[1]}
+
+    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
+        start = time.perf_counter()
+        batch = simulate_batch(self._scene, states, threads=threads, **options)
+        setup = time.perf_counter() - start - batch.wall_time
+        return Done(batch.wall_time, setup, lambda: [(r.position, r.quaternion) for r in batch], batch)
+
+
+class MuJoCo:
+    """`mujoco.rollout`, which writes the full physics state after every step."""
+
+    name = "mujoco"
+
+    def __init__(self, scene: Scene, period: float) -> None:
+        """Steps are no shorter than in the ladder of runs with outputs of this period, s."""
+        from mjcf.tight import compiled
+
+        self._system = compiled(scene)
+        self._interval = output_interval(scene)
+        self._most = max(1, round(self._interval / period * STEPS[-1]))
+
+    def ladders(self) -> Iterator[Ladder]:
+        yield from mujoco_ladders(self._interval, range(1, self._most + 1))
+
+    def run(self, options: Options, states: Sequence[State], threads: int) -> Done:
+        from mjcf.tight import Rollout, physics_states
+
+        start = time.perf_counter()
+        rollout = Rollout(self._system, **options, threads=threads)
+        coordinates = [self._system.coordinates(state) for state in states]
+        starts = physics_states(self._system, *map(np.array, zip(*coordinates, strict=True)))
+        begun = time.perf_counter()
+        runs = rollout(starts)
+        seconds = time.perf_counter() - begun
+        return Done(seconds, begun - start, lambda: [rollout.poses(qpos) for qpos in runs])
 
 
 # Settings
@@ -83,17 +182,17 @@ def cheapest(
     """
     tried: list[Choice] = []
     reaching: list[Choice] = []
-    for method in engine.methods():
+    for ladder in engine.ladders():
+        progress(f"{len(states)} runs of {engine.name}: {ladder.method}")
         # a method is left where it takes longer than another that reaches the error
         longest = min((choice.seconds for choice in reaching), default=LONGEST)
 
-        def suffices(n: int, method: Method = method, longest: float = longest) -> bool:
-            name, options = method.setting(n)
-            progress(f"{len(states)} runs of {engine.name}: {name}")
-            tried.append(_try(engine, name, options, states, exact, error))
+        def suffices(n: int, ladder: Ladder = ladder, longest: float = longest) -> bool:
+            number = ladder.numbers[n - 1]
+            tried.append(_try(engine, *ladder.setting(number), states, exact, error))
             return tried[-1].error <= error or tried[-1].seconds > longest
 
-        smallest(suffices, method.most)
+        smallest(suffices, len(ladder.numbers))
         reaching = [choice for choice in tried if choice.error <= error]
     if not reaching:
         least = min(choice.error for choice in tried)
@@ -103,53 +202,22 @@ def cheapest(
 
 
 def _try(
-    engine: Engine,
-    name: str,
-    options: Options,
-    states: Sequence[State],
-    exact: Sequence[Poses],
-    error: float,
+    engine: Engine, name: str, options: Options, states: Sequence[State], exact: Sequence[Poses], error: float
 ) -> Choice:
     """Run a sample at a setting; its error is infinite if a run cannot go on."""
     seconds, worst = math.inf, math.inf
     for _ in range(TRIES):
         start = time.perf_counter()
         try:
-            with steady(), time_limit(LONGEST):
+            with uncollected(), time_limit(LONGEST):
                 done = engine.run(options, states, threads=1)
             worst = max(max(pose_errors(*pair)) for pair in zip(done.poses(), exact, strict=True))
         except (NewtonEulerError, CrosscheckError):
             return Choice(name, options, math.inf, time.perf_counter() - start)
-        seconds = min(seconds, done.processor)
+        seconds = min(seconds, done.seconds)
         if not worst <= error:
             break
     return Choice(name, options, worst, seconds)
-
-
-def references(scene: Scene, states: Sequence[State]) -> tuple[dict[int, Poses], float]:
-    """Return Pinocchio's poses at tight tolerances by number of the state, and how far newton_euler's differ.
-
-    A state has none from which one of them cannot go that tightly: its run passes a singular configuration.
-
-    Raises:
-        CrosscheckError: if none has any.
-    """
-    tight: dict[str, Any] = {"rtol": RTOL, "atol": 0.01 * RTOL}
-    found: dict[int, Poses] = {}
-    uncertainty = 0.0
-    for k, state in enumerate(states):
-        started = replace(scene, initial_state=state)
-        try:
-            with time_limit(reference.LIMIT):
-                own, exact = simulate(started, **tight), simulate_pinocchio(started, **tight)
-        except (NewtonEulerError, CrosscheckError) as error:
-            reason = str(error)
-            continue
-        found[k] = exact.position, exact.quaternion
-        uncertainty = max(uncertainty, *pose_errors((own.position, own.quaternion), found[k]))
-    if not found:
-        raise CrosscheckError(f"none of {len(states)} random runs has a reference; the last: {reason}")
-    return found, uncertainty
 
 
 # Rates
@@ -181,29 +249,18 @@ class Rate(Timed):
     def per_second(self) -> float:
         return self.runs / self.median
 
-    @property
-    def spread(self) -> float:
-        """The difference between the quartiles of the times, as a share of their median."""
-        low, high = self.quartiles
-        return (high - low) / self.median
-
 
 @dataclass(frozen=True)
 class BatchBenchmark:
     """Rates of both engines.
 
     Attributes:
-        source, options: of the scene.
-        machine: what it ran on.
         duration, outputs: s and number of outputs of each run.
         error: m or rad, what settings had to reach.
         uncertainty: m or rad, of the sample's reference.
         sample, unknown: runs of the sample with and without a reference.
     """
 
-    source: str
-    options: Mapping[str, str]
-    machine: dict[str, Any]
     duration: float
     outputs: int
     error: float
@@ -231,9 +288,7 @@ def rarer(scene: Scene, runs: int) -> Scene:
     return replace(scene, output_period=scene.duration / number)
 
 
-def benchmark_batch(
-    source: str, options: Mapping[str, str], runs: int, error: float, progress: Progress
-) -> BatchBenchmark:
+def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -> BatchBenchmark:
     """Measure the throughput of both engines at an error; `progress` is told each stage.
 
     Raises:
@@ -241,14 +296,12 @@ def benchmark_batch(
             threads that change newton_euler's results.
         NewtonEulerError: for a mechanism that hardly ever closes from nearby.
     """
-    where = machine()
-    given = poses_only(load_scene(source, **options))
-    scene = rarer(given, runs)
+    scene = rarer(poses_only(given), runs)
     progress(f"{runs} random states")
     states = random_states(scene, runs)
     sample = [states[k] for k in np.linspace(0, runs - 1, min(SAMPLE, runs)).astype(int)]
     progress(f"reference of {len(sample)} runs")
-    exact, uncertainty = references(scene, sample)
+    exact, uncertainty = batch_references(scene, sample)
     if uncertainty > error:
         raise CrosscheckError(f"--error {error:g}: the reference is known to {uncertainty:.1e} only")
     known, poses = [sample[k] for k in exact], list(exact.values())
@@ -267,18 +320,9 @@ def benchmark_batch(
         rates.append(
             Rate(engine.name, choice.name, choice.error, threads, len(own), first.setup, failed, row)
         )
-    return BatchBenchmark(
-        source=source,
-        options=options,
-        machine=where,
-        duration=scene.duration,
-        outputs=len(scene.times),
-        error=error,
-        uncertainty=uncertainty,
-        sample=len(known),
-        unknown=len(sample) - len(known),
-        rates=tuple(rates),
-    )
+    unknown = len(sample) - len(known)
+    outputs = len(scene.times)
+    return BatchBenchmark(scene.duration, outputs, error, uncertainty, len(known), unknown, tuple(rates))
 
 
 def _timed(
@@ -303,49 +347,34 @@ def identical(one: Batch, other: Batch) -> bool:
 # Report
 
 
-def batch_report(result: BatchBenchmark) -> Report:
+def parts(result: BatchBenchmark) -> list[Part]:
     """Return the rates by engine and number of threads; ratios are newton_euler's rate over the other's."""
     rates = {(rate.engine, rate.threads): rate.per_second for rate in result.rates}
     rows: Rows = [
         [
             rate.engine,
-            rate.setting,
-            f"{rate.error:.1e}",
             str(rate.threads),
             str(rate.runs),
             f"{rate.per_second:.4g}",
-            f"{rate.spread:.0%}",
+            rate.spread,
             f"{rate.per_second / rates[rate.engine, 1]:.2f}",
             "-" if rate.engine == JUDGED else f"{rates[JUDGED, rate.threads] / rate.per_second:.3g}",
             f"{rate.setup:.2f}",
         ]
         for rate in result.rates
     ]
-    names = ("error", "threads", "runs", "runs per s", "spread", "scaling", "ratio", "setup, s")
-    table = Table("", [*texts("engine", "setting"), *figures(*names)], rows)
+    heads = figures("threads", "runs", "runs per s", "spread", "scaling", "ratio", "setup, s")
+    table = Table("", [*texts("engine"), *heads], rows)
     period = result.duration / (result.outputs - 1)
     lines = [
-        machine_line(result.machine),
-        f"runs of {result.duration:g} s from random consistent states, {result.outputs} outputs "
-        f"{period:.3g} s apart",
-        f"settings: the cheapest with no run of a sample of {result.sample} off by more than "
-        f"{result.error:g} m or rad; error: the largest of that sample",
-        f"the sample's reference is known to {result.uncertainty:.1e}; {result.unknown} more of these runs "
-        f"have none at rtol {RTOL:g}",
-        f"rates are of the median of {REPEATS} repeats in turns; spread: between the quartiles of the times",
-        "newton_euler's results on all numbers of threads are equal to the last bit",
-        "setup, not counted: states into each engine's own, loading",
-        *(f"{engine.name} delivers {engine.delivers}" for engine in (Own, MuJoCo)),
-        *(
-            f"{rate.engine}: {rate.failed} runs could not go on"
-            for rate in result.rates
-            if rate.failed and rate.threads == 1
-        ),
+        f"runs of {result.duration:g} s from random states, {result.outputs} outputs {period:.3g} s apart; "
+        f"rates by the median of {REPEATS} repeats in turns; setup is not counted",
+        f"settings: the cheapest with none of {result.sample} runs off by more than {result.error:g} m, rad; "
+        f"reference known to {result.uncertainty:.1e}, none of {result.unknown} more at rtol {BATCH_RTOL:g}",
     ]
-    return Report("many runs", "", Cell(""), [table, Lines("", lines)])
-
-
-def batch_data(result: BatchBenchmark) -> dict[str, Any]:
-    """Return everything measured, for JSON."""
-    rates = [asdict(rate) | {"rate": rate.per_second} for rate in result.rates]
-    return asdict(result) | {"rates": rates}
+    for rate in result.rates:
+        if rate.threads == 1:
+            failed = f"; {rate.failed} runs could not go on" if rate.failed else ""
+            made = f"{rate.setting} (error {rate.error:.1e}); delivers {DELIVERED[rate.engine]}"
+            lines.append(f"{rate.engine}: {made}{failed}")
+    return [table, Lines("", lines)]

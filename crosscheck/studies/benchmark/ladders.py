@@ -1,4 +1,4 @@
-"""The engines of a benchmark, each in its cheapest ways: ladders of settings from the coarsest to the finest.
+"""The engines of a benchmark, each in its cheapest ways: ladders of settings, ever finer.
 
 A run's time is what it takes to have the poses of all bodies at all outputs, as the engine has them:
 
@@ -11,11 +11,12 @@ A run's time is what it takes to have the poses of all bodies at all outputs, as
 
 from __future__ import annotations
 
-import dataclasses
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from itertools import product
+from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
 from newton_euler import compile_scene
@@ -23,13 +24,14 @@ from newton_euler.integrators.compiled import FORMULATIONS, STABILIZATIONS
 from newton_euler.integrators.run import load
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
-from newton_euler.simulate import CompiledScene
 
-if TYPE_CHECKING:
-    from urdf.tight import Equations, Kinematics
+JUDGED = "newton_euler"
+"""The engine that the others are compared with."""
 
-TIGHTEST = 3e-14
-"""Tightest rtol; the limit of DOP853, scipy's and newton_euler's, is 2.2e-14."""
+Options = dict[str, Any]
+
+Poses = tuple[Array, Array]
+"""Positions (n, b, 3), m, and quaternions (n, b, 4) of the bodies, ground first, at the output times."""
 
 
 class Run(NamedTuple):
@@ -38,38 +40,49 @@ class Run(NamedTuple):
     Attributes:
         seconds: what it took, by its own clock.
         evaluations: of the equations of motion.
-        poses: works out positions (n, b, 3), m, and quaternions (n, b, 4) of the bodies, ground
-            first, at the output times; not timed.
+        poses: works them out; not timed.
     """
 
     seconds: float
     evaluations: int
-    poses: Callable[[], tuple[Array, Array]]
-
-
-class Setting(NamedTuple):
-    """One way to run a scene; `run` raises an exception that says why if it cannot."""
-
-    name: str
-    run: Callable[[], Run]
+    poses: Callable[[], Poses]
 
 
 class Ladder(NamedTuple):
-    """Settings of one method, from the coarsest to the finest."""
+    """Settings of one method.
+
+    Attributes:
+        method: name.
+        finer: the name of the n-th setting, and its options; errors fall with n.
+        numbers: those that are run, from the coarsest to the finest.
+    """
 
     method: str
-    settings: tuple[Setting, ...]
+    finer: Callable[[int], tuple[str, Options]]
+    numbers: Sequence[int]
+
+    def setting(self, number: int) -> tuple[str, Options]:
+        """Return the n-th setting's full name, and its options."""
+        name, options = self.finer(number)
+        return f"{self.method}, {name}", options
 
 
 class Model(NamedTuple):
-    """A scene as loaded by an engine: its methods, and a remark about the loading."""
+    """A scene as loaded by an engine.
 
-    ladders: tuple[Ladder, ...]
+    Attributes:
+        ladders: its methods.
+        run: a run at a setting's options; raises an exception that says why if it cannot.
+        remark: on the loading.
+    """
+
+    ladders: Sequence[Ladder]
+    run: Callable[[Options], Run]
     remark: str
 
 
 Models = Mapping[str, Callable[[], Model]]
-"""How an engine loads a scene in each of the ways it knows, by name."""
+"""Loads a scene in each of the ways that an engine knows, by name."""
 
 
 def poses_only(scene: Scene) -> Scene:
@@ -82,29 +95,32 @@ def poses_only(scene: Scene) -> Scene:
         raise CrosscheckError(
             f"scene {scene.name!r} has a sampled controller; bench needs native control laws"
         )
-    return dataclasses.replace(scene, outputs=frozenset())
+    return replace(scene, outputs=frozenset())
 
 
-def intervals(times: Array) -> list[tuple[int, float]]:
-    """Count equal intervals, s, between outputs, and then the last if it is shorter."""
-    first, last = float(times[1] - times[0]), float(times[-1] - times[-2])
-    if abs(first - last) <= 1e-9 * first:
-        return [(len(times) - 1, first)]
-    return [(len(times) - 2, first), (1, last)]
+def _by_tolerance(method: str, first: int, last: int, share: float, **options: Any) -> Ladder:
+    """A ladder of half decades of rtol from 10^-(first / 2) on, atol being a share of it."""
+
+    def finer(number: int) -> tuple[str, Options]:
+        rtol = 10.0 ** (-number / 2)
+        return f"rtol {rtol:.0e}", {**options, "rtol": rtol, "atol": share * rtol}
+
+    return Ladder(f"{method}, atol = {share:g} rtol", finer, range(first, last + 1))
 
 
-def _steps(scene: Scene, numbers: Iterable[int]) -> Iterator[tuple[int, float, str]]:
-    """Yield numbers of fixed steps from one output to the next, the steps, s, and their names."""
-    for number in numbers:
-        step = float(scene.times[1] - scene.times[0]) / number
-        yield number, step, f"step {step:.3g} s"
+def _by_step(method: str, option: str, interval: float, numbers: Sequence[int], **options: Any) -> Ladder:
+    """A ladder of numbers of steps from one output to the next, `interval` s later; `option` sets them."""
+
+    def finer(number: int) -> tuple[str, Options]:
+        step = interval / number
+        return f"step {step:.3g} s", {**options, option: number if option == "number" else step}
+
+    return Ladder(method, finer, numbers)
 
 
-def _tolerances(powers: Iterable[int]) -> Iterator[tuple[float, str]]:
-    """Yield rtol at half decades, with their names."""
-    for rtol in (base * 10.0**-power for power in powers for base in (1.0, 0.3)):
-        if rtol >= TIGHTEST:
-            yield rtol, f"rtol {rtol:.0e}"
+def output_interval(scene: Scene) -> float:
+    """Return the s between the first two outputs."""
+    return float(scene.times[1] - scene.times[0])
 
 
 # newton_euler
@@ -112,48 +128,44 @@ def _tolerances(powers: Iterable[int]) -> Iterator[tuple[float, str]]:
 SHARES = (1.0, 1e-2)
 """atol, in units of rtol."""
 
+FINEST = 27
+"""Half decades of rtol, 3e-14; the limit of DOP853, scipy's and newton_euler's, is 2.2e-14."""
+
 STIFF = ("relative", "projection")
 """What Radau runs. The Jacobian of Cartesian coordinates would take half a minute to compile."""
 
 
+def adaptive_ladders(formulation: str, stabilization: str) -> list[Ladder]:
+    """newton_euler's methods with error control."""
+    prefix = f"{formulation}, {stabilization}"
+    ladders = [_by_tolerance(f"{prefix}, DOP853", 4, FINEST, share, integrator="DOP853") for share in SHARES]
+    if (formulation, stabilization) == STIFF:
+        ladders.append(_by_tolerance(f"{prefix}, Radau", 4, 19, SHARES[1], integrator="Radau"))
+    return ladders
+
+
 def _newton_euler(scene: Scene) -> Models:
     """Return a model for each formulation and stabilization."""
-    return {
-        f"{formulation}, {stabilization}": partial(_load_own, scene, formulation, stabilization)
-        for formulation in FORMULATIONS
-        for stabilization in STABILIZATIONS
-    }
+    return {", ".join(how): partial(_load_own, scene, *how) for how in product(FORMULATIONS, STABILIZATIONS)}
 
 
 def _load_own(scene: Scene, formulation: str, stabilization: str) -> Model:
     compiled = compile_scene(scene, formulation=formulation, stabilization=stabilization)
     load(compiled, "Euler")
-    adaptive = [("DOP853", range(2, 14), share) for share in SHARES]
     if (formulation, stabilization) == STIFF:
         load(compiled, "Radau")
-        adaptive.append(("Radau", range(2, 10), SHARES[1]))
-    prefix = f"{formulation}, {stabilization}"
-    ladders = []
-    for integrator, powers, share in adaptive:
-        settings = [
-            Setting(name, partial(_run_own, compiled, integrator, rtol=rtol, atol=share * rtol))
-            for rtol, name in _tolerances(powers)
-        ]
-        ladders.append(Ladder(f"{prefix}, {integrator}, atol = {share:g} rtol", tuple(settings)))
+    ladders, interval = adaptive_ladders(formulation, stabilization), output_interval(scene)
     for integrator in ("RK4", "Euler"):
-        settings = [
-            Setting(name, partial(_run_own, compiled, integrator, step=step))
-            for _, step, name in _steps(scene, (1, 2, 5, 10, 20, 50))
-        ]
-        ladders.append(Ladder(f"{prefix}, {integrator}", tuple(settings)))
+        method, numbers = f"{formulation}, {stabilization}, {integrator}", (1, 2, 5, 10, 20, 50)
+        ladders.append(_by_step(method, "step", interval, numbers, integrator=integrator))
+
+    def run(options: Options) -> Run:
+        found = compiled.simulate(**options)
+        return Run(found.wall_time, found.settings["evaluations"], lambda: (found.position, found.quaternion))
+
     source = "loaded from the cache" if compiled.from_cache else "compiled"
     remark = f"traced {compiled.trace_time:.2f} s, {source} {compiled.compile_time:.2f} s"
-    return Model(tuple(ladders), remark)
-
-
-def _run_own(compiled: CompiledScene, integrator: str, **options: Any) -> Run:
-    found = compiled.simulate(integrator, **options)
-    return Run(found.wall_time, found.settings["evaluations"], lambda: (found.position, found.quaternion))
+    return Model(ladders, run, remark)
 
 
 # MuJoCo
@@ -169,6 +181,21 @@ exact, at every step: by a third. The others hardly depend on it, and RK4 is che
 step (10 ms) where they do."""
 
 
+def mujoco_ladders(interval: float, numbers: Sequence[int] = STEPS) -> list[Ladder]:
+    """MuJoCo's methods, with outputs `interval` s apart."""
+    return [
+        _by_step(
+            f"{integrator}, solref (2 steps, {ratio:g})",
+            "number",
+            interval,
+            numbers,
+            integrator=integrator,
+            damping_ratio=ratio,
+        )
+        for integrator, ratio in METHODS
+    ]
+
+
 def _mujoco(scene: Scene) -> Models:
     return {"MJCF": partial(_load_mujoco, scene)}
 
@@ -177,22 +204,26 @@ def _load_mujoco(scene: Scene) -> Model:
     from mjcf.tight import Stepper, compiled
 
     system = compiled(scene)
-    ladders = []
-    for integrator, ratio in METHODS:
-        settings = []
-        for number, _, name in _steps(scene, STEPS):
-            stepper = Stepper(system, integrator, intervals(scene.times), number, ratio)
-            evaluations = (4 if integrator == "RK4" else 1) * number * (len(scene.times) - 1)
-            settings.append(Setting(name, partial(_run_mujoco, stepper, evaluations)))
-        ladders.append(Ladder(f"{integrator}, solref (2 steps, {ratio:g})", tuple(settings)))
-    return Model(tuple(ladders), "MJCF written and compiled")
+    outputs = intervals(scene.times)
+
+    def run(options: Options) -> Run:
+        stepper = Stepper(system, intervals=outputs, **options)
+        stepper.reset()
+        start = time.perf_counter()
+        stepper.run()
+        seconds = time.perf_counter() - start
+        stages = 4 if options["integrator"] == "RK4" else 1
+        return Run(seconds, stages * options["number"] * (len(scene.times) - 1), stepper.poses)
+
+    return Model(mujoco_ladders(output_interval(scene)), run, "MJCF written and compiled")
 
 
-def _run_mujoco(stepper: Any, evaluations: int) -> Run:
-    stepper.reset()
-    start = time.perf_counter()
-    stepper.run()
-    return Run(time.perf_counter() - start, evaluations, stepper.poses)
+def intervals(times: Array) -> list[tuple[int, float]]:
+    """Count equal intervals, s, between outputs, and then the last if it is shorter."""
+    first, last = float(times[1] - times[0]), float(times[-1] - times[-2])
+    if abs(first - last) <= 1e-9 * first:
+        return [(len(times) - 1, first)]
+    return [(len(times) - 2, first), (1, last)]
 
 
 # Pinocchio
@@ -213,28 +244,21 @@ def _pinocchio(scene: Scene) -> Models:
 
 
 def _load_pinocchio(scene: Scene, alpha: float) -> Model:
-    from urdf.tight import Kinematics, equations_of
+    from urdf.tight import Kinematics, equations_of, lsoda
 
-    equations, ladders = equations_of(scene, alpha, None), []
+    equations = equations_of(scene, alpha, None)
     kinematics = Kinematics(equations)
-    for share in SHARES:
-        settings = [
-            Setting(name, partial(_run_pinocchio, equations, kinematics, rtol, share * rtol))
-            for rtol, name in _tolerances(range(1, 14))
-        ]
-        method = f"constraintDynamics, alpha {alpha:g}, LSODA, atol = {share:g} rtol"
-        ladders.append(Ladder(method, tuple(settings)))
-    return Model(tuple(ladders), "URDF written and read, model built")
 
+    def run(options: Options) -> Run:
+        start = time.perf_counter()
+        rows, evaluations = lsoda(equations, **options)
+        placements = kinematics(rows)
+        seconds = time.perf_counter() - start
+        return Run(seconds, evaluations, partial(kinematics.poses, placements))
 
-def _run_pinocchio(equations: Equations, kinematics: Kinematics, rtol: float, atol: float) -> Run:
-    from urdf.tight import lsoda
-
-    start = time.perf_counter()
-    rows, evaluations = lsoda(equations, rtol, atol)
-    placements = kinematics(rows)
-    seconds = time.perf_counter() - start
-    return Run(seconds, evaluations, partial(kinematics.poses, placements))
+    method = f"constraintDynamics, alpha {alpha:g}, LSODA"
+    ladders = [_by_tolerance(method, 2, FINEST, share) for share in SHARES]
+    return Model(ladders, run, "URDF written and read, model built")
 
 
 ENGINES: dict[str, Callable[[Scene], Models]] = {
@@ -242,6 +266,3 @@ ENGINES: dict[str, Callable[[Scene], Models]] = {
     "mujoco": _mujoco,
     "pinocchio": _pinocchio,
 }
-
-JUDGED = "newton_euler"
-"""The engine that the others are compared with."""

@@ -1,51 +1,50 @@
 """The motion that errors of benchmarks are taken against, with its own uncertainty.
 
 It is Pinocchio's, by scipy's DOP853 at a tolerance near the limit of double precision, or at the next looser
-one that two equations of motion can be run at: an engine, equations
-and an integrator that share nothing with `newton_euler`, which is what the benchmark judges. Where Pinocchio
-cannot run a scene it is newton_euler's Cartesian formulation. The uncertainty is the largest difference to
-the same at twice the tolerance and to other equations of motion at tight tolerances, so an error that was
-Pinocchio's own would show in it.
+one that two equations of motion can be run at: an engine, equations and an integrator that share nothing with
+`newton_euler`, which is what the benchmark judges. Where Pinocchio cannot run a scene it is newton_euler's
+Cartesian formulation. The uncertainty is the largest difference to the same at twice the tolerance and to
+other equations of motion at tight tolerances, so an error that was Pinocchio's own would show in it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 import newton_euler
 import urdf
-from crosscheck.errors import CrosscheckError
+from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import time_limit
+from crosscheck.studies.benchmark.ladders import Poses
 from crosscheck.studies.benchmark.timing import Progress
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.scalars import Array
 
 RTOLS = (5e-14, 1e-11)
 """Tried in turn, with atol = 0.01 rtol. DOP853 takes no rtol below 2.2e-14."""
 
+BATCH_RTOL = 1e-12
+"""Of references of many runs, with atol = 0.01 rtol."""
+
 LIMIT = 10.0
 """s after which a run is given up."""
 
+REFUSALS = (NewtonEulerError, CrosscheckError, ArithmeticError, MemoryError)
+"""Of runs that a reference does without."""
 
-def pose_errors(poses: tuple[Array, Array], exact: tuple[Array, Array]) -> tuple[float, float]:
+
+def pose_errors(poses: Poses, exact: Poses) -> tuple[float, float]:
     """Return the largest distance, m, of positions (n, b, 3) and angle, rad, of quaternions (n, b, 4)."""
     distance = np.linalg.norm(poses[0] - exact[0], axis=-1)
     return float(np.max(distance)), float(np.max(angle_between(poses[1], exact[1])))
-
-
-class Difference(NamedTuple):
-    """Between the reference and another run: m and rad."""
-
-    position: float
-    angle: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,20 +53,15 @@ class Reference:
 
     Attributes:
         name: how it was made.
-        position, quaternion: (n, b, 3) m and (n, b, 4), ground first.
-        differences: to other runs, by name.
+        poses: of all bodies at all outputs.
+        differences: to other runs, m and rad, by name.
         missing: what could not be run, and why.
     """
 
     name: str
-    position: Array
-    quaternion: Array
-    differences: dict[str, Difference]
+    poses: Poses
+    differences: dict[str, tuple[float, float]]
     missing: dict[str, str]
-
-    @property
-    def poses(self) -> tuple[Array, Array]:
-        return self.position, self.quaternion
 
     @property
     def uncertainty(self) -> float:
@@ -84,34 +78,28 @@ def reference(scene: Scene, progress: Progress) -> Reference:
     missing: dict[str, str] = {}
     for rtol in RTOLS:
         runs = _runs(scene, rtol, missing, progress)
-        names = list(runs)
-        if len({name.split(",")[0] for name in names}) > 1:
+        if len({name.split(",")[0] for name in runs}) > 1:
             break
     else:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in missing.items())
         raise CrosscheckError(f"scene {scene.name!r} has no reference to take errors against: {reasons}")
-    chosen = runs[names[0]]
-    poses = chosen.position, chosen.quaternion
-    differences = {
-        name: Difference(*pose_errors((runs[name].position, runs[name].quaternion), poses))
-        for name in names[1:]
-    }
-    return Reference(names[0], *poses, differences, missing)
+    (name, exact), *others = runs.items()
+    return Reference(name, exact, {other: pose_errors(poses, exact) for other, poses in others}, missing)
 
 
-def _runs(scene: Scene, rtol: float, missing: dict[str, str], progress: Progress) -> dict[str, Trajectory]:
+def _runs(scene: Scene, rtol: float, missing: dict[str, str], progress: Progress) -> dict[str, Poses]:
     """Run what can be run at a tolerance; reasons for the rest are added to `missing`."""
-    runs: dict[str, Trajectory] = {}
+    runs: dict[str, Poses] = {}
     for name, run in _ways(scene, rtol).items():
         progress(f"reference: {name}")
         try:
             with time_limit(LIMIT):
-                trajectory = run()
-        except (NewtonEulerError, CrosscheckError, ArithmeticError, MemoryError) as error:
-            missing[name] = " ".join(str(error).split())
+                found = run()
+        except REFUSALS as error:
+            missing[name] = reason_of(error)
             continue
-        if np.all(np.isfinite(trajectory.position)) and np.all(np.isfinite(trajectory.quaternion)):
-            runs[name] = trajectory
+        if np.all(np.isfinite(found.position)) and np.all(np.isfinite(found.quaternion)):
+            runs[name] = found.position, found.quaternion
         else:
             missing[name] = "its motion is not finite"
     return runs
@@ -129,3 +117,29 @@ def _ways(scene: Scene, tightest: float) -> dict[str, Callable[[], Trajectory]]:
             newton_euler.simulate, scene, formulation=formulation, rtol=tightest, atol=0.01 * tightest
         )
     return ways
+
+
+def batch_references(scene: Scene, states: Sequence[State]) -> tuple[dict[int, Poses], float]:
+    """Return Pinocchio's poses at tight tolerances by number of the state, and how far newton_euler's differ.
+
+    A state has none from which one of them cannot go that tightly: its run passes a singular configuration.
+
+    Raises:
+        CrosscheckError: if none has any.
+    """
+    tight: dict[str, Any] = {"rtol": BATCH_RTOL, "atol": 0.01 * BATCH_RTOL}
+    found: dict[int, Poses] = {}
+    uncertainty, reason = 0.0, ""
+    for k, state in enumerate(states):
+        started = replace(scene, initial_state=state)
+        try:
+            with time_limit(LIMIT):
+                own, exact = newton_euler.simulate(started, **tight), urdf.simulate(started, **tight)
+        except REFUSALS as error:
+            reason = reason_of(error)
+            continue
+        found[k] = exact.position, exact.quaternion
+        uncertainty = max(uncertainty, *pose_errors((own.position, own.quaternion), found[k]))
+    if not found:
+        raise CrosscheckError(f"none of {len(states)} random runs has a reference; the last: {reason}")
+    return found, uncertainty

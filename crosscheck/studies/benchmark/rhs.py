@@ -1,31 +1,35 @@
-"""One right-hand side of each engine: time, operations, peak memory.
+"""One right-hand side of each engine, over the size of a scene if asked for: time, operations, peak memory.
 
 Each engine is called in its cheapest way: newton_euler from a native loop, MuJoCo by `mj_forward` from
 Python and by `mj_step` with its loop in C (which also integrates), Pinocchio from Python, the only way
 there is, so a call of its binding is in its time. Ways take turns. Peak memory and loading are those of a
-fresh process that loads the scene, makes the right-hand side without a compilation cache and calls it once;
-Pinocchio's hold a second and a third model, in other units, that choose the regularization.
+fresh process that makes the right-hand side without a compilation cache and calls it once; Pinocchio's hold a
+second and a third model, in other units, that choose the regularization.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import repeat
+from itertools import pairwise, repeat
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from crosscheck.report.table import Cell, Lines, Report, Rows, Table, figures, texts
-from crosscheck.scenes import load
+from crosscheck.errors import CrosscheckError, reason_of
+from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
+from crosscheck.scenes import SCENES, load
+from crosscheck.scenes.options import options_of
 from crosscheck.studies.benchmark.ladders import JUDGED, poses_only
-from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, machine
+from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
 from crosscheck.workers import LostError, in_processes
+from newton_euler import compile_scene
 from newton_euler.assemble import initial_state
 from newton_euler.codegen.cache import CACHE_VARIABLE
 from newton_euler.model.scene import Scene
@@ -39,11 +43,14 @@ ROUNDS = 201
 TOTAL = 2.0
 """s for all batches of one right-hand side."""
 
-PROBE_LIMIT = 120.0
+LIMIT = 180.0
 """s of processor time that loading in a fresh process may take."""
 
 MEMORY_SHARE = 0.4
 """Of the machine's memory that the address space of that process may be."""
+
+OPTION, SIZES = "N", (1, 10, 100, 1000)
+"""Option of a scene that sets its size, and what it is set to in turn."""
 
 
 class RightHandSide(NamedTuple):
@@ -55,7 +62,7 @@ class RightHandSide(NamedTuple):
     """
 
     repeat: Callable[[int], float]
-    operations: int | None
+    operations: int | None = None
 
 
 @dataclass(frozen=True)
@@ -63,28 +70,28 @@ class Timing(Timed):
     """One way to call an engine's right-hand side.
 
     Attributes:
-        engine, way: names.
+        way: the engine and how it is called.
         operations: floating-point operations, where they are known.
-        times: s a call, of each batch; none if it cannot run the scene.
+        times: s per call, of each batch; none if it cannot run the scene.
         load: s to import, build and compile it in a fresh process, without a cache.
-        memory: bytes, peak of that process.
-        own_memory: bytes, by how much that is more than before it loaded the engine.
+        memory: bytes, by how much the peak of that process grows.
         reason: why it cannot run the scene.
     """
 
-    engine: str
     way: str
     operations: int | None = None
     times: tuple[float, ...] = ()
     load: float = 0.0
     memory: int = 0
-    own_memory: int = 0
     reason: str = ""
+
+    @property
+    def judged(self) -> bool:
+        """True of newton_euler's."""
+        return self.way.startswith(JUDGED)
 
 
 def _newton_euler(scene: Scene, formulation: str) -> RightHandSide:
-    from newton_euler import compile_scene
-
     compiled = compile_scene(scene, formulation=formulation, stabilization="none")
     state = compiled.system.coordinates(initial_state(scene))
     return RightHandSide(lambda count: compiled.repeat(count, *state), compiled.operations["derivative"])
@@ -93,72 +100,65 @@ def _newton_euler(scene: Scene, formulation: str) -> RightHandSide:
 def _mj_forward(scene: Scene) -> RightHandSide:
     from mjcf.tight import forward
 
-    return RightHandSide(partial(_loop, forward(scene)), None)
+    return RightHandSide(partial(_seconds, _looped(forward(scene))))
 
 
 def _mj_step(scene: Scene) -> RightHandSide:
     from mjcf.tight import steps
 
-    make = steps(scene)
-
-    def timed(count: int) -> float:
-        start = time.perf_counter()
-        make(count)
-        return time.perf_counter() - start
-
-    return RightHandSide(timed, None)
+    return RightHandSide(partial(_seconds, steps(scene)))
 
 
 def _pinocchio(scene: Scene, lcaba: tuple[float, int] | None) -> RightHandSide:
     from urdf.tight import equations_of
 
-    return RightHandSide(partial(_loop, equations_of(scene, 0.0, lcaba).acceleration), None)
+    return RightHandSide(partial(_seconds, _looped(equations_of(scene, 0.0, lcaba).acceleration)))
 
 
-def _loop(call: Callable[[], object], count: int) -> float:
+def _looped(call: Callable[[], object]) -> Callable[[int], None]:
+    def loop(count: int) -> None:
+        for _ in repeat(None, count):
+            call()
+
+    return loop
+
+
+def _seconds(calls: Callable[[int], object], count: int) -> float:
     start = time.perf_counter()
-    for _ in repeat(None, count):
-        call()
+    calls(count)
     return time.perf_counter() - start
 
 
-Way = tuple[str, str]
-"""An engine and how its right-hand side is called."""
-
-WAYS: dict[Way, Callable[[Scene], RightHandSide]] = {
-    ("newton_euler", "relative"): partial(_newton_euler, formulation="relative"),
-    ("newton_euler", "cartesian"): partial(_newton_euler, formulation="cartesian"),
-    ("mujoco", "mj_forward"): _mj_forward,
-    ("mujoco", "mj_step, Euler, loop in C"): _mj_step,
-    ("pinocchio", "constraintDynamics"): partial(_pinocchio, lcaba=None),
-    ("pinocchio", "lcaba, mu 1e-06 x 1"): partial(_pinocchio, lcaba=(1e-6, 1)),
+WAYS: dict[str, Callable[[Scene], RightHandSide]] = {
+    "newton_euler relative": partial(_newton_euler, formulation="relative"),
+    "newton_euler cartesian": partial(_newton_euler, formulation="cartesian"),
+    "mujoco mj_forward": _mj_forward,
+    "mujoco mj_step Euler in C": _mj_step,
+    "pinocchio constraintDynamics": partial(_pinocchio, lcaba=None),
+    "pinocchio lcaba, mu 1e-6": partial(_pinocchio, lcaba=(1e-6, 1)),
 }
+"""Right-hand sides by engine and how it is called."""
 
 
 def time_right_hand_sides(
-    source: str,
-    options: Mapping[str, str],
-    progress: Progress,
-    ways: Iterable[Way] | None = None,
-    limit: float = PROBE_LIMIT,
+    scene: Scene, progress: Progress, ways: Iterable[str] | None = None
 ) -> list[Timing]:
     """Time one right-hand side of each engine at a scene's initial state, and measure its memory.
 
     Args:
-        source: the name or the file of the scene.
-        options: of the scene.
+        scene: loaded, with native control laws.
         progress: is told each stage.
         ways: out of `WAYS`; all of them if not given.
-        limit: s that loading may take in a fresh process.
 
     Raises:
         CrosscheckError: for a scene that cannot be benchmarked.
     """
-    scene = poses_only(load(source, **options))
+    scene = poses_only(scene)
     probes, ready = {}, {}
     for way in WAYS if ways is None else ways:
-        progress(f"{way[0]}: {way[1]}")
-        probes[way] = _probe(way, source, options, limit)
+        progress(f"loading {way}")
+        (found,) = in_processes(partial(probe, scene), [way], 1, lambda *_: None, lambda _: LIMIT)
+        probes[way] = Timing(way, reason=str(found)) if isinstance(found, LostError) else found
         if not probes[way].reason:
             ready[way] = WAYS[way](scene)
     times = dict(zip(ready, _times(list(ready.values()), progress), strict=True))
@@ -170,11 +170,11 @@ def _times(sides: Sequence[RightHandSide], progress: Progress) -> list[tuple[flo
     counts = [_batch(side.repeat) for side in sides]
     seconds = [side.repeat(count) for side, count in zip(sides, counts, strict=True)]
     rounds = [int(min(ROUNDS, max(3.0, TOTAL / s))) for s in seconds]
-    calls = [partial(_call, side, count) for side, count in zip(sides, counts, strict=True)]
+    calls = [partial(_per_call, side, count) for side, count in zip(sides, counts, strict=True)]
     return in_turns(calls, rounds, progress)
 
 
-def _call(side: RightHandSide, count: int) -> float:
+def _per_call(side: RightHandSide, count: int) -> float:
     return side.repeat(count) / count
 
 
@@ -186,32 +186,19 @@ def _batch(calls: Callable[[int], float]) -> int:
     return max(1, round(count * BATCH / seconds))
 
 
-# Memory
-
-
-def _probe(way: Way, source: str, options: Mapping[str, str], limit: float) -> Timing:
-    """Load one right-hand side in a fresh process and call it once."""
-    load_it = partial(probe, source=source, options=dict(options))
-    (found,) = in_processes(load_it, [way], 1, lambda *_: None, lambda _: limit)
-    return Timing(*way, reason=str(found)) if isinstance(found, LostError) else found
-
-
-def probe(way: Way, source: str, options: Mapping[str, str]) -> Timing:
+def probe(scene: Scene, way: str) -> Timing:
     """Measure loading in this process, without a cache, its memory limited; what goes wrong is the reason."""
     most = int(MEMORY_SHARE * os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     os.environ[CACHE_VARIABLE] = ""
     try:
-        scene = poses_only(load(source, **options))
-        before = _peak_memory()
-        start = time.perf_counter()
+        before, start = _peak_memory(), time.perf_counter()
         side = WAYS[way](scene)
         side.repeat(1)
         seconds = time.perf_counter() - start
     except Exception as error:  # whatever an engine has against a scene belongs in the table
-        return Timing(*way, reason=" ".join(str(error).split()) or type(error).__name__)
-    peak = _peak_memory()
-    return Timing(*way, side.operations, (), seconds, peak, peak - before)
+        return Timing(way, reason=reason_of(error))
+    return Timing(way, side.operations, load=seconds, memory=_peak_memory() - before)
 
 
 def _peak_memory() -> int:
@@ -232,56 +219,86 @@ def _peak_memory() -> int:
 
 def fastest_other(timings: Iterable[Timing]) -> Timing | None:
     """The fastest right-hand side that is not newton_euler's."""
-    others = [t for t in timings if t.engine != JUDGED and t.times]
+    others = [t for t in timings if not t.judged and t.times]
     return min(others, key=lambda t: t.median, default=None)
 
 
-def rhs_report(timings: Sequence[Timing]) -> Report:
+def parts(timings: Sequence[Timing]) -> list[Part]:
     """Times, operations, memory and loading of each way to call an engine, and the ratios in words."""
     best = fastest_other(timings)
     rows: Rows = []
     for t in timings:
-        if t.reason:
-            rows.append([t.engine, t.way, *["-"] * 7])
-            continue
-        low, high = (1e6 * seconds for seconds in t.quartiles)
-        rows.append(
-            [
-                t.engine,
-                t.way,
+        cells = ["-"] * 6
+        if not t.reason:
+            cells = [
                 "-" if t.operations is None else str(t.operations),
-                f"{t.median * 1e6:.4g}",
-                f"{low:.4g} to {high:.4g}",
+                f"{t.median * 1e6:.3g}",
+                t.spread,
                 "-" if best is None else f"{t.ratio(best):.3g}",
                 f"{t.load:.2f}",
                 f"{t.memory / 1e6:.0f}",
-                f"{t.own_memory / 1e6:.0f}",
             ]
-        )
-    names = ("operations", "time, us", "quartiles, us", "ratio", "load, s", "peak, MB", "of which its own")
-    table = Table("", [*texts("engine", "right-hand side"), *figures(*names)], rows)
-    return Report("one right-hand side", "", Cell(""), [table, Lines("", _words(timings))])
+        rows.append([t.way, *cells])
+    heads = figures("operations", "time, us", "spread", "ratio", "load, s", "MB")
+    words = ["load, MB: of a fresh process that makes and calls it without a cache", *_words(timings)]
+    return [Table("", [*texts("right-hand side"), *heads], rows), Lines("", words)]
 
 
-def _words(timings: Sequence[Timing]) -> list[str]:
+def _words(timings: Sequence[Timing], prefix: str = "") -> Iterator[str]:
     """The ratios in words, and what cannot run the scene."""
     best = fastest_other(timings)
-    lines = []
     for t in timings:
         if t.reason:
-            lines.append(f"{t.engine} ({t.way}) cannot run the scene: {t.reason}")
-        elif t.engine == JUDGED and best is not None:
-            lines.append(
-                f"{t.engine} ({t.way}) takes {t.ratio(best):.3g} times as long as {best.engine} ({best.way})"
-            )
-    return lines
+            yield f"{prefix}{t.way} cannot run the scene: {t.reason}"
+        elif t.judged and best is not None:
+            yield f"{prefix}{t.way} takes {t.ratio(best):.3g} times as long as {best.way}"
 
 
-def rhs_data(source: str, options: Mapping[str, str], timings: Sequence[Timing]) -> dict[str, Any]:
-    """Everything measured, for JSON."""
-    return {
-        "source": source,
-        "options": dict(options),
-        "machine": machine(),
-        "right_hand_sides": [asdict(t) for t in timings],
-    }
+# Sizes
+
+Sizes = Mapping[int, Sequence[Timing]]
+"""Timings of a scene at each size."""
+
+
+def check_sizable(source: str, options: Mapping[str, str]) -> None:
+    """Raise `CrosscheckError` for a scene without the option `OPTION`, or with it set already."""
+    if source not in SCENES or OPTION not in options_of(SCENES[source]):
+        sizable = [name for name, scene in SCENES.items() if OPTION in options_of(scene)]
+        raise CrosscheckError(f"scene {source!r} has no option {OPTION}; choose from: {', '.join(sizable)}")
+    if OPTION in options:
+        raise CrosscheckError(f"--scaling sets {OPTION} itself")
+
+
+def time_sizes(source: str, options: Mapping[str, str], progress: Progress) -> Sizes:
+    """Time every right-hand side at each of `SIZES`; what fails is not tried at larger ones.
+
+    Raises:
+        CrosscheckError: for a scene that cannot be benchmarked.
+    """
+    ways, found = list(WAYS), {}
+    for size in SIZES:
+        progress(f"{OPTION} = {size}")
+        scene = load(source, **options, **{OPTION: size})
+        found[size] = time_right_hand_sides(scene, progress, ways)
+        ways = [t.way for t in found[size] if not t.reason]
+    return found
+
+
+def growth(sizes: Sizes, way: str) -> list[float]:
+    """Exponents p of time ~ N^p between each size at which a way ran and the next."""
+    ran = [(size, t.median) for size, timings in sizes.items() for t in timings if t.way == way and t.times]
+    return [math.log(b / a) / math.log(large / small) for (small, a), (large, b) in pairwise(ran)]
+
+
+def size_parts(sizes: Sizes) -> list[Part]:
+    """Time and its growth, and memory, by size, for each way to call an engine; ratios in words."""
+    times, memory = list[list[str]](), list[list[str]]()
+    for way in WAYS:
+        by_size = [next((t for t in timings if t.way == way and t.times), None) for timings in sizes.values()]
+        exponents = ", ".join(f"{power:.2f}" for power in growth(sizes, way))
+        times.append([way, *("-" if t is None else f"{t.median * 1e6:.3g}" for t in by_size), exponents])
+        memory.append([way, *("-" if t is None else f"{t.memory / 1e6:.0f}" for t in by_size)])
+    heads = figures(*(f"{OPTION} = {size}" for size in sizes), "growth")
+    rows: Rows = ["time, us, and exponents of its growth", *times, "memory, MB", *memory]  # type: ignore[list-item]
+    words = [line for size, timings in sizes.items() for line in _words(timings, f"{OPTION} = {size}: ")]
+    return [Table("", [*texts("right-hand side"), *heads], rows), Lines("", words)]

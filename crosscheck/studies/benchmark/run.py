@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_no_source, check_writable, write_files
 from crosscheck.report.output import check_own
 from crosscheck.report.render import as_json
-from crosscheck.report.table import Report
-from crosscheck.studies.benchmark.batch import batch_data, batch_report, benchmark_batch
-from crosscheck.studies.benchmark.report import data, picture, report
-from crosscheck.studies.benchmark.rhs import rhs_data, rhs_report, time_right_hand_sides
-from crosscheck.studies.benchmark.scaling import (
-    check_sizable,
-    measure_sizes,
-    scaling_data,
-    scaling_report,
-)
-from crosscheck.studies.benchmark.timing import Progress
-from crosscheck.studies.benchmark.work_precision import benchmark
+from crosscheck.report.table import Cell, Lines, Part, Report
+from crosscheck.scenes.options import titled
+from crosscheck.studies.benchmark import batch, report, rhs
+from crosscheck.studies.benchmark.ladders import ENGINES, poses_only
+from crosscheck.studies.benchmark.reference import reference
+from crosscheck.studies.benchmark.timing import Progress, machine
+from crosscheck.studies.benchmark.work_precision import measure
 from newton_euler.model.scene import Scene
 
 SMALLEST_ERROR = 1e-13
@@ -31,53 +28,82 @@ SMALLEST_ERROR = 1e-13
 
 
 class Model(NamedTuple):
-    """The name or file that a scene is loaded from, and its options as they were set."""
+    """A scene, the name or file that it is loaded from, and its options as they were set."""
 
+    scene: Scene
     source: str
     options: Mapping[str, str]
 
 
-Written = tuple[Report, list[Path]]
-"""The report of a benchmark and the files that hold it."""
+class Found(NamedTuple):
+    """Results: everything measured, for JSON, what is shown of it, and a picture."""
+
+    data: Mapping[str, Any]
+    parts: list[Part]
+    picture: bytes | None = None
 
 
-def bench(loaded: Scene, model: Model, error: float, output: Path | None, progress: Progress) -> Written:
-    """Benchmark whole runs of a scene, as loaded from its source.
+class Kind(NamedTuple):
+    """A kind of benchmark: the files that it writes, and what measures."""
+
+    files: tuple[str, ...]
+    measure: Callable[[Model, Progress], Found]
+
+
+def work_precision(error: float) -> Kind:
+    """Whole runs of every engine and setting; the report names the cheapest settings for an error.
 
     Raises:
-        CrosscheckError: for an impossible error, a scene that cannot be run and files that cannot be
-            written.
+        CrosscheckError: for an impossible error.
     """
     _check_error(error)
-    paths = _paths(loaded, model, output, "bench.json", "work_precision.png")
-    result = benchmark(loaded, *model, progress)
-    progress("writing")
-    return _write(paths, data(result), report(result, error), picture(result))
+    return Kind(("bench.json", "work_precision.png"), partial(_whole_runs, error))
 
 
-def bench_rhs(loaded: Scene, model: Model, output: Path | None, progress: Progress) -> Written:
-    """Benchmark right-hand sides; errors as of `bench`."""
-    paths = _paths(loaded, model, output, "rhs.json")
-    timings = time_right_hand_sides(*model, progress)
-    return _write(paths, rhs_data(*model, timings), rhs_report(timings))
+def right_hand_sides() -> Kind:
+    """One right-hand side of each engine."""
+    return Kind(("rhs.json",), _right_hand_sides)
 
 
-def bench_batch(
-    loaded: Scene, model: Model, runs: int, error: float, output: Path | None, progress: Progress
-) -> Written:
-    """Benchmark many runs; errors as of `bench`."""
+def sizes(source: str, options: Mapping[str, str]) -> Kind:
+    """The same over the size of a scene.
+
+    Raises:
+        CrosscheckError: for a scene without an option of its size, or with it set.
+    """
+    rhs.check_sizable(source, options)
+    return Kind(("scaling.json",), _sizes)
+
+
+def many_runs(runs: int, error: float) -> Kind:
+    """Many runs from random states, by settings that reach an error; errors as of `work_precision`."""
     _check_error(error)
-    paths = _paths(loaded, model, output, "batch.json")
-    result = benchmark_batch(*model, runs, error, progress)
-    return _write(paths, batch_data(result), batch_report(result))
+    return Kind(("batch.json",), partial(_many_runs, runs, error))
 
 
-def bench_scaling(loaded: Scene, model: Model, output: Path | None, progress: Progress) -> Written:
-    """Benchmark right-hand sides over size; errors as of `bench`."""
-    check_sizable(*model)
-    paths = _paths(loaded, model, output, "scaling.json")
-    result = measure_sizes(*model, progress)
-    return _write(paths, scaling_data(result), scaling_report(result))
+def bench(model: Model, kind: Kind, output: Path | None, progress: Progress) -> tuple[Report, list[Path]]:
+    """Run a benchmark of a scene; the report, and the files that hold it.
+
+    Raises:
+        CrosscheckError: for a scene that cannot be run, and files that cannot be written, are the source,
+            or are another model's, unless the folder was asked for.
+    """
+    folder = output or Path("output") / "bench" / model.scene.name
+    if output is None:
+        check_own(folder, [model.source], "benchmark")
+    paths = [folder / name for name in kind.files]
+    check_no_source(paths, [model.source])
+    check_writable(*paths)
+    where = machine()
+    found = kind.measure(model, progress)
+    head = f"{where['processor']}, {where['cores']} cores, load {where['load']:g} by others"
+    title = f"bench {titled(model.scene.name, model.options)}"
+    whole = Report(title, "", Cell(""), [Lines("", [head]), *found.parts])
+    beside = {paths[1]: found.picture} if found.picture else {}
+    digests = {path.name: hashlib.sha256(content).hexdigest() for path, content in beside.items()}
+    data = {"source": model.source, "options": dict(model.options), "machine": where, **found.data}
+    write_files({paths[0]: as_json(data, whole, digests), **beside})
+    return whole, paths
 
 
 def _check_error(error: float) -> None:
@@ -86,25 +112,26 @@ def _check_error(error: float) -> None:
         raise CrosscheckError(f"--error is {error:g}; needed: {needed}")
 
 
-def _paths(scene: Scene, model: Model, output: Path | None, *names: str) -> list[Path]:
-    """Files to be written.
-
-    Raises:
-        CrosscheckError: for those that cannot be written, are the source, or are another model's, unless the
-            folder was asked for.
-    """
-    folder = output or Path("output") / "bench" / scene.name
-    if output is None:
-        check_own(folder, [model.source], "benchmark")
-    paths = [folder / name for name in names]
-    check_no_source(paths, [model.source])
-    check_writable(*paths)
-    return paths
+def _whole_runs(error: float, model: Model, progress: Progress) -> Found:
+    scene = poses_only(model.scene)
+    motion = reference(scene, progress)
+    measured = measure({name: engine(scene) for name, engine in ENGINES.items()}, motion.poses, progress)
+    result = report.Benchmark(titled(scene.name, model.options), scene, motion, measured)
+    return Found(report.data(result), list(report.parts(result, error)), report.picture(result))
 
 
-def _write(paths: list[Path], data: Mapping[str, object], found: Report, *others: bytes) -> Written:
-    """Write data and report as JSON to the first path, other contents to the others."""
-    beside = dict(zip(paths[1:], others, strict=True))
-    digests = {path.name: hashlib.sha256(content).hexdigest() for path, content in beside.items()}
-    write_files({paths[0]: as_json(data, found, digests), **beside})
-    return found, paths
+def _right_hand_sides(model: Model, progress: Progress) -> Found:
+    timings = rhs.time_right_hand_sides(model.scene, progress)
+    return Found({"right_hand_sides": [asdict(t) for t in timings]}, rhs.parts(timings))
+
+
+def _sizes(model: Model, progress: Progress) -> Found:
+    found = rhs.time_sizes(model.source, model.options, progress)
+    timings = {size: [asdict(t) for t in timings] for size, timings in found.items()}
+    exponents = {way: rhs.growth(found, way) for way in rhs.WAYS}
+    return Found({"sizes": timings, "growth": exponents}, rhs.size_parts(found))
+
+
+def _many_runs(runs: int, error: float, model: Model, progress: Progress) -> Found:
+    result = batch.benchmark_batch(model.scene, runs, error, progress)
+    return Found(asdict(result), batch.parts(result))

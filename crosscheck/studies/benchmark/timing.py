@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import platform
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from newton_euler.codegen.compile import uncollected
+
 PACKAGES = ("crosscheck", "numpy", "scipy", "llvmlite", "mujoco", "pin")
 """Whose versions are recorded."""
+
+MESSAGES = 5
+"""Messages of progress about all turns."""
 
 Progress = Callable[[str], None]
 
@@ -39,6 +43,12 @@ class Timed:
         low, high = np.quantile(self.times, [0.25, 0.75])
         return float(low), float(high)
 
+    @property
+    def spread(self) -> str:
+        """The difference between the quartiles as a share of the median."""
+        low, high = self.quartiles
+        return f"{(high - low) / self.median:.0%}"
+
     def ratio(self, other: Timed) -> float:
         """Return how many times as long as the other this takes.
 
@@ -57,29 +67,18 @@ def in_turns(
     Args:
         calls: each returns the s that it took.
         repeats: of each call; those of which there are fewer are evenly spread over the turns.
-        progress: told each turn.
+        progress: told `MESSAGES` of the turns.
     """
     times: list[list[float]] = [[] for _ in calls]
     turns = max(repeats, default=0)
     for turn in range(turns):
-        progress(f"repeat {turn + 1} of {turns}")
+        if turn * MESSAGES % turns < MESSAGES:
+            progress(f"timing {len(calls)} settings in turns: {turn + 1} of {turns}")
         for call, count, row in zip(calls, repeats, times, strict=True):
             if turn * count % turns < count:
-                with steady():
+                with uncollected():
                     row.append(call())
     return [tuple(row) for row in times]
-
-
-@contextmanager
-def steady() -> Iterator[None]:
-    """No garbage collection in what is timed."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def machine() -> dict[str, Any]:
@@ -91,7 +90,7 @@ def machine() -> dict[str, Any]:
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
-        "load": os.getloadavg()[0],
+        "load": round(os.getloadavg()[0], 2),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "versions": versions,
@@ -108,6 +107,14 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def machine_line(found: dict[str, Any]) -> str:
-    """Return the first line of a report."""
-    return f"machine: {found['processor']}, {found['cores']} cores, load {found['load']}"
+def rounded(value: float) -> str:
+    """Three digits, and zeros instead of an exponent."""
+    return f"{float(f'{value:.3g}'):,.12g}"
+
+
+def shown(seconds: float) -> str:
+    """Three digits of a time in the unit that suits it."""
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 1e-9:.3g} ns"

@@ -1,4 +1,4 @@
-"""Run time against error, for every engine and setting: what is measured and how.
+"""Run time against error, for every engine and setting.
 
 The time of a setting is what it takes to have the motion of all bodies at all output times; loading,
 compiling and the first run are told apart from it. The error is the largest over all bodies and output times
@@ -8,20 +8,18 @@ against `crosscheck.studies.benchmark.reference`.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
+from crosscheck.errors import reason_of
 from crosscheck.limit import time_limit
-from crosscheck.scenes.options import titled
-from crosscheck.studies.benchmark.ladders import ENGINES, Ladder, Models, Setting, poses_only
-from crosscheck.studies.benchmark.reference import Reference, pose_errors, reference
-from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns, machine, steady
-from newton_euler.model.scene import Scene
-from newton_euler.scalars import Array
+from crosscheck.studies.benchmark.ladders import Ladder, Models, Options, Poses, Run
+from crosscheck.studies.benchmark.reference import pose_errors
+from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
+from newton_euler.codegen.compile import uncollected
 
 LONGEST = 1.5
 """s: a ladder is climbed no further once one of its runs has taken longer."""
@@ -54,11 +52,10 @@ class Loading:
 
 @dataclass(frozen=True)
 class Failure:
-    """A model, or a setting of a method, that cannot run the scene."""
+    """A model, or a setting of one, that cannot run the scene."""
 
     engine: str
-    method: str
-    setting: str
+    name: str
     reason: str
 
 
@@ -67,7 +64,7 @@ class Measurement(Timed):
     """One setting.
 
     Attributes:
-        engine, method, setting: names.
+        engine, method, name: names; that of the setting begins with its method's.
         error_position, error_angle: largest over bodies and output times, m and rad.
         evaluations: of the equations of motion, in one run.
         first: s, of the first run, which is not among the repeats.
@@ -76,7 +73,7 @@ class Measurement(Timed):
 
     engine: str
     method: str
-    setting: str
+    name: str
     error_position: float
     error_angle: float
     evaluations: int
@@ -84,13 +81,14 @@ class Measurement(Timed):
     times: tuple[float, ...] = ()
 
     @property
-    def name(self) -> str:
-        return f"{self.method}, {self.setting}"
-
-    @property
     def error(self) -> float:
         """The larger of both errors, m or rad."""
         return max(self.error_position, self.error_angle)
+
+    @property
+    def repeats(self) -> int:
+        """The number of repeats that take `SHARE` together, by the first run."""
+        return max(LEAST_REPEATS, int(SHARE / max(self.first, SAMPLE)))
 
 
 @dataclass
@@ -107,54 +105,16 @@ class Measured:
     ended: dict[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
-class Benchmark:
-    """Result of a benchmark.
-
-    Attributes:
-        source: the name or the file that the scene was loaded from.
-        options: of the scene, as they were set.
-        scene: what was run.
-        machine: what it ran on, see `crosscheck.studies.benchmark.timing.machine`.
-        reference: what errors are taken against.
-        measured: all settings.
-    """
-
-    source: str
-    options: Mapping[str, str]
-    scene: Scene
-    machine: dict[str, Any]
-    reference: Reference
-    measured: Measured
-
-    @property
-    def title(self) -> str:
-        return titled(self.scene.name, self.options)
-
-
-def benchmark(scene: Scene, source: str, options: Mapping[str, str], progress: Progress) -> Benchmark:
-    """Run every engine and setting over a scene; `progress` is told each stage.
-
-    Raises:
-        CrosscheckError: for a scene that cannot be benchmarked.
-    """
-    scene = poses_only(scene)
-    where = machine()
-    motion = reference(scene, progress)
-    models = {name: engine(scene) for name, engine in ENGINES.items()}
-    return Benchmark(source, options, scene, where, motion, measure(models, motion.poses, progress))
-
-
-def measure(engines: Mapping[str, Models], exact: tuple[Array, Array], progress: Progress) -> Measured:
+def measure(engines: Mapping[str, Models], exact: Poses, progress: Progress) -> Measured:
     """Run every setting of every engine once for its error, then in turns for its time.
 
     Args:
         engines: how each loads the scene.
-        exact: positions (n, b, 3) and quaternions (n, b, 4) that errors are taken against.
+        exact: what errors are taken against.
         progress: is told each stage.
     """
     found = Measured()
-    settings: list[Setting] = []
+    calls: list[Callable[[], float]] = []
     for engine, models in engines.items():
         for name, load in models.items():
             progress(f"{engine}: {name}")
@@ -162,63 +122,57 @@ def measure(engines: Mapping[str, Models], exact: tuple[Array, Array], progress:
             try:
                 model = load()
             except Exception as error:  # whatever an engine has against a scene belongs in the table
-                found.failures.append(Failure(engine, name, "", _reason(error)))
+                found.failures.append(Failure(engine, name, reason_of(error)))
                 continue
             found.loadings.append(Loading(engine, name, time.perf_counter() - begun, model.remark))
             climbing = time.process_time()
             for ladder in model.ladders:
-                progress(f"{engine}: {ladder.method}")
                 end = f"not begun: others of its model have taken {BUDGET:g} s"
                 if time.process_time() - climbing < BUDGET:
-                    end = _climb(engine, ladder, exact, found, settings)
+                    end = _climb(engine, ladder, model.run, exact, found, calls)
                 found.ended[f"{engine}: {ladder.method}"] = end
-    counts = [repeats_of(m.first) for m in found.measurements]
-    times = in_turns([partial(_sample, setting) for setting in settings], counts, progress)
+    times = in_turns(calls, [m.repeats for m in found.measurements], progress)
     found.measurements = [replace(m, times=row) for m, row in zip(found.measurements, times, strict=True)]
     return found
 
 
 def _climb(
-    engine: str, ladder: Ladder, exact: tuple[Array, Array], found: Measured, settings: list[Setting]
+    engine: str,
+    ladder: Ladder,
+    run: Callable[[Options], Run],
+    exact: Poses,
+    found: Measured,
+    calls: list[Callable[[], float]],
 ) -> str:
-    """Run the settings of a ladder once each, add those that ran to both lists; return why it ended."""
-    for setting in ladder.settings:
+    """Run the settings of a ladder once each, add calls to repeat those that ran; return why it ended."""
+    for number in ladder.numbers:
+        name, options = ladder.setting(number)
         start = time.process_time()
         try:
-            with steady(), time_limit(LIMIT):
-                run = setting.run()
-            errors = pose_errors(run.poses(), exact)
+            with uncollected(), time_limit(LIMIT):
+                done = run(options)
+            errors = pose_errors(done.poses(), exact)
         except Exception as error:
-            found.failures.append(Failure(engine, ladder.method, setting.name, _reason(error)))
+            found.failures.append(Failure(engine, name, reason_of(error)))
             seconds = time.process_time() - start
             if seconds > LONGEST:
-                return f"{setting.name} failed after {seconds:.1f} s, more than {LONGEST:g} s"
+                return f"{name} failed after {seconds:.1f} s, more than {LONGEST:g} s"
             continue
         if not np.all(np.isfinite(errors)):
-            reason = "its motion is not finite"
-            found.failures.append(Failure(engine, ladder.method, setting.name, reason))
+            found.failures.append(Failure(engine, name, "its motion is not finite"))
             continue
         found.measurements.append(
-            Measurement(engine, ladder.method, setting.name, *errors, run.evaluations, run.seconds)
+            Measurement(engine, ladder.method, name, *errors, done.evaluations, done.seconds)
         )
-        settings.append(setting)
-        if run.seconds > LONGEST and setting is not ladder.settings[-1]:
-            return f"{setting.name} took {run.seconds:.1f} s, more than {LONGEST:g} s"
+        calls.append(partial(_sample, run, options))
+        if done.seconds > LONGEST and number != ladder.numbers[-1]:
+            return f"{name} took {done.seconds:.1f} s, more than {LONGEST:g} s"
     return "its last setting"
 
 
-def _sample(setting: Setting) -> float:
+def _sample(run: Callable[[Options], Run], options: Options) -> float:
     """Return the mean time of runs one after the other, s."""
-    seconds = [setting.run().seconds]
+    seconds = [run(options).seconds]
     while sum(seconds) < SAMPLE:
-        seconds.append(setting.run().seconds)
+        seconds.append(run(options).seconds)
     return sum(seconds) / len(seconds)
-
-
-def repeats_of(first: float) -> int:
-    """Return how often a setting is repeated whose first run took `first` seconds."""
-    return max(LEAST_REPEATS, int(SHARE / max(first, SAMPLE)))
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

@@ -9,20 +9,12 @@ import pytest
 
 import newton_euler
 from crosscheck.errors import CrosscheckError
-from crosscheck.studies.benchmark import batch, rhs, scaling
+from crosscheck.studies.benchmark import batch, rhs
 from crosscheck.studies.benchmark import reference as benchmark_reference
-from crosscheck.studies.benchmark.batch import cheapest, identical, references
-from crosscheck.studies.benchmark.engines import Done, Method, MuJoCo, Own
-from crosscheck.studies.benchmark.ladders import intervals, poses_only
-from crosscheck.studies.benchmark.reference import pose_errors
-from crosscheck.studies.benchmark.rhs import (
-    Timing,
-    fastest_other,
-    rhs_data,
-    rhs_report,
-    time_right_hand_sides,
-)
-from crosscheck.studies.benchmark.timing import machine
+from crosscheck.studies.benchmark.batch import Done, MuJoCo, Own, cheapest, identical
+from crosscheck.studies.benchmark.ladders import Ladder, intervals, poses_only
+from crosscheck.studies.benchmark.reference import batch_references, pose_errors
+from crosscheck.studies.benchmark.rhs import Timing, fastest_other, time_right_hand_sides
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.trajectory import IntegrationError
 
@@ -34,90 +26,81 @@ def short(tracker):
 
 # Right-hand sides
 
+OWN, OTHER = "newton_euler relative", "mujoco mj_forward"
+
+
+def timing(way, seconds, operations=None):
+    return Timing(way, operations, (seconds,) * 2, 0.4, 80_000_000)
+
+
 TIMINGS = (
-    Timing("newton_euler", "relative", 1800, (3e-7, 3e-7), 0.4, 120_000_000, 80_000_000),
-    Timing("newton_euler", "cartesian", reason="too large"),
-    Timing("mujoco", "mj_forward", None, (6e-6, 6e-6), 0.1, 90_000_000, 40_000_000),
-    Timing("pinocchio", "constraintDynamics", None, (5e-6, 5e-6), 0.1, 90_000_000, 40_000_000),
+    timing(OWN, 3e-7, 1800),
+    Timing("newton_euler cartesian", reason="too large"),
+    timing(OTHER, 6e-6),
+    timing("pinocchio constraintDynamics", 5e-6),
 )
 
 
 def test_right_hand_sides_are_compared_with_the_fastest_of_the_others():
-    assert fastest_other(TIMINGS).way == "constraintDynamics"
-    table, lines = rhs_report(TIMINGS).parts
-    assert lines.lines == [
-        "newton_euler (relative) takes 0.06 times as long as pinocchio (constraintDynamics)",
-        "newton_euler (cartesian) cannot run the scene: too large",
+    assert fastest_other(TIMINGS).way == "pinocchio constraintDynamics"
+    table, lines = rhs.parts(TIMINGS)
+    assert lines.lines[1:] == [
+        "newton_euler relative takes 0.06 times as long as pinocchio constraintDynamics",
+        "newton_euler cartesian cannot run the scene: too large",
     ]
-    assert table.rows[0] == [
-        *("newton_euler", "relative", "1800", "0.3", "0.3 to 0.3", "0.06", "0.40", "120", "80")
-    ]
-    assert set(table.rows[1][2:]) == {"-"}
-    assert rhs_data("tracker", {}, TIMINGS)["right_hand_sides"][0]["memory"] == 120_000_000
+    assert table.rows[0] == ["newton_euler relative", "1800", "0.3", "0%", "0.06", "0.40", "80"]
+    assert set(table.rows[1][1:]) == {"-"}
 
 
-def test_right_hand_sides_are_timed_here_and_weighed_in_processes_of_their_own(monkeypatch):
-    wanted = {("mujoco", "mj_forward"), ("pinocchio", "constraintDynamics")}
-    ways = {way: make for way, make in rhs.WAYS.items() if way in wanted}
-    monkeypatch.setattr(rhs, "WAYS", ways)
+def test_right_hand_sides_are_timed_here_and_weighed_in_processes_of_their_own(monkeypatch, short):
+    wanted = [OTHER, "pinocchio constraintDynamics"]
     monkeypatch.setattr(rhs, "BATCH", 1e-4)
-    timings = time_right_hand_sides("tracker", {}, lambda message: None)
-    assert {(t.engine, t.way) for t in timings} == wanted
+    timings = time_right_hand_sides(short, lambda message: None, wanted)
+    assert [t.way for t in timings] == wanted
     for t in timings:
         assert not t.reason
         assert len(t.times) == rhs.ROUNDS
-        assert 0 < t.own_memory < t.memory
+        assert t.memory > 0
 
 
-def test_a_process_that_fails_says_why():
-    found = rhs._probe(("mujoco", "mj_forward"), "nowhere.yaml", {}, 60.0)
-    assert "nowhere.yaml" in found.reason
+def test_a_process_that_fails_says_why(tracker):
+    driven = newton_euler.PrescribedMotion("slide_12", newton_euler.Polynomial((0.0, 1.0)))
+    (found,) = time_right_hand_sides(
+        dataclasses.replace(tracker, control=(), motions=(driven,)), print, [OTHER]
+    )
+    assert "MuJoCo has no equality that depends on time" in found.reason
     assert found.times == ()
 
 
 # Sizes
 
-
-def timing(way, seconds):
-    return Timing(*way, 100, (seconds,) * 2, 0.1, 120_000_000, 80_000_000)
-
-
-OWN, OTHER = ("newton_euler", "relative"), ("mujoco", "mj_forward")
-
-SIZES = scaling.Scaling(
-    "chain",
-    {},
-    machine(),
-    {
-        1: (timing(OWN, 1e-6), timing(OTHER, 4e-6)),
-        10: (timing(OWN, 1e-5), timing(OTHER, 4e-4)),
-        100: (timing(OWN, 1e-3), Timing(*OTHER, reason="too large")),
-    },
-)
+SIZES = {
+    1: (timing(OWN, 1e-6), timing(OTHER, 4e-6)),
+    10: (timing(OWN, 1e-5), timing(OTHER, 4e-4)),
+    100: (timing(OWN, 1e-3), Timing(OTHER, reason="too large")),
+}
 
 
-def test_sizes_as_table_words_and_json():
-    table, lines = scaling.scaling_report(SIZES).parts
-    assert table.rows[0][2:6] == ["1", "10", "1000", "1.00, 2.00"]
-    assert table.rows[1][2:6] == ["4", "400", "-", "2.00"]
-    words = lines.lines
-    assert "newton_euler (relative) grows with exponents 1.00 from 1 to 10, 2.00 from 10 to 100" in words
-    assert "N = 10: newton_euler (relative) takes 0.025 times as long as mujoco (mj_forward)" in words
-    assert "N = 100: mujoco (mj_forward) cannot run: too large" in words
-    assert scaling.scaling_data(SIZES)["sizes"][100][1]["reason"] == "too large"
+def test_sizes_as_table_and_words():
+    table, lines = rhs.size_parts(SIZES)
+    rows = {row[0]: row[1:] for row in table.rows[1:7]}
+    assert rows[OWN] == ["1", "10", "1e+03", "1.00, 2.00"]
+    assert rows[OTHER] == ["4", "400", "-", "2.00"]
+    assert f"N = 10: {OWN} takes 0.025 times as long as {OTHER}" in lines.lines
+    assert f"N = 100: {OTHER} cannot run the scene: too large" in lines.lines
 
 
 def test_what_fails_at_a_size_is_not_tried_at_larger_ones(monkeypatch):
     asked = []
 
-    def made_up_timings(source, options, progress, ways, limit):
-        asked.append((options, ways))
-        return [timing(OWN, 1e-6), Timing(*OTHER, reason="too large")]
+    def made_up_timings(scene, progress, ways):
+        asked.append((len(scene.mechanism.bodies), ways))
+        return [timing(OWN, 1e-6), Timing(OTHER, reason="too large")]
 
-    monkeypatch.setattr(scaling, "time_right_hand_sides", made_up_timings)
-    monkeypatch.setattr(scaling, "SIZES", (1, 10))
-    scaling.measure_sizes("chain", {}, lambda message: None)
-    assert asked == [({"N": "1"}, list(scaling.WAYS)), ({"N": "10"}, [OWN])]
+    monkeypatch.setattr(rhs, "time_right_hand_sides", made_up_timings)
+    monkeypatch.setattr(rhs, "SIZES", (1, 10))
+    rhs.time_sizes("chain", {}, lambda message: None)
+    assert asked == [(2, list(rhs.WAYS)), (11, [OWN])]
 
 
 # Batches
@@ -167,9 +150,10 @@ class MadeUp:
         """`methods` are functions of n and the largest n."""
         self._methods, self.tried = methods, []
 
-    def methods(self):
+    def ladders(self):
         for k, (make, most) in enumerate(self._methods):
-            yield Method(lambda n, k=k, make=make: (f"method {k}, number {n}", {"n": n} | make(n)), most)
+            finer = lambda n, make=make: (f"number {n}", {"n": n} | make(n))  # noqa: E731
+            yield Ladder(f"method {k}", finer, range(1, most + 1))
 
     def run(self, options, states, threads):
         self.tried.append((options["n"], threads))
@@ -177,7 +161,7 @@ class MadeUp:
             raise IntegrationError(0.5, "made up")
         turn = from_rotation_vector(np.array([0.0, 0.0, options["error"]]))
         worst = np.zeros((1, 1, 3)), turn[None, None]
-        return Done(np.inf, options["seconds"], 0.0, lambda: [EXACT] * (len(states) - 1) + [worst])
+        return Done(options["seconds"], 0.0, lambda: [EXACT] * (len(states) - 1) + [worst])
 
 
 EXACT = np.zeros((1, 1, 3)), np.array([[[1.0, 0.0, 0.0, 0.0]]])
@@ -211,15 +195,16 @@ def test_the_setting_is_the_quickest_of_all_methods():
         choice([method(1, 0.5)], 1e-10)
 
 
-def test_a_batch_is_measured_for_both_engines(monkeypatch):
+def test_a_batch_is_measured_for_both_engines(monkeypatch, tracker):
     monkeypatch.setattr(batch, "LIMIT", 0.5)
     monkeypatch.setattr(batch, "SAMPLE", 2)
     monkeypatch.setattr(batch, "REPEATS", 2)
     own_setting = {"formulation": "relative", "stabilization": "projection", "rtol": 1e-8}
     other_setting = {"integrator": "RK4", "number": 2, "damping_ratio": 0.6}
-    monkeypatch.setattr(Own, "methods", lambda self: iter([Method(lambda n: ("a", own_setting), 1)]))
-    monkeypatch.setattr(MuJoCo, "methods", lambda self: iter([Method(lambda n: ("b", other_setting), 1)]))
-    result = batch.benchmark_batch("tracker", {}, 4, 1e-5, lambda message: None)
+    for engine, setting in ((Own, own_setting), (MuJoCo, other_setting)):
+        ladder = Ladder("method", lambda n, setting=setting: ("setting", setting), [1])
+        monkeypatch.setattr(engine, "ladders", lambda self, ladder=ladder: iter([ladder]))
+    result = batch.benchmark_batch(tracker, 4, 1e-5, lambda message: None)
     counts = batch.thread_counts()
     own, other = result.rates[: len(counts)], result.rates[len(counts) :]
     assert [(rate.engine, rate.threads, rate.runs) for rate in own] == [
@@ -230,20 +215,22 @@ def test_a_batch_is_measured_for_both_engines(monkeypatch):
     assert own[0].error < 1e-6
     assert own[0].error < other[0].error < 1e-5
     assert result.uncertainty < 1e-9
-    assert len(batch.batch_report(result).parts[0].rows) == 2 * len(counts)
-    for found in batch.batch_data(result)["rates"]:
-        assert len(found["times"]) == 2
-        assert found["rate"] == found["runs"] / np.median(found["times"])
+    table, lines = batch.parts(result)
+    assert len(table.rows) == 2 * len(counts)
+    assert lines.lines[2].startswith("newton_euler: method, setting (error ")
+    for rate in result.rates:
+        assert len(rate.times) == 2
+        assert rate.per_second == rate.runs / np.median(rate.times)
 
 
-def test_an_error_below_what_the_reference_is_known_to_is_refused(monkeypatch):
+def test_an_error_below_what_the_reference_is_known_to_is_refused(monkeypatch, tracker):
     monkeypatch.setattr(batch, "SAMPLE", 1)
-    monkeypatch.setattr(batch, "references", lambda scene, states: ({}, 1e-9))
+    monkeypatch.setattr(batch, "batch_references", lambda scene, states: ({}, 1e-9))
     with pytest.raises(CrosscheckError, match=r"--error 1e-10: the reference is known to 1\.0e-09 only"):
-        batch.benchmark_batch("tracker", {}, 2, 1e-10, lambda message: None)
+        batch.benchmark_batch(tracker, 2, 1e-10, lambda message: None)
 
 
 def test_a_batch_without_a_reference_is_refused(short, tracker_states, monkeypatch):
     monkeypatch.setattr(benchmark_reference, "LIMIT", 1e-3)
     with pytest.raises(CrosscheckError, match=r"none of 1 random runs has a reference.*0\.001 s"):
-        references(short, tracker_states[:1])
+        batch_references(short, tracker_states[:1])
