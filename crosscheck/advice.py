@@ -15,14 +15,13 @@ import numpy as np
 
 from crosscheck.comparison.figure import Figure
 from crosscheck.comparison.reactions import undetermined
-from crosscheck.comparison.runs import rests
+from crosscheck.comparison.runs import distance, rests
 from crosscheck.engines import Engine
 from crosscheck.stiffness import is_stable_in_rk4, modes_of_run
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
-from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Cylindrical, Spherical
 from newton_euler.model.mechanism import Mechanism
@@ -67,12 +66,6 @@ def advise(
     moving = not rests(scene, engines, runs)
     of_runs = soft_advice(scene, engines, runs, rows) if moving else ()
     return (*of_runs, *redundancy_advice(scene))
-
-
-def distance(one: Trajectory, two: Trajectory, at: int | slice = slice(None)) -> float:
-    """Compute the largest difference of positions, m, and orientations, rad, of two runs at some outputs."""
-    angles = angle_between(one.quaternion[at], two.quaternion[at])
-    return float(max(np.max(np.linalg.norm(one.position[at] - two.position[at], axis=-1)), np.max(angles)))
 
 
 # MuJoCo's step and softness

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from importlib.metadata import version
 from typing import Any
@@ -16,7 +16,7 @@ from crosscheck.comparison.diagnosis import Diagnosis, diagnose
 from crosscheck.comparison.figure import Figure, not_judged
 from crosscheck.comparison.known_figures import Measured, known_of, measure
 from crosscheck.comparison.levels import in_order, stages
-from crosscheck.comparison.runs import rests
+from crosscheck.comparison.runs import errors_of_runs, rests
 from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite
 from crosscheck.engines import Engine
 from crosscheck.errors import CrosscheckError, reason_of
@@ -62,6 +62,7 @@ class Crosscheck:
         coverage: elements that the compared runs test; None where no trajectories were compared, and where
             `notes` say why it is not known.
         notes: what else there is to say, a line each: what beside the comparison did not come to its end.
+        off_by: by engine its run's distance from the finest, see `errors_of_runs`.
     """
 
     source: str
@@ -78,6 +79,7 @@ class Crosscheck:
     unfinished: tuple[Stop, ...] = ()
     coverage: Coverage | None = None
     notes: tuple[str, ...] = ()
+    off_by: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
@@ -215,8 +217,9 @@ class Crosscheck:
     def _ran(self, name: str) -> dict[str, Any]:
         """Return settings and counts of an engine's run, for JSON."""
         if name not in self.runs:
-            return {"settings": {}, "wall_time": None}
-        return {"settings": self.runs[name].settings, "wall_time": self.runs[name].wall_time}
+            return {"settings": {}, "wall_time": None, "off_by": None}
+        run = self.runs[name]
+        return {"settings": run.settings, "wall_time": run.wall_time, "off_by": self.off_by.get(name)}
 
 
 def crosscheck(
@@ -265,6 +268,10 @@ def crosscheck(
     what = "working out what the motion covers"
     with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
         found = coverage(scene, runs, rows)
+    off_by: dict[str, float] = {}
+    what = "measuring each engine's error"
+    with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
+        off_by = errors_of_runs(scene, able, runs)
     if mapping and runs:
         what = "watching what was left out"
         with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
@@ -290,6 +297,7 @@ def crosscheck(
         tuple(stops),
         found,
         tuple(map(str, beside)),
+        off_by,
     )
 
 

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from shlex import join, quote
 from typing import TYPE_CHECKING
 
 import click
@@ -21,6 +22,8 @@ from crosscheck.cli.shared import (
     say,
     scene_options,
     setting_options,
+    show,
+    verbose_option,
     without_exercise,
 )
 from crosscheck.errors import CrosscheckError
@@ -52,6 +55,7 @@ OUTPUT = Path("output")
     help="Folder.  [default: output/ and SCENE's name or its file's without suffix; output with --all]",
 )
 @click.option("--advice", is_flag=True, help="Work out what to do about what is found, by more runs.")
+@verbose_option
 @click.option("--save", type=click.Path(path_type=Path), help="Recording's file.  [default: OUTPUT/NAME.rrd]")
 def run_command(
     scene: str | None,
@@ -124,7 +128,6 @@ def _run(
 ) -> int:
     from crosscheck.engines import choose
     from crosscheck.files import check_no_source
-    from crosscheck.model_files.read import report_lines
     from crosscheck.report.output import own_name
     from crosscheck.run import crosscheck
 
@@ -134,10 +137,6 @@ def _run(
     options = scene_options(settings)
     taken = exercised(scene, options)
     loaded, mapping = load_scene(scene, taken, verified=False)  # the run says all that is not right
-    for line in report_lines(mapping) if mapping else ():
-        say(line)
-    if taken.get("exercise") == "on":
-        say("--set exercise=off runs the file as it stands")
 
     def work(progress: Progress) -> Crosscheck:
         return crosscheck(loaded, chosen, progress, scene, options, mapping, advised)
@@ -174,13 +173,6 @@ def _models(*named: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:
 
 def _run_against(models: tuple[Model, Model], output: Path | None, save: Path | None) -> int:
     from crosscheck.against.compare import against, together
-    from crosscheck.model_files.read import report_lines
-
-    for model in models:
-        if model.mapping:
-            say(f"{model.title}:")
-            for line in report_lines(model.mapping):
-                say(f"  {line}")
 
     def work(progress: Progress) -> Crosscheck:
         return against(*models, progress)
@@ -210,10 +202,12 @@ def _carry_out(
         result = work(progress)
         progress("writing")
         found = report(result)
-        written = write(result, found, folder, recording, name)
-    click.echo(terminal(found.parts), nl=False)
-    say("wrote " + ", ".join(str(path) for path in written))
-    say(result.verdict, bold=True)
+        write(result, found, folder, recording, name)
+    more = ["-v", f"crosscheck report {quote(str(folder))}"]
+    if not isinstance(result, Against):
+        settings = [word for key, value in result.options.items() for word in ("--set", f"{key}={value}")]
+        more.append(join(["crosscheck", "bench", result.source, *settings]))
+    show(found, f"look  crosscheck view {quote(str(recording))}", f"more  {'; '.join(more)}")
     if result.unfinished and not (isinstance(result, Against) and result.differs):
         return UNFINISHED  # whatever was found until then; models that differ do so anyway
     return AGREE if result.agrees else DISAGREE

@@ -5,16 +5,26 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from functools import partial
+from threading import Timer
+from typing import TYPE_CHECKING, Self
 
 import click
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.report.render import wrapped
+from crosscheck.report.render import terminal, wrapped
 
 if TYPE_CHECKING:
+    from crosscheck.report.table import Report
     from newton_euler.model.scene import Scene
     from newton_euler.verification.import_report import ImportReport
+
+COLORS = {"": None, "holds": "green", "doubtful": "yellow", "fails": "red"}
+"""Of verdicts."""
+
+LONG = 10.0
+"""s, after which a stage of work is named where standard error is no terminal."""
 
 AGREE, DISAGREE, BAD_INPUT, UNFINISHED = 0, 1, 2, 3
 
@@ -101,6 +111,36 @@ def say(*lines: str, bold: bool = False) -> None:
         click.echo(click.style(wrapped(line), bold=bold))
 
 
+VERBOSE = "crosscheck.verbose"
+"""Key of the context under which `verbose_option` is kept."""
+
+
+def verbose_option(command: Callable[..., int]) -> Callable[..., int]:
+    """Parse whether `show` is to print everything."""
+
+    def keep(context: click.Context, _: click.Parameter, wanted: bool) -> None:
+        context.meta[VERBOSE] = wanted
+
+    text = "Print every figure, note and element, too."
+    option = click.option("-v", "--verbose", is_flag=True, expose_value=False, callback=keep, help=text)
+    return option(command)
+
+
+def show(report: Report, *after: str) -> None:
+    """Write the summary of a report to standard output, below all its parts if `verbose_option` is set.
+
+    Args:
+        after: sentences that follow it.
+    """
+    if click.get_current_context().meta.get(VERBOSE):
+        click.echo(terminal([replace(part, folded=False) for part in report.parts]), nl=False)
+    say(report.title, bold=True)
+    click.echo(click.style(wrapped(report.verdict), fg=COLORS[report.judged.verdict], bold=True))
+    click.echo()
+    click.echo(terminal(report.summary), nl=False)
+    say(*after)
+
+
 def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
     """A scene, with a line on standard error for each element of its file that is not in it as it was."""
     loaded, mapping = load_scene(scene, options)
@@ -117,12 +157,34 @@ def tell(scene: str, mapping: ImportReport | None) -> None:
 
 @contextmanager
 def progress_shown() -> Iterator[Callable[[str], None]]:
-    """A function that shows what is going on, on a terminal's standard error."""
+    """A function that shows what is going on, on standard error; only what takes long if that is a pipe."""
     if sys.stderr is None or not sys.stderr.isatty():  # whatever FORCE_COLOR says, a pipe has no cursor
-        yield lambda message: None
+        with _LongStages() as stages:
+            yield stages.begin
         return
     from rich.console import Console
     from rich.text import Text
 
     with Console(stderr=True).status("") as status:
         yield lambda message: status.update(Text(message))
+
+
+class _LongStages:
+    """Names each stage on standard error that takes longer than `LONG`."""
+
+    def __init__(self) -> None:
+        self._timer: Timer | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._timer:
+            self._timer.cancel()
+
+    def begin(self, stage: str) -> None:
+        """Begin a stage, which ends the one before."""
+        self.__exit__()
+        self._timer = Timer(LONG, partial(click.echo, f"{stage} ...", err=True))
+        self._timer.daemon = True
+        self._timer.start()

@@ -79,6 +79,27 @@ def _kinetic_energies_apart(x: Trajectory, y: Trajectory) -> Array:
     return np.abs(x.kinetic_energy - y.kinetic_energy)
 
 
+def distance(one: Trajectory, two: Trajectory, at: int | slice = slice(None)) -> float:
+    """Compute the largest difference of positions, m, and orientations, rad, of two runs at some outputs."""
+    angles = angle_between(one.quaternion[at], two.quaternion[at])
+    return float(max(np.max(np.linalg.norm(one.position[at] - two.position[at], axis=-1)), np.max(angles)))
+
+
+def errors_of_runs(scene: Scene, engines: Sequence[Engine], runs: Runs) -> dict[str, float]:
+    """Compute by engine how far its run, as far as it came, is from the finest: m and rad, the larger.
+
+    The finest is the refined run of the first engine with rigid constraints; none without one.
+
+    Raises:
+        NewtonEulerError, CrosscheckError: where that run does not come to its end.
+    """
+    rigid = next((engine for engine in engines if engine.soft_start is None), None)
+    if rigid is None:
+        return {}
+    finest = rigid.refined(scene)
+    return {name: distance(run, finest.first(len(run.time))) for name, run in runs.items()}
+
+
 def displacements(runs: Mapping[str, Trajectory]) -> dict[str, float]:
     """By engine how far any body gets from where its run starts, m and rad."""
     found = {}

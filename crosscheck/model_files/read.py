@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
@@ -132,19 +133,28 @@ def read_model(
     return reading.scene, reading.report
 
 
+def fates_line(report: ImportReport) -> str:
+    """Count the elements of a file by what became of them, those that are not exact by what they are."""
+    found = [f"{len({entry.element for entry in report.of('exactly')})} elements exactly"]
+    for fate in FATES[1:]:
+        names = {entry.element for entry in report.of(fate) if not entry.inert}
+        kinds = Counter(name.split(" ")[0] for name in sorted(names))
+        if kinds:
+            found.append(f"{len(names)} {fate} ({', '.join(f'{n} {kind}' for kind, n in kinds.items())})")
+    return ", ".join(found)
+
+
 def report_lines(report: ImportReport) -> Iterator[str]:
     """An import report as text; elements that became the same are one line.
 
     An element of which one part is exact and another left out counts as both.
     """
-    fates = [fate for fate in FATES if fate != "inactive" or report.of(fate)]
-    counts = ", ".join(f"{len({entry.element for entry in report.of(fate)})} {fate}" for fate in fates)
-    yield f"elements of the file: {counts}"
+    yield f"elements of the file: {fates_line(report)}"
 
     def how(entry: ImportedElement) -> tuple[str, str]:
         return entry.element.split(" ")[0], entry.how
 
-    for fate in fates:
+    for fate in FATES:
         entries = report.of(fate)
         if entries:
             yield f"{fate}:"

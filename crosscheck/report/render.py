@@ -21,7 +21,7 @@ from rich.text import Text
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table
 
 BRIEF = 32
-"""Characters of texts that are cut."""
+"""Characters, at least, of texts that are cut."""
 
 NARROWEST = 40
 """Characters of lines, however narrow a terminal is said to be."""
@@ -64,11 +64,12 @@ def terminal(parts: Iterable[Part]) -> str:
                 console.print(Text(wrapped(part.title), style="bold"), soft_wrap=True)
             if isinstance(part, Table):
                 for block in _blocks(part, console.width):
-                    console.print(_rich_table(block))
+                    console.print(_rich_table(block, console.width))
                     console.print()
             else:
                 for line in part.lines:
-                    console.print(Text(wrapped(line)), soft_wrap=True)
+                    fitted = _cut(line, console) if part.brief else wrapped(line)
+                    console.print(Text(fitted), soft_wrap=True)
     return "".join(f"{line.rstrip()}\n" for line in capture.get().splitlines())
 
 
@@ -80,7 +81,7 @@ def wrapped(line: str, stream: TextIO | None = None) -> str:
             searched later, gets the sentence as it is, unless COLUMNS is set.
     """
     console = Console(file=stream)
-    if not (console.is_terminal or "COLUMNS" in os.environ):
+    if not _has_width(console):
         return line
     indent = " " * (len(line) - len(line.lstrip()) + 2)
     return textwrap.fill(
@@ -91,6 +92,19 @@ def wrapped(line: str, stream: TextIO | None = None) -> str:
         break_on_hyphens=False,
         replace_whitespace=False,
     )
+
+
+def _has_width(console: Console) -> bool:
+    """False for files and pipes, whose lines may be as long as they are."""
+    return console.is_terminal or "COLUMNS" in os.environ
+
+
+def _cut(line: str, console: Console) -> str:
+    """The beginning of a sentence, in one line of the terminal."""
+    text = Text(line)
+    if _has_width(console):
+        text.truncate(console.width, overflow="ellipsis")
+    return text.plain
 
 
 def _blocks(table: Table, width: int) -> Iterator[Table]:
@@ -145,8 +159,12 @@ def _heading(table: Table, number: int) -> str:
     return "\n".join(textwrap.fill(line, width) for line in column.heading.split("\n"))
 
 
-def _rich_table(table: Table) -> RichTable:
+def _rich_table(table: Table, width: int) -> RichTable:
     drawn = RichTable(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, collapse_padding=True)
+    if not table.title:
+        drawn.box, drawn.padding = None, (0, GUTTER, 0, 0)
+    least = [_least(table, number) for number in range(len(table.columns))]
+    room = width - sum(least) - GUTTER * (len(least) - 1)
     for number, column in enumerate(table.columns):
         drawn.add_column(
             Text(_heading(table, number)),
@@ -162,9 +180,9 @@ def _rich_table(table: Table) -> RichTable:
         else:
             cells = [cell if isinstance(cell, Cell) else Cell(cell) for cell in row]
             shown = [Text(cell.text, style=STYLES[cell.verdict]) for cell in cells]
-            for column, text in zip(table.columns, shown, strict=False):
+            for column, text, taken in zip(table.columns, shown, least, strict=False):
                 if column.brief:
-                    text.truncate(BRIEF, overflow="ellipsis")
+                    text.truncate(max(BRIEF, taken + room), overflow="ellipsis")
             drawn.add_row(Padding(shown[0], (0, 0, 0, indent)), *shown[1:])
     return drawn
 

@@ -6,15 +6,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from crosscheck.advice import distance
-from crosscheck.against.compare import Against, Model
+from crosscheck.against.compare import Against
 from crosscheck.comparison.coverage import Coverage
 from crosscheck.comparison.figure import FILE, NOT_NEARER, Figure, not_compared
 from crosscheck.comparison.known_figures import Measured
 from crosscheck.comparison.reactions import undetermined_joints
-from crosscheck.comparison.runs import displacements
+from crosscheck.comparison.runs import displacements, distance
 from crosscheck.comparison.samples import admissible_basis, body_units
-from crosscheck.model_files.read import report_lines
+from crosscheck.model_files.read import fates_line, report_lines
+from crosscheck.report.summary import summary
 from crosscheck.report.table import (
     Cell,
     Column,
@@ -52,22 +52,29 @@ IMPLICIT = ("Radau", "implicitfast")
 
 def report(result: Crosscheck) -> Report:
     """All that a crosscheck found."""
+    said = list(notes(result))
     parts: list[Part] = list(tables(result))
-    parts.append(Lines("", [*result.notes, *settings_lines(result)]))
+    parts.append(Lines("", [*said, *(f"advice, {advice}" for advice in result.advice)]))
+    parts.append(entries("settings and run times", dict(_settings(result))))
     if result.coverage and result.coverage.untested:
         parts.append(_untested_table(result.coverage))
-    models = result.models if isinstance(result, Against) else [result]
-    for model in models:
-        if model.mapping:
-            title = "carried over from the file"
-            title += f" of {model.name}" if isinstance(model, Model) else ""
-            parts.append(Lines(title, list(report_lines(model.mapping)), folded=True))
-    summary = result.summary()
+    for title, mapping in _mappings(result):
+        parts.append(Lines(f"carried over from {title}", list(report_lines(mapping)), folded=True))
     named = ("scene", "source", "options", "models", "left_out", "versions")
+    found = result.summary()
     parts.append(
-        entries("scene and versions", {name: summary[name] for name in named if name in summary}, folded=True)
+        entries("scene and versions", {name: found[name] for name in named if name in found}, folded=True)
     )
-    return Report(result.title, result.verdict, judged_word(result), parts, result.wall_time)
+    title = f"{result.title}: {result.scene.description}"
+    return Report(title, result.verdict, judged_word(result), parts, result.wall_time, summary(result, said))
+
+
+def _mappings(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
+    """What became of the elements of each model file, with the file's title."""
+    models = result.models if isinstance(result, Against) else []
+    if result.mapping and not models:
+        yield "the file", result.mapping
+    yield from ((f"the file of {model.name}", model.mapping) for model in models if model.mapping)
 
 
 def judged_word(result: Crosscheck) -> Cell:
@@ -88,7 +95,7 @@ def tables(result: Crosscheck) -> Iterator[Table]:
     """Figures of engines against a model file, of pairs of engines, of each by itself, and of its systems."""
     titles = {
         "file": f"each engine against {result.title} as its file's own reader has it",
-        "pairs": f"{result.title}: {result.scene.description}",
+        "pairs": "engines compared",
         "single": "each engine by itself",
         "within": "two equations of motion of one engine",
     }
@@ -158,40 +165,48 @@ def _measured_table(measured: Sequence[Measured]) -> Table:
     return Table("figures against the reference", [Column(""), *heads], rows)
 
 
-def settings_lines(result: Crosscheck) -> Iterator[str]:
-    """Word each engine's settings and run time, or why it did not run; reactions not unique; advice."""
+def _settings(result: Crosscheck) -> Iterator[tuple[str, str]]:
+    """Each engine with its settings and run time."""
     for name, run in result.runs.items():
         settings = ", ".join(f"{key} {_short(value)}" for key, value in run.settings.items())
-        yield f"{name}: {settings}; {run.wall_time:.2g} s"
-    yield from (f"not finished, {stop}" for stop in result.unfinished)
-    for name, reason in result.left_out.items():
-        yield f"{name}: left out: {reason}"
-    implicit = [name for name, run in result.runs.items() if run.settings.get("integrator") in IMPLICIT]
-    if implicit:
-        rate, steps = fastest_decay(result.scene), explicit_steps(result.scene)
-        fixed = f", RK4 steps of {RK4_LIMIT / rate:.2g} s" if "mujoco" in implicit and rate else ""
-        needed = f"DOP853 would need {steps:.0f} steps{fixed}"
-        yield f"stiff: fastest decay {rate:.2g} 1/s at the start; {needed}; implicit: {', '.join(implicit)}"
-    if result.mapping and result.runs:
-        yield _start_line(result)
-        yield from _activity_lines(result.mapping)
+        yield name, f"{settings}; {run.wall_time:.2g} s"
+
+
+def notes(result: Crosscheck) -> Iterator[str]:
+    """What is to be known beside the figures, a line each; what bears on the verdict comes first."""
+    mapping, scene = result.mapping, result.scene
+    active, inactive = _activity_lines(mapping) if mapping and result.runs else ([], [])
+    yield from result.notes
+    yield from (f"{name}: left out: {reason}" for name, reason in result.left_out.items())
+    yield from active
     if result.rests:
         yield _rest_line(result)
-    impossible = [body.name for body in result.scene.mechanism.bodies if body.allow_unrealisable_inertia]
+    yield from redundancy_lines(scene)
+    impossible = [body.name for body in scene.mechanism.bodies if body.allow_unrealisable_inertia]
     if impossible:
         broken = "two principal moments together less than the third"
         yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
-    count, joints = undetermined_joints(result.scene, initial_state(result.scene))
-    if count:
-        rows = "1 redundant constraint" if count == 1 else f"{count} redundant constraints"
-        yield f"reactions not unique: {rows} at joints {_named(joints)}"
-    yield from redundancy_lines(result.scene)
+    yield from not_compared(result.rows)
     if result.coverage and result.coverage.untested:
         names = [covered.element for covered in result.coverage.untested]
         listed = f", {ALL_LISTED}" if len(names) > MOST_NAMED else ""
         yield f"untested by the motion, 10 % more would not show: {_named(names)}{listed}"
-    yield from not_compared(result.rows)
-    yield from (f"advice, {advice}" for advice in result.advice)
+    for title, read in _mappings(result):
+        yield f"{title}: {fates_line(read)}"
+        yield from read.start
+    count, joints = undetermined_joints(scene, initial_state(scene))
+    if count:
+        rows = "1 redundant constraint" if count == 1 else f"{count} redundant constraints"
+        yield f"reactions not unique: {rows} at joints {_named(joints)}"
+    implicit = [name for name, run in result.runs.items() if run.settings.get("integrator") in IMPLICIT]
+    if implicit:
+        rate, steps = fastest_decay(scene), explicit_steps(scene)
+        fixed = f", RK4 steps of {RK4_LIMIT / rate:.2g} s" if "mujoco" in implicit and rate else ""
+        needed = f"DOP853 would need {steps:.0f} steps{fixed}"
+        yield f"stiff: fastest decay {rate:.2g} 1/s at the start; {needed}; implicit: {', '.join(implicit)}"
+    if mapping and result.runs:
+        yield _start_line(result)
+    yield from inactive
 
 
 def redundancy_lines(scene: Scene) -> Iterator[str]:
@@ -207,19 +222,19 @@ def redundancy_lines(scene: Scene) -> Iterator[str]:
         yield "the mechanism has no degree of freedom"
 
 
-def _activity_lines(mapping: ImportReport) -> Iterator[str]:
-    """List what the run shows of approximations, and of limits, contacts and friction that are left out."""
+def _activity_lines(mapping: ImportReport) -> tuple[list[str], list[str]]:
+    """Word what the run shows of approximations and of what was left out and acts, and of what does not."""
     entries = [mapping.entries[number] for number in mapping.watches]
     watched = [entry for entry in entries if entry.fate != "approximated"]
-    inactive = [entry for entry in watched if entry.fate == "inactive"]
+    active = []
     for entry in entries:
         if entry.fate == "approximated":
-            yield f"approximated: {entry.element}: {entry.how}"
+            active.append(f"approximated: {entry.element}: {entry.how}")
         elif entry.fate != "inactive":
-            yield f"active, and left out: {entry.element}: {entry.how}"
-    if inactive:
-        texts = "; ".join(f"{entry.element}: {entry.how}" for entry in inactive)
-        yield f"inactive in this run, {len(inactive)} of {len(watched)} watched: {texts}"
+            active.append(f"active, and left out: {entry.element}: {entry.how}")
+    idle = [f"{entry.element}: {entry.how}" for entry in watched if entry.fate == "inactive"]
+    counted = f"inactive in this run, {len(idle)} of {len(watched)} watched"
+    return active, [f"{counted}: {'; '.join(idle)}"] if idle else []
 
 
 def _start_line(result: Crosscheck) -> str:

@@ -7,7 +7,7 @@ JSON and JUnit XML, and `crosscheck.report.page` as HTML.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 Verdict = Literal["", "holds", "doubtful", "fails"]
@@ -37,7 +37,7 @@ class Column:
         name: may have several lines.
         unit: of all its figures.
         numeric: whether it holds figures, aligned at the right and never wrapped.
-        brief: whether the terminal cuts its texts to the beginning.
+        brief: whether the terminal cuts its texts to the room that the other columns leave.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Table:
     """Rows of cells under columns.
 
     Attributes:
-        title: of the table.
+        title: of the table; one without is drawn without a rule.
         columns: as many as the longest row has cells.
         rows: see `Rows`.
         folded: whether pages show it on demand and the terminal not at all.
@@ -82,11 +82,12 @@ class Table:
 
 @dataclass(frozen=True)
 class Lines:
-    """Sentences, one per line; `folded` as of a `Table`."""
+    """Sentences, one per line; `folded` as of a `Table`; `brief` ones the terminal cuts to one line."""
 
     title: str
     lines: list[str]
     folded: bool = False
+    brief: bool = False
 
 
 Part = Table | Lines
@@ -102,6 +103,7 @@ class Report:
         judged: the verdict in one word.
         parts: tables and sentences, in order.
         wall_time: s; None if it was not measured.
+        summary: what the terminal shows of the parts unless all are asked for.
     """
 
     title: str
@@ -109,6 +111,7 @@ class Report:
     judged: Cell
     parts: list[Part]
     wall_time: float | None = None
+    summary: list[Part] = field(default_factory=list)
 
 
 def texts(*names: str) -> list[Column]:
@@ -143,3 +146,8 @@ def _text(value: object) -> str:
     if value is None:
         return ""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def seconds(value: float) -> str:
+    """Word a duration, s, in seconds or milliseconds."""
+    return f"{value:.3g} s" if value >= 1.0 else f"{1e3 * value:.3g} ms"

@@ -10,7 +10,7 @@ import sys
 from dataclasses import replace
 
 import pytest
-from command_line import check_refused, command, run, scene_file
+from command_line import check_refused, command, run, scene_file, verdict_of
 from urdf_files import CHAIN
 
 from crosscheck.comparison.figure import LEVELS, Figure
@@ -23,7 +23,7 @@ def test_run_writes_everything_and_agrees(capsys, tmp_path, good):
     path = scene_file(tmp_path, good)
     status, out, err = run(capsys, "run", path, "--output", tmp_path / "out")
     assert (status, err) == (0, "")
-    assert out.splitlines()[-1].startswith("AGREE: newton_euler, mujoco, pinocchio agree on four_bar")
+    assert verdict_of(out).startswith("AGREE: newton_euler, mujoco, pinocchio agree on four_bar")
     names = {p.name for p in (tmp_path / "out").iterdir()}
     assert names == {"newton_euler.npz", "mujoco.npz", "pinocchio.npz", "summary.json", "scene.rrd"}
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
@@ -83,7 +83,7 @@ def test_a_disagreement_is_status_1_and_names_the_place(capsys, tmp_path, good, 
     path = scene_file(tmp_path, good)
     status, out, _ = run(capsys, "run", path, "--output", tmp_path / "out")
     assert status == 1
-    verdict = out.splitlines()[-1]
+    verdict = verdict_of(out)
     assert verdict.startswith("DISAGREE: mujoco differs; newton_euler and pinocchio agree to ")
     assert "(all figures); on four_bar at level 'model': mass, rel: 0.001 > 1e-12, worst at coupl" in verdict
     assert "; mujoco's model is wrong (" in verdict
@@ -244,7 +244,7 @@ def test_what_nobody_foresaw_is_one_line_and_what_there_is_is_kept(tmp_path, cap
     status, said, err = run(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", out)
     assert (status, err) == (3, "")
     reason = "comparing: internal error: ZeroDivisionError: division by zero"
-    assert said.splitlines()[-1].startswith(f"UNFINISHED: {reason}; ")
+    assert verdict_of(said).startswith(f"UNFINISHED: {reason}; ")
     files = {"newton_euler.npz", "mujoco.npz", "summary.json", "scene.rrd"}
     assert {path.name for path in out.iterdir()} == files
 
@@ -268,7 +268,7 @@ def test_markup_in_texts_is_text(tmp_path, capsys, good):
     status, out, err = run(capsys, "run", path, "--engines", "pinocchio,newton_euler", "--output", folder)
     assert (status, err) == (0, "")
     assert out.startswith("four_bar: [/red] [bold]b :smile:")
-    assert f"wrote {folder}/pinocchio.npz" in out
+    assert f"crosscheck report '{folder}'" in out
 
 
 def test_one_engine_alone_agrees_with_nobody(tmp_path, capsys, good):
@@ -276,9 +276,9 @@ def test_one_engine_alone_agrees_with_nobody(tmp_path, capsys, good):
     status, out, _ = run(capsys, "run", path, "--engines", "mujoco", "--output", tmp_path / "out")
     assert status == 0
     verdict = "ran mujoco alone on four_bar: nothing to compare it with; its own figures hold, all "
-    assert out.splitlines()[-1].startswith(verdict)
+    assert verdict_of(out).startswith(verdict)
     assert "AGREE" not in out
-    assert "agree" not in out.splitlines()[-1]
+    assert "agree" not in verdict_of(out)
 
 
 def test_one_engine_alone_can_fail(tmp_path, capsys, good, monkeypatch):
@@ -288,7 +288,7 @@ def test_one_engine_alone_can_fail(tmp_path, capsys, good, monkeypatch):
     status, out, _ = run(capsys, "run", path, "--engines", "mujoco", "--output", tmp_path / "out")
     assert status == 1
     verdict = "its own figures fail at level 'drift': open joints, m or rad: 2 > 1, worst at elbow at 0 s"
-    assert verdict in out.splitlines()[-1]
+    assert verdict in verdict_of(out)
 
 
 def test_a_second_run_leaves_nothing_of_the_first(tmp_path, capsys, good):
@@ -318,7 +318,7 @@ def test_summary_tells_what_was_run(tmp_path, capsys, monkeypatch, good):
     told = {name: summary[name] for name in ("scene", "source", "options")}
     assert told == {"scene": "tracker", "source": "tracker", "options": {"panel_inertia": "literal"}}
     assert set(summary["versions"]) == {"python", "numpy", "scipy", "rerun-sdk", "pin"}
-    assert summary["verdict"] == out.splitlines()[-1]
+    assert summary["verdict"] == verdict_of(out)
     assert "alone on tracker (panel_inertia=literal)" in summary["verdict"]
 
 
@@ -395,7 +395,7 @@ def test_convert_files_each_element_once(capsys, tmp_path):
     )
     status, out, _ = run(capsys, "convert", model, tmp_path / "m.urdf")
     assert status == 0
-    carried, left = out[: out.index("left out:\n")], out[out.index("left out:\n") :]
+    carried, left = out[out.index("exactly:\n") : out.index("left out:\n")], out[out.index("left out:\n") :]
     for words in ("armature", "spring", "control law", "wrench"):
         assert words not in carried
     assert "  joint 'pivot': revolute joint 'pivot'" in carried

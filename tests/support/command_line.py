@@ -63,3 +63,8 @@ def command(folder, *arguments, **options):
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
     )
+
+
+def verdict_of(out: str) -> str:
+    """The verdict that `run` printed, below the title of its summary."""
+    return out.splitlines()[1]

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from command_line import run
+from command_line import run, verdict_of
 
 from crosscheck.against.align import alignments
 from crosscheck.against.compare import Model, unsimulated
@@ -34,7 +34,7 @@ def test_what_is_left_out_of_one_model_only_is_a_difference(capsys, tmp_path, ol
     for pair, where in (((LINKAGE, other), "there"), ((other, LINKAGE), "here")):
         status, out, err = run(capsys, "run", pair[0], "--against", pair[1], "--output", tmp_path / "out")
         assert (status, err) == (1, "")
-        assert out.splitlines()[-1].startswith(f"DIFFERENT in what is not compared: only {where}: {told}")
+        assert verdict_of(out).startswith(f"DIFFERENT in what is not compared: only {where}: {told}")
         assert f"not compared, and only {where}: {told}" in out
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["agrees"] is False
     # it is no difference between a model and itself under other names
@@ -42,7 +42,7 @@ def test_what_is_left_out_of_one_model_only_is_a_difference(capsys, tmp_path, ol
     renamed.write_text(other.read_text().replace("pivot", "hinge"))
     status, out, _ = run(capsys, "run", other, "--against", renamed, "--output", tmp_path / "out")
     assert status == 0
-    assert out.splitlines()[-1].startswith("SAME: ")
+    assert verdict_of(out).startswith("SAME: ")
 
 
 GEARED = """<mujoco><compiler angle="radian"/>
@@ -60,7 +60,7 @@ def test_an_approximation_of_one_file_only_is_a_difference(capsys, tmp_path) -> 
     status, out, _ = run(capsys, *arguments)
     assert status == 1
     told = "only there: equality 'je': approximated: gear 'je' of ratio 1, its polynomial"
-    assert out.splitlines()[-1].startswith(f"DIFFERENT in what is not compared: {told}")
+    assert verdict_of(out).startswith(f"DIFFERENT in what is not compared: {told}")
 
 
 def test_one_file_against_itself_is_told(capsys, tmp_path) -> None:

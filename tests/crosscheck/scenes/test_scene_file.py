@@ -7,7 +7,7 @@ import json
 import os
 
 import pytest
-from command_line import check_refused, command, run, scene_file
+from command_line import check_refused, command, run, scene_file, verdict_of
 
 from crosscheck.scenes import load
 from newton_euler.assemble import initial_state
@@ -180,7 +180,7 @@ def test_absurd_magnitudes_are_one_line(capsys, tmp_path, good, path, value):
     scene = scene_file(tmp_path, changed(good, path, value))
     status, out, err = run(capsys, "run", scene, "--engines", "newton_euler", "--output", tmp_path / "out")
     assert (status, err) == (3, "")
-    assert out.splitlines()[-1].startswith("UNFINISHED: newton_euler")
+    assert verdict_of(out).startswith("UNFINISHED: newton_euler")
 
 
 def test_a_pipe_is_no_scene_file(tmp_path):

@@ -10,6 +10,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from command_line import run as command
+from command_line import verdict_of
 from test_singular import STARTS, crank, parallelogram
 
 import mjcf
@@ -155,7 +156,7 @@ def test_crosscheck_run_compares_what_each_engine_computed(capsys, tmp_path):
     write_scene(runaway(("velocities", "reactions", "violation")), path)
     status, out, err = command(capsys, "run", path, "--engines", "newton_euler,mujoco", "--output", folder)
     assert (status, err) == (UNFINISHED, "")
-    verdict = out.splitlines()[-1]
+    verdict = verdict_of(out)
     assert verdict.startswith("UNFINISHED: newton_euler: integration stopped at t = ")
     assert "'rail'" in verdict
     assert "mujoco: MuJoCo diverged at t = " in verdict
@@ -195,7 +196,7 @@ def pendulum_run(capsys, monkeypatch, folder, **changes) -> tuple[int, str, dict
     names = "newton_euler,mujoco"
     status, out, err = command(capsys, "run", "pendulum", "--engines", names, "--output", folder)
     assert err == ""
-    return status, out.splitlines()[-1], json.loads((folder / "summary.json").read_text())
+    return status, verdict_of(out), json.loads((folder / "summary.json").read_text())
 
 
 def levels(summary, *between):
@@ -266,7 +267,7 @@ def test_the_other_engines_run_when_one_breaks(capsys, monkeypatch, tmp_path):
     status, verdict, summary = pendulum_run(capsys, monkeypatch, tmp_path, simulate=breaking)
     assert status == UNFINISHED
     assert verdict.startswith("UNFINISHED: newton_euler: internal error: LinAlgError: SVD did not converge; ")
-    assert summary["engines"]["newton_euler"] == {"settings": {}, "wall_time": None}
+    assert summary["engines"]["newton_euler"] == {"settings": {}, "wall_time": None, "off_by": None}
 
 
 @pytest.mark.parametrize(("first", "rows"), [(400, 400), (0, None)])

@@ -1,0 +1,113 @@
+"""The summary of a crosscheck: what is printed in about 25 lines of 80 columns unless more is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from crosscheck.comparison.figure import FILE, LEVELS, REFERENCE, START, Figure
+from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figures, seconds
+from crosscheck.run import Crosscheck
+
+MOST_NOTES = 3
+"""Of one line each; the others are counted."""
+
+LEAST_SHARE = 0.01
+"""Of a tolerance; less is not told apart."""
+
+
+def summary(result: Crosscheck, notes: Sequence[str]) -> list[Part]:
+    """Make the tables of levels and of engines, the first notes, and all advice."""
+    parts: list[Part] = [levels_table(result)]
+    if result.runs:
+        parts.append(engines_table(result))
+    if notes:
+        parts.append(Lines("", list(notes[:MOST_NOTES]), brief=True))
+    if result.advice:
+        parts.append(Lines("", [f"advice, {advice}" for advice in result.advice]))
+    return parts
+
+
+def levels_table(result: Crosscheck) -> Table:
+    """Make a row per level: how many figures hold, each engine's worst, and the one nearest its tolerance.
+
+    Beside an engine stands its worst difference from the first engine, or at levels of single engines its own
+    figure. What is nearest its tolerance may be between any two.
+    """
+    first, *others = [engine.name for engine in result.engines]
+    columns = others or [first]
+    found = [row for row in result.rows if not row.informs]
+    for each in result.measured:
+        place = f"{each.known.time:g} s"
+        found.append(
+            Figure(REFERENCE, each.known.quantity, (each.engine,), each.value, each.tolerance, place)
+        )
+    rows: Rows = []
+    for level in (*LEVELS[:2], START, *LEVELS[2:], REFERENCE):
+        at_level = [row for row in found if row.level == level]
+        if not at_level:
+            continue
+        failed = sum(not row.agrees for row in at_level)
+        held = Cell(f"{len(at_level)} ok", "holds")
+        if failed:
+            held = Cell(f"{failed} of {len(at_level)} FAIL", "fails")
+        of_each = [
+            [row for row in at_level if name in row.between and {*row.between} <= {name, first, FILE}]
+            for name in columns
+        ]
+        rows.append([level.partition(" and ")[0], held, *map(_worst, of_each), _nearest(at_level)])
+    heads = [Column("worst of level"), *figures("figures", *columns)]
+    return Table("", [*heads, Column("share of tolerance, where", brief=True)], rows)
+
+
+def _share(row: Figure) -> float:
+    """The share of its tolerance that a figure takes."""
+    return row.value / row.tolerance if row.tolerance > 0.0 else float("inf") if row.value > 0.0 else 0.0
+
+
+def _worst(rows: Sequence[Figure]) -> Cell:
+    if not rows:
+        return Cell("")
+    worst = max(rows, key=_share)
+    return Cell(f"{worst.value:.1e}", "" if worst.agrees else "fails")
+
+
+def _nearest(rows: Sequence[Figure]) -> Cell:
+    """The figure that is nearest its tolerance or exceeds it most, in words."""
+    worst = max(rows, key=_share)
+    share, (quantity, _, unit) = _share(worst), worst.quantity.rpartition(", ")
+    text = f"{share:.2g} x" if share > 1.0 else f"{100.0 * share:.0f} %" if share >= LEAST_SHARE else "<1 %"
+    place = ", ".join(filter(None, [worst.where, quantity or unit]))
+    return Cell(f"{text:>4}  {place}", "" if worst.agrees else "fails")
+
+
+def engines_table(result: Crosscheck) -> Table:
+    """Make a row per engine: run time, distance from the finest run, method; or why it stopped."""
+    stopped = {stop.what: stop for stop in result.unfinished}
+    rows: Rows = []
+    for engine in result.engines:
+        run, stop = result.runs.get(engine.name), stopped.get(engine.name)
+        far = [f"{result.off_by[engine.name]:.1e}" if engine.name in result.off_by else ""]
+        how = brief_settings(run.settings) if run else ""
+        ended = Cell(f"STOPPED: {stop.reason}", "fails") if stop else how
+        took = seconds(run.wall_time) if run else ""
+        rows.append([engine.name, took, *(far if result.off_by else []), ended])
+    heads = [Column(f"{result.scene.duration:g} s of motion"), *figures("run time")]
+    heads += figures("off by") if result.off_by else []
+    return Table("", [*heads, Column("settings", brief=True)], rows)
+
+
+def brief_settings(settings: Mapping[str, Any]) -> str:
+    """Word an engine's method, its tolerance or step, and what keeps its loops closed."""
+    words = [str(settings.get("integrator", ""))]
+    if "timestep" in settings:
+        words[0] += f" {seconds(settings['timestep'])}"
+    if "rtol" in settings:
+        words[0] += f" rtol {settings['rtol']:g}"
+    if "solref" in settings:
+        words.append(f"solref {settings['solref'][0]:g} s")
+    if "stabilization" in settings:
+        words.append(str(settings["stabilization"]))
+    if "formulation" in settings:
+        words.append(str(settings["formulation"]))
+    return ", ".join(words)

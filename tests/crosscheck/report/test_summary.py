@@ -1,0 +1,101 @@
+"""The summary that `crosscheck run` prints: 25 lines of 80 columns, and what stands in them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from command_line import run
+
+from crosscheck.comparison.figure import FILE, REFERENCE, Figure
+from crosscheck.comparison.known_figures import Measured
+from crosscheck.each_run import Stop
+from crosscheck.references import Known
+from crosscheck.report.render import terminal
+from crosscheck.report.summary import MOST_NOTES, brief_settings, engines_table, levels_table, summary
+
+LINKAGE = Path(__file__).parents[3] / "examples" / "linkage.xml"
+
+
+def result(rows=(), **more):
+    """The parts of a crosscheck that its summary is made of."""
+    engines = [SimpleNamespace(name=name) for name in ("newton_euler", "mujoco", "pinocchio")]
+    scene = SimpleNamespace(description="a bar on a hinge", duration=2.0)
+    nothing = {"measured": (), "runs": {}, "unfinished": (), "off_by": {}, "advice": ()}
+    return SimpleNamespace(rows=rows, engines=engines, scene=scene, **nothing | more)
+
+
+def figure(level, between, value, tolerance=1e-6, quantity="mass, rel", where="rod"):
+    return Figure(level, quantity, between, value, tolerance, where)
+
+
+def cells(table):
+    return {row[0].text: [cell.text for cell in row[1:]] for _, row in table.sections()}
+
+
+def test_levels_have_the_worst_of_each_engine_and_the_one_nearest_its_tolerance():
+    rows = [
+        figure("model", ("newton_euler", "mujoco"), 1e-9, quantity="inertia, rel", where="crank"),
+        figure("model", ("newton_euler", "mujoco"), 2e-8),
+        figure("model", ("newton_euler", "pinocchio"), 3e-9),
+        figure("model", ("mujoco", "pinocchio"), 5e-7, where="rocker"),
+        figure("model", ("relative", "cartesian"), 4e-9),
+        figure("drift", ("newton_euler",), 1e-7),
+        figure("drift", ("mujoco",), 4e-3, quantity="open joints, m or rad", where="pin at 1 s"),
+    ]
+    assert cells(levels_table(result(rows))) == {
+        "model": ["5 ok", "2.0e-08", "3.0e-09", "50 %  rocker, mass"],
+        "drift": ["1 of 2 FAIL", "4.0e-03", "", "4e+03 x  pin at 1 s, open joints"],
+    }
+
+
+def test_what_is_not_judged_is_not_counted_and_files_and_known_figures_are():
+    informs = Figure("kinematics", "condition", ("newton_euler", "mujoco"), 1e3, 1.0, "", informs=True)
+    known = Known(2.0, "angle", "rad", 0.25, 1e-9)
+    measured = [Measured.of("mujoco", known, 0.25 + 2e-9, 1e-8)]
+    found = cells(
+        levels_table(result([informs, figure("reading", ("mujoco", FILE), 0.0)], measured=measured))
+    )
+    assert found["reading"] == ["1 ok", "0.0e+00", "", "<1 %  rod, mass"]
+    assert found[REFERENCE][:2] == ["1 ok", "2.0e-09"]
+    assert found.keys() == {"reading", REFERENCE}
+
+
+def test_engines_have_their_time_their_error_and_why_they_stopped():
+    settings = {"timestep": 1e-3, "integrator": "RK4", "solref": [0.002, 1.0], "steps": 5000}
+    adaptive = {
+        "formulation": "relative",
+        "stabilization": "projection",
+        "integrator": "DOP853",
+        "rtol": 1e-10,
+    }
+    runs = {
+        "newton_euler": SimpleNamespace(settings=adaptive, wall_time=2.5e-3),
+        "mujoco": SimpleNamespace(settings=settings, wall_time=1.5),
+    }
+    stopped = (Stop("pinocchio", "integration stopped"),)
+    table = engines_table(result(runs=runs, unfinished=stopped, off_by={"mujoco": 7e-8}))
+    assert cells(table) == {
+        "newton_euler": ["2.5 ms", "", "DOP853 rtol 1e-10, projection, relative"],
+        "mujoco": ["1.5 s", "7.0e-08", "RK4 1 ms, solref 0.002 s"],
+        "pinocchio": ["", "", "STOPPED: integration stopped"],
+    }
+    assert brief_settings({}) == ""
+
+
+def test_few_notes_are_shown_each_cut_to_a_line(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")
+    notes = [f"{letter * 70}" for letter in "abcdef"]
+    shown = terminal(summary(result([figure("model", ("newton_euler", "mujoco"), 0.0)]), notes)).splitlines()
+    assert shown[-MOST_NOTES:] == [letter * 59 + "…" for letter in "abcdef"[:MOST_NOTES]]
+
+
+@pytest.mark.parametrize("arguments", [("tracker",), ("linkage.xml", "--set", "key=go")])
+def test_a_run_is_told_in_25_lines_of_80_columns(capsys, tmp_path, monkeypatch, arguments):
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "linkage.xml").write_text(LINKAGE.read_text())
+    status, out, _ = run(capsys, "run", *arguments)
+    lines = out.splitlines()
+    assert (status, len(lines) <= 25, max(map(len, lines)) <= 80) == (0, True, True), out
