@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -84,19 +81,11 @@ def bench_command(
     else:
         kind = work_precision(error) if batch is None else many_runs(batch, error)
     model = Model(load_and_tell(scene, options), scene, options)
-    with _stages_shown() as progress:
+    with progress_shown() as progress:
         found, written = bench(model, kind, output, progress)
     click.echo(terminal(found.parts), nl=False)
     say("wrote " + ", ".join(str(path) for path in written))
     return AGREE
-
-
-@contextmanager
-def _stages_shown() -> Iterator[Callable[[str], None]]:
-    """Progress of what takes minutes: where standard error is no terminal each stage is a line of it."""
-    with progress_shown() as progress:
-        terminal = sys.stderr.isatty()
-        yield progress if terminal else lambda stage: click.echo(stage, err=True)
 
 
 @cli.command("stress")

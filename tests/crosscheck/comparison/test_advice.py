@@ -220,7 +220,7 @@ def test_nothing_is_redundant_in_a_loop_of_balls() -> None:
 
 
 def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None:
-    from crosscheck.report.run import report, settings_lines
+    from crosscheck.report.run import notes, report
 
     engines = choose(["newton_euler", "mujoco"])
     loop = replace(planar_four_bar(), duration=0.1, output_period=0.05)
@@ -230,7 +230,7 @@ def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None
     assert result.agrees
     assert result.verdict.endswith("figures; nothing moves; motion covers 0 of 10 elements")
     assert [advice.topic for advice in result.advice] == ["redundancy"]  # of the equations, not the run
-    (line,) = (line for line in settings_lines(result) if line.startswith("nothing moves"))
+    (line,) = (line for line in notes(result) if line.startswith("nothing moves"))
     assert "it starts at rest in equilibrium" in line
     assert "runs test nothing" in line
     assert line in terminal(report(result).parts)
@@ -242,11 +242,11 @@ def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None
 
     moving = crosscheck(loop, engines, lambda _: None, "a_scene", {})
     assert not moving.rests
-    assert "nothing moves" not in "\n".join([moving.verdict, *settings_lines(moving)])
+    assert "nothing moves" not in "\n".join([moving.verdict, *notes(moving)])
 
 
 def test_a_mechanism_without_freedom_is_called_so() -> None:
-    from crosscheck.report.run import settings_lines
+    from crosscheck.report.run import notes
 
     loop = replace(planar_four_bar(), duration=0.1, output_period=0.05, initial_state=None)
     crank = loop.mechanism.joints[0]
@@ -262,7 +262,7 @@ def test_a_mechanism_without_freedom_is_called_so() -> None:
         {},
         advised=True,
     )
-    (line,) = (line for line in settings_lines(result) if line.startswith("nothing moves"))
+    (line,) = (line for line in notes(result) if line.startswith("nothing moves"))
     assert "the mechanism has no freedom" in line
     assert {advice.topic for advice in result.advice} <= {"redundancy"}
 
@@ -286,7 +286,7 @@ def test_an_engine_that_others_deserted_agrees_with_nobody() -> None:
 
 
 def test_advice_is_in_reports(loop: Scene) -> None:
-    from crosscheck.report.run import report, settings_lines
+    from crosscheck.report.run import notes, report
 
     engines = choose(["newton_euler", "mujoco"])
     assert not crosscheck(loop, engines, lambda _: None, "a_scene", {}).advice  # unless asked for
@@ -294,6 +294,5 @@ def test_advice_is_in_reports(loop: Scene) -> None:
     topics = [advice.topic for advice in result.advice]
     assert topics == ["mujoco", "redundancy"]
     assert [entry["topic"] for entry in result.summary()["advice"]] == topics
-    lines = list(settings_lines(result))
-    assert all(f"advice, {advice}" in lines for advice in result.advice)
+    lines = [*notes(result), *(f"advice, {advice}" for advice in result.advice)]
     assert any(lines == part.lines for part in report(result).parts if isinstance(part, Lines))

@@ -13,7 +13,7 @@ from mechanisms import pendulum
 
 from crosscheck import engines, limit
 from crosscheck.engines import ENGINES, choose
-from crosscheck.report.run import settings_lines
+from crosscheck.report.run import notes
 from crosscheck.run import crosscheck
 from crosscheck.stiffness import STABLE, explicit_steps, fastest_decay, is_stable_in_rk4, modes_of_run
 from newton_euler import simulate
@@ -117,7 +117,7 @@ def test_mujoco_takes_an_implicit_integrator_where_rk4_diverges() -> None:
     result = crosscheck(scene, choose(["newton_euler", "mujoco"]), lambda _: None, "x", {})
     assert result.runs["mujoco"].settings["integrator"] == "implicitfast"
     assert result.agrees, result.verdict
-    (line,) = [line for line in settings_lines(result) if line.startswith("stiff: ")]
+    (line,) = [line for line in notes(result) if line.startswith("stiff: ")]
     assert line.endswith(", RK4 steps of 2.8e-07 s; implicit: newton_euler, mujoco")
 
 
