@@ -70,7 +70,7 @@ def report(result: Crosscheck) -> Report:
 
 
 def _mappings(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
-    """What became of the elements of each model file, with the file's title."""
+    """Import reports of the model files, each after its file's title."""
     models = result.models if isinstance(result, Against) else []
     if result.mapping and not models:
         yield "the file", result.mapping
@@ -173,7 +173,7 @@ def _settings(result: Crosscheck) -> Iterator[tuple[str, str]]:
 
 
 def notes(result: Crosscheck) -> Iterator[str]:
-    """What is to be known beside the figures, a line each; what bears on the verdict comes first."""
+    """Word all that is to be known beside the figures, a line each, the first bearing on the verdict most."""
     mapping, scene = result.mapping, result.scene
     active, inactive = _activity_lines(mapping) if mapping and result.runs else ([], [])
     yield from result.notes
