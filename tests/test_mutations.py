@@ -215,8 +215,8 @@ MISTAKES = {
     ),
     "a baseline compared with itself": (
         "crosscheck/regress/compare.py",
-        "_check(figure, now[figure.name])",
-        "_check(figure, figure)",
+        "_check(figure, now.get(figure.name), problem)",
+        "_check(figure, figure, problem)",
         "crosscheck/test_regress.py::test_a_figure_moves_where_it_leaves_its_tolerance",
     ),
     "a stale result read back": (

@@ -38,20 +38,14 @@ _file = click.Path(path_type=Path)
     type=_file,
     default=Path("output/regress"),
     show_default=True,
-    help="Folder for JSON and recordings.",
+    help="Folder for reports (JSON, JUnit XML, markdown) and recordings.",
 )
-@click.option("--junit", type=_file, help="Write JUnit XML.")
-@click.option("--json", "json_path", type=_file, help="File for JSON.  [default: OUTPUT/regress.json]")
-@click.option("--markdown", type=_file, help="Write a summary in markdown.")
 def regress_command(
     sources: tuple[str, ...],
     settings: tuple[str, ...],
     baseline: Path | None,
     reason: str | None,
     output: Path,
-    junit: Path | None,
-    json_path: Path | None,
-    markdown: Path | None,
 ) -> int:
     """Compare the figures of SCENEs or model files with stored baselines.
 
@@ -59,20 +53,12 @@ def regress_command(
     `crosscheck report` makes a page of is in OUTPUT.
     """
     from crosscheck.regress.report import tables, verdict
-    from crosscheck.regress.run import check, update, write_reports
+    from crosscheck.regress.run import check, update
 
     if len(sources) != 1 and (settings or baseline):
         raise CrosscheckError("--set and --baseline are of one SCENE; name it")
-    reports = [path for path in (junit, json_path, markdown) if path is not None]
-    if json_path is None and reason is None:
-        reports.append(json_path := output / "regress.json")
-    if len(set(reports)) < len(reports):
-        raise CrosscheckError("--junit, --json and --markdown name the same file")
-    options = scene_options(settings)
-    guarded = _guarded(sources, options, baseline)
+    guarded = _guarded(sources, scene_options(settings), baseline)
     if reason is not None:
-        if reports:
-            raise CrosscheckError("--update compares nothing: no --junit, --json and --markdown")
         with progress_shown() as progress:
             made = update(guarded, reason, progress)
         for each, found in zip(guarded, made, strict=True):
@@ -82,8 +68,7 @@ def regress_command(
                 say(f"  {group} left out: {why}")
         return AGREE
     with progress_shown() as progress:
-        compared, recordings = check(guarded, output, reports, progress)
-        written = write_reports(compared, recordings, junit, json_path, markdown)
+        compared, recordings, written = check(guarded, output, progress)
     click.echo(terminal(tables(compared)), nl=False)
     for comparison in compared:
         say(comparison.verdict)

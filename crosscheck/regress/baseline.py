@@ -19,14 +19,11 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.results import read_json
-from crosscheck.scenes.scene_file import Number
+from crosscheck.scenes.scene_file import Number, Quaternion, Vector
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin", "crosscheck")
-
-Tolerance = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-
 
 GroupName = Literal["relative", "cartesian", "integrators", "mujoco", "pinocchio"]
 """Of `crosscheck.regress.measure.GROUPS`."""
@@ -53,7 +50,7 @@ class StoredFigure(_Strict):
     rows: list[str]
     columns: list[str]
     value: list[list[Number]]
-    tolerance: list[Tolerance]
+    tolerance: list[Annotated[float, Field(ge=0.0, allow_inf_nan=False)]]
 
     @model_validator(mode="after")
     def _check_shape(self) -> StoredFigure:
@@ -77,18 +74,15 @@ class StoredFigure(_Strict):
 class StoredState(_Strict):
     """A state of all bodies, as `newton_euler.model.state.State`."""
 
-    position: list[list[Number]]
-    quaternion: list[list[Number]]
-    linear_velocity: list[list[Number]]
-    angular_velocity: list[list[Number]]
+    position: list[Vector]
+    quaternion: list[Quaternion]
+    linear_velocity: list[Vector]
+    angular_velocity: list[Vector]
 
     @model_validator(mode="after")
-    def _check_shape(self) -> StoredState:
-        count = len(self.position)
-        for name in type(self).model_fields:
-            rows, width = getattr(self, name), 4 if name == "quaternion" else 3
-            if len(rows) != count or any(len(row) != width for row in rows):
-                raise ValueError(f"{name} is not a table of {count} x {width} numbers")
+    def _check_count(self) -> StoredState:
+        if len({len(getattr(self, name)) for name in type(self).model_fields}) > 1:
+            raise ValueError("position, quaternion and velocities are of different numbers of bodies")
         return self
 
     @classmethod
@@ -138,7 +132,7 @@ class Baseline(_Strict):
         format: of the file; another number is another meaning of its fields.
         scene: its name.
         options: of the scene, as they were set.
-        unsimulated: lines on what of a model file is in no figure; None for a scene of this package's own.
+        unsimulated: lines on what of a model file is in no figure.
         history: every time that the file was made; the last made what is in it.
         left_out: groups that have no figures here, and why.
     """
@@ -175,24 +169,15 @@ class Baseline(_Strict):
         return next(found, None)
 
     def text(self) -> str:
-        """The content of the file."""
-        content = self.model_dump(mode="json")
-        in_lines = ("unsimulated", "figures")
-        parts = [
-            f" {json.dumps(key)}: {_in_lines(value) if key in in_lines and value else _json(value)}"
-            for key, value in content.items()
-        ]
+        """The content of the file: a line for each field, and for each entry of the long ones."""
+        parts = []
+        for key, value in self.model_dump(mode="json").items():
+            text = json.dumps(value, allow_nan=False)
+            if key in ("unsimulated", "figures") and value:
+                text = ",\n".join(f"  {json.dumps(entry, allow_nan=False)}" for entry in value)
+                text = f"[\n{text}\n ]"
+            parts.append(f" {json.dumps(key)}: {text}")
         return "{\n" + ",\n".join(parts) + "\n}\n"
-
-
-def _json(value: object) -> str:
-    return json.dumps(value, allow_nan=False)
-
-
-def _in_lines(entries: list[object]) -> str:
-    """A list with an entry a line."""
-    lines = ",\n".join(f"  {_json(entry)}" for entry in entries)
-    return f"[\n{lines}\n ]"
 
 
 def versions() -> dict[str, str]:
@@ -200,16 +185,8 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version()} | {package: version(package) for package in PACKAGES}
 
 
-def read(path: Path, command: str) -> Baseline:
-    """Read a baseline.
-
-    Args:
-        path: of the file.
-        command: what makes it, for the error message.
-
-    Raises:
-        CrosscheckError: naming the file and the field at fault, or the command that makes it.
-    """
+def read(path: Path) -> Baseline:
+    """Read a baseline; raises `CrosscheckError` naming the file and the field at fault."""
     if not os.path.lexists(path):
-        raise CrosscheckError(f"no baseline {path}; make it with: {command}")
+        raise CrosscheckError(f"no baseline {path}; make it by --update REASON")
     return read_json(path, Baseline)

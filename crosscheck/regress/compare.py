@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,8 +22,6 @@ MODEL_FILE = "model file"
 """In place of the group of a figure: what a file holds and no scene does."""
 
 BETWEEN = ("baseline", "now")
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -49,22 +49,6 @@ class Checked(Figure):
     def tolerances(self) -> float:
         """By how many tolerances it moved."""
         return self.value / self.tolerance if self.tolerance > 0.0 else (np.inf if self.moved else 0.0)
-
-    def summary(self) -> dict[str, Any]:
-        """For JSON, which has no infinities."""
-        now = self.now if self.now is not None and np.isfinite(self.now) else None
-        return {
-            "group": self.level,
-            "name": self.quantity,
-            "unit": self.unit,
-            "where": self.where,
-            "was": self.was,
-            "now": now,
-            "tolerance": self.tolerance,
-            "tolerances": self.tolerances if np.isfinite(self.tolerances) else None,
-            "moved": self.moved,
-            "problem": self.problem,
-        }
 
 
 @dataclass(frozen=True)
@@ -119,28 +103,23 @@ class Comparison:
             "versions": self.now,
             "diverges": self.diverges,
             "wall_time": self.wall_time,
-            "figures": [figure.summary() for figure in self.checked],
+            "figures": [asdict(figure) | {"moved": figure.moved} for figure in self.checked],
         }
 
 
 def compare(
-    scene: Scene,
-    baseline: Baseline,
-    progress: Progress,
-    clock: Callable[[], float],
-    mapping: ImportReport | None = None,
+    scene: Scene, baseline: Baseline, progress: Callable[[str], None], mapping: ImportReport | None = None
 ) -> Comparison:
     """Measure a scene's figures as its baseline says and compare them.
 
     Args:
         scene: as loaded.
         progress: is told each stage.
-        clock: s, for the wall time.
         mapping: what became of the elements of a model file; None for a scene of this package's own.
     """
-    start = clock()
+    start = time.perf_counter()
     measured = regress_scene(scene)
-    checked = check_unsimulated(baseline.unsimulated or [], unsimulated(mapping) if mapping else [])
+    checked = check_unsimulated(baseline.unsimulated or [], unsimulated(mapping) or [])
     diverges = None
     for group in baseline.groups:
         progress(f"{scene.name}: {group}")
@@ -149,64 +128,47 @@ def compare(
         checked.extend(check(figures, found))
         if group == MAIN and not isinstance(found, str):
             diverges = divergence(figures, found, measured.times)
-    return Comparison(scene.name, tuple(checked), baseline.made, versions(), diverges, clock() - start)
+    wall_time = time.perf_counter() - start
+    return Comparison(scene.name, tuple(checked), baseline.made, versions(), diverges, wall_time)
 
 
-def unsimulated(mapping: ImportReport) -> list[str]:
+def unsimulated(mapping: ImportReport | None) -> list[str] | None:
     """Lines on what of a model file is in no figure and moves something, as its report words them."""
+    if mapping is None:
+        return None
     return [str(entry) for entry in mapping.entries if entry.fate != "exactly" and not entry.inert]
 
 
 def check_unsimulated(stored: Sequence[str], found: Sequence[str]) -> list[Checked]:
     """Lines on what of a model file is in no figure, against those of the baseline."""
     gone, new = Counter(stored) - Counter(found), Counter(found) - Counter(stored)
-    same = [_same(MODEL_FILE, line) for line in stored if line not in gone]
-    moved = [
+    same = [Checked(MODEL_FILE, line, BETWEEN, 0.0, 0.0, "") for line in stored if line not in gone]
+    return same + [
         Checked(MODEL_FILE, line, BETWEEN, np.inf, 0.0, "", problem=problem)
         for lines, problem in ((gone, "no longer so"), (new, "new"))
         for line in lines.elements()
     ]
-    return same + moved
 
 
 def check(figures: Iterable[StoredFigure], found: list[StoredFigure] | str) -> list[Checked]:
     """A group's figures against what was measured, or against why nothing was."""
-    if isinstance(found, str):
-        return [_missing(figure, found) for figure in figures]
-    now = {figure.name: figure for figure in found}
-    return [
-        _check(figure, now[figure.name]) if figure.name in now else _missing(figure, "no longer measured")
-        for figure in figures
-    ]
+    now = {} if isinstance(found, str) else {figure.name: figure for figure in found}
+    problem = found if isinstance(found, str) else "no longer measured"
+    return [_check(figure, now.get(figure.name), problem) for figure in figures]
 
 
-def _same(group: str, name: str) -> Checked:
-    """Of what holds no number."""
-    return Checked(group, name, BETWEEN, 0.0, 0.0, "", was=0.0, now=0.0)
-
-
-def _missing(figure: StoredFigure, problem: str) -> Checked:
-    return Checked(figure.group, figure.name, BETWEEN, np.inf, 0.0, "", unit=figure.unit, problem=problem)
-
-
-def _check(stored: StoredFigure, now: StoredFigure) -> Checked:
-    if (stored.rows, stored.columns) != (now.rows, now.columns):
-        return _missing(stored, "is of other bodies, joints or times")
+def _check(stored: StoredFigure, now: StoredFigure | None, problem: str) -> Checked:
+    checked = partial(Checked, stored.group, stored.name, BETWEEN, unit=stored.unit)
+    if now is not None and (stored.rows, stored.columns) != (now.rows, now.columns):
+        now, problem = None, "is of other bodies, joints or times"
+    if now is None:
+        return checked(value=np.inf, tolerance=0.0, where="", problem=problem)
     if stored.array.size == 0:
-        return _same(stored.group, stored.name)
+        return checked(value=0.0, tolerance=0.0, where="")
     row, column = np.unravel_index(int(np.argmax(_tolerances(stored, now))), stored.array.shape)
     was, found = float(stored.array[row, column]), float(now.array[row, column])
-    return Checked(
-        stored.group,
-        stored.name,
-        BETWEEN,
-        abs(found - was),
-        stored.tolerance[row],
-        ", ".join(filter(None, (stored.rows[row], stored.columns[column]))),
-        unit=stored.unit,
-        was=was,
-        now=found,
-    )
+    where = ", ".join(filter(None, (stored.rows[row], stored.columns[column])))
+    return checked(value=abs(found - was), tolerance=stored.tolerance[row], where=where, was=was, now=found)
 
 
 def _tolerances(stored: StoredFigure, now: StoredFigure) -> Array:
@@ -220,11 +182,8 @@ def _tolerances(stored: StoredFigure, now: StoredFigure) -> Array:
 def divergence(figures: Iterable[StoredFigure], found: Iterable[StoredFigure], times: Array) -> float | None:
     """s: the first output time at which a figure over time is out of its tolerance."""
     now = {figure.name: figure for figure in found if figure.over_time}
-    first = [
-        int(np.argmax(out))
-        for figure in figures
-        if figure.name in now
-        and len(figure.rows) == len(times)
-        and (out := (_tolerances(figure, now[figure.name]) > 1.0).any(axis=1)).any()
-    ]
-    return float(times[min(first)]) if first else None
+    out = np.zeros(len(times), dtype=bool)
+    for figure in figures:
+        if figure.name in now and len(figure.rows) == len(times):
+            out |= (_tolerances(figure, now[figure.name]) > 1.0).any(axis=1)
+    return float(times[np.argmax(out)]) if out.any() else None

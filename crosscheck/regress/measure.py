@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from crosscheck.comparison.energy import energy_balance
 from crosscheck.comparison.figure import OWN_ERROR, reach, round_off
@@ -32,7 +33,6 @@ from newton_euler.integrators.compiled import FORMULATIONS, PAPER_ALPHA, formula
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.scalars import Array
 from newton_euler.simulate import CompiledScene
 
 OUTPUT_COUNT = 25
@@ -198,10 +198,10 @@ class Measurement:
         self,
         name: str,
         unit: str,
-        rows: Sequence[str],
-        columns: Sequence[str],
-        array: Array,
+        array: ArrayLike,
         tolerance: float,
+        rows: Sequence[str] = ("",),
+        columns: Sequence[str] = ("",),
     ) -> StoredFigure:
         """(rows, columns) numbers, each with the same tolerance."""
         return StoredFigure.model_construct(
@@ -214,18 +214,9 @@ class Measurement:
             tolerance=[tolerance] * len(rows),
         )
 
-    def single(self, name: str, unit: str, value: float, tolerance: float) -> StoredFigure:
-        return self.figure(name, unit, ("",), ("",), np.array(value), tolerance)
-
     def count(self, name: str, value: int) -> StoredFigure:
         """A number of steps, evaluations or operations."""
-        return self.single(name, "", float(value), float(np.ceil(COUNT_SHARE * value)))
-
-    def vectors(
-        self, name: str, unit: str, rows: Sequence[str], array: Array, tolerance: float
-    ) -> StoredFigure:
-        """(rows, 3) vectors or (rows, 4) quaternions."""
-        return self.figure(name, unit, rows, WXYZ if array.shape[1] == 4 else XYZ, array, tolerance)
+        return self.figure(name, "", float(value), float(np.ceil(COUNT_SHARE * value)))
 
     def equations(self, system: System) -> Iterator[StoredFigure]:
         """Accelerations and reactions of a system at both states."""
@@ -239,15 +230,16 @@ class Measurement:
         """Accelerations of all bodies and reactions at all joints, as far as they are determined."""
         mechanism, scales = self.scene.mechanism, samples.scales
         bodies, joints, size = mechanism.body_names[1:], mechanism.joint_names, scales.size
-        linear, angular = found.linear_acceleration[1:], found.angular_acceleration[1:]
-        allowed = share * scales.acceleration
-        yield self.vectors(f"{label}: linear acceleration", "m/s^2", bodies, linear, allowed)
-        yield self.vectors(f"{label}: angular acceleration", "rad/s^2", bodies, angular, allowed / size)
         reactions = found.reaction_force[None], found.reaction_torque[None]
         (force,), (torque,) = determined(*reactions, samples.states.undetermined, size)
-        allowed = looser * scales.force
-        yield self.vectors(f"{label}: reaction force", "N", joints, force, allowed)
-        yield self.vectors(f"{label}: reaction torque", "N m", joints, torque, allowed * size)
+        acceleration, reaction = share * scales.acceleration, looser * scales.force
+        for name, unit, rows, array, allowed in (
+            ("linear acceleration", "m/s^2", bodies, found.linear_acceleration[1:], acceleration),
+            ("angular acceleration", "rad/s^2", bodies, found.angular_acceleration[1:], acceleration / size),
+            ("reaction force", "N", joints, force, reaction),
+            ("reaction torque", "N m", joints, torque, reaction * size),
+        ):
+            yield self.figure(f"{label}: {name}", unit, array, allowed, rows, XYZ)
 
     def open_joints(self, formulation: str) -> StoredFigure:
         """Accelerations where joints are open and opening, under Baumgarte's gains.
@@ -264,7 +256,7 @@ class Measurement:
         states = States(self.scene, (self.plan.state.state(),))
         condition = admissible_basis(system, opened, states.units)[1] * states.mass_condition
         allowed = round_off(condition, states.noise) * float(np.max(np.abs(acceleration), initial=0.0))
-        return self.figure("open joints: acceleration", "1/s^2", ("",), columns, acceleration, allowed)
+        return self.figure("open joints: acceleration", "1/s^2", acceleration, allowed, columns=columns)
 
     def over_time(self, run: Trajectory) -> Iterator[StoredFigure]:
         """Positions and quaternions of all bodies at all output times."""
@@ -274,7 +266,7 @@ class Measurement:
             ("quaternion over time", "", run.quaternion, WXYZ, 1.0),
         ):
             columns = [f"{body} {letter}" for body in run.body_names[1:] for letter in letters]
-            yield self.figure(name, unit, rows, columns, array[:, 1:], round_off(1.0) * scale)
+            yield self.figure(name, unit, array[:, 1:], round_off(1.0) * scale, rows, columns)
 
     def end_of_run(
         self, label: str, run: Trajectory, formulation: str = "relative"
@@ -288,15 +280,15 @@ class Measurement:
         length = share * reach(self.scene, run.position)
         linear, angular = run.linear_velocity, run.angular_velocity
         speed = share * max(size, float(np.max(np.abs(linear))), size * float(np.max(np.abs(angular))))
-        for name, unit, array, allowed in (
-            ("position", "m", run.position, length),
-            ("quaternion", "", run.quaternion, share),
-            ("linear velocity", "m/s", linear, speed),
-            ("angular velocity", "rad/s", angular, speed / size),
+        for name, unit, array, allowed, letters in (
+            ("position", "m", run.position, length, XYZ),
+            ("quaternion", "", run.quaternion, share, WXYZ),
+            ("linear velocity", "m/s", linear, speed, XYZ),
+            ("angular velocity", "rad/s", angular, speed / size, XYZ),
         ):
-            yield self.vectors(f"{label}: {name} at the end", unit, bodies, array[-1, 1:], allowed)
-        drift = float(np.max(run.constraint_violation, initial=0.0))
-        yield self.single(f"{label}: drift", "m or rad", drift, share * max(size, 1.0))
+            yield self.figure(f"{label}: {name} at the end", unit, array[-1, 1:], allowed, bodies, letters)
+        drift = np.max(run.constraint_violation, initial=0.0)
+        yield self.figure(f"{label}: drift", "m or rad", drift, share * max(size, 1.0))
 
     def counts(self, compiled: CompiledScene, integrator: str) -> Iterator[StoredFigure]:
         """Steps and evaluations of a run at `COUNT_RTOL`."""
@@ -331,7 +323,7 @@ def _formulation(here: Measurement) -> Iterator[StoredFigure]:
     found = energy_balance(here.scene, run)
     assert found is not None
     error = float(np.max(np.abs(found.residual))) / (found.exchanged or 1.0)
-    yield here.single("DOP853: energy error", "relative", error, here.share[formulation])
+    yield here.figure("DOP853: energy error", "relative", error, here.share[formulation])
     yield from here.counts(compiled, "DOP853")
 
 

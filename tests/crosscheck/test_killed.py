@@ -57,7 +57,7 @@ def check_complete(folder: Path) -> None:
         if path.suffix == ".npz":
             assert len(load_arrays(path)["time"]) == 6
         elif path.name == "four_bar.baseline.json":
-            assert read(path, "").scene == "four_bar"
+            assert read(path).scene == "four_bar"
         elif path.suffix == ".json":
             json.loads(path.read_text())
         elif path.suffix == ".rrd":

@@ -16,7 +16,7 @@ from crosscheck.regress import measure
 from crosscheck.regress import run as regress
 from crosscheck.regress.baseline import Record, StoredFigure
 from crosscheck.regress.compare import MODEL_FILE, Comparison, check, check_unsimulated, compare, divergence
-from crosscheck.regress.report import as_json, junit, markdown
+from crosscheck.regress.run import Guarded
 from crosscheck.scenes import load
 from crosscheck.scenes.scene_file import write_scene
 
@@ -43,19 +43,18 @@ def tolerances(monkeypatch, measured, plain, tighter):
     return figure.tolerance
 
 
-def test_a_tolerance_is_that_of_the_level_and_the_own_error(monkeypatch, measured):
-    plain, tighter = figure([[1.0, 2.0], [3.0, 4.0]]), figure([[1.0, 2.0], [3.0, 4.0 - 3e-9]])
-    # differences of numbers of 4 have 9e-16 of round-off
-    assert tolerances(monkeypatch, measured, plain, tighter) == pytest.approx(
-        [1e-9 + OWN_ERROR * 3e-9] * 2, rel=1e-6
-    )
-
-
-def test_tolerances_over_time_grow_and_never_shrink(monkeypatch, measured):
-    plain = figure([[0.0], [0.0], [0.0]], name="position over time")
-    tighter = figure([[0.0], [2e-9], [1e-9]], name="position over time")
-    grown = 1e-9 + OWN_ERROR * 2e-9
-    assert tolerances(monkeypatch, measured, plain, tighter) == pytest.approx([1e-9, grown, grown], rel=1e-12)
+@pytest.mark.parametrize(
+    ("name", "changes", "grown"),
+    [
+        ("position", [0.0, 2e-9, 1e-9], [2e-9, 2e-9, 2e-9]),
+        ("position over time", [0.0, 2e-9, 1e-9], [0.0, 2e-9, 2e-9]),
+    ],
+)
+def test_a_tolerance_is_that_of_the_level_and_the_own_error(monkeypatch, measured, name, changes, grown):
+    """The largest of all rows; over time it grows and never shrinks."""
+    plain, tighter = (figure([[x] for x in values], name=name) for values in ([0.0] * 3, changes))
+    wanted = [1e-9 + OWN_ERROR * each for each in grown]
+    assert tolerances(monkeypatch, measured, plain, tighter) == pytest.approx(wanted, rel=1e-12)
 
 
 def test_a_group_with_a_figure_that_is_not_finite_is_left_out(monkeypatch, measured):
@@ -114,11 +113,7 @@ def swing():
 @pytest.fixture(scope="module")
 def measured(swing):
     """The baseline of a second of the pendulum."""
-    return regress.make(swing, {}, "first", [], lambda _: None)
-
-
-def no_clock():
-    return 0.0
+    return regress.make(Guarded("pendulum", {}, swing, Path("none.json")), "first", lambda _: None)
 
 
 def test_every_group_measures_the_pendulum(measured):
@@ -140,7 +135,7 @@ def test_figures_of_the_pendulum_are_those_of_mechanics(swing, measured):
 
 
 def test_an_unchanged_scene_is_quiet(swing, measured):
-    found = compare(swing, measured, lambda _: None, no_clock)
+    found = compare(swing, measured, lambda _: None)
     assert found.moved == []
     assert found.diverges is None
     assert found.changed_versions == []
@@ -149,7 +144,7 @@ def test_an_unchanged_scene_is_quiet(swing, measured):
 
 def test_a_millionth_of_gravity_is_seen_in_every_engine(swing, measured):
     heavier = replace(swing, gravity=swing.gravity * (1.0 + 1e-6))
-    found = compare(heavier, measured, lambda _: None, no_clock)
+    found = compare(heavier, measured, lambda _: None)
     assert {figure.level for figure in found.moved} == set(measure.GROUPS)
     assert found.diverges is not None
     assert 0.0 < found.diverges <= swing.duration
@@ -174,110 +169,69 @@ def guarded(tmp_path_factory):
     return folder
 
 
-def test_an_update_needs_a_reason(capsys, guarded):
-    model = guarded / "mine.yaml"
-    for reason, message in (((), "requires an argument"), (("  ",), "the reason is empty")):
-        status, _, err = run(capsys, "regress", model, "--update", *reason)
-        assert status == 2
-        assert "--update" in err
-        assert message in err
-    assert list(guarded.iterdir()) == [model]
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("tracker", "--update", "x", "--junit", "j.xml"), "--update compares nothing"),
-        (("tracker", "--json", "same", "--markdown", "same"), "name the same file"),
+        (("mine.yaml", "--update"), "'--update' requires an argument"),
+        (("mine.yaml", "--update", "  "), "--update: the reason is empty"),
         (("--baseline", "b.json"), "of one SCENE"),
         (("four_bar", "--set", "N=3"), "--set needs --baseline"),
         (("tracker", "tracker"), "both named 'tracker'"),
         (("nothing",), "unknown scene 'nothing'"),
     ],
 )
-def test_options_that_do_not_fit(capsys, arguments, message):
+def test_options_that_do_not_fit(capsys, monkeypatch, guarded, arguments, message):
+    monkeypatch.chdir(guarded)
     status, out, err = run(capsys, "regress", *arguments)
     assert (status, out) == (2, "")
     assert message in err
+    assert [path.name for path in guarded.iterdir()] == ["mine.yaml"]
 
 
 def test_a_user_guards_a_model(capsys, guarded, monkeypatch):
     monkeypatch.chdir(guarded)
-    summary = guarded / "summary.md"
-    summary.write_text("before\n")
-    monkeypatch.setenv(regress.STEP_SUMMARY, str(summary))
-    model, stored = Path("mine.yaml"), Path("mine.baseline.json")
+    model, stored, folder = Path("mine.yaml"), Path("mine.baseline.json"), Path("output/regress")
     for reason in ("first", "again"):
         status, out, _ = run(capsys, "regress", model, "--update", reason)
         assert status == 0
         assert str(stored) in out
     assert [record["reason"] for record in json.loads(stored.read_text())["history"]] == ["first", "again"]
 
-    status, out, _ = run(capsys, "regress", model, "--junit", "j.xml")
+    status, out, _ = run(capsys, "regress", model)
     assert status == 0
     assert "QUIET" in out
-    (written,) = (guarded / "output" / "regress").iterdir()
-    assert written.name == "regress.json"
-    assert json.loads(written.read_text())["quiet"]
-    suite = ElementTree.parse("j.xml").getroot().find("testsuite")
-    assert suite.get("failures") == "0"
+    assert {path.name for path in folder.iterdir()} == set(regress.REPORTS)
+    assert json.loads((folder / "regress.json").read_text())["quiet"]
+    assert ElementTree.parse(folder / "junit.xml").getroot().find("testsuite").get("failures") == "0"
 
     heavier = model.read_text().replace("-9.81", "-9.810001")
     assert heavier != model.read_text()
     model.write_text(heavier)
-    arguments = ("--junit", "j.xml", "--json", "j.json", "--markdown", "m.md")
-    status, out, _ = run(capsys, "regress", model, *arguments)
+    status, out, _ = run(capsys, "regress", model)
     assert status == 1
     assert "mine: MOVED" in out
     assert "(again)" in out
-    recording = guarded / "output" / "regress" / "mine.rrd"
-    assert recording.read_bytes()[:4] == b"RRF2"
+    assert (folder / "mine.rrd").read_bytes()[:4] == b"RRF2"
     assert "recording: output/regress/mine.rrd" in out
-    content = json.loads(Path("j.json").read_text())
+    content = json.loads((folder / "regress.json").read_text())
     (scene,) = content["scenes"]
     assert (content["quiet"], scene["recording"]) == (False, "output/regress/mine.rrd")
-    suite = ElementTree.parse("j.xml").getroot().find("testsuite")
+    suite = ElementTree.parse(folder / "junit.xml").getroot().find("testsuite")
     moved = sum(each["moved"] for each in scene["figures"])
     assert int(suite.get("failures")) == len(suite.findall("testcase/failure")) == moved > 10
     assert int(suite.get("tests")) == len(suite.findall("testcase")) == len(scene["figures"])
-    steps = summary.read_text()
-    assert steps.startswith("before\n# crosscheck regress\n\n**QUIET: all ")
-    assert steps.endswith(Path("m.md").read_text())
-    assert Path("m.md").read_text().startswith("# crosscheck regress\n\n**MOVED: 1 of 1 scenes: mine**")
+    summary = (folder / "summary.md").read_text()
+    assert summary.startswith("# crosscheck regress\n\n**MOVED: 1 of 1 scenes: mine**")
 
 
-def test_a_recording_holds_both_runs(tmp_path, swing, measured, monkeypatch):
-    from crosscheck.recording import log
-
-    seen = {}
-    monkeypatch.setattr(
-        log, "write_recording", lambda path, scene, runs, verdict, title: seen.update(runs=runs)
-    )
+def test_a_recording_holds_both_runs(swing, measured):
     heavier = replace(swing, gravity=swing.gravity * 1.01)
-    assert regress.record(tmp_path / "x.rrd", heavier, measured, "verdict")
-    now, before = seen["runs"]["newton_euler"], seen["runs"]["baseline"]
+    now, before = regress.both_runs(heavier, measured).values()
     # the baseline's own scene gives the baseline's poses, to what its tolerance says
-    (swing_now,) = [measure.main_run(measure.regress_scene(swing), 1e-12)]
+    swing_now = measure.main_run(measure.regress_scene(swing), 1e-12)
     assert before.position == pytest.approx(swing_now.position, abs=1e-11)
     assert np.max(np.abs(now.position - before.position)) > 1e-3  # 1 % more gravity, for a second
-
-
-def test_no_recording_of_what_has_other_bodies(tmp_path, measured):
-    assert not regress.record(tmp_path / "x.rrd", load("four_bar"), measured, "verdict")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_reports_hold_any_names(tmp_path):
-    odd = "a|b <c> & \x00 `d`"
-    stored = figure([[1.0]], name=odd)
-    checked = tuple(check([stored], [figure([[2.0]], name=odd)]))
-    found = [Comparison("scene", checked, Record.now("<why> | \x01"), {}, 0.5, 0.1)]
-    root = ElementTree.fromstring(junit(found))
-    (case,) = root.iter("testcase")
-    assert "a|b <c> & ? `d`" in case.find("failure").get("message")
-    (line,) = [line for line in markdown(found, {}).splitlines() if "relative: a" in line]
-    assert line.replace("\\|", "").count("|") == 7
-    assert json.loads(as_json(found, {}, tmp_path))["scenes"][0]["diverges"] == 0.5
+    assert regress.both_runs(load("four_bar"), measured) == {}  # of other bodies
 
 
 # What a model file holds and no figure is about
@@ -312,27 +266,11 @@ def test_a_model_file_is_guarded_with_what_is_in_no_figure(capsys, tmp_path, mon
     assert any(line.startswith("2 geoms that can touch") for line in content["unsimulated"])
 
     model.write_text(text.replace('"-60 60"', '"-60 30"'))
-    status, out, _ = run(
-        capsys, "regress", model, "--junit", "j.xml", "--json", "j.json", "--markdown", "m.md"
-    )
+    status, out, _ = run(capsys, "regress", model, "--output", "out")
     assert status == 1
     assert "MOVED: 1 of 1 scenes: model" in out
-    suite = ElementTree.parse("j.xml").getroot().find("testsuite")
+    suite = ElementTree.parse("out/junit.xml").getroot().find("testsuite")
     told = [failure.get("message") for failure in suite.findall("testcase/failure")]
     new = limits.replace("to 1.047", "to 0.5236")
     assert told == [f"model file: {limits}: where no longer so", f"model file: {new}: where new"]
-    (scene,) = json.loads(Path("j.json").read_text())["scenes"]
-    assert [each["name"] for each in scene["figures"] if each["moved"]] == [limits, new]
-    assert "its limits -1.047 to 0.5236" in Path("m.md").read_text()
     assert "model file: joint 'hip'" in out
-
-    # a baseline without it is made anew, with its history
-    del content["unsimulated"]
-    stored.write_text(json.dumps(content))
-    status, out, err = run(capsys, "regress", model)
-    assert (status, out) == (2, "")
-    assert (
-        "model.baseline.json: unsimulated: missing, what of model.xml is in no figure; make it with: " in err
-    )
-    assert run(capsys, "regress", model, "--update", "again")[0] == 0
-    assert [each["reason"] for each in json.loads(stored.read_text())["history"]] == ["first", "again"]

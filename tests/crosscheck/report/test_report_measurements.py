@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from command_line import EXAMPLE, run
 from test_report import report
@@ -44,11 +43,9 @@ def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     status, text, _ = run(capsys, "regress", model, "--output", "out")
     assert status == 0
     assert "wrote out/regress.json" in text
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["regress.json"]
     quiet = report(tmp_path / "out")
     assert "QUIET: all " in quiet.words
     assert "(as delivered)" in quiet.words
-    assert "numpy " + np.__version__ in quiet.words
     assert quiet.images == {}
     write_scene(replace(swing, gravity=1.1 * swing.gravity), model)
     assert run(capsys, "regress", model, "--output", "out")[0] == 1
@@ -58,10 +55,3 @@ def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     (tmp_path / "out" / "pendulum.rrd").unlink()
     with pytest.raises(CrosscheckError, match=r"pendulum\.rrd: missing, regress\.json beside it"):
         report(tmp_path / "out")
-
-
-def test_regress_writes_json_where_it_is_told(tmp_path, capsys):
-    elsewhere = tmp_path / "elsewhere.json"
-    assert run(capsys, "regress", "pendulum", "--output", tmp_path / "none", "--json", elsewhere)[0] == 0
-    assert elsewhere.is_file()
-    assert not (tmp_path / "none").exists()
