@@ -156,9 +156,11 @@ def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iter
 
     Of the scene as the file says and with controls at random the one that is worst for its tolerance.
     """
-    for engine in engines if report else ():
+    if report is None:
+        return
+    for engine in engines:
         found: dict[str, Figure] = {}
-        for original, scene in report.originals if report else ():
+        for original, scene in report.originals:
             for quantity, value, tolerance, where in verify(original, engine.systems(scene)[0]):
                 row = Figure(LEVELS[0], quantity, (engine.name, FILE), value, tolerance, where)
                 known = found.setdefault(quantity, row)
