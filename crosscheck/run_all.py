@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -21,17 +21,8 @@ from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
 from crosscheck.workers import LostError, in_processes
 
-
-@dataclass(frozen=True)
-class Worst:
-    """The figure of some that comes nearest to what it may be, or is furthest above it."""
-
-    value: float
-    allowed: float
-
-    @property
-    def share(self) -> float:
-        return self.value / self.allowed if self.allowed else float(self.value > 0.0)
+HEADS = ("between engines", "against reference", "drift, m or rad", "energy, rel")
+"""Of columns of figures: those of pairs of engines, known ones, and those of each engine by itself."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +36,8 @@ class Outcome:
         verdict: one line.
         engines: those that ran.
         left_out: those that cannot express the scene, and why.
-        between: of the figures that compare engines.
-        known: of the figures that are known from elsewhere; None if there are none.
-        drift, energy: of the engines' own figures.
+        worst: by the heading of the table, the figure that is the most of its tolerance.
+        word: the verdict in one word.
     """
 
     scene: str
@@ -56,10 +46,7 @@ class Outcome:
     verdict: str
     engines: tuple[str, ...] = ()
     left_out: dict[str, str] = field(default_factory=dict)
-    between: Worst | None = None
-    known: Worst | None = None
-    drift: Worst | None = None
-    energy: Worst | None = None
+    worst: dict[str, Figure] = field(default_factory=dict)
     word: Cell = FAILS
 
 
@@ -100,10 +87,15 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
 
 
 def _outcome(name: str, result: Crosscheck, wall_time: float) -> Outcome:
-    def of(*levels: str) -> list[Figure]:
-        return [row for row in result.rows if len(row.between) == 1 and row.level in levels]
-
-    pairs = [row for row in result.rows if len(row.between) > 1 and not row.informs]
+    judged_rows = [row for row in result.rows if not row.informs]
+    own = [row for row in judged_rows if len(row.between) == 1]
+    pairs = [row for row in judged_rows if len(row.between) > 1]
+    found: tuple[Sequence[Figure], ...] = (
+        pairs,
+        result.measured,
+        [row for row in own if row.level == "drift"],
+        [row for row in own if row.level == "energy"],
+    )
     return Outcome(
         name,
         wall_time,
@@ -111,21 +103,14 @@ def _outcome(name: str, result: Crosscheck, wall_time: float) -> Outcome:
         result.verdict,
         tuple(result.runs),
         result.left_out,
-        _worst(Worst(row.value, row.tolerance) for row in pairs),
-        _worst(Worst(row.value, row.tolerance) for row in result.measured),
-        _worst(Worst(row.value, row.tolerance) for row in of("drift")),
-        _worst(Worst(row.value, row.tolerance) for row in of("energy")),
+        {head: max(rows, key=lambda row: row.share) for head, rows in zip(HEADS, found, strict=True) if rows},
         judged_word(result),
     )
 
 
-def _worst(found: Iterable[Worst]) -> Worst | None:
-    return max(found, key=lambda worst: worst.share, default=None)
-
-
 def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
     """A row per scene; a figure beside what it may be is the worst of its kind."""
-    heads = figures("between engines", "against reference", "drift, m or rad", "energy, rel", "time, s")
+    heads = figures(*HEADS, "time, s")
     return Table(
         "library of scenes",
         [*texts("scene", "engines"), *heads, Column("verdict")],
@@ -133,7 +118,7 @@ def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
             [
                 found.scene,
                 ", ".join(found.engines) if found.left_out else "all" if found.engines else "",
-                *(_cell(worst) for worst in (found.between, found.known, found.drift, found.energy)),
+                *(_cell(found.worst.get(head)) for head in HEADS),
                 f"{found.wall_time:.1f}",
                 found.word,
             ]
@@ -142,8 +127,8 @@ def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
     )
 
 
-def _cell(worst: Worst | None) -> str | Cell:
-    return "" if worst is None else judged(worst.value, worst.allowed, worst.value <= worst.allowed)
+def _cell(worst: Figure | None) -> str | Cell:
+    return "" if worst is None else judged(worst.value, worst.tolerance, worst.agrees)
 
 
 def outcome_lines(outcomes: Sequence[Outcome]) -> Iterator[str]:

@@ -19,7 +19,7 @@ from crosscheck.comparison.figure import Figure, not_judged
 from crosscheck.comparison.levels import compare_pair
 from crosscheck.comparison.runs import compare_runs
 from crosscheck.comparison.samples import Samples
-from crosscheck.each_run import as_far_as_it_goes, each_run, finite
+from crosscheck.each_run import Stop, as_far_as_it_goes, each_run, finite
 from crosscheck.engines import ENGINES, Engine
 from crosscheck.limit import SHORTER, limited
 from crosscheck.model_files.read import is_model, is_urdf
@@ -163,11 +163,13 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
     """
     begun = time.perf_counter()
     pair = first.name, second.name
+    stopped: list[Stop] = []
     with limited("comparing equations", SHORTER, progress):
-        states = _aligned_best(list(alignments(first.scene, second.scene)))
+        states = _aligned_best(list(alignments(first.scene, second.scene)), stopped)
         aligned, engines = states.aligned, _engines(pair, states.aligned)
         rows, notes = _equations_compared(pair, engines, states)
     runs, stops = each_run(aligned.first, engines, progress)
+    stops = [*stopped, *stops]
     if len(runs) == len(pair) and all(row.agrees for row in rows):
         # of both together: what a run is off by itself is no difference between models
         pairs = {
@@ -204,13 +206,18 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
     )
 
 
-def _aligned_best(candidates: Sequence[Aligned]) -> SharedStates:
-    """The alignment by which the fewest bodies and joints differ, of equals the first, and states for it."""
-    scene = candidates[0].first
-    if candidates[0].second is None:
-        return SharedStates(scene, (initial_state(scene),), candidates[0])
-    states = initial_state(scene), *random_states(scene, RANDOM_STATES)
-    shared = [SharedStates(scene, states, aligned) for aligned in candidates]
+def _aligned_best(candidates: Sequence[Aligned], stops: list[Stop]) -> SharedStates:
+    """The alignment by which the fewest bodies and joints differ, of equals the first, and states for it.
+
+    The start alone, and one more of the stops, where no random states can be had.
+    """
+    scene, states = candidates[0].first, [initial_state(candidates[0].first)]
+    if candidates[0].second is not None:
+        with as_far_as_it_goes("random states", stops):
+            states += random_states(scene, RANDOM_STATES)
+    shared = [SharedStates(scene, tuple(states), aligned) for aligned in candidates]
+    if len(shared) == 1:
+        return shared[0]
     return min(shared, key=lambda each: sum(len(found.larger) for found in differences(each)))
 
 

@@ -94,6 +94,13 @@ class Figure:
         """NaN does not agree with anything."""
         return self.informs or bool(self.value <= self.tolerance)
 
+    @property
+    def share(self) -> float:
+        """The value in units of the tolerance, which may be 0; of NaN it is NaN."""
+        if self.tolerance > 0.0:
+            return self.value / self.tolerance
+        return 0.0 if self.value == 0.0 else self.value * np.inf
+
 
 def worst_figure(
     level: str, quantity: str, between: tuple[str, ...], gap: Array, tolerance: float, names: Sequence[str]

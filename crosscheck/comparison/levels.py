@@ -56,7 +56,7 @@ def compare_pair(
         for x, y in product(first, second):
             for row in level(pair, x, y):
                 known = found.setdefault(row.quantity, row)
-                if not row.value / row.tolerance <= known.value / known.tolerance:
+                if not row.share <= known.share:
                     found[row.quantity] = row
         yield from found.values()
         if not all(row.agrees for row in found.values()):
@@ -164,6 +164,6 @@ def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iter
             for quantity, value, tolerance, where in verify(original, engine.systems(scene)[0]):
                 row = Figure(LEVELS[0], quantity, (engine.name, FILE), value, tolerance, where)
                 known = found.setdefault(quantity, row)
-                if not value / tolerance <= known.value / known.tolerance:
+                if not row.share <= known.share:
                     found[quantity] = row
         yield from found.values()

@@ -45,11 +45,6 @@ class Checked(Figure):
     def moved(self) -> bool:
         return not self.agrees
 
-    @property
-    def tolerances(self) -> float:
-        """By how many tolerances it moved."""
-        return self.value / self.tolerance if self.tolerance > 0.0 else (np.inf if self.moved else 0.0)
-
 
 @dataclass(frozen=True)
 class Comparison:

@@ -35,7 +35,7 @@ def _row(figure: Checked, group: str = "") -> list[str | Cell]:
     if figure.was is None or figure.now is None:
         return [name, Cell(figure.problem or "the same", verdict), "", "", "", ""]
     change = f"{figure.now - figure.was:+.2e}"
-    tolerances = Cell(f"{figure.tolerances:.3g}", verdict)
+    tolerances = Cell(f"{figure.share:.3g}", verdict)
     return [name, figure.where, f"{figure.was:.9g}", f"{figure.now:.9g}", change, tolerances]
 
 

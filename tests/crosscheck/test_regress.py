@@ -75,7 +75,7 @@ def test_a_figure_moves_where_it_leaves_its_tolerance(moved):
     (found,) = check([stored], [figure([[1.0, 2.0], [3.0, 4.0 + moved * 1e-9]])])
     assert found.moved == (abs(moved) > 1.0)
     assert found.where == "row 1, y"
-    assert found.tolerances == pytest.approx(abs(moved), rel=1e-5)  # 4 has 4e-16 of round-off
+    assert found.share == pytest.approx(abs(moved), rel=1e-5)  # 4 has 4e-16 of round-off
 
 
 @pytest.mark.parametrize("now", [float("nan"), float("inf")])

@@ -27,6 +27,7 @@ from crosscheck.studies.faults.plant import Plant
 from newton_euler import Body, Mechanism, Scene
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling
+from newton_euler.errors import AssemblyError
 from newton_euler.model.couplings import Gear
 from newton_euler.model.forces import Armature, PointSpring, Wrench
 from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
@@ -389,6 +390,16 @@ def test_a_run_that_stops_does_not_hide_where_the_models_part(monkeypatch) -> No
     assert result.notes[0] == f"not run to the end: b: {STOPPED}"
     assert list(result.runs) == ["a", "b"]
     assert [stop.what for stop in result.unfinished] == ["b"]
+
+
+def test_models_without_random_states_are_compared_at_their_start(monkeypatch) -> None:
+    def fails(*_) -> None:
+        raise AssemblyError("pivot", 1.0, 1e-9)
+
+    monkeypatch.setattr(compare, "random_states", fails)
+    result = compared(pendulum(), plant.mass("rod", FAULT)(pendulum()))
+    assert first_failing(result) == ("model", "mass", "rod")
+    assert compared(pendulum(), pendulum()).verdict.startswith("UNFINISHED: random states: joint 'pivot'")
 
 
 def test_a_run_that_stops_of_models_that_agree_until_then_gives_no_verdict(monkeypatch) -> None:
