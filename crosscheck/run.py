@@ -268,10 +268,6 @@ def crosscheck(
     what = "working out what the motion covers"
     with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
         found = coverage(scene, runs, rows)
-    off_by: dict[str, float] = {}
-    what = "measuring each engine's error"
-    with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
-        off_by = errors_of_runs(scene, able, runs)
     if mapping and runs:
         what = "watching what was left out"
         with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
@@ -281,8 +277,7 @@ def crosscheck(
         what = "working out advice"
         with as_far_as_it_goes(what, beside), limited(what, "there is none", progress):
             advice = advise(scene, able, runs, rows)
-    wall_time = time.perf_counter() - start
-    return Crosscheck(
+    result = Crosscheck(
         source,
         options,
         scene,
@@ -291,14 +286,19 @@ def crosscheck(
         runs,
         tuple(rows),
         tuple(measured),
-        wall_time,
+        time.perf_counter() - start,
         mapping,
         advice,
         tuple(stops),
         found,
-        tuple(map(str, beside)),
-        off_by,
     )
+    off_by: dict[str, float] = {}
+    odd = {diagnosis.odd for diagnosis in result.diagnosis}
+    what = "measuring each engine's error"
+    with as_far_as_it_goes(what, beside), limited(what, SHORTER, progress):
+        off_by = errors_of_runs(scene, [engine for engine in able if engine.name not in odd], runs)
+    wall_time = time.perf_counter() - start
+    return replace(result, off_by=off_by, notes=tuple(map(str, beside)), wall_time=wall_time)
 
 
 def _random_states(scene: Scene) -> int:

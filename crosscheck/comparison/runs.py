@@ -88,7 +88,10 @@ def distance(one: Trajectory, two: Trajectory, at: int | slice = slice(None)) ->
 def errors_of_runs(scene: Scene, engines: Sequence[Engine], runs: Runs) -> dict[str, float]:
     """Compute by engine how far its run, as far as it came, is from the finest: m and rad, the larger.
 
-    The finest is the refined run of the first engine with rigid constraints; none without one.
+    The finest is the refined run of the first engine with rigid constraints; without one there are none.
+
+    Args:
+        engines: those whose run may be taken for right.
 
     Raises:
         NewtonEulerError, CrosscheckError: where that run does not come to its end.

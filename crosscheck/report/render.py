@@ -20,14 +20,14 @@ from rich.text import Text
 
 from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table
 
-BRIEF = 32
-"""Characters, at least, of texts that are cut."""
-
 NARROWEST = 40
 """Characters of lines, however narrow a terminal is said to be."""
 
+LONGEST = 32
+"""Characters of words that are not folded."""
+
 LEAST = 20
-"""Characters of texts that are not wrapped to fit another column beside them."""
+"""Characters of texts that are neither wrapped nor cut to fit another column beside them."""
 
 GUTTER = 2
 """Characters between columns."""
@@ -130,7 +130,8 @@ def _least(table: Table, number: int) -> int:
     words = column.heading.split()
     if not column.numeric:
         lines = [line if len(line) <= LEAST else max(line.split(), key=len) for line in lines]
-        return min(BRIEF, max(map(len, [*lines, *words]), default=0)) + (INDENT if number == 0 else 0)
+        most = max(map(len, [*lines, *words]), default=0)
+        return min(LEAST if column.brief else LONGEST, most) + (INDENT if number == 0 else 0)
     heads = [min(HEAD, len(line)) for line in column.heading.split("\n")]
     return max([*map(len, [*lines, *words]), *heads])
 
@@ -182,7 +183,7 @@ def _rich_table(table: Table, width: int) -> RichTable:
             shown = [Text(cell.text, style=STYLES[cell.verdict]) for cell in cells]
             for column, text, taken in zip(table.columns, shown, least, strict=False):
                 if column.brief:
-                    text.truncate(max(BRIEF, taken + room), overflow="ellipsis")
+                    text.truncate(taken + max(0, room), overflow="ellipsis")
             drawn.add_row(Padding(shown[0], (0, 0, 0, indent)), *shown[1:])
     return drawn
 

@@ -12,6 +12,9 @@ from crosscheck.run import Crosscheck
 MOST_NOTES = 3
 """Of one line each; the others are counted."""
 
+FEW, MANY = 10.0, 1e4
+"""Times a tolerance, between which they are counted in whole numbers."""
+
 LEAST_SHARE = 0.01
 """Of a tolerance; less is not told apart."""
 
@@ -50,7 +53,7 @@ def levels_table(result: Crosscheck) -> Table:
         failed = sum(not row.agrees for row in at_level)
         held = Cell(f"{len(at_level)} ok", "holds")
         if failed:
-            held = Cell(f"{failed} of {len(at_level)} FAIL", "fails")
+            held = Cell(f"{failed}/{len(at_level)} FAIL", "fails")
         of_each = [
             [row for row in at_level if name in row.between and {*row.between} <= {name, first, FILE}]
             for name in columns
@@ -76,7 +79,9 @@ def _nearest(rows: Sequence[Figure]) -> Cell:
     """The figure that is nearest its tolerance or exceeds it most, in words."""
     worst = max(rows, key=_share)
     share, (quantity, _, unit) = _share(worst), worst.quantity.rpartition(", ")
-    text = f"{share:.2g} x" if share > 1.0 else f"{100.0 * share:.0f} %" if share >= LEAST_SHARE else "<1 %"
+    text = f"{100.0 * share:.0f} %" if share >= LEAST_SHARE else "<1 %"
+    if share > 1.0:
+        text = f"{share:.0f} x" if MANY > share >= FEW else f"{share:.2g} x"
     place = ", ".join(filter(None, [worst.where, quantity or unit]))
     return Cell(f"{text:>4}  {place}", "" if worst.agrees else "fails")
 
