@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import click
@@ -102,12 +103,11 @@ def bench_command(
 @click.option("--only", "letters", default="", metavar="LETTERS", help="Topics, such as bd.  [default: all]")
 def stress_command(full: bool, output: Path, letters: str) -> int:
     """Push every engine until something breaks, and report where."""
-    import time
-
-    from crosscheck.studies.stress.report import check_folder, report, write
+    from crosscheck.files import check_writable
+    from crosscheck.studies.stress.report import FILES, report, write
     from crosscheck.studies.stress.topics import stress
 
-    check_folder(output)
+    check_writable(*(output / name for name in FILES))
     start = time.perf_counter()
     with progress_shown() as progress:
         rows = stress(letters, full, progress)
@@ -147,8 +147,6 @@ def faults_command(
     if reading:
         options = scene_options(settings)
         return _in_reading(scene, without_exercise(options, "what is read is verified as the file stands"))
-    import time
-
     from crosscheck.files import check_no_source, check_writable, write_files
     from crosscheck.studies.faults.find import find_faults
     from crosscheck.studies.faults.report import data, holds, report

@@ -1,16 +1,22 @@
-"""Cases of a stress run: one figure of one engine at one setting, judged by a bound that says why."""
+"""Cases of a stress run: one figure of one engine at one setting, judged by a bound that says why.
+
+Cases run in processes of their own, each with a time limit.
+"""
 
 from __future__ import annotations
 
 import math
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 from crosscheck.studies.stress.runs import Setting
+from crosscheck.workers import LostError, in_processes
 from newton_euler.errors import NewtonEulerError
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 
 PROCESSES = 2
 
@@ -69,8 +75,7 @@ def refusal(quantity: str, unit: str) -> Bound:
     return Bound(quantity, unit, math.nan, math.nan, reason)
 
 
-@dataclass(frozen=True)
-class Measured:
+class Measured(NamedTuple):
     """A figure that a case found, and one line about it."""
 
     figure: float
@@ -105,41 +110,63 @@ class Row:
     """The result of a case.
 
     Attributes:
-        topic, name, engine, setting, quantity, unit: of the case.
-        figure: what was measured; None if the engine refused or was given up.
-        bound, bound_reason: what it had to be, and why.
         verdict: `refuses` is right where there is no answer and a shortcoming where there is one.
         reason: of a refusal or a failure; else what there is to say about the figure.
-        passes: whether this is what one would want of an engine.
+        figure: what was measured; None if the engine refused or was given up.
         wall_time: s.
     """
 
-    topic: str
-    name: str
-    engine: str
-    setting: str
-    quantity: str
-    unit: str
-    figure: float | None
-    bound: str
-    bound_reason: str
+    case: Case
     verdict: Verdict
     reason: str
-    passes: bool
-    wall_time: float
+    figure: float | None = None
+    wall_time: float = 0.0
+
+    @property
+    def passes(self) -> bool:
+        """True if this is what one would want of an engine."""
+        return self.verdict == ("survives" if self.case.bound.has_answer else "refuses")
+
+    @property
+    def entry(self) -> dict[str, Any]:
+        """All of it, for JSON."""
+        case, bound = self.case, self.case.bound
+        return {
+            "topic": case.topic,
+            "name": case.name,
+            "engine": case.setting.engine,
+            "setting": str(case.setting),
+            "quantity": bound.quantity,
+            "unit": bound.unit,
+            "figure": self.figure,
+            "bound": str(bound),
+            "bound_reason": bound.reason,
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "passes": self.passes,
+            "wall_time": self.wall_time,
+        }
+
+
+def of_run(
+    scene: Scene, measure: Callable[[Scene, Trajectory], Measured | float], setting: Setting
+) -> Measured:
+    """Measure a run of a scene."""
+    found = measure(scene, setting.simulate(scene))
+    return found if isinstance(found, Measured) else Measured(found)
 
 
 def judge(case: Case) -> Row:
     """Run a case; whatever goes wrong in it is a row like others."""
-    start, measured = time.perf_counter(), None
+    start, figure = time.perf_counter(), None
     verdict: Verdict = "fails"
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # figures that are not finite are failures anyway
-            measured = case.measure(case.setting)
-        verdict, reason = case.bound.verdict(measured.figure), measured.note
+            figure, reason = case.measure(case.setting)
+        verdict = case.bound.verdict(figure)
         if not case.bound.has_answer:
-            reason = f"runs on without a word, {measured.note}".rstrip(", ")
+            reason = f"runs on without a word, {reason}".rstrip(", ")
     except NewtonEulerError as error:
         reason, missing = str(error), [name for name in case.names if name not in str(error)]
         if missing:
@@ -148,25 +175,23 @@ def judge(case: Case) -> Row:
             verdict = "refuses"
     except Exception as error:  # an error of no kind that engines are to raise
         reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-    return row_of(case, verdict, reason, measured, time.perf_counter() - start)
+    return Row(case, verdict, reason, figure, time.perf_counter() - start)
 
 
-def row_of(
-    case: Case, verdict: Verdict, reason: str, measured: Measured | None = None, wall_time: float = 0.0
-) -> Row:
-    """Return the row of a case."""
-    return Row(
-        topic=case.topic,
-        name=case.name,
-        engine=case.setting.engine,
-        setting=str(case.setting),
-        quantity=case.bound.quantity,
-        unit=case.bound.unit,
-        figure=measured.figure if measured else None,
-        bound=str(case.bound),
-        bound_reason=case.bound.reason,
-        verdict=verdict,
-        reason=reason,
-        passes=verdict == ("survives" if case.bound.has_answer else "refuses"),
-        wall_time=wall_time,
+def run_cases(cases: Sequence[Case], progress: Progress) -> list[Row]:
+    """Run all cases, by `PROCESSES` processes, and return their rows in order.
+
+    A case that is not done within its limit is a failure, and its process is ended. Those of a topic that
+    may take longest are first.
+    """
+    order = sorted(range(len(cases)), key=lambda k: (cases[k].topic, -cases[k].limit))
+    found = in_processes(
+        judge,
+        [cases[k] for k in order],
+        PROCESSES,
+        lambda count, case: progress(f"{count} of {len(cases)} cases, last ({case.topic}) {case.name}"),
+        lambda case: case.limit,
     )
+    rows = dict(zip(order, found, strict=True))
+    lost = {k: Row(cases[k], "fails", str(row)) for k, row in rows.items() if isinstance(row, LostError)}
+    return [(rows | lost)[k] for k in range(len(cases))]  # type: ignore[misc]

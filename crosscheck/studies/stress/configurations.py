@@ -10,14 +10,14 @@ from functools import partial
 import numpy as np
 
 from crosscheck.scenes import load
-from crosscheck.studies.stress.cases import ANGLE, ENERGY, Bound, Case, Measured, refusal
+from crosscheck.studies.stress.cases import ANGLE, ENERGY, Bound, Case, Measured, of_run, refusal
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
     GRAVITY,
     ONE_EACH,
     Setting,
-    energy_errors,
     largest_drift,
+    largest_energy_error,
     lasting,
     mujoco,
     newton_euler,
@@ -33,6 +33,7 @@ from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
 
 # (g) Start poses that are off the constraints: what assembly makes of them, and what each engine does
 
@@ -145,7 +146,7 @@ SETTINGS: tuple[Setting, ...] = (
 )
 
 CRANK, ROD, CRANK_SPEED = 0.2, 0.7, 12.0
-"""m, m and rad/s, of `centerd_slider_crank`."""
+"""m, m and rad/s, of `centered_slider_crank`."""
 
 TARGETS = (-0.2, 0.2)
 """m from the initial pose; the sliders travel less than half as far."""
@@ -157,19 +158,23 @@ def singular(full: bool) -> Iterator[Case]:
     for windows in WINDOWS if full else WINDOWS[:2]:
         for setting in settings if windows < 10 else ONE_EACH:
             limit = 15.0 if full else 11.0
-            for seconds, how, measure in ((5, "through", measure_passing), (2, "from", measure_starting)):
-                name = f"four_bar N = {windows}, {seconds} s, {how} flat bars"
-                yield Case(name, setting, ANGLE, partial(measure, windows), limit=limit)
+            passing = lasting(load("four_bar", N=windows), 5.0, 100, "violation")  # about six passages
+            starting = from_flat(lasting(passing, 2.0, 50, "violation"), windows)
+            for scene, how in ((passing, "through"), (starting, "from")):
+                name = f"four_bar N = {windows}, {scene.duration:g} s, {how} flat bars"
+                yield Case(name, setting, ANGLE, partial(of_run, scene, angle_of_bars), limit=limit)
     for setting in settings:
         name = "slider-crank, 2 s, its crank driven through seven dead centers"
-        yield Case(name, setting, POSITION, measure_dead_center_passage, limit=12.0)
+        measure = partial(of_run, centered_slider_crank(), position_of_slider)
+        yield Case(name, setting, POSITION, measure, limit=12.0)
     for target in TARGETS:
         for setting in settings:
             name = f"tracker, 2 s, drawn to {target:+g} m, past its dead centers"
-            yield Case(name, setting, ENERGY, partial(measure_dead_center, target), limit=20.0)
+            measure = partial(of_run, overdrawn_tracker(target), energy_at_ends)
+            yield Case(name, setting, ENERGY, measure, limit=20.0)
 
 
-def centerd_slider_crank() -> Scene:
+def centered_slider_crank() -> Scene:
     """A crank of 0.2 m at 12 rad/s about y, a rod of 0.7 m and a slider on x, outstretched at first.
 
     Crank and rod are in line twice a turn, where the slider comes to rest: dead centers for what drives
@@ -195,32 +200,21 @@ def centerd_slider_crank() -> Scene:
     return Scene("slider_crank", mechanism, 2.0, 0.02, -GRAVITY * z, motions=(motion,), outputs=outputs)
 
 
-def measure_dead_center_passage(setting: Setting) -> Measured:
+def position_of_slider(scene: Scene, run: Trajectory) -> Measured:
     """The slider against r cos a + sqrt(l^2 - r^2 sin^2 a), over seven dead centers."""
-    scene = centerd_slider_crank()
-    run = setting.simulate(scene)
     angle = CRANK_SPEED * run.time
     wanted = CRANK * np.cos(angle) + np.sqrt(ROD**2 - (CRANK * np.sin(angle)) ** 2)
     error = float(np.max(np.abs(run.position[:, 3, 0] - wanted)))
     return Measured(error, f"drift {largest_drift(run):.1e} m or rad")
 
 
-def measure_passing(windows: int, setting: Setting) -> Measured:
-    """Against the closed motion, over about six passages."""
-    scene = lasting(load("four_bar", N=windows), 5.0, 100, "violation")
-    run = setting.simulate(scene)
-    return Measured(parallelogram_error(scene, run), f"drift {largest_drift(run):.1e} m or rad")
-
-
-def measure_starting(windows: int, setting: Setting) -> Measured:
-    """The same from bars that lie flat to the right and move down."""
-    scene = from_flat(lasting(load("four_bar", N=windows), 2.0, 50, "violation"), windows)
-    run = setting.simulate(scene)
+def angle_of_bars(scene: Scene, run: Trajectory) -> Measured:
+    """The bars against their closed motion."""
     return Measured(parallelogram_error(scene, run), f"drift {largest_drift(run):.1e} m or rad")
 
 
 def from_flat(scene: Scene, windows: int) -> Scene:
-    """Windows of four bars whose bars lie flat at first."""
+    """Windows of four bars whose bars lie flat to the right at first and move down."""
     x, y, z = np.eye(3)
     state = State.initial(scene.mechanism)
     bars, couplers = slice(1, windows + 2), slice(windows + 2, None)
@@ -233,12 +227,15 @@ def from_flat(scene: Scene, windows: int) -> Scene:
     return replace(scene, initial_state=state)
 
 
-def measure_dead_center(target: float, setting: Setting) -> Measured:
-    """Both sliders are drawn further than the mechanism reaches; it swings to and fro at its ends."""
+def overdrawn_tracker(target: float) -> Scene:
+    """The tracker, both sliders drawn further than it reaches; it swings to and fro at its ends."""
     scene = load("tracker")
     control = tuple(replace(law, target=target) for law in scene.control if isinstance(law, PD))
-    scene = lasting(replace(scene, control=control), 2.0, 100, "violation", "energy", "velocities")
-    run = setting.simulate(scene)
+    return lasting(replace(scene, control=control), 2.0, 100, "violation", "energy", "velocities")
+
+
+def energy_at_ends(scene: Scene, run: Trajectory) -> Measured:
+    """The energy's balance; in words how far the sliders travel."""
     travel = run.position[:, 1:3, 2] - run.position[0, 1:3, 2]
     note = f"sliders travel {travel.min():+.3f} to {travel.max():+.3f} m; drift {largest_drift(run):.1e}"
-    return Measured(float(np.max(energy_errors(scene, run))), note)
+    return Measured(largest_energy_error(scene, run), note)

@@ -9,13 +9,13 @@ from functools import lru_cache, partial
 import numpy as np
 
 from crosscheck.scenes import load
-from crosscheck.studies.stress.cases import ANGLE, ENERGY, Bound, Case, Measured, refusal
+from crosscheck.studies.stress.cases import ANGLE, ENERGY, Bound, Case, Measured, of_run, refusal
 from crosscheck.studies.stress.runs import (
     ONE_EACH,
     Setting,
     distance,
-    energy_errors,
     formulations,
+    largest_energy_error,
     lasting,
     mujoco,
     newton_euler,
@@ -116,13 +116,17 @@ def masses(full: bool) -> Iterator[Case]:
     """Yield the cases of (f)."""
     for ratio in RATIOS if full else (1e-8, 1.0, 1e8):
         for setting in WEIGHTED if full else ONE_EACH:
-            loop, chain = partial(measure_loop, ratio), partial(measure_chain, ratio)
-            yield Case(f"four_bar N = 1, 0.5 s, coupler/bar = {ratio:.0e}", setting, ANGLE, loop, limit=20.0)
-            yield Case(f"chain of 2, 2 s, last/first = {ratio:.0e}", setting, ENERGY, chain, limit=20.0)
+            # bars that never lie flat in this time
+            loop = lasting(_changed(load("four_bar", N=1), "coupler_0", ratio), 0.5, 10)
+            angle = partial(of_run, loop, parallelogram_error)
+            yield Case(f"four_bar N = 1, 0.5 s, coupler/bar = {ratio:.0e}", setting, ANGLE, angle, limit=20.0)
+            chain = lasting(_changed(load("chain", N=2), "rod_1", ratio), 2.0, 20, "energy", "velocities")
+            energy = partial(of_run, chain, largest_energy_error)
+            yield Case(f"chain of 2, 2 s, last/first = {ratio:.0e}", setting, ENERGY, energy, limit=20.0)
     duration = 10.0 if full else 2.0
-    for name in INERTIAS:
+    for name, moments in INERTIAS.items():
         for setting in ONE_EACH:
-            measure = partial(measure_inertia, name, duration)
+            measure = partial(of_run, symmetric_top(*moments, SPIN, duration), top_error)
             yield Case(f"free top, {duration:g} s, {name}", setting, ANGLE, measure)
 
 
@@ -133,26 +137,6 @@ def _changed(scene: Scene, name: str, factor: float) -> Scene:
         for body in scene.mechanism.bodies
     ]
     return replace(scene, mechanism=Mechanism(bodies, scene.mechanism.joints))
-
-
-def measure_loop(ratio: float, setting: Setting) -> Measured:
-    """Compare a window of four bars, which never lie flat in this time, with its closed motion."""
-    scene = lasting(_changed(load("four_bar", N=1), "coupler_0", ratio), 0.5, 10)
-    return Measured(parallelogram_error(scene, setting.simulate(scene)))
-
-
-def measure_chain(ratio: float, setting: Setting) -> Measured:
-    """Measure the energy error of two rods in a row, falling."""
-    chain = load("chain", N=2)
-    last = chain.mechanism.body_names[-1]
-    scene = lasting(_changed(chain, last, ratio), 2.0, 20, "energy", "velocities")
-    return Measured(float(np.max(energy_errors(scene, setting.simulate(scene)))))
-
-
-def measure_inertia(name: str, duration: float, setting: Setting) -> Measured:
-    """Compare a free symmetric top with its closed form."""
-    scene = symmetric_top(*INERTIAS[name], SPIN, duration)
-    return Measured(top_error(scene, setting.simulate(scene)))
 
 
 # (k) Floating-point traps: numbers that are too large, too small or none at all

@@ -1,4 +1,4 @@
-"""Random mechanisms through all engines: their equations of motion at a random consistent state.
+"""(j) Random mechanisms through all engines: their equations of motion at a random consistent state.
 
 Each engine's rigid equations are compared with newton_euler's joint coordinates as `crosscheck run` compares
 engines: levels 1 to 4, at tolerances of round-off times the condition of each mechanism. Now and then native
@@ -7,10 +7,9 @@ code is compared with its float form.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterator, Sequence
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +18,8 @@ from crosscheck.comparison.levels import compare_pair
 from crosscheck.comparison.samples import Samples, States
 from crosscheck.errors import CrosscheckError
 from crosscheck.studies.random_scenes import GRAVITY, random_scene
-from crosscheck.studies.stress.cases import PROCESSES, Progress, Row
-from crosscheck.workers import LostError, in_processes
+from crosscheck.studies.stress.cases import Bound, Case, Measured
+from crosscheck.studies.stress.runs import Setting
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
@@ -37,64 +36,79 @@ COMPILED_EVERY = 50
 """Native code of every so manieth mechanism is compared; compiling takes ten times as long as the rest."""
 
 CHUNK = 20
-"""Mechanisms that a process does at a time."""
+"""Mechanisms of a case."""
 
-SETTINGS = {
-    "cartesian": ("newton_euler", "cartesian, floats"),
-    "compiled relative": ("newton_euler", "relative, native"),
-    "compiled cartesian": ("newton_euler", "cartesian, native"),
-    "pinocchio": ("pinocchio", "constraintDynamics"),
-    "mujoco_rigid": ("mujoco", "rigid constraints"),
-}
-"""Engine and setting of the systems that are compared with newton_euler's joint coordinates."""
+SEED = 0
 
+TOLERANCES = Bound(
+    "figure by its tolerance",
+    "",
+    1.0,
+    1.0,
+    "tolerances of `crosscheck run`: round-off times the condition of the mechanism",
+)
 
-@dataclass(frozen=True)
-class Comparison:
-    """One system on one random mechanism.
+SYSTEMS = (
+    Setting("newton_euler", {"formulation": "cartesian"}),
+    Setting("pinocchio", {"equations": "constraintDynamics"}),
+    Setting("mujoco", {"equations": "rigid constraints"}),
+)
+"""Those compared with newton_euler's joint coordinates."""
 
-    Attributes:
-        name: of the mechanism, as `random_scene` is called.
-        system: a key of `SETTINGS`.
-        worst: the figure that is the most of its tolerance; None where there is no answer.
-        reason: why there is no answer; "" where there is one.
-    """
-
-    name: str
-    system: str
-    worst: Figure | None
-    reason: str = ""
-
-    @property
-    def share(self) -> float:
-        """The worst figure, of its tolerance; infinite without an answer."""
-        return np.inf if self.worst is None else self.worst.value / self.worst.tolerance
-
-    @property
-    def agrees(self) -> bool:
-        return self.worst is not None and self.worst.agrees
+NATIVE = tuple(Setting("newton_euler", {"formulation": name, "code": "native"}) for name in FORMULATIONS)
 
 
-def compare_random(seed: int, number: int, compiled: bool = False) -> list[Comparison]:
-    """Compare all engines on a random mechanism; `compiled`: native code with its float form, too."""
-    scene, name = random_scene(seed, number), f"random_scene({seed}, {number})"
+def cases(full: bool) -> Iterator[Case]:
+    """Yield the cases of (j)."""
+    count = 1000 if full else 40
+    for start in range(0, count, CHUNK):
+        numbers = range(start, start + CHUNK)
+        for setting in SYSTEMS:
+            name = f"random mechanisms {start} to {start + CHUNK - 1}"
+            yield Case(name, setting, TOLERANCES, partial(measure, SEED, numbers), limit=60.0)
+    numbers = range(0, count, COMPILED_EVERY)
+    for setting in NATIVE:
+        name = f"random mechanisms 0 to {numbers[-1]}, every {COMPILED_EVERY}th"
+        yield Case(name, setting, TOLERANCES, partial(measure, SEED, numbers), limit=100.0)
+
+
+class Worst(NamedTuple):
+    """The figure of a mechanism that is the most of its tolerance; infinite without an answer."""
+
+    share: float
+    reason: str
+
+
+def measure(seed: int, numbers: Sequence[int], setting: Setting) -> Measured:
+    """Compare a system on some random mechanisms: the worst figure by its tolerance."""
+    found = {}
+    for number in numbers:
+        worst = compare(_scene(seed, number), setting)
+        if worst is not None:
+            found[f"random_scene({seed}, {number})"] = worst
+    agree = sum(worst.share <= 1.0 for worst in found.values())
+    name, worst = max(found.items(), key=lambda item: item[1].share)
+    return Measured(worst.share, f"{agree} of {len(found)} agree; worst: {name}, {worst.reason}")
+
+
+@lru_cache(maxsize=2 * CHUNK)
+def _scene(seed: int, number: int) -> Scene:
+    return random_scene(seed, number)
+
+
+def compare(scene: Scene, setting: Setting) -> Worst | None:
+    """Compare one system on one mechanism; None where native code leaves it to its float form."""
+    if "code" in setting.options:
+        off = native_difference(scene, setting.options["formulation"])
+        return None if off is None else Worst(off / NATIVE_TOLERANCE, f"acceleration, rel {off:.1e}")
     states = States(scene, (initial_state(scene),))
-    own, found = Samples(Relative(scene), states), list[Comparison]()
-    for system, build in _systems().items():
-        try:
-            rows = [*compare_pair(("relative", system), [own], [Samples(build(scene), states)])]
-        except (NewtonEulerError, CrosscheckError, np.linalg.LinAlgError) as error:
-            found.append(Comparison(name, system, None, str(error)))
-            continue
-        worst = max((row for row in rows if not row.informs), key=lambda row: (not row.agrees, _share(row)))
-        found.append(Comparison(name, system, worst))
-    for formulation in FORMULATIONS if compiled else ():
-        gap = native_gap(scene, formulation)
-        if gap is not None:
-            pair = (formulation, f"compiled {formulation}")
-            figure = Figure("accelerations", "acceleration, rel", pair, gap, NATIVE_TOLERANCE, "")
-            found.append(Comparison(name, pair[1], figure))
-    return found
+    try:
+        pair = [Samples(Relative(scene), states)], [Samples(_system(setting.engine, scene), states)]
+        rows = [row for row in compare_pair(("relative", setting.engine), *pair) if not row.informs]
+    except (NewtonEulerError, CrosscheckError, np.linalg.LinAlgError) as error:
+        return Worst(np.inf, str(error))
+    worst = max(rows, key=_share)
+    return Worst(_share(worst), f"{worst.level}: {worst.quantity} {worst.value:.1e}")
 
 
 def _share(row: Figure) -> float:
@@ -102,19 +116,16 @@ def _share(row: Figure) -> float:
     return np.inf if np.isnan(share) else share
 
 
-def _systems() -> dict[str, Callable[[Scene], System]]:
+def _system(engine: str, scene: Scene) -> System:
     from mjcf.rigid import RigidMuJoCo
     from urdf.dynamics import PinocchioSystem
 
-    kinds: tuple[type[Cartesian | PinocchioSystem | RigidMuJoCo], ...] = (
-        Cartesian,
-        PinocchioSystem,
-        RigidMuJoCo,
-    )
-    return {kind.name: kind for kind in kinds}
+    systems = {"newton_euler": Cartesian, "pinocchio": PinocchioSystem, "mujoco": RigidMuJoCo}
+    system: System = systems[engine](scene)
+    return system
 
 
-def native_gap(scene: Scene, formulation: str) -> float | None:
+def native_difference(scene: Scene, formulation: str) -> float | None:
     """Compare native accelerations with their float form; None where native code leaves them to that."""
     code = Code(scene, formulation)
     system = code.system
@@ -126,67 +137,3 @@ def native_gap(scene: Scene, formulation: str) -> float | None:
     wanted = system.acceleration(x[: system.nq], x[system.nq : code.size]) / units
     scale = max(float(np.max(np.abs(wanted))), GRAVITY / size)
     return float(np.max(np.abs(found[system.nq : -1] / units - wanted))) / scale
-
-
-def compare_some(seed: int, numbers: range) -> list[Comparison]:
-    """Compare some random mechanisms of a seed, native code of every `COMPILED_EVERY`th."""
-    return [each for k in numbers for each in compare_random(seed, k, k % COMPILED_EVERY == 0)]
-
-
-def stress_random(count: int, seed: int, progress: Progress) -> list[Row]:
-    """Compare engines on random mechanisms 0 to count - 1 of a seed; see `rows_of`."""
-    chunks = [range(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
-    start = time.perf_counter()
-    results = in_processes(
-        partial(compare_some, seed),
-        chunks,
-        PROCESSES,
-        lambda done, _: progress(f"{min(done * CHUNK, count)} of {count} random mechanisms"),
-    )
-    found = list[Comparison]()
-    for chunk, result in zip(chunks, results, strict=True):
-        if isinstance(result, LostError):  # native code took the process along
-            name = f"random_scene({seed}, {chunk.start} to {chunk.stop - 1})"
-            found += [Comparison(name, system, None, str(result)) for system in _systems()]
-        else:
-            found += result
-    return rows_of(found, time.perf_counter() - start)
-
-
-def rows_of(comparisons: Sequence[Comparison], wall_time: float) -> list[Row]:
-    """Return rows of a stress report: one per system, and one per mechanism that it does not agree on."""
-    rows = list[Row]()
-    for system, (engine, setting) in SETTINGS.items():
-        found = [each for each in comparisons if each.system == system]
-        if not found:
-            continue
-        wrong = [each for each in found if not each.agrees]
-        worst = max(found, key=lambda each: each.share)
-        rows.append(_row(worst, engine, setting))
-        rows[-1] = replace(
-            rows[-1],
-            name="random mechanisms",
-            reason=f"{len(found) - len(wrong)} of {len(found)} agree; worst: {worst.name}, {rows[-1].reason}",
-            wall_time=wall_time,
-        )
-        rows += [_row(each, engine, setting) for each in wrong]
-    return rows
-
-
-def _row(found: Comparison, engine: str, setting: str) -> Row:
-    worst = found.worst
-    return Row(
-        topic="j",
-        name=found.name,
-        engine=engine,
-        setting=setting,
-        quantity="figure by its tolerance",
-        unit="",
-        figure=found.share if np.isfinite(found.share) else None,
-        bound="<= 1e+00",
-        bound_reason="tolerances of `crosscheck run`: round-off times the condition of the mechanism",
-        verdict="refuses" if worst is None else "survives" if found.agrees else "fails",
-        reason=found.reason if worst is None else f"{worst.level}: {worst.quantity} {worst.value:.1e}",
-        passes=found.agrees,
-        wall_time=0.0,
-    )

@@ -9,7 +9,7 @@ import numpy as np
 
 from crosscheck.references import known_figures
 from crosscheck.scenes import FIGURES, load
-from crosscheck.studies.stress.cases import ANGLE, ENERGY, Bound, Case, Measured
+from crosscheck.studies.stress.cases import ANGLE, ENERGY, Bound, Case, Measured, of_run
 from crosscheck.studies.stress.runs import (
     COMBINATIONS,
     ONE_EACH,
@@ -26,6 +26,7 @@ from newton_euler.model.control import PD
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 
 DIRECTION = np.array([0.3, -0.7, 1.1]) / np.linalg.norm([0.3, -0.7, 1.1])
 
@@ -64,30 +65,31 @@ def cases(full: bool) -> Iterator[Case]:
             duration = slow if setting.engine == "pinocchio" and speed > 1e3 else 1.0
             turns = speed * duration / (2.0 * np.pi)
             name = f"free symmetric top, {speed:g} rad/s, {turns:.3g} turns"
-            yield Case(name, setting, ANGLE, partial(measure_top, speed, duration), limit=40.0)
+            yield Case(name, setting, ANGLE, partial(of_run, top(speed, duration), orientation), limit=40.0)
     for setting in FIXED:
-        yield Case(
-            f"free symmetric top, {FAST:g} rad/s, 1 s, fixed steps", setting, ENERGY, measure_top_energy
-        )
+        name = f"free symmetric top, {FAST:g} rad/s, 1 s, fixed steps"
+        yield Case(name, setting, ENERGY, partial(of_run, top(FAST, 1.0), kinetic_energy))
     for turns in TURNS if full else TURNS[1::2]:
         for setting in ONE_EACH:
             name = f"hinge turned {turns:g} times by PD, 3 s"
-            yield Case(name, setting, TORQUE, partial(measure_hinge, turns))
+            yield Case(name, setting, TORQUE, partial(of_run, driven_hinge(turns), torque_of_hinge))
     for setting in (*ONE_EACH, TIGHT):
-        yield Case("heavy_top, 150 rad/s, known figures", setting, KNOWN, measure_heavy_top)
+        measure = partial(of_run, load("heavy_top"), figures_of_top)
+        yield Case("heavy_top, 150 rad/s, known figures", setting, KNOWN, measure)
 
 
-def measure_top(speed: float, duration: float, setting: Setting) -> Measured:
+def top(speed: float, duration: float) -> Scene:
+    """A free symmetric top, twice as heavy to turn across its axis."""
+    return symmetric_top(1.0, 2.0, speed * DIRECTION, duration)
+
+
+def orientation(scene: Scene, run: Trajectory) -> Measured:
     """Orientation against the closed form."""
-    scene = symmetric_top(1.0, 2.0, speed * DIRECTION, duration)
-    run = setting.simulate(scene)
     return Measured(top_error(scene, run), f"{run.settings['steps']} steps")
 
 
-def measure_top_energy(setting: Setting) -> Measured:
+def kinetic_energy(scene: Scene, run: Trajectory) -> Measured:
     """The energy, which nothing changes."""
-    scene = symmetric_top(1.0, 2.0, FAST * DIRECTION, 1.0)
-    run = setting.simulate(scene)
     energy = run.kinetic_energy
     assert energy is not None
     error = float(np.max(np.abs(energy / energy[0] - 1.0)))
@@ -105,19 +107,18 @@ def driven_hinge(turns: float) -> Scene:
     )
 
 
-def measure_hinge(turns: float, setting: Setting) -> Measured:
+def torque_of_hinge(scene: Scene, run: Trajectory) -> float:
     """The torque, by which one sees whether turns are counted, of the largest."""
-    scene = driven_hinge(turns)
-    run = setting.simulate(scene)
     assert run.actuator_force is not None
-    target, t = 2.0 * np.pi * turns, scene.times
-    torque = target * np.exp(-10.0 * t) * (STIFFNESS * (1.0 + 10.0 * t) - DAMPING * 100.0 * t)
-    return Measured(float(np.max(np.abs(run.actuator_force[:, 0] - torque))) / (STIFFNESS * target))
+    (law,) = scene.control
+    assert isinstance(law, PD)
+    t = scene.times
+    torque = law.target * np.exp(-10.0 * t) * (STIFFNESS * (1.0 + 10.0 * t) - DAMPING * 100.0 * t)
+    return float(np.max(np.abs(run.actuator_force[:, 0] - torque))) / (STIFFNESS * law.target)
 
 
-def measure_heavy_top(setting: Setting) -> Measured:
+def figures_of_top(scene: Scene, run: Trajectory) -> Measured:
     """The largest error of any figure that is known, lengths in m and so on."""
-    run = setting.simulate(load("heavy_top"))
     errors = []
     for known in known_figures("heavy_top"):
         at = int(np.argmin(np.abs(run.time - known.time)))

@@ -103,10 +103,10 @@ def balance(scene: Scene, run: Trajectory) -> Balance:
     return found
 
 
-def energy_errors(scene: Scene, run: Trajectory) -> Array:
-    """(n,) how far the energy's balance is off, of the largest energy that was exchanged."""
+def largest_energy_error(scene: Scene, run: Trajectory) -> float:
+    """The largest residual of the energy's balance, of the largest energy that was exchanged."""
     found = balance(scene, run)
-    return np.abs(found.residual) / found.exchanged
+    return float(np.max(np.abs(found.residual))) / found.exchanged
 
 
 def largest_drift(run: Trajectory) -> float:

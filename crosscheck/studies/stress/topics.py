@@ -1,15 +1,20 @@
-"""The topics of a stress run. Cases run in processes of their own, each with a time limit."""
+"""The topics of a stress run."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.studies.stress import configurations, extremes, integration, noise, rotation
-from crosscheck.studies.stress.cases import PROCESSES, Case, Progress, Row, judge, row_of
-from crosscheck.studies.stress.random_mechanisms import stress_random
-from crosscheck.workers import LostError, in_processes
+from crosscheck.studies.stress import (
+    configurations,
+    extremes,
+    integration,
+    noise,
+    random_mechanisms,
+    rotation,
+)
+from crosscheck.studies.stress.cases import Case, Progress, Row, run_cases
 
 TOPICS: dict[str, tuple[str, Callable[[bool], Iterator[Case]]]] = {
     "a": ("drift and energy over long runs", integration.long_runs),
@@ -19,31 +24,11 @@ TOPICS: dict[str, tuple[str, Callable[[bool], Iterator[Case]]]] = {
     "g": ("start poses off the constraints", configurations.starts),
     "h": ("singular configurations", configurations.singular),
     "i": ("many turns and high speeds", rotation.cases),
-    "j": ("random mechanisms", lambda full: iter(())),
+    "j": ("random mechanisms", random_mechanisms.cases),
     "k": ("floating-point traps", extremes.traps),
     "l": ("noise in overconstrained loops", noise.cases),
 }
-"""Titles by letter, and the cases of each, in full or not; random mechanisms make rows of their own."""
-
-
-def run_cases(cases: Sequence[Case], progress: Progress) -> list[Row]:
-    """Run all cases, by `PROCESSES` processes, and return their rows in order.
-
-    A case that is not done within its limit is a failure, and its process is ended. Those of a topic that
-    may take longest are first.
-    """
-    order = sorted(range(len(cases)), key=lambda k: (cases[k].topic, -cases[k].limit))
-    found = in_processes(
-        judge,
-        [cases[k] for k in order],
-        PROCESSES,
-        lambda count, case: progress(f"{count} of {len(cases)} cases, last ({case.topic}) {case.name}"),
-        lambda case: case.limit,
-    )
-    rows = dict[int, Row]()
-    for k, row in zip(order, found, strict=True):
-        rows[k] = row_of(cases[k], "fails", str(row)) if isinstance(row, LostError) else row
-    return [rows[k] for k in range(len(cases))]
+"""Titles by letter, and the cases of each, in full or not."""
 
 
 def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
@@ -61,10 +46,7 @@ def stress(letters: str, full: bool, progress: Progress) -> list[Row]:
         if letter not in TOPICS:
             raise CrosscheckError(f"unknown topic {letter!r}; choose from: {', '.join(TOPICS)}")
     wanted = [letter for letter in TOPICS if letter in (letters or TOPICS)]
-    rows = run_cases([case for letter in wanted for case in cases_of(letter, full)], progress)
-    if "j" in wanted:
-        rows += stress_random(1000 if full else 40, 0, progress)
-    return sorted(rows, key=lambda row: row.topic)
+    return run_cases([case for letter in wanted for case in cases_of(letter, full)], progress)
 
 
 def cases_of(letter: str, full: bool) -> list[Case]:

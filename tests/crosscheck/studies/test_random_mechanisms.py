@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ import pytest
 from crosscheck.comparison.reactions import undetermined_joints
 from crosscheck.studies.random_scenes import KINDS, random_scene
 from crosscheck.studies.stress import random_mechanisms
-from crosscheck.studies.stress.random_mechanisms import SETTINGS, compare_random, rows_of, stress_random
+from crosscheck.studies.stress.cases import judge
+from crosscheck.studies.stress.random_mechanisms import NATIVE, NATIVE_TOLERANCE, SYSTEMS, compare, measure
+from crosscheck.studies.stress.topics import stress
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
@@ -22,18 +25,19 @@ from newton_euler.model.spanning_tree import SpanningTree
 from urdf.proximal import ITERATIONS, regularized
 
 COUNT = 16
-ENGINES = ("cartesian", "pinocchio", "mujoco_rigid")
-NATIVE = ("compiled relative", "compiled cartesian")
 
 
-def test_engines_agree():
+@pytest.mark.parametrize("setting", SYSTEMS, ids=lambda setting: setting.engine)
+def test_engines_agree(setting):
     """At the tolerances of a crosscheck, of which the worst of these takes a tenth."""
-    for number in range(COUNT):
-        found = compare_random(0, number, number == 0)
-        assert [each.system for each in found] == [*ENGINES, *(NATIVE if number == 0 else ())]
-        for each in found:
-            assert each.agrees, each
-            assert each.system not in NATIVE or each.worst.value < 1e-12, each  # in another order
+    found = measure(0, range(COUNT), setting)
+    assert found.figure < 1.0, found.note
+    assert found.note.startswith(f"{COUNT} of {COUNT} agree; worst: random_scene(0, ")
+
+
+@pytest.mark.parametrize("setting", NATIVE, ids=lambda setting: setting.options["formulation"])
+def test_native_code_is_its_float_form_in_another_order(setting):
+    assert compare(random_scene(0, 0), setting).share < 1e-12 / NATIVE_TOLERANCE
 
 
 def test_what_they_cover():
@@ -113,30 +117,22 @@ class Refusing(Cartesian):
         raise SingularityError("elbow", "no answer")
 
 
-@pytest.mark.parametrize(("kind", "verdict"), [(Wrong, "fails"), (Refusing, "refuses")])
-def test_an_error_is_found_and_named(monkeypatch, kind, verdict):
-    monkeypatch.setattr(random_mechanisms, "Cartesian", kind)
-    rows = rows_of(compare_random(0, 3), 1.0)
-    assert [(row.setting, row.verdict, row.passes) for row in rows] == [
-        ("cartesian, floats", verdict, False),
-        ("cartesian, floats", verdict, False),
-        ("constraintDynamics", "survives", True),
-        ("rigid constraints", "survives", True),
-    ]
-    assert rows[0].reason.startswith("0 of 1 agree; worst: random_scene(0, 3), ")
-    assert rows[1].name == "random_scene(0, 3)"
-    assert ("effective force" if kind is Wrong else "elbow") in rows[1].reason
-    assert (rows[1].figure is None) == (kind is Refusing)
-
-
-def test_algebra_that_fails_is_no_answer(monkeypatch):
+class Failing(Cartesian):
     def evaluate(self, q, v):
         raise np.linalg.LinAlgError("SVD did not converge")
 
-    monkeypatch.setattr(Cartesian, "evaluate", evaluate)
-    (found,) = (each for each in compare_random(0, 3) if each.system == "cartesian")
-    assert (found.agrees, found.worst) == (False, None)
-    assert "SVD did not converge" in found.reason
+
+@pytest.mark.parametrize(
+    ("kind", "named"),
+    [(Wrong, "effective force"), (Refusing, "elbow"), (Failing, "SVD did not converge")],
+)
+def test_an_error_is_found_and_named(monkeypatch, kind, named):
+    monkeypatch.setattr(random_mechanisms, "Cartesian", kind)
+    case = next(random_mechanisms.cases(False))
+    row = judge(replace(case, measure=partial(measure, 0, [3])))
+    assert (row.verdict, row.passes, np.isinf(row.figure)) == ("fails", False, kind is not Wrong)
+    assert row.reason.startswith("0 of 1 agree; worst: random_scene(0, 3), ")
+    assert named in row.reason
 
 
 def test_weak_closures_beside_redundant_ones():
@@ -149,21 +145,14 @@ def test_weak_closures_beside_redundant_ones():
     assert regularized(np.zeros((2, 3)), np.eye(3), redundant=2).mu == pytest.approx(1e-6)
 
 
-def test_the_report_has_a_row_for_each_system():
-    told: list[str] = []
-    rows = stress_random(2, 5, told.append)
-    assert [(row.engine, row.setting) for row in rows] == list(SETTINGS.values())
-    assert all(row.topic == "j" and row.passes and row.verdict == "survives" for row in rows)
-    by_setting = {row.setting: row.reason for row in rows}
-    assert by_setting["constraintDynamics"].startswith("2 of 2 agree; worst: random_scene(5, ")
-    assert by_setting["relative, native"].startswith("1 of 1 agree; worst: random_scene(5, 0), ")
-    assert told == ["2 of 2 random mechanisms"]
+def test_every_mechanism_has_a_case_of_every_system():
+    found = Counter()
+    for case in random_mechanisms.cases(True):
+        found[case.setting.label] += len(case.measure.args[1])
+    assert found == {setting.label: 1000 for setting in SYSTEMS} | {setting.label: 20 for setting in NATIVE}
 
 
 @pytest.mark.slow
 def test_a_thousand_mechanisms():
-    rows = stress_random(1000, 0, lambda line: None)
+    rows = stress("j", True, lambda line: None)
     assert [row for row in rows if not row.passes] == []
-    counts = {row.setting: row.reason.split()[2] for row in rows}
-    floats = ("cartesian, floats", "constraintDynamics", "rigid constraints")
-    assert {counts[setting] for setting in floats} == {"1000"}

@@ -7,6 +7,7 @@ import re
 import pytest
 
 from crosscheck.studies.stress import integration, rotation
+from crosscheck.studies.stress.cases import of_run
 from crosscheck.studies.stress.runs import TIGHT, newton_euler
 
 
@@ -33,7 +34,11 @@ def test_an_error_far_from_round_off_is_not_held_against_it():
 def test_energy_of_fixed_steps_is_what_the_gyroscopic_torque_adds():
     """To first order h omega^2 T times a number of the body's: ten times less with a tenth of the step."""
     errors = [
-        rotation.measure_top_energy(newton_euler(form, integrator="Euler", step=step)).figure
+        of_run(
+            rotation.top(rotation.FAST, 1.0),
+            rotation.kinetic_energy,
+            newton_euler(form, integrator="Euler", step=step),
+        ).figure
         for form in ("relative", "cartesian")
         for step in (1e-4, 1e-5)
     ]
