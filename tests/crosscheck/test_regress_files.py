@@ -54,19 +54,15 @@ def test_a_baseline_survives_its_file(tmp_path):
     [
         (lambda c: c.pop("plan"), "plan: Field required"),
         (lambda c: c.update(format=1), "format"),
-        (lambda c: c.update(history=[]), "history"),
         (lambda c: c["history"][0].update(reason=""), "history.0.reason"),
-        (lambda c: c["figures"][0].update(tolerance=[-1.0]), "figures.0.tolerance.0"),
         (lambda c: c["figures"][0].update(group="speed"), "figures.0.group: Input should be 'relative', "),
         (lambda c: c["figures"][0].update(tolerance=[1.0, 1.0]), "figures.0: tolerance has 2 numbers"),
         (
             lambda c: c["figures"][0].update(value=[[1.0, 2.0]]),
             "figures.0: value is not a table",
         ),
-        (lambda c: c["figures"][0].update(value=[["one"]]), "figures.0.value.0.0"),
         (lambda c: c.update(figures=c["figures"] * 2), "file: figure 'position'"),
         (lambda c: c["plan"]["state"].update(position=[[0.0]]), "plan.state.position.0.1: Field required"),
-        (lambda c: c.update(more=1), "more"),
         (lambda c: c.update(scene="four_bar"), "scene: it is of 'four_bar', not of 'tracker'"),
         (lambda c: c.update(options={"N": "3"}), "options: of tracker (N=3), not of tracker; delete it"),
     ],
@@ -80,16 +76,6 @@ def test_a_corrupt_baseline_is_named_with_its_field(capsys, tmp_path, change, fi
     assert (status, out) == (2, "")
     assert len(err.splitlines()) == 1
     assert f"{path}: {field}" in err
-
-
-@pytest.mark.parametrize("text", ["", "{", "[1]", '{"scene": NaN}'])
-def test_what_is_no_baseline_is_refused(capsys, tmp_path, text):
-    path = tmp_path / "b.json"
-    path.write_text(text)
-    status, _, err = run(capsys, "regress", "tracker", "--baseline", path)
-    assert status == 2
-    assert len(err.splitlines()) == 1
-    assert str(path) in err
 
 
 def test_a_missing_baseline_names_what_makes_it(capsys, tmp_path):

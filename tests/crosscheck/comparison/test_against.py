@@ -136,23 +136,6 @@ def test_one_number_of_the_file_is_found(
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "quantity", "where"),
-    [
-        ('kp="2"', 'kp="2.0002"', "actuator force", "motor"),
-        ('stiffness="0.5"', 'stiffness="0.50005"', "spring force", "pivot"),
-        ('name="motor" armature', 'name="motor" axis="0 -1 0" armature', "actuator force", "motor"),
-    ],
-)
-def test_forces_are_told_by_their_joint(
-    linkage: Scene, tmp_path: Path, old: str, new: str, quantity: str, where: str
-) -> None:
-    text = LINKAGE.read_text()
-    assert old in text
-    result = compared(linkage, read_mjcf(tmp_path, text.replace(old, new)))
-    assert first_failing(result) == ("dynamics", quantity, where)
-
-
-@pytest.mark.parametrize(
     ("fault", "quantity", "where"),
     [
         (plant.entry("control", 0, damping=0.05 * (1.0 + FAULT)), "actuator force", "motor"),
@@ -169,10 +152,17 @@ def test_terms_are_told_by_their_joint(linkage: Scene, fault: Plant, quantity: s
 
 
 def test_an_axis_that_points_the_other_way_is_the_same_hinge(linkage: Scene, tmp_path: Path) -> None:
-    other = LINKAGE.read_text().replace('name="pivot"', 'name="pivot" axis="0 -1 0"')
-    result = compared(linkage, read_mjcf(tmp_path, other))
+    """But for what drives it."""
+    text = LINKAGE.read_text()
+    result = compared(
+        linkage, read_mjcf(tmp_path, text.replace('name="pivot"', 'name="pivot" axis="0 -1 0"'))
+    )
     assert result.agrees
     assert result.notes == ("counted the other way there: pivot",)
+    result = compared(
+        linkage, read_mjcf(tmp_path, text.replace('name="motor"', 'name="motor" axis="0 -1 0"', 1))
+    )
+    assert first_failing(result) == ("dynamics", "actuator force", "motor")
 
 
 def test_the_point_of_a_hinge_may_be_anywhere_on_its_axis() -> None:
@@ -316,16 +306,6 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
     assert summary["agrees"] is True
     assert [part["source"] for part in summary["models"]] == [str(model), str(converted)]
     assert {figure["level"] for figure in summary["figures"]} == {*LEVELS[1:], START} - {"drift"}
-    # both may be URDFs, each with its loop file
-    heavier = tmp_path / "heavier.urdf"
-    mass = re.search(r'<mass value="([^"]*)"', converted.read_text())
-    assert mass is not None
-    heavier.write_text(converted.read_text().replace(mass[0], f'<mass value="{1.0001 * float(mass[1])}"', 1))
-    closed = f"loops={loops}"
-    arguments = ("run", converted, "--set", closed, "--against", heavier, "--against-set", closed)
-    status, out, err = run(capsys, *arguments, "--output", folder)
-    assert (status, err) == (1, "")
-    assert "part at level 'model': mass, rel: 0.0001 > 1e-12, worst at crank " in verdict_of(out)
 
 
 @pytest.mark.parametrize(
@@ -334,10 +314,6 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
         (("tracker", "--against-set", "gravity=off"), "--against-set is for the model of --against"),
         (
             ("tracker", "--against", "tracker", "--engines", "mujoco"),
-            "by newton_euler alone, without --engines",
-        ),
-        (
-            ("tracker", "--against", "tracker", "--engines", "newton_euler,mujoco,pinocchio"),
             "by newton_euler alone, without --engines",
         ),
         (
