@@ -30,6 +30,9 @@ FILE = "file"
 POSES = ("positions, m", "orientations, rad")
 """Quantities of trajectories."""
 
+OPEN = "open joints, m or rad"
+"""Quantity of drift."""
+
 START = "start"
 """Of two models, the level after "model": engines start from one scene, models where each file says."""
 

@@ -14,6 +14,7 @@ import numpy as np
 from crosscheck.comparison.energy import energy_balance
 from crosscheck.comparison.figure import (
     NOISE,
+    OPEN,
     OWN_ERROR,
     POSES,
     ROUND_OFF,
@@ -253,9 +254,8 @@ def compare_runs(
     def drift(engine: Engine) -> Iterator[Figure]:
         if runs[engine.name].constraint_violation is not None:
             violation, unit = partial(_violation, engine.name), length((engine,))
-            quantity = "open joints, m or rad"
             fixed = engine.drift + noise
-            yield row("drift", quantity, (engine,), violation, _violations_apart, fixed, unit)
+            yield row("drift", OPEN, (engine,), violation, _violations_apart, fixed, unit)
 
     def kinetic_energy(a: Engine, b: Engine) -> Iterator[Figure]:
         kinetic = runs[a.name].kinetic_energy

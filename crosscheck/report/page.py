@@ -16,7 +16,7 @@ from pydantic import BaseModel, field_validator
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_writable, write_files
 from crosscheck.report import plots
-from crosscheck.report.table import Report
+from crosscheck.report.table import Part, Report
 from crosscheck.results import digest, read_json
 from newton_euler.model.source_file import SourceError, read_content
 from newton_euler.model.trajectory import load_arrays
@@ -49,6 +49,21 @@ MOST_IN_FULL = 15
 Progress = Callable[[str], None]
 
 
+class Cost(BaseModel):
+    """Run time, s, and error, m and rad, of an engine; None where it did not run."""
+
+    wall_time: float | None = None
+    off_by: float | None = None
+
+
+class Bound(BaseModel):
+    """Tolerance of a compared quantity of one or two engines."""
+
+    quantity: str
+    between: list[str]
+    tolerance: float | None
+
+
 class Results(BaseModel):
     """The parts of a file of results that a page shows.
 
@@ -76,6 +91,18 @@ class Results(BaseModel):
         return files
 
 
+class Compared(Results):
+    """The parts of a crosscheck's file that a page shows.
+
+    Attributes:
+        engines: run time and error of each.
+        figures: their tolerances are drawn.
+    """
+
+    engines: dict[str, Cost] = {}
+    figures: list[Bound] = []
+
+
 @dataclass(frozen=True)
 class Picture:
     """A PNG."""
@@ -96,6 +123,16 @@ class Entry:
     anchor: str = ""
     pictures: list[Picture] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+
+    @property
+    def open(self) -> list[Part]:
+        """The summary, or where a report has none the parts that are not folded."""
+        return self.report.summary or [part for part in self.report.parts if not part.folded]
+
+    @property
+    def folded(self) -> list[Part]:
+        """All other parts."""
+        return self.report.parts if self.report.summary else [p for p in self.report.parts if p.folded]
 
     @property
     def took(self) -> str:
@@ -127,7 +164,7 @@ def write_report(folder: Path, progress: Progress) -> Path:
             f"{', '.join(RESULTS)}, as run, regress, faults, stress and bench write them"
         )
     check_writable(path)
-    found = {file: read_json(file, Results) for file in own or below}
+    found = {file: read_json(file, Compared if file.name == RESULTS[0] else Results) for file in own or below}
     parents = list(dict.fromkeys(file.parent for file in found))
     index = [_index_line(folder, file, results.report) for file, results in found.items()] if below else []
     entries = []
@@ -192,7 +229,12 @@ def _entry(file: Path, results: Results, anchor: str, shares: Sequence[float], p
             entry.remarks.append(f"No picture of {path.stem}: {error}")
     if runs:
         progress("plots")
-        entry.pictures.extend(Picture(*drawn) for drawn in plots.pictures(runs))
+        costs, bounds = {}, {}
+        if isinstance(results, Compared):
+            costs = {name: (cost.wall_time, cost.off_by) for name, cost in results.engines.items()}
+            bounds = {(each.quantity, *each.between): each.tolerance for each in results.figures}
+        drawn = [*plots.speed(costs), *plots.pictures(runs, bounds)]
+        entry.pictures.extend(Picture(*each) for each in drawn)
     for path in (path for path in beside if path.suffix == ".png"):
         try:
             content = read_content(path, "result_size")

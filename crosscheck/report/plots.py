@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from crosscheck.comparison.figure import OPEN, POSES
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 
@@ -31,14 +32,38 @@ OTHER_STYLE = ("#555555", "-.", 1.6)
 Runs = Mapping[str, Mapping[str, Array]]
 """Arrays of `Trajectory.arrays` by name, by engine; the first engine is what others are compared with."""
 
+Bounds = Mapping[tuple[str, ...], float | None]
+"""Tolerances by quantity and names of one or two engines."""
+
 Line = tuple[str, str, Array, Array]
 """Label of its panel, engine, times and values."""
 
 
-def pictures(runs: Runs) -> Iterator[tuple[bytes, str]]:
-    """Pictures (PNG) and captions; what was not saved is left out."""
-    for draw in (_differences, _drift, _energy):
-        yield from draw(runs)
+def speed(costs: Mapping[str, tuple[float | None, float | None]]) -> Iterator[tuple[bytes, str]]:
+    """Draw error, m and rad, over run time, s, of each engine that has both."""
+    from matplotlib.figure import Figure
+
+    known = {name: (time, error) for name, (time, error) in costs.items() if time and error}
+    if not known:
+        return
+    figure = Figure(figsize=(4.6, 3.2), layout="constrained")
+    ax = figure.add_subplot()
+    for name, (time, error) in known.items():
+        color, *_ = STYLES.get(name, OTHER_STYLE)
+        ax.loglog(time, error, "o", color=color, markersize=10, label=name)
+    ax.set_xlabel("run time, s")
+    ax.set_ylabel("error, m or rad")
+    ax.grid(alpha=0.3)
+    ax.margins(0.3)
+    ax.legend(loc="best", fontsize="small")
+    yield png(figure), "Run time and error of each engine at its defaults; best is at the lower left"
+
+
+def pictures(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
+    """Draw differences, drift and energies, as PNG with captions; what was not saved is left out."""
+    yield from _differences(runs, bounds)
+    yield from _drift(runs, bounds)
+    yield from _energy(runs)
 
 
 def png(figure: Figure, dpi: int = 100) -> bytes:
@@ -74,14 +99,22 @@ def _over_time(runs: Runs, name: str, label: str) -> Iterator[Line]:
             yield label, engine, run["time"], run[name]
 
 
-def _drawn(lines: list[Line], caption: str, logarithmic: bool = False) -> Iterator[tuple[bytes, str]]:
-    """One picture, a panel for each label; none without lines."""
+def _drawn(
+    lines: list[Line],
+    caption: str,
+    logarithmic: bool = False,
+    tolerances: Mapping[tuple[str, str], float | None] | None = None,
+) -> Iterator[tuple[bytes, str]]:
+    """One picture, a panel for each label, with tolerances by label and engine; none without lines."""
     labels = list(dict.fromkeys(label for label, *_ in lines))
     if not labels:
         return
     figure, axes = _axes(labels)
     for label, engine, time, values in lines:
         curve(axes[labels.index(label)], engine, time, values)
+        if bound := (tolerances or {}).get((label, engine)):
+            color, *_ = STYLES.get(engine, OTHER_STYLE)
+            axes[labels.index(label)].axhline(bound, color=color, linewidth=0.8)
     for ax in axes:
         if logarithmic:
             ax.set_yscale("log")
@@ -89,28 +122,29 @@ def _drawn(lines: list[Line], caption: str, logarithmic: bool = False) -> Iterat
     yield png(figure), caption
 
 
-def _differences(runs: Runs) -> Iterator[tuple[bytes, str]]:
+def _differences(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
     reference, *others = runs.items()
-    lines = []
+    lines, tolerances = [], {}
     for engine, run in others:
         n = min(len(run["time"]), len(reference[1]["time"]))  # a run may have ended early
         first, other, time = reference[1], run, run["time"][:n]
         distance = np.linalg.norm(other["position"][:n] - first["position"][:n], axis=2).max(axis=1)
         angle = angle_between(first["quaternion"][:n], other["quaternion"][:n]).max(axis=1)
-        lines.append(("position, m", engine, time, np.maximum(distance, SMALLEST)))
-        lines.append(("orientation, rad", engine, time, np.maximum(angle, SMALLEST)))
-    caption = f"Difference from {reference[0]}, largest over the bodies"
-    yield from _drawn(lines, caption, logarithmic=True)
+        for quantity, values in zip(POSES, (distance, angle), strict=True):
+            lines.append((quantity, engine, time, np.maximum(values, SMALLEST)))
+            tolerances[quantity, engine] = bounds.get((quantity, reference[0], engine))
+    caption = f"Difference from {reference[0]}, largest over the bodies; thin lines are tolerances"
+    yield from _drawn(lines, caption, True, tolerances)
 
 
-def _drift(runs: Runs) -> Iterator[tuple[bytes, str]]:
+def _drift(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
     lines = [
         (label, engine, time, np.maximum(violation.max(axis=1, initial=0.0), SMALLEST))
-        for label, engine, time, violation in _over_time(
-            runs, "constraint_violation", "largest over the joints, m or rad"
-        )
+        for label, engine, time, violation in _over_time(runs, "constraint_violation", OPEN)
     ]
-    yield from _drawn(lines, "Drift: how far joints are open", logarithmic=True)
+    tolerances = {(OPEN, engine): bounds.get((OPEN, engine)) for engine in runs}
+    caption = "Drift: how far joints are open, largest over the joints; thin lines are tolerances"
+    yield from _drawn(lines, caption, True, tolerances)
 
 
 def _energy(runs: Runs) -> Iterator[tuple[bytes, str]]:

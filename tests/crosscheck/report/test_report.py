@@ -28,6 +28,11 @@ PNG = b"\x89PNG\r\n\x1a\n"
 EVIL = "</table><script>alert('1')</script>\"&"
 
 
+SPEED = "Run time and error of each engine at its defaults; best is at the lower left"
+DIFFERENCE = "Difference from newton_euler, largest over the bodies; thin lines are tolerances"
+DRIFT = "Drift: how far joints are open, largest over the joints; thin lines are tolerances"
+
+
 class Page(HTMLParser):
     """A page taken apart; fails where tags are not nested, or where something would be fetched."""
 
@@ -141,11 +146,7 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
         assert package in found.words
         assert version in found.words
     assert "DOP853" in found.words
-    assert list(found.images) == [
-        "Difference from newton_euler, largest over the bodies",
-        "Drift: how far joints are open",
-        "Energy",
-    ]
+    assert list(found.images) == [SPEED, DIFFERENCE, DRIFT, "Energy"]
     assert all(content.startswith(PNG) and len(content) > 5000 for content in found.images.values())
     assert {path.name for path in folder.iterdir()} == {
         *(f"{engine}.npz" for engine in ENGINES),
@@ -216,7 +217,7 @@ def test_a_recording_elsewhere_is_no_part_of_the_page(tmp_path, capsys):
     options = ("--engines", "newton_euler", "--output", tmp_path / "out", "--save", tmp_path / "there.rrd")
     assert run(capsys, "run", path, *options)[0] == 0
     assert set(json.loads((tmp_path / "out" / "summary.json").read_text())["files"]) == {"newton_euler.npz"}
-    assert "Drift: how far joints are open" in report(tmp_path / "out").images
+    assert DRIFT in report(tmp_path / "out").images
 
 
 def test_a_recording_that_is_none(folder):
@@ -226,8 +227,8 @@ def test_a_recording_that_is_none(folder):
     change(folder, files={name: known for name, known in files.items() if name != "pinocchio.npz"})
     found = report(folder)
     assert "No picture of four_bar: " in found.words
-    assert "Drift: how far joints are open" in found.images
-    assert "Difference from newton_euler, largest over the bodies" not in found.images
+    assert DRIFT in found.images
+    assert DIFFERENCE not in found.images
 
 
 def test_the_library_on_one_page(bare, tmp_path):
