@@ -63,22 +63,17 @@ def levels_table(result: Crosscheck) -> Table:
     return Table("", [*heads, Column("share of tolerance, where", brief=True)], rows)
 
 
-def _share(row: Figure) -> float:
-    """The share of its tolerance that a figure takes."""
-    return row.value / row.tolerance if row.tolerance > 0.0 else float("inf") if row.value > 0.0 else 0.0
-
-
 def _worst(rows: Sequence[Figure]) -> Cell:
     if not rows:
         return Cell("")
-    worst = max(rows, key=_share)
+    worst = max(rows, key=lambda row: row.share)
     return Cell(f"{worst.value:.1e}", "" if worst.agrees else "fails")
 
 
 def _nearest(rows: Sequence[Figure]) -> Cell:
     """The figure that is nearest its tolerance or exceeds it most, in words."""
-    worst = max(rows, key=_share)
-    share, (quantity, _, unit) = _share(worst), worst.quantity.rpartition(", ")
+    worst = max(rows, key=lambda row: row.share)
+    share, (quantity, _, unit) = worst.share, worst.quantity.rpartition(", ")
     text = f"{100.0 * share:.0f} %" if share >= LEAST_SHARE else "<1 %"
     if share > 1.0:
         text = f"{share:.0f} x" if MANY > share >= FEW else f"{share:.2g} x"
