@@ -424,11 +424,6 @@ class Cartesian(Formulation):
         numbers.extend(row for k, row in enumerate(coupled, start=number) if k in used)
         return sorted([*map(int, numbers), *range(self.rows, self.rows + len(self.bodies))])
 
-    def fastest_joint(self, q: Array, v: Array) -> str:
-        """Find the name of a joint of the body whose dimensionless velocity is largest."""
-        body = int(np.argmax(np.abs(v) / self.velocity_units)) // 7 + 1
-        return next(e.joint.name for e in self.equations if body in (e.first, e.second))
-
     def velocity_transformation(self, q: Array) -> Array:
         """Compute v and omega = 2 G pdot of body 0, 1, ... for each velocity, (6 b, 7 n)."""
         rows = np.zeros((6 * len(self.mechanism.bodies), self.nv))

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
+from newton_euler.equations.joint_coordinates import Measured
 from newton_euler.model.constraints import Frame
 from newton_euler.model.joint import JointEquations, Key
 from newton_euler.model.joint_kinds import Screw
@@ -32,22 +32,6 @@ MOST_REVOLUTIONS = 1000
 SAME_POSE = 1e-6
 """rad, tolerance of angles that shall agree with a pose: far above the errors of states, and so small that
 other numbers of revolutions hardly ever agree by chance."""
-
-
-class Seen(Protocol):
-    """A joint coordinate at a state."""
-
-    @property
-    def x(self) -> Scalar:
-        """m or rad."""
-
-    @property
-    def rate(self) -> Scalar:
-        """m/s or rad/s."""
-
-    @property
-    def gamma(self) -> Scalar:
-        """Jacobian times accelerations less d2x/dt2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +54,7 @@ class Coupling:
     function: TimeFunction | None
     is_length: bool
 
-    def phi(self, seen: Mapping[Key, Seen], time: Scalar) -> Scalar:
+    def phi(self, seen: Mapping[Key, Measured], time: Scalar) -> Scalar:
         """Compute the residual, m or rad."""
         return self.combine({key: seen[key].x for key in self.factors}) - (
             self.function.value(time) if self.function else 0.0
@@ -80,11 +64,11 @@ class Coupling:
         """Compute the partial derivative of the residual by time, m/s or rad/s."""
         return -self.function.rate(time) if self.function else 0.0
 
-    def rate(self, seen: Mapping[Key, Seen], time: Scalar) -> Scalar:
+    def rate(self, seen: Mapping[Key, Measured], time: Scalar) -> Scalar:
         """Compute the rate of the residual, m/s or rad/s."""
         return self.combine({key: seen[key].rate for key in self.factors}) + self.phi_t(time)
 
-    def gamma(self, seen: Mapping[Key, Seen], time: Scalar) -> Scalar:
+    def gamma(self, seen: Mapping[Key, Measured], time: Scalar) -> Scalar:
         """Compute the right side of Phi_q qddot = gamma."""
         return self.combine({key: seen[key].gamma for key in self.factors}) + (
             self.function.acceleration(time) if self.function else 0.0

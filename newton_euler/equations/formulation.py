@@ -21,7 +21,7 @@ from newton_euler.equations.joint_coordinates import (
     coordinates,
 )
 from newton_euler.equations.sparse import Rows, RowsInUse, Solution, to_array
-from newton_euler.equations.system import Evaluation, MassProperties
+from newton_euler.equations.system import Evaluation, MassProperties, System
 from newton_euler.model.constraints import Frame
 from newton_euler.model.elements import Surroundings
 from newton_euler.model.joint import JointEquations, Key, Pose
@@ -33,7 +33,7 @@ from newton_euler.scalars import Array, Scalar
 T = TypeVar("T")
 
 
-class Formulation:
+class Formulation(System):
     """A form of the equations of motion of a scene, over floats or generic scalars.
 
     q (nq,) holds the form's own coordinates, the carried angles, and the work if the scene tracks it; v (nv,)
@@ -150,10 +150,6 @@ class Formulation:
         """Compute the residuals (k,) and the nonzeros of their Jacobian (k, nv)."""
         raise NotImplementedError
 
-    def joint_phi(self, q: Array) -> Array:
-        """Compute the residuals of all joints, then of all couplings, m or rad."""
-        raise NotImplementedError
-
     def rows_of(self, relative: Collection[int]) -> list[int]:
         """Select rows of `phi`: these of the joint-coordinate form, and all of joints that its tree keeps."""
         raise NotImplementedError
@@ -172,14 +168,6 @@ class Formulation:
 
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
         """Compute vdot (nv,) from a sparse solution."""
-        raise NotImplementedError
-
-    def velocity_transformation(self, q: Array) -> Array:
-        """Compute v and omega of body 0, 1, ... for each velocity, (6 b, nv)."""
-        raise NotImplementedError
-
-    def fastest_joint(self, q: Array, v: Array) -> str:
-        """Find the name of the joint that moves fastest."""
         raise NotImplementedError
 
     def body_accelerations(self, q: Array, v: Array, vdot: Array) -> tuple[Array, Array]:

@@ -177,10 +177,6 @@ class Relative(TreeKinematics):
         (kept,) = (kept for kept in self.tree.joints if kept.v.start <= velocity < kept.v.stop)
         return self.tree.joint(kept.joint).name
 
-    def fastest_joint(self, q: Array, v: Array) -> str:
-        """Find the name of the joint whose dimensionless velocity is largest."""
-        return self._joint_of(int(np.argmax(np.abs(v) / self.velocity_units)))
-
     def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution:
         """Solve by sparse elimination, leaves first, over generic scalars.
 

@@ -11,7 +11,6 @@ from scipy.integrate import DOP853
 
 from newton_euler.equations.redundancy import constraint_rank, rows_left_out, without
 from newton_euler.equations.system import (
-    MassProperties,
     System,
     at_time,
     constraint_rate,
@@ -28,7 +27,6 @@ from newton_euler.integrators.dop853 import (
 )
 from newton_euler.integrators.projection import Surface, close_by
 from newton_euler.integrators.singular import FAR, HOP, HOPS, NEAR, UNSAFE, crossing_factor
-from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
@@ -58,7 +56,6 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         `newton_euler.integrators.options.Options.near`.
         """
         self._system, self._project, self._tolerances = system, project, near
-        self._masses = system.mass_properties()
         self._rank = constraint_rank(system)
         self._best = 0.0
         self._ratio_at_end: float | None = None
@@ -113,7 +110,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         if not self._near:
             return self._project(t, y)
         try:
-            return close_densely(self._system, self._masses, t, y)
+            return close_densely(self._system, t, y)
         except NewtonEulerError as error:
             raise IntegrationError(t, f"projection fails: {error}") from error
 
@@ -169,35 +166,23 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
         """Project near a singular configuration, in the form that native methods call."""
         n = len(x) - 1
         try:
-            y[:n] = close_densely(self._system, self._masses, x[n], x[:n])
+            y[:n] = close_densely(self._system, x[n], x[:n])
             y[n] = 1.0
         except NewtonEulerError:
             y[n] = -1.0
 
 
-def close_densely(system: System, masses: MassProperties, t: float, y: Array) -> Array:
-    """Put a state at a time on the constraints as `close_by` does, for any system with its masses."""
+def close_densely(system: System, t: float, y: Array) -> Array:
+    """Put a state at a time on the constraints as `close_by` does, for equations of a tree."""
     now, unused = at_time(system, t), rows_left_out(system)
 
     def surface(y: Array) -> Surface:
         q, v = y[: system.nq], y[system.nq :]
         parts = (now.phi(q), constraint_rate(now, q, v), now.phi_jacobian(q))
         phi, opens, jacobian = (without(part, unused) for part in parts)
-        return Surface(phi, opens, jacobian, mass_matrix(now, masses, q))
+        return Surface(phi, opens, jacobian, now.mass_and_force(q, np.zeros(system.nv))[0])
 
     return close_by(surface, now, y)
-
-
-def mass_matrix(system: System, masses: MassProperties, q: Array) -> Array:
-    """Assemble M (nv, nv) of the bodies' kinetic energy 1/2 v^T M v, without rotors."""
-    motions = system.velocity_transformation(q).reshape(len(masses.mass), 6, system.nv)
-    now = rotations(system.state(q, np.zeros(system.nv)).quaternion)
-    before = rotations(np.array([body.quaternion for body in system.mechanism.bodies]))
-    turned = now @ before.transpose(0, 2, 1)
-    inertia = turned @ masses.inertia @ turned.transpose(0, 2, 1)
-    slide, turn = motions[:, :3], motions[:, 3:]
-    momenta = np.concatenate([masses.mass[:, None, None] * slide, inertia @ turn], axis=1)
-    return np.asarray(motions.reshape(-1, system.nv).T @ momenta.reshape(-1, system.nv))
 
 
 def _error_for(factor: float) -> float:

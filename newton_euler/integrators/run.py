@@ -17,7 +17,7 @@ from newton_euler.equations.applied_forces import strongest
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import largest_share, singular_values
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.system import blamed, dimensionless_jacobian
+from newton_euler.equations.system import blamed, dimensionless_jacobian, fastest_joint
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code
@@ -338,17 +338,18 @@ def failure(
     """
     system, reached = code.float_system(x), float(counts[m.REACHED])
     q, v = x[: system.nq], x[system.nq : code.size]
+    state = system.state(q, v)
     if error is not None and status in (m.SINGULAR, m.OPEN):
         if not isinstance(error, NewtonEulerError | np.linalg.LinAlgError):
             raise error
         reason = str(error)
     elif status == m.OPEN:
-        joint, residual = worst_joint(system, system.state(q, v))
+        joint, residual = worst_joint(system, state)
         reason = f"projection cannot close joint {joint!r}, which is open by {residual:.3g} (m or rad)"
     else:
         reason = _reason(code, integrator, most, status, x)
     force = strongest(system.scene, system.seen(q, v))
-    return IntegrationError(reached, blamed(reason, system.fastest_joint(q, v), force))
+    return IntegrationError(reached, blamed(reason, fastest_joint(system.mechanism, state), force))
 
 
 def _reason(code: Code, integrator: str, most: int, status: int, x: Array) -> str:
@@ -375,7 +376,7 @@ def singular_joint(code: Code, x: Array) -> str:
     """
     system, rows = code.float_system(x), code.rows.numbers
     if not rows:
-        return system.fastest_joint(x[: system.nq], x[system.nq : code.size])
+        return fastest_joint(system.mechanism, system.state(x[: system.nq], x[system.nq : code.size]))
     jacobian = dimensionless_jacobian(system, x[: system.nq])
     combination = singular_values(jacobian[rows])[0][:, -1]
     return largest_share([system.row_owners[row] for row in rows], combination)

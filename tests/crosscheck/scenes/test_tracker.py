@@ -94,19 +94,6 @@ def test_options_of_the_scene():
         load("tracker", color="red")
 
 
-def test_the_trackers_differ_in_what_their_names_say():
-    tracker, heavy, aligned = (load(name) for name in ("tracker", "tracker_gravity", "tracker_aligned"))
-    assert list(heavy.gravity) == [0.0, 0.0, -9.81]
-    assert not np.any(aligned.gravity)
-    for k, (one, other, turned) in enumerate(
-        zip(*(scene.mechanism.bodies for scene in (tracker, heavy, aligned)), strict=True)
-    ):
-        assert np.array_equal(one.inertia, other.inertia)
-        assert np.array_equal(one.inertia, turned.inertia) == (k not in (3, 4, 5))
-    names = {scene.name for scene in (tracker, heavy, aligned)}
-    assert names == {"tracker", "tracker_gravity", "tracker_aligned"}
-
-
 def test_horizontal_pose_closes_exactly():
     """z2 = z3 = 0.046 m is a closure with the panel level and turned by 45 degrees."""
     scene = load("tracker")

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 from ball_scenes import AXIS, SCENES, sphere
 from finite_difference import derivative, jacobian
-from mechanisms import ball_loop, inertia, pendulum
+from mechanisms import ball_loop, pendulum
 
-import mjcf
 import newton_euler
-import urdf
 from newton_euler import Armature, BallArmature, BallSpring, Body, JointSpring, Mechanism, Scene
 from newton_euler.codegen.expression import Graph, differentiate
 from newton_euler.equations.relative import Relative
@@ -21,7 +19,7 @@ from newton_euler.exercise import random_states
 from newton_euler.integrators.compiled import FORMULATIONS
 from newton_euler.model.balls import rotation_by, rotation_vector, spin, spin_rate
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
-from newton_euler.model.joint_kinds import Free, Spherical
+from newton_euler.model.joint_kinds import Spherical
 from newton_euler.model.spanning_tree import SpanningTree, weld_loops
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)
@@ -96,22 +94,6 @@ def test_a_globe_in_oil(formulation: str, integrator: str) -> None:
     lost = 0.5 * 0.8 * 4.0 * (decay**2 - 1.0)
     assert run.work == pytest.approx(lost, abs=1e-7)  # both to 1e-10 a step over some hundreds
     assert run.kinetic_energy - run.kinetic_energy[0] == pytest.approx(lost, abs=1e-7)
-
-
-@pytest.mark.parametrize("engine", [mjcf, urdf], ids=["mujoco", "pinocchio"])
-def test_a_damped_oscillation_in_the_other_engines(engine) -> None:  # type: ignore[no-untyped-def]
-    """1e-8: MuJoCo's RK4 at steps of 2 ms, which is of order 4 here, and Pinocchio at rtol 1e-10."""
-    scene = replace(sphere(BallSpring("ball", 4.0, 0.4, AXIS), rotor=0.3), duration=2.0)
-    options = {"timestep": 2e-3} if engine is mjcf else {}
-    run = engine.simulate(scene, **options)
-    decay = 0.5 * 0.4 / 0.8
-    rate = np.sqrt(4.0 / 0.8 - decay**2)
-    t = run.time
-    turned = 1.0 - np.exp(-decay * t) * (np.cos(rate * t) + decay / rate * np.sin(rate * t))
-    assert np.abs(angles(run) - turned[:, None] * AXIS).max() < 1e-8
-    energy = run.kinetic_energy + run.potential_energy
-    assert np.abs(energy - energy[0] - run.work).max() < 1e-7
-    assert run.work[-1] < -0.5
 
 
 @both
@@ -215,16 +197,3 @@ def test_a_loaded_ball_stays_in_the_tree() -> None:
 def test_what_cannot_be(make, message: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(MechanismError, match=message):
         make()
-
-
-def test_free_joints_take_springs_and_rotors_of_both() -> None:
-    """m + a and I + a on a free body, each on a spring of its own."""
-    body = Body("stone", 2.0, [0.5, 0.0, 0.0], inertia(0.3, 0.3, 0.3))
-    mechanism = Mechanism([Body.ground(), body], [Free("floats", "ground", "stone", [0.5, 0.0, 0.0])])
-    forces = (JointSpring("floats", 3.0, rest=0.4, coordinate=1), BallSpring("floats", 2.0, rest=0.6 * AXIS))
-    rotors = (Armature("floats", 0.5, 1), BallArmature("floats", 0.1))
-    run = newton_euler.simulate(Scene("stone", mechanism, 2.0, 0.1, forces=forces, armatures=rotors))
-    shift = 0.4 * (1.0 - np.cos(np.sqrt(3.0 / 2.5) * run.time))
-    turned = 0.6 * (1.0 - np.cos(np.sqrt(2.0 / 0.4) * run.time))
-    assert run.position[:, 1, 1] == pytest.approx(shift, abs=TIGHT)  # DOP853 at rtol 1e-10
-    assert angles(run) == pytest.approx(turned[:, None] * AXIS, abs=10.0 * TIGHT)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from elements import COUPLED, coupled_loop, coupled_tree
+from elements import coupled_loop, coupled_tree
 
 import newton_euler
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import constraint_rate
-from newton_euler.exercise import random_states
 from newton_euler.integrators.compiled import FORMULATIONS
 
 
@@ -30,14 +28,6 @@ def test_all_integrators_follow(integrator, options, allowed):
     assert run.constraint_violation.max() < 1e-12
 
 
-@pytest.mark.parametrize("name", [name for name in COUPLED if "motion" in name])
-def test_both_formulations_run_alike(name):
-    scene = COUPLED[name]
-    one, two = (newton_euler.simulate(scene, formulation) for formulation in FORMULATIONS)
-    assert np.abs(one.position - two.position).max() < 1e-8  # what rtol = 1e-10 leaves
-    assert max(run.constraint_violation.max() for run in (one, two)) < 1e-12
-
-
 def test_cut_coordinates_are_what_they_are_meant_to_be():
     for cut, count in (("tip", 2), ("thread", 2)):
         system = Relative(coupled_loop(cut))
@@ -52,13 +42,3 @@ def test_baumgarte_follows_the_motion_too(formulation):
     run = newton_euler.simulate(scene, formulation, stabilization="baumgarte")
     wanted = newton_euler.simulate(scene, formulation)
     assert np.abs(run.position - wanted.position).max() < 1e-8  # what rtol = 1e-10 leaves
-
-
-def test_random_states_follow_couplings():
-    scene = coupled_tree()
-    for formulation in FORMULATIONS:
-        system = FORMULATIONS[formulation](scene)
-        for state in random_states(scene, 3):
-            q, v = system.coordinates(state)
-            assert np.abs(system.phi(q)).max() < 1e-12
-            assert np.abs(constraint_rate(system, q, v)).max() < 1e-11

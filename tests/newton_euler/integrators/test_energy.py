@@ -18,12 +18,10 @@ import newton_euler
 from crosscheck.comparison.energy import energy_balance
 from crosscheck.engines import ENGINES
 from crosscheck.scenes import load
-from newton_euler import PD, Body, JointSpring, Mechanism, Sampled, Scene
-from newton_euler.integrators.compiled import FORMULATIONS, formulate
-from newton_euler.integrators.options import Options
-from newton_euler.model.joint_kinds import Prismatic, Translational
+from newton_euler import PD, Body, JointSpring, Mechanism, Scene
+from newton_euler.integrators.compiled import FORMULATIONS
+from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.motions import PrescribedMotion, Sine
-from newton_euler.simulate import run
 
 EXAMPLE = str(Path(__file__).parents[3] / "examples" / "four_bar.yaml")
 
@@ -126,40 +124,6 @@ def test_no_balance_without_the_work(tracker, tracker_run):
     assert energy_balance(tracker, replace(run, work=None)) is None
     assert energy_balance(tracker, replace(run, kinetic_energy=None)) is None
     assert energy_balance(replace(tracker, control=()), replace(run, work=None)) is not None
-
-
-MASS, PERIOD, FORCES = 2.0, 0.03, np.array([3.0, -2.0, 5.0, -7.0])
-
-
-def cart(**fields):
-    """A cart on a rail whose controller plays `FORCES` again and again."""
-    body = Body("cart", MASS, [0.0, 0.0, 0.0], 0.1 * np.eye(3))
-    rail = Translational("rail", "ground", "cart", [0.0, 0.0, 0.0], axis=[1.0, 0.0, 0.0], actuated=True)
-    law = Sampled("rail", lambda time, x, rate: FORCES[round(time / PERIOD) % len(FORCES)], PERIOD)
-    return Scene("cart", Mechanism([Body.ground(), body], [rail]), 0.25, 0.01, control=(law,), **fields)
-
-
-@pytest.mark.parametrize(
-    "simulate",
-    [
-        newton_euler.simulate,
-        lambda scene: newton_euler.simulate(scene, "cartesian", "Radau"),
-        lambda scene: newton_euler.simulate(scene, integrator="RK4", step=4e-3),
-        lambda scene: run(formulate(scene, "relative"), "newton_euler", Options(), {}),
-    ],
-    ids=["DOP853", "cartesian, Radau", "RK4", "floats"],
-)
-def test_held_forces_work_until_the_next_sample(simulate):
-    """Exactly: the work of a held force is that force times the way, a polynomial of degree 2 in time."""
-    scene = cart()
-    run = simulate(scene)
-    instants = np.arange(9) * PERIOD
-    accelerations = FORCES[np.arange(9) % 4] / MASS
-    speeds = np.concatenate([[0.0], np.cumsum(accelerations * PERIOD)])[:-1]
-    k = np.minimum(np.floor(run.time / PERIOD + 1e-9).astype(int), 8)
-    speed = speeds[k] + accelerations[k] * (run.time - instants[k])
-    assert np.abs(run.work - 0.5 * MASS * speed**2).max() < 1e-14
-    assert share(scene, run) < 1e-12
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)

@@ -22,7 +22,6 @@ from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError
 from newton_euler.integrators.options import Options
 from newton_euler.model.control import PD, Sampled
-from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.joint_kinds import Revolute, Translational
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -168,36 +167,6 @@ def test_turns_are_counted():
     assert seen["relative"][-1] > 2 * np.pi
     for name, angles in seen.items():
         assert np.max(np.abs(angles - seen["relative"])) < 1e-8, name  # rad, at rtol 1e-10, RK4 at 1 ms
-
-
-def discrete_pd(law: PD, place: int, period: float) -> Sampled:
-    """The same law as a digital controller."""
-
-    def controller(time: float, x: np.ndarray, x_rate: np.ndarray) -> float:
-        return float(law.force(x[place], x_rate[place], time))
-
-    return Sampled(law.joint, controller, period, law.coordinate)
-
-
-def with_discrete_pd(scene: Scene, period: float) -> Scene:
-    control = tuple(discrete_pd(law, k, period) for k, law in enumerate(scene.control))
-    return replace(scene, control=control, duration=0.2)
-
-
-def test_a_discrete_pd_moves_the_tracker_alike_in_all_engines(tracker):
-    scene = with_discrete_pd(tracker, 0.007)
-    continuous = newton_euler.simulate(replace(tracker, duration=0.2))
-    wanted = newton_euler.simulate(scene)
-    # what holding changes: far above the tolerances below
-    assert np.max(np.abs(wanted.position - continuous.position)) > 1e-4
-    for name in ("cartesian", "pinocchio", "mujoco_rigid", "mujoco"):
-        found = ENGINES[name](scene)
-        # DOP853 at rtol 1e-10; MuJoCo's springs are struck by each jump, at steps of 1 ms
-        tolerance = 3e-6 if name == "mujoco" else 1e-9
-        assert np.max(np.abs(found.position - wanted.position)) < tolerance, name
-        assert np.max(angle_between(found.quaternion, wanted.quaternion)) < tolerance, name
-        # 50 N/m and 25 N s/m of what is measured
-        assert np.max(np.abs(found.actuator_force - wanted.actuator_force)) < 100 * tolerance, name
 
 
 @pytest.mark.parametrize("simulate", ENGINES.values(), ids=ENGINES)

@@ -31,11 +31,6 @@ def test_rotation_is_scipys_scalar_first(p):
     assert np.allclose(rotation(p), expected, rtol=0, atol=ROUND_OFF)
 
 
-def test_quarter_turn_about_z_takes_x_to_y():
-    p = np.array([np.cos(np.pi / 4), 0.0, 0.0, np.sin(np.pi / 4)])
-    assert np.allclose(rotation(p) @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=ROUND_OFF)
-
-
 @pytest.mark.parametrize("p", UNITS[:5])
 def test_identities_of_g_and_l(p):
     g, ell = matrix_g(p), matrix_l(p)

@@ -18,40 +18,6 @@ from newton_euler.simulate import compile_scene
 
 both = pytest.mark.parametrize("formulation", FORMULATIONS)
 
-PARAMETERS = {
-    "rail.spring.stiffness": [20.0, 30.0],
-    "rail.spring.damping": [0.0, 2.0],
-    "rail.spring.rest": [0.1, 0.2],
-    "rail.damping": [1.0, 0.5],
-    "line.stiffness": [5.0, 10.0],
-    "line.rest_length": [1.5, 2.5],
-    "line.damping": [0.0, 0.5],
-    "push.force": [[0.0, 0.0, 1.0], [0.0, 0.0, -2.0]],
-    "push.torque": [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
-}
-
-
-@both
-def test_forces_vary_in_a_batch(formulation):
-    forces = (
-        JointSpring("rail", 1.0),
-        line_spring(rest_length=0.0),
-        Wrench("push", "mass", [0.0, 0.0, 0.0]),
-    )
-    scene = mass_on_rail(*forces, control=(PD("rail", 1.0, 1.0, 0.0),), duration=1.0)
-    batch = newton_euler.simulate_batch(scene, parameters=PARAMETERS, formulation=formulation)
-    for k, found in enumerate(batch):
-        value = {name: values[k] for name, values in PARAMETERS.items()}
-        own = (
-            JointSpring("rail", *(value[f"rail.spring.{name}"] for name in ("stiffness", "damping", "rest"))),
-            line_spring(**{name: value[f"line.{name}"] for name in ("stiffness", "rest_length", "damping")}),
-            Wrench("push", "mass", [0.0, 0.0, 0.0], value["push.force"], value["push.torque"]),
-        )
-        alone = replace(scene, forces=own, control=(PD("rail", 1.0, value["rail.damping"], 0.0),))
-        wanted = newton_euler.simulate(alone, formulation)
-        for name in ("position", "work", "potential_energy", "reaction_torque"):
-            assert getattr(found, name) == pytest.approx(getattr(wanted, name), abs=1e-9), name
-
 
 def test_a_name_that_stands_for_two_parameters():
     scene = mass_on_rail(replace(line_spring(rest_length=1.0), name="rail"), control=(PD("rail", 1, 1, 0),))
@@ -140,11 +106,6 @@ def test_forces_that_a_scene_refuses(forces, message):
     with pytest.raises(MechanismError) as caught:
         initial_state(replace(mass_on_rail(), forces=forces))
     assert message in str(caught.value)
-
-
-def test_forces_may_come_from_anywhere():
-    assert mass_on_rail(STRETCHED).forces == (STRETCHED,)
-    assert replace(mass_on_rail(), forces=(force for force in [STRETCHED])).forces == (STRETCHED,)
 
 
 @both

@@ -143,37 +143,6 @@ def test_a_coupler_on_parallel_rods_is_a_simple_pendulum(formulation):
         assert forces.sum(axis=0) == pytest.approx(-tension * start / 0.5, abs=1e-10)
 
 
-def four_bar(pinned: bool) -> Scene:
-    """A coupler between two cranks that are not parallel, of hardly any mass, or between two rods."""
-    a, b, c, d = [0.0, 0.0, 0.0], [-0.2, 0.0, -0.6], [0.9, 0.0, -0.7], [0.6, 0.0, 0.0]
-    y = [0.0, 1.0, 0.0]
-    coupler = bar("coupler", b, c, 2.0)
-    if pinned:
-        links = [
-            replace(bar(name, *ends), mass=1e-9, inertia=1e-10 * np.eye(3))
-            for name, ends in (("left", (a, b)), ("right", (d, c)))
-        ]
-        joints: list[Joint] = [
-            Revolute("at_a", "ground", "left", a, axis=y),
-            Revolute("at_b", "left", "coupler", b, axis=y),
-            Spherical("at_c", "right", "coupler", c),
-            Revolute("at_d", "ground", "right", d, axis=y),
-        ]
-        return Scene("four_bar", Mechanism([Body.ground(), coupler, *links], joints), 1.0, 0.1, GRAVITY)
-    rods: list[Joint] = [
-        Planar("plane", "ground", "coupler", a, axis=y),
-        Rod("left", "ground", "coupler", a, point_on_second=b),
-        Rod("right", "coupler", "ground", c, point_on_second=d),
-    ]
-    return Scene("four_bar", Mechanism([Body.ground(), coupler], rods), 1.0, 0.1, GRAVITY)
-
-
-def test_two_rods_are_two_cranks_without_mass(formulation):
-    one, two = (newton_euler.simulate(four_bar(pinned), formulation) for pinned in (True, False))
-    assert np.abs(one.position[:, 1] - two.position[:, 1]).max() < 1e-7  # 1e-9 kg of 2 kg, for a second
-    assert np.ptp(two.position[:, 1], axis=0).max() > 0.05
-
-
 @pytest.mark.parametrize("swapped", [False, True])
 def test_joint_coordinates_come_back_from_states(swapped):
     system = Relative(planes_and_rods(swapped))
