@@ -19,7 +19,6 @@ from newton_euler.equations.system import at_time
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.trajectory import IntegrationError
-from urdf.dynamics import PinocchioSystem
 from urdf.tight import equations_of
 
 
@@ -136,14 +135,3 @@ def test_a_linkage_that_locks_is_given_up_soon(locking):
     """Not only when steps are as short as a double can hold, a thousand of them later."""
     with pytest.raises(IntegrationError, match="steps have become too small; fastest at joint 'motor'"):
         urdf.simulate(locking, integrator="Radau", rtol=1e-8, atol=1e-10)
-
-
-def test_masses_are_asked_for_once_in_a_run(monkeypatch):
-    """They are constant, and for a hundred bodies Pinocchio takes half a second to tell them."""
-    asked = []
-    masses = PinocchioSystem.mass_properties
-    monkeypatch.setattr(
-        PinocchioSystem, "mass_properties", lambda system: asked.append(system) or masses(system)
-    )
-    urdf.simulate(load("four_bar"))
-    assert len(asked) == 1
