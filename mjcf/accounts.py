@@ -13,17 +13,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjcf.layout import element_name
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport
 from newton_euler.verification.quantities import Constraints
 
 TORQUE_SCALE = 10
 """Place in `eq_data` of a weld's factor on its angles."""
-
-
-def name_of(model: Any, kind: str, number: int) -> str:
-    """The name of an element in reports."""
-    return f"{kind} {getattr(model, kind)(number).name or number!r}"
 
 
 def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Iterator[str]:
@@ -44,7 +40,7 @@ def unaccounted(model: Any, roots: Sequence[int], report: ImportReport) -> Itera
         "body": roots,
         "tendon": np.flatnonzero(acting).tolist(),
     }
-    names = (name_of(model, kind, k) for kind, each in numbers.items() for k in each)
+    names = (element_name(model, kind, k) for kind, each in numbers.items() for k in each)
     yield from (name for name in names if name not in told)
 
 
@@ -131,7 +127,7 @@ class Equalities:
         there = np.isin(self._owners, data.efc_id[equalities])  # MuJoCo drops those of zeros
         residual[there] = data.efc_pos[equalities]
         jacobian[there] = data.efc_J.reshape(-1, model.nv)[equalities]
-        names = [name_of(self._model, "equality", int(k)) for k in self._owners]
+        names = [element_name(self._model, "equality", int(k)) for k in self._owners]
         return Constraints(
             residual / self._row_units, jacobian / self._row_units[:, None] * self._units, names
         )

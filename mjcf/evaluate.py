@@ -54,9 +54,8 @@ def evaluation(compiled: CompiledScene, acceleration: Array, multipliers: Array)
     )
 
 
-def constraint_jacobian(compiled: CompiledScene) -> Array:
+def constraint_jacobian(model: Any, data: Any) -> Array:
     """(nefc, nv) MuJoCo's efc_J, for velocities qvel, whether it is stored dense or sparse."""
-    model, data = compiled.model, compiled.data
     columns = np.zeros((model.nv, data.nefc))
     for column, unit in zip(columns, np.eye(model.nv), strict=True):
         mujoco.mj_mulJacVec(model, data, column, unit)
@@ -210,15 +209,7 @@ class Loop:
             self.bodies = tuple(int(body) for body in model.site_bodyid[sites])
             self.points = tuple(data.site_xpos[sites])
             return
-        self.bodies = (int(model.eq_obj1id[index]), int(model.eq_obj2id[index]))
-        parameters = model.eq_data[index]
-        anchors = parameters[:3], parameters[3:6]
-        if self.kind == mujoco.mjtEq.mjEQ_WELD:
-            anchors = anchors[::-1]
-        self.points = tuple(
-            data.xpos[body] + data.xmat[body].reshape(3, 3) @ anchor
-            for body, anchor in zip(self.bodies, anchors, strict=True)
-        )
+        self.bodies, self.points = ends(model, data, index)
 
     def force_on_second(self) -> Array:
         """(3,) N, what a ball or a rod does to its second body, once multipliers are known."""
@@ -255,6 +246,22 @@ class Loop:
         q1, q2 = (self.data.xquat[body] for body in self.bodies)
         turned = product(conjugate(q2), product(turning, q1))[1:]
         return np.concatenate([linear[0] - linear[1], turned])
+
+
+def ends(model: Any, data: Any, index: int) -> tuple[tuple[int, ...], tuple[Array, ...]]:
+    """MuJoCo's bodies of a connect or weld, and its point as each of them has it, (3,) world."""
+    first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+    if model.eq_objtype[index] == mujoco.mjtObj.mjOBJ_SITE:
+        bodies = int(model.site_bodyid[first]), int(model.site_bodyid[second])
+        return bodies, (data.site_xpos[first].copy(), data.site_xpos[second].copy())
+    anchors = model.eq_data[index][:3], model.eq_data[index][3:6]
+    if model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD:
+        anchors = anchors[::-1]  # the anchor is in the second body's frame, its place in the first's next
+    p, q = (
+        data.xpos[body] + data.xmat[body].reshape(3, 3) @ anchor
+        for body, anchor in zip((first, second), anchors, strict=True)
+    )
+    return (first, second), (p, q)
 
 
 def closes(model: Any, index: int) -> bool:

@@ -14,13 +14,13 @@ from typing import TypeGuard
 
 import numpy as np
 
-from mjcf.layout import Layout, ball_name, coordinate_name, number, numbers
+from mjcf.layout import Layout, ball_name, number, numbers
 from newton_euler.model.elements import OnBall, OnCoordinate
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.spanning_tree import SpanningTree
+from newton_euler.model.spanning_tree import SpanningTree, coordinate_name
 from newton_euler.scalars import Array
 
 WORLD_SITE = "world frame"

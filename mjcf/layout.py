@@ -9,17 +9,12 @@ the initial pose, R(qpos) = A0^T R(q) A0, so vector parts and angular velocities
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
 from newton_euler.model.joint import Joint
 from newton_euler.model.spanning_tree import SpanningTree, TreeJoint, motion_names
-
-
-def coordinate_name(joint: Joint, coordinate: int) -> str:
-    """MJCF name of one of a joint's coordinates, which count its hinges and slides from 0."""
-    names = zip(motion_names(joint), joint.motions, strict=True)
-    return [name for name, motion in names if motion.kind != "ball"][coordinate]
 
 
 def ball_name(joint: Joint) -> str:
@@ -78,3 +73,8 @@ def number(value: float) -> str:
 def numbers(values: Iterable[float]) -> str:
     """Several, with spaces between."""
     return " ".join(number(value) for value in values)
+
+
+def element_name(model: Any, kind: str, index: int) -> str:
+    """Name of an element of a compiled model in reports: of its kind, and by its number if it has no name."""
+    return f"{kind} {getattr(model, kind)(index).name or index!r}"

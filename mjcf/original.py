@@ -14,7 +14,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from mjcf.accounts import Equalities, name_of, straighten, switch_off, unaccounted, without_force
+from mjcf.accounts import Equalities, straighten, switch_off, unaccounted, without_force
+from mjcf.layout import element_name
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross
@@ -113,7 +114,7 @@ class MjcfOriginal(Original):
         slides = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
         hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
         self.size = scene.mechanism.size
-        self.motions = tuple(name_of(self._model, "joint", int(k)) for k in model.dof_jntid)
+        self.motions = tuple(element_name(self._model, "joint", int(k)) for k in model.dof_jntid)
         self.lengths = slides[model.dof_jntid]
         self.ranges = np.full(model.nv, 3.0)
         for dof, joint in enumerate(model.dof_jntid.tolist()):
@@ -130,7 +131,7 @@ class MjcfOriginal(Original):
             ("limit of the force", "actuator", model.nactuator),
             ("limit of actuator forces", "joint", model.njnt),
         ):
-            numbers = {name_of(model, kind, k): k for k in range(count)}
+            numbers = {element_name(model, kind, k): k for k in range(count)}
             for entry, watches in ((report.entries[n], each) for n, each in report.watches.items()):
                 if entry.topic == topic:
                     for watch in watches:
@@ -142,7 +143,7 @@ class MjcfOriginal(Original):
         model, data, without = self._model, self._data, without_force(report)
         self._go(self.start, self._velocity)
         for k in np.flatnonzero(model.actuator_actnum).tolist():
-            first, name = int(model.actuator_actadr[k]), name_of(model, "actuator", k)
+            first, name = int(model.actuator_actadr[k]), element_name(model, "actuator", k)
             rows = slice(first, first + int(model.actuator_actnum[k]))
             # MuJoCo's rates of what rests are differences of equal numbers
             if name not in without and np.any(data.act_dot[rows][kept[rows]]):
@@ -152,7 +153,7 @@ class MjcfOriginal(Original):
         """Switch off or replace what a report says is not in the scene as it is, at the start."""
         model, without, near = self._model, left_out(report), approximated(report)
         numbers = {
-            name_of(self._model, kind, k): (kind, k)
+            element_name(self._model, kind, k): (kind, k)
             for kind, count in (
                 ("joint", model.njnt),
                 ("equality", model.neq),
@@ -328,7 +329,7 @@ class MjcfOriginal(Original):
                     getattr(model, f"{kind}_{field}")[rows] = kept[f"{kind}_{field}"][rows]
                 what = {"jnt": ": stiffness", "dof": ": damping"}.get(kind, "")
                 yield (
-                    name_of(self._model, "joint" if what else kind, k) + what,
+                    element_name(self._model, "joint" if what else kind, k) + what,
                     self._ways(kind, k, samples, gravity),
                 )
                 for field in fields:
@@ -369,7 +370,7 @@ class MjcfOriginal(Original):
         for joint in range(model.njnt):
             alone = np.where(model.dof_jntid == joint, model.dof_armature, 0.0)
             if np.any(alone):
-                yield name_of(self._model, "joint", joint), [np.diag(alone)] * len(samples)
+                yield element_name(self._model, "joint", joint), [np.diag(alone)] * len(samples)
         bodies = [self._full(sample.q) for sample in samples]
         for kind in ("tendon", "actuator"):
             inertia = getattr(model, f"{kind}_armature")
@@ -378,5 +379,8 @@ class MjcfOriginal(Original):
                 inertia[:] = 0.0
                 inertia[k] = kept[k]
                 full = [self._full(sample.q, kind) for sample in samples]
-                yield name_of(self._model, kind, int(k)), [m - m0 for m, m0 in zip(full, bodies, strict=True)]
+                yield (
+                    element_name(self._model, kind, int(k)),
+                    [m - m0 for m, m0 in zip(full, bodies, strict=True)],
+                )
             inertia[:] = kept

@@ -82,7 +82,7 @@ class RigidMuJoCo(CompiledScene):
     def _jacobian(self) -> Array:
         """(k, nv) efc_J for tree velocities at the state that `data` holds."""
         jacobian = np.zeros((len(self._constraint), self.nv))
-        jacobian[self._present()] = constraint_jacobian(self) @ self.layout.to_qvel
+        jacobian[self._present()] = constraint_jacobian(self.model, self.data) @ self.layout.to_qvel
         return jacobian
 
     def velocity_product(self, q: Array, v: Array) -> Array:

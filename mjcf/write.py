@@ -29,7 +29,7 @@ from mjcf.forces import (
     rests,
     wrenches,
 )
-from mjcf.layout import Layout, coordinate_name, number, numbers
+from mjcf.layout import Layout, number, numbers
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
 from newton_euler.errors import check_type
@@ -40,7 +40,13 @@ from newton_euler.model.joint import Key, Pose
 from newton_euler.model.joint_kinds import Rod, Spherical
 from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import Scene
-from newton_euler.model.spanning_tree import TreeJoint, WeldedMechanism, motion_names, weld_loops
+from newton_euler.model.spanning_tree import (
+    TreeJoint,
+    WeldedMechanism,
+    coordinate_name,
+    motion_names,
+    weld_loops,
+)
 from newton_euler.model.trajectory import atomic_file
 from newton_euler.scalars import Array
 
@@ -236,26 +242,17 @@ def principal(inertia: Array) -> tuple[Array, Array]:
 
 def _geom(element: ET.Element, shape: Shape, color: str, pose: Pose, quaternion: Array) -> None:
     """A shape in the frame of its body."""
+    geom = ET.SubElement(element, "geom")
     if isinstance(shape, Box):
-        ET.SubElement(
-            element,
-            "geom",
-            type="box",
-            pos=numbers(pose.point_to_body(shape.center)),
-            quat=numbers(product(conjugate(quaternion), shape.quaternion)),
-            size=numbers(shape.half_sizes),
-            rgba=color,
-        )
+        geom.set("type", "box")
+        geom.set("pos", numbers(pose.point_to_body(shape.center)))
+        geom.set("quat", numbers(product(conjugate(quaternion), shape.quaternion)))
+        geom.set("size", numbers(shape.half_sizes))
     else:
-        ends = [pose.point_to_body(shape.start), pose.point_to_body(shape.end)]
-        ET.SubElement(
-            element,
-            "geom",
-            type="capsule",
-            fromto=numbers(np.concatenate(ends)),
-            size=number(shape.radius),
-            rgba=color,
-        )
+        geom.set("type", "capsule")
+        geom.set("fromto", numbers([*pose.point_to_body(shape.start), *pose.point_to_body(shape.end)]))
+        geom.set("size", number(shape.radius))
+    geom.set("rgba", color)
 
 
 def rods(welded: WeldedMechanism) -> list[Rod]:

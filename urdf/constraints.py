@@ -6,25 +6,19 @@ With points p1 and p2 of a rod, d = p2 - p1 and l = |d|,
     Phi = l - L,    Phi_q = d^T (J2 - J1) / l
     Phi_q qddot + (d . (a2 - a1) + |dd/dt|^2 - (dl/dt)^2) / l = 0
 
-with a1 and a2 the accelerations of the points at qddot = 0. Couplings and motions are linear in q. What
-makes them hold, see `solve`.
+with a1 and a2 the accelerations of the points at qddot = 0. Couplings and motions are linear in q.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from newton_euler.equations.couplings import TreeCouplings
-from newton_euler.equations.dense import minimum_norm
 from newton_euler.scalars import Array
 from urdf.model import ClosedLoopModel, CoordinateMap
-
-REFINEMENTS = 2
-"""Solves for the multipliers; the second makes up for digits that differences of accelerations lose."""
 
 
 class Closures:
@@ -190,32 +184,3 @@ class Rows:
     def _direction(self, data: Any, rod: tuple[int, int]) -> Array:
         d = self._line(data, rod)
         return np.asarray(d / np.linalg.norm(d))
-
-
-def solve(
-    respond: Callable[[Array], Array], force: Array, rows: Array, gamma: Array, rank: int
-) -> tuple[Array, Array]:
-    """Accelerations (nv,) and multipliers (r,) where rows of a Jacobian are to hold too.
-
-    The accelerations a of a model with its own closures are affine in the generalized force, so
-
-        rows @ a(force + rows^T mu) = gamma
-
-    is a small linear system for mu; its matrix is what unit multipliers do. Dependent rows get the
-    smallest multipliers. Everything is dimensionless.
-
-    Args:
-        respond: a (nv,) of a force (nv,).
-        force: (nv,) without the multipliers'.
-        rows: (r, nv).
-        gamma: (r,).
-        rank: number of rows that do not follow from the closures and the others.
-    """
-    acceleration = respond(force)
-    multipliers = np.zeros(len(rows))
-    compliance = rows @ np.array([respond(force + row) - acceleration for row in rows]).T
-    units = np.ones(len(rows))
-    for _ in range(REFINEMENTS):
-        multipliers = multipliers + minimum_norm(compliance, gamma - rows @ acceleration, units, units, rank)
-        acceleration = respond(force + rows.T @ multipliers)
-    return acceleration, multipliers

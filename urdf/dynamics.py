@@ -2,9 +2,9 @@
 
 Accelerations are those of `pinocchio.constraintDynamics`: rigid closures by the sparse Cholesky
 factorization of Carpentier, Budhiraja and Mansard, "Proximal and Sparse Resolution of Constrained
-Dynamic Equations", RSS 2021. Its iterations take noise of redundant closures for constraints, and cannot
-leave rows out: where there is such noise, the closures that are kept are eliminated with Pinocchio's own mass
-matrix, Jacobians and bias forces.
+Dynamic Equations", RSS 2021. It knows no rods, couplings and prescribed motions; its iterations take noise of
+redundant closures for constraints and cannot leave rows out. Where there is any of these, all constraints are
+eliminated with Pinocchio's own mass matrix, Jacobians and bias forces.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import pinocchio as pin
 
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import TreeCouplings
-from newton_euler.equations.redundancy import constraint_rank, loop_rank, mobility, rows_left_out
+from newton_euler.equations.dense import solve_constrained
+from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without
 from newton_euler.equations.system import Evaluation, MassProperties
 from newton_euler.errors import SingularityError
 from newton_euler.integrators.projection import joint_residuals
@@ -27,7 +28,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import weld_loops
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
-from urdf.constraints import Closures, Rows, frame_jacobian, solve
+from urdf.constraints import Closures, Rows, frame_jacobian
 from urdf.errors import UrdfError
 from urdf.forces import BallForces, JointLaws, PointForces, Rotors
 from urdf.loops import parse_loops
@@ -101,13 +102,11 @@ class PinocchioSystem:
         on = np.array(places, dtype=int).reshape(-1, 2)
         self._actuated_q, self._actuated_v = on.T
         self._alpha = alpha
-        self._noisy = mobility(scene).residual > 0.0
-        self._moving = bool(self._forces or len(self._rows.units) or self._noisy)
-        if self._noisy:
-            used = set(range(len(self.phi_units))) - set(rows_left_out(self))
-            self._used = np.array(sorted(used), dtype=int)
-        else:
-            self._proximal = self._constraint_dynamics()
+        self._eliminates = bool(len(self._rows.units)) or mobility(scene).residual > 0.0
+        self._moving = bool(self._forces) or self._eliminates
+        if not self._eliminates:
+            self._proximal = ConstraintDynamics(self.closed, self.map, self._units)
+            self._proximal.choose(self.coordinates(initial_state(scene))[0], constraint_rank(self))
 
     def _add_body_frames(self) -> list[int]:
         """Add the frames of the bodies: at the center of mass, turned by `Body.quaternion`."""
@@ -122,13 +121,6 @@ class PinocchioSystem:
             frame = pin.Frame(f"{body.name}_body", link.parentJoint, index, placement, pin.FrameType.OP_FRAME)
             added.append(self._model.addFrame(frame))
         return added
-
-    def _constraint_dynamics(self) -> ConstraintDynamics:
-        closures = loop_rank(self, {joint.name for joint in self.mechanism.joints if isinstance(joint, Rod)})
-        self._rows_rank = constraint_rank(self) - closures
-        found = ConstraintDynamics(self.closed, self.map, self._units)
-        found.choose(self.coordinates(initial_state(self.scene))[0], closures)
-        return found
 
     def mass_matrix(self, q: Array) -> Array:
         """(nv, nv) by Pinocchio, with the scene's rotors."""
@@ -209,46 +201,29 @@ class PinocchioSystem:
 
     def _solve(self, q: Array, v: Array) -> tuple[Array, Array]:
         """vdot (nv,) and the multipliers (r,) of `Rows`; those of closures stay with Pinocchio."""
-        force = self.generalized_force(q, v)
-        if self._noisy:
-            return self._eliminate(q, v, force, *self._rows.equations(self._data, q, v, self.time))
-        unit, units = self._units.moment, self._rows.units
-        force = force * self.velocity_units / unit
-        respond = self._proximal.at(q, v)
-        if not len(units):
-            return self.velocity_units * self._checked(respond(force)), np.zeros(0)
-        rows, gamma = self._rows.equations(self._data, q, v, self.time)
-        acceleration, multipliers = solve(
-            lambda force: self._checked(respond(force)),
-            force,
-            rows * self.velocity_units / units[:, None],
-            gamma / units,
-            self._rows_rank,
-        )
-        return self.velocity_units * acceleration, multipliers * unit / units
-
-    def _eliminate(self, q: Array, v: Array, force: Array, rows: Array, gamma: Array) -> tuple[Array, Array]:
-        """The same, of all constraints but those redundant up to noise, by Pinocchio's mass and bias."""
-        units, unit, used = self.phi_units, self._units.moment, self._used
-        pin_q, pin_v = self.map.q_to_pinocchio(q), self.map.v_to_pinocchio(v)
-        bias = pin.nonLinearEffects(self._model, self._dynamic_data, pin_q, pin_v)
-        force = (force - self.map.v_from_pinocchio(bias)) * self.velocity_units / unit
-        mass = self.mass_matrix(q) * np.outer(self.velocity_units, self.velocity_units) / unit
-        loops = self._closures.jacobian(self._data)
-        drift = 2.0 * self._alpha * (loops @ v) + self._alpha**2 * self._closures.phi(self._data)
-        gamma = (np.concatenate([self._closures.gamma(self._data) - drift, gamma]) / units)[used]
-        jacobian = (np.concatenate([loops, rows]) * self.velocity_units / units[:, None])[used]
-        matrix = np.block([[mass, -jacobian.T], [jacobian, np.zeros((len(used), len(used)))]])
+        if not self._eliminates:
+            force = self.generalized_force(q, v) * self.velocity_units / self._units.moment
+            found = self._checked(self._proximal.acceleration(q, v, force))
+            return self.velocity_units * found, np.zeros(0)
+        mass, force = self.mass_and_force(q, v)
+        data, loops, unused = self._data, self._closures.jacobian(self._data), rows_left_out(self)
+        drift = 2.0 * self._alpha * (loops @ v) + self._alpha**2 * self._closures.phi(data)
+        rows, gamma = self._rows.equations(data, q, v, self.time)
+        gamma = np.concatenate([self._closures.gamma(data) - drift, gamma])
+        jacobian = np.concatenate([loops, rows])
         try:
-            found = np.linalg.solve(matrix, np.concatenate([force, gamma]))
+            found, multipliers = solve_constrained(
+                mass,
+                force,
+                without(jacobian, unused),
+                without(gamma, unused),
+                self.phi_units,
+                self.velocity_units,
+            )
         except np.linalg.LinAlgError:
-            found = np.full(len(matrix), np.nan)
-        self._checked(found)
-        multipliers = np.zeros(len(units))
-        multipliers[used] = found[self.nv :] * unit / units[used]
-        closures = len(self._closures.units)
-        self._multipliers = multipliers[:closures]
-        return self.velocity_units * found[: self.nv], multipliers[closures:]
+            found, multipliers = np.full(self.nv, np.nan), np.zeros(len(gamma))
+        self._multipliers, others = np.split(multipliers, [len(self._closures.units)])
+        return self._checked(found), others
 
     def _checked(self, acceleration: Array) -> Array:
         if not np.isfinite(acceleration).all():
@@ -261,7 +236,7 @@ class PinocchioSystem:
 
     def _closure_wrenches(self, multipliers: Array) -> list[Any]:
         """Compute wrenches of cuts on their second bodies, about the world's origin, in the tree's order."""
-        if self._noisy:
+        if self._eliminates:
             wrenches = self._closures.wrenches(self._data, self._multipliers)
         else:
             wrenches = self._proximal.wrenches()

@@ -10,7 +10,6 @@ size and mass, in which they weigh alike: in SI units accelerations of a loop of
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import sqrt
 from typing import Any, NamedTuple
 
@@ -94,52 +93,33 @@ class ConstraintDynamics:
         self._settings = self._regularized(q) if self._redundant else plain
         self._redundant = len(jacobian) - count
 
-    def at(self, q: Array, v: Array) -> Callable[[Array], Array]:
-        """Return the function from generalized forces (nv,) to accelerations (nv,), NaN if there are none."""
-        scaled_q = self._map.q_to_pinocchio(q / self._units.q)
-        scaled_v = self._map.v_to_pinocchio(v / self._units.v)
-        settings = self._settings
+    def acceleration(self, q: Array, v: Array, force: Array) -> Array:
+        """Compute accelerations (nv,) under generalized forces (nv,), NaN if there are none."""
+        pin_q, pin_v = (
+            self._map.q_to_pinocchio(q / self._units.q),
+            self._map.v_to_pinocchio(v / self._units.v),
+        )
+        state, settings = (pin_q, pin_v, self._map.v_to_pinocchio(force)), self._settings
+        if not len(self._constraints):  # for which `constraintDynamics` takes n^3 operations
+            return self._map.v_from_pinocchio(pin.aba(self._model, self._scaled_data, *state))
+        if settings.mu:
+            few = pin.ProximalSettings(0.0, ACCURACY, settings.mu, FEW)
+            found, multipliers = self._solved(state, few), self._scaled_data.lambda_c
+            if few.relative_residual <= SETTLED * (1.0 + sqrt(multipliers @ multipliers)):
+                return found
+        found = self._solved(state, settings)
+        if settings.mu and not settings.relative_residual <= CONVERGED:
+            here = self._regularized(q)
+            # not for closures that contradict each other: less of it would magnify that
+            if here.mu < SHARE * settings.mu:
+                return self._solved(state, here)
+        return found
 
-        def free(force: Array) -> Array:
-            """Compute accelerations of an open tree, for which `constraintDynamics` takes n^3 operations."""
-            pin_force = self._map.v_to_pinocchio(force)
-            acceleration = pin.aba(self._model, self._scaled_data, scaled_q, scaled_v, pin_force)
-            return self._map.v_from_pinocchio(acceleration)
-
-        if not len(self._constraints):
-            return free
-
-        def solved(force: Array, settings: Any) -> Array:
-            acceleration = pin.constraintDynamics(
-                self._model,
-                self._scaled_data,
-                scaled_q,
-                scaled_v,
-                self._map.v_to_pinocchio(force),
-                self._constraints,
-                self._constraint_data,
-                settings,
-            )
-            return self._map.v_from_pinocchio(acceleration)
-
-        def respond(force: Array) -> Array:
-            nonlocal settings
-            if settings is self._settings and settings.mu:
-                few = pin.ProximalSettings(0.0, ACCURACY, settings.mu, FEW)
-                acceleration = solved(force, few)
-                multipliers = self._scaled_data.lambda_c
-                if few.relative_residual <= SETTLED * (1.0 + sqrt(multipliers @ multipliers)):
-                    return acceleration
-            acceleration = solved(force, settings)
-            if settings is self._settings and settings.mu and not settings.relative_residual <= CONVERGED:
-                here = self._regularized(q)
-                # not for closures that contradict each other: less of it would magnify that
-                if here.mu < SHARE * settings.mu:
-                    settings = here
-                    return solved(force, settings)
-            return acceleration
-
-        return respond
+    def _solved(self, state: tuple[Array, Array, Array], settings: Any) -> Array:
+        """Solve at q, v and forces in Pinocchio's order."""
+        closures = self._constraints, self._constraint_data
+        found = pin.constraintDynamics(self._model, self._scaled_data, *state, *closures, settings)
+        return self._map.v_from_pinocchio(found)
 
     def wrenches(self) -> list[Any]:
         """Wrenches on second bodies about the world's origin, SI units, of the accelerations found last."""

@@ -32,7 +32,13 @@ from newton_euler.model.joint import Joint, Motion
 from newton_euler.model.joint_kinds import Fixed, Rod
 from newton_euler.model.mechanism import Body
 from newton_euler.model.scene import Scene
-from newton_euler.model.spanning_tree import TreeJoint, WeldedMechanism, motion_names, weld_loops
+from newton_euler.model.spanning_tree import (
+    TreeJoint,
+    WeldedMechanism,
+    coordinate_name,
+    motion_names,
+    weld_loops,
+)
 from newton_euler.model.trajectory import atomic_file
 from newton_euler.scalars import Array
 from urdf.errors import NameClashError, UrdfError
@@ -49,6 +55,9 @@ COLORS = {
 }
 """Colors that everybody can tell apart (Okabe and Ito, Color Universal Design, 2008)."""
 
+
+INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""Attributes of an inertia: its upper triangle, row by row."""
 
 CLOSURES: dict[type[Joint], str] = {Fixed: "6d", Rod: "rod"}
 """Types in the loop file of joints that close loops, other than balls."""
@@ -89,7 +98,8 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
     dampings = defaultdict[str, float](float)
     for force in scene.forces:
         if isinstance(force, JointSpring) and force.damping:
-            dampings[_coordinate_name(scene, force.joint, force.coordinate)] += force.damping
+            joint = scene.mechanism.joint(force.joint)
+            dampings[coordinate_name(joint, force.coordinate)] += force.damping
     for kept in tree.joints:
         _add_chain(robot, welded, kept, origins, dampings)
     for pair in closures(welded):
@@ -118,7 +128,10 @@ def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
                 motors.append(name)
     cuts = [joints[k] for k in welded.tree.cuts]
     coupled = [
-        {_coordinate_name(scene, *key): factor for key, factor in coupling.factors.items()}
+        {
+            coordinate_name(scene.mechanism.joint(joint), coordinate): factor
+            for (joint, coordinate), factor in coupling.factors.items()
+        }
         for coupling in couplings(scene)
         if coupling.function is None
     ]
@@ -169,13 +182,6 @@ def closures(welded: WeldedMechanism) -> list[list[tuple[str, int, Array]]]:
     return pairs
 
 
-def _coordinate_name(scene: Scene, joint: str, coordinate: int) -> str:
-    """Name of the URDF joint of one of a joint's coordinates, which count its hinges and slides from 0."""
-    found = scene.mechanism.joint(joint)
-    names = zip(motion_names(found), found.motions, strict=True)
-    return [name for name, motion in names if motion.kind != "ball"][coordinate]
-
-
 def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> None:
     """Mass, center of mass and inertia in the link's frame, which `rotation` takes the body's to."""
     inertial = SubElement(link, "inertial")
@@ -183,15 +189,8 @@ def _add_inertial(link: Element, body: Body, center: Array, rotation: Array) -> 
     SubElement(inertial, "mass", value=repr(body.mass))
     turned = rotation @ body.inertia @ rotation.T
     inertia = 0.5 * (turned + turned.T)
-    entries = (
-        ("ixx", (0, 0)),
-        ("ixy", (0, 1)),
-        ("ixz", (0, 2)),
-        ("iyy", (1, 1)),
-        ("iyz", (1, 2)),
-        ("izz", (2, 2)),
-    )
-    SubElement(inertial, "inertia", {name: repr(float(inertia[at]) + 0.0) for name, at in entries})
+    entries = zip(INERTIA, inertia[np.triu_indices(3)].tolist(), strict=True)
+    SubElement(inertial, "inertia", {name: repr(value + 0.0) for name, value in entries})
 
 
 def _add_chain(

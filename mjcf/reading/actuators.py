@@ -21,6 +21,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjcf.layout import element_name
 from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.forces import Forces, reduced_inertia
 from mjcf.reading.joints import FREE, Joints, Ties
@@ -109,12 +110,9 @@ class Actuators:
         """One for each joint coordinate."""
         return tuple(acting.law(key) for key, acting in self._acting.items())
 
-    def _element(self, actuator: int) -> str:
-        return f"actuator {self._model.actuator(actuator).name or actuator!r}"
-
     def _add(self, actuator: int) -> None:
         model = self._model
-        element = self._element(actuator)
+        element = element_name(model, "actuator", actuator)
         kind = TRANSMISSION(model.actuator_trntype[actuator])
         moments = self._moments(actuator, kind)
         if why := self._disabled(actuator):
@@ -212,7 +210,7 @@ class Actuators:
 
     def _tell(self, actuator: int, how: str, became: str) -> None:
         silent = self._control(actuator) == 0.0 and actuator not in self._swings
-        self._report.exactly(self._element(actuator), how, became, inert=silent)
+        self._report.exactly(element_name(self._model, "actuator", actuator), how, became, inert=silent)
 
     def _report_limits(
         self, actuator: int, element: str, law: Affine, moments: dict[int, float] | None

@@ -11,6 +11,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjcf.layout import element_name
+from mjcf.model import body_velocity
 from mjcf.reading.source import SourceError
 from mjcf.reading.start import Start
 from newton_euler.model.euler_parameters import rotation
@@ -58,7 +60,7 @@ class Bodies:
 
     def _report(self, k: int, report: ImportReport) -> None:
         name = self._model.body(k).name
-        element = f"body {name or k!r}"
+        element = element_name(self._model, "body", k)
         if k != self._root[k]:
             mocap = " where mocap has it at the start" if self._model.body_mocapid[k] >= 0 else ""
             report.exactly(element, f"part of {self.names[k]!r}, to which it is fixed{mocap}")
@@ -95,12 +97,8 @@ class Bodies:
 
     def _shapes(self, root: int) -> tuple[Shape, ...]:
         """Boxes and round bars among the visible geoms."""
-        found = list[Shape]()
-        for geom in visible_geoms(self._model, self.members(root)):
-            shape = self._shape(geom)
-            if shape is not None:
-                found.append(shape)
-        return tuple(found)
+        found = (self._shape(geom) for geom in visible_geoms(self._model, self.members(root)))
+        return tuple(shape for shape in found if shape is not None)
 
     def _shape(self, geom: int) -> Shape | None:
         model, kinds = self._model, mujoco.mjtGeom
@@ -120,15 +118,8 @@ class Bodies:
 
     def velocity(self, root: int, center: Array) -> tuple[Array, Array]:
         """(3,) of a point `center` that moves with one of MuJoCo's bodies, m/s, and angular, rad/s."""
-        out = np.zeros(6)
-        mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_BODY, root, out, 0)
-        return out[3:] + np.cross(out[:3], center - self._data.xipos[root]), out[:3]
-
-
-def site_point(start: Start, site: int) -> tuple[int, Array]:
-    """The body root of a site, and where it is, (3,) world."""
-    model: Any = start.model
-    return int(model.site_bodyid[site]), start.data.site_xpos[site].copy()
+        linear, angular = body_velocity(self._model, self._data, root)
+        return linear + np.cross(angular, center - self._data.xipos[root]), angular
 
 
 def visible_geoms(model: Any, bodies: Array) -> Iterator[int]:

@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjcf.layout import element_name
 from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.joints import BALL, FREE, Joints, Ties
 from mjcf.reading.loops import fixed, straight
@@ -112,8 +113,7 @@ class Forces:
 
     def _add_tendon(self, tendon: int) -> None:
         model = self._model
-        name = model.tendon(tendon).name
-        element = f"tendon {name or tendon!r}"
+        element = element_name(model, "tendon", tendon)
         stiffness = float(model.tendon_stiffness[tendon]) if self._springs else 0.0
         damping = float(model.tendon_damping[tendon]) if self._dampers else 0.0
         bent = self._springs and np.any(model.tendon_stiffnesspoly[tendon])
@@ -183,7 +183,7 @@ class Forces:
         name = self._bodies.names[body]
         share = float(self._model.body_gravcomp[body])
         force = -share * float(self._model.body_mass[body]) * gravity
-        element = f"body {self._model.body(body).name or body!r}"
+        element = element_name(self._model, "body", body)
         if name == GROUND or not np.any(force):
             return
         if not (self._springs or self._dampers):
@@ -216,7 +216,7 @@ def armatures(
                 found |= {(joints.of[number], coordinate): inertia for coordinate in range(3)}
         report.exactly(element, f"its armature {inertia:g}", ROTOR)
     for tendon in np.flatnonzero(model.tendon_armature):
-        element = f"tendon {model.tendon(tendon).name or int(tendon)!r}"
+        element = element_name(model, "tendon", int(tendon))
         inertia = float(model.tendon_armature[tendon])
         weights = fixed(start, int(tendon)) or {}
         rotor = reduced_inertia(start, joints, ties, weights, inertia)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import mujoco
 
+from mjcf.layout import element_name
 from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.start import Start
 from newton_euler.model.couplings import Gear, JointCoupling
@@ -49,7 +50,7 @@ class Joints:
 
     def element(self, number: int) -> str:
         """Name one of MuJoCo's joints for reports."""
-        return f"joint {self._model.joint(number).name or number!r}"
+        return element_name(self._model, "joint", number)
 
     def _became(self, number: int, joint: Joint) -> str:
         if number not in self.keys or len(joint.coordinate_kinds) == 1:

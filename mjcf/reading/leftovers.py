@@ -12,6 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjcf.layout import element_name
 from mjcf.reading.bodies import Bodies
 from mjcf.reading.joints import Joints
 from mjcf.reading.loops import fixed
@@ -32,8 +33,6 @@ UNMOVING = {
 }
 """Elements that do not move anything."""
 
-NO_CONTACTS = "contacts are no bilateral constraints"
-
 CARRIED = (("geom_xpos", "geom_xmat"), ("site_xpos", "site_xmat"), ("xipos", "ximat"), ("xpos", "xmat"))
 """Arrays of MuJoCo's data that bodies carry along: points and rotation matrices."""
 
@@ -49,16 +48,14 @@ def report_leftovers(start: Start, bodies: Bodies, joints: Joints, report: Impor
     for number in range(model.njnt):
         _report_joint(start, joints, number, report)
     for tendon in range(model.ntendon):
-        element = f"tendon {model.tendon(tendon).name or tendon!r}"
+        element = element_name(model, "tendon", tendon)
         if model.tendon_limited[tendon]:
             why, off = "its limits: limits are no bilateral constraints", start.disabled("LIMIT")
             watches = [_of_tendon(start, joints, poses, tendon)]
             report.left_out(element, why, topic=LIMITS, inert=off, watches=watches)
         if model.tendon_frictionloss[tendon]:
-            why, off = (
-                f"its dry friction {model.tendon_frictionloss[tendon]:g}",
-                start.disabled("FRICTIONLOSS"),
-            )
+            why = f"its dry friction {model.tendon_frictionloss[tendon]:g}"
+            off = start.disabled("FRICTIONLOSS")
             keys = [joints.keys.get(joint) for joint in fixed(start, tendon) or {-1: 0.0}]
             watches_of = [Rest(tuple(key for key in keys if key))] if all(keys) else []
             report.left_out(element, why, topic=FRICTION, inert=off, watches=watches_of)
@@ -99,14 +96,10 @@ def _of_tendon(start: Start, joints: Joints, poses: Poses, tendon: int) -> Watch
 def _report_contacts(start: Start, poses: Poses, report: ImportReport) -> None:
     model, off = start.model, start.disabled("CONTACT")
     touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    if np.any(touching):
-        element = f"{np.sum(touching)} geoms that can touch"
-        watches = [Touching(poses)]
-        report.left_out(element, NO_CONTACTS, topic=CONTACTS, inert=off, watches=watches)
-    if model.npair:
-        element = f"{model.npair} contact pairs"
-        watches = [Touching(poses)]
-        report.left_out(element, NO_CONTACTS, topic=CONTACTS, inert=off, watches=watches)
+    for count, what in ((np.sum(touching), "geoms that can touch"), (model.npair, "contact pairs")):
+        if count:
+            why = "contacts are no bilateral constraints"
+            report.left_out(f"{count} {what}", why, topic=CONTACTS, inert=off, watches=[Touching(poses)])
 
 
 def _report_joint(start: Start, joints: Joints, number: int, report: ImportReport) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from mjcf.reading.bodies import Bodies, site_point
+from mjcf.evaluate import ends
+from mjcf.reading.bodies import Bodies
 from mjcf.reading.joints import Joints
 from mjcf.reading.start import TORQUE_SCALE, Start
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
@@ -63,7 +64,7 @@ class Loops:
                 self._leave(index, f"no joint does what {kind.name.removeprefix('mjEQ_').lower()} does")
 
     def _add_closure(self, index: int) -> None:
-        numbers, (p, _) = self._start.ends(index)
+        numbers, (p, _) = ends(self._model, self._data, index)
         first, second = (self._bodies.names[k] for k in numbers)
         if first == second:
             self._leave(index, f"both its bodies are parts of {first!r}", inert=True)
@@ -169,8 +170,9 @@ def straight(start: Start, tendon: int) -> tuple[tuple[int, Array], tuple[int, A
     first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
     if count != 2 or np.any(model.wrap_type[first : first + 2] != mujoco.mjtWrap.mjWRAP_SITE):
         return None
-    one, two = (site_point(start, int(site)) for site in model.wrap_objid[first : first + 2])
-    return one, two
+    one, two = model.wrap_objid[first : first + 2]
+    bodies, points = model.site_bodyid, start.data.site_xpos
+    return (int(bodies[one]), points[one].copy()), (int(bodies[two]), points[two].copy())
 
 
 def fixed(start: Start, tendon: int) -> dict[int, float] | None:

@@ -7,6 +7,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from mjcf.evaluate import constraint_jacobian, ends
+from mjcf.layout import element_name
 from mjcf.reading.source import SourceError
 from newton_euler.equations.loop_closure import FileStart, Units, reach
 from newton_euler.model.mechanism import spread
@@ -92,10 +94,7 @@ class Start(FileStart):
         data.qpos[:] = q
         mujoco.mj_fwdPosition(model, data)
         rows, scales = self._rows(), self._scales()
-        columns = np.zeros((model.nv, data.nefc))
-        for column, unit in zip(columns, np.eye(model.nv), strict=True):
-            mujoco.mj_mulJacVec(model, data, column, unit)
-        return data.efc_pos[rows] / scales, columns.T[rows] / scales[:, None]
+        return data.efc_pos[rows] / scales, constraint_jacobian(model, data)[rows] / scales[:, None]
 
     @property
     def owners(self) -> list[str]:  # type: ignore[override]
@@ -114,22 +113,6 @@ class Start(FileStart):
             scales[turning] = model.eq_data[weld, TORQUE_SCALE] or 1.0  # rows of zeros are none
         return scales
 
-    def ends(self, index: int) -> tuple[tuple[int, int], tuple[Array, Array]]:
-        """MuJoCo's bodies of a connect or weld, and its point as each of them has it, (3,) world."""
-        model, data = self.model, self.data
-        first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-        if model.eq_objtype[index] == mujoco.mjtObj.mjOBJ_SITE:
-            bodies = int(model.site_bodyid[first]), int(model.site_bodyid[second])
-            return bodies, (data.site_xpos[first].copy(), data.site_xpos[second].copy())
-        anchors = model.eq_data[index][:3], model.eq_data[index][3:6]
-        if model.eq_type[index] == mujoco.mjtEq.mjEQ_WELD:
-            anchors = anchors[::-1]  # the anchor is in the second body's frame, its place in the first's next
-        p, q = (
-            data.xpos[body] + data.xmat[body].reshape(3, 3) @ anchor
-            for body, anchor in zip((first, second), anchors, strict=True)
-        )
-        return (first, second), (p, q)
-
     def units(self) -> Units:
         model, data = self.model, self.data
         movable = data.xipos[np.flatnonzero(model.body_weldid)]
@@ -142,7 +125,7 @@ class Start(FileStart):
             if mujoco.mjtEq(model.eq_type[index]) in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
                 own = np.flatnonzero(numbers == index)
                 motions, levers = [], []
-                for body, point in zip(*self.ends(index), strict=True):
+                for body, point in zip(*ends(model, data, index), strict=True):
                     motion = np.zeros((6, model.nv))
                     mujoco.mj_jacBodyCom(model, data, motion[:3], motion[3:], body)
                     motions.append(motion)
@@ -169,4 +152,4 @@ class Start(FileStart):
 
     def equality(self, index: int) -> str:
         """Name an equality for reports."""
-        return f"equality {self.model.equality(index).name or index!r}"
+        return element_name(self.model, "equality", index)

@@ -17,7 +17,7 @@ Everything is sparse: scenes may have thousands of rows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 from weakref import WeakKeyDictionary
@@ -161,20 +161,6 @@ def mobility(scene: Scene) -> Mobility:
 def constraint_rank(system: Equations) -> int:
     """Compute the number of independent constraints of any form of a scene's equations."""
     return system.nv - mobility(system.scene).degrees_of_freedom
-
-
-def loop_rank(system: Equations, but: Collection[str]) -> int:
-    """Compute the number of independent constraints of any form that close loops, couplings left out.
-
-    Args:
-        but: names of joints whose constraints do not count either.
-    """
-    relative, tolerance = TreeKinematics(system.scene), system.scene.redundancy_tolerance
-    loops = relative.row_owners[: len(relative.row_owners) - len(relative.couplings)]
-    kept = [row for row, owner in enumerate(loops) if owner not in but]
-    seen = mobility(system.scene).configurations
-    ranks = [len(independent([at.rows[row] for row in kept], tolerance).rows) for at in seen]
-    return system.nv - relative.nv + max(ranks)
 
 
 def rows_left_out(system: System) -> list[int]:

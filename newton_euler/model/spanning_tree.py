@@ -73,6 +73,12 @@ def motion_names(joint: Joint, forward: bool = True) -> list[str]:
     return names if forward else names[::-1]
 
 
+def coordinate_name(joint: Joint, coordinate: int) -> str:
+    """Name of the motion of one of a joint's coordinates, which count its hinges and slides from 0."""
+    names = zip(motion_names(joint), joint.motions, strict=True)
+    return [name for name, motion in names if motion.kind != "ball"][coordinate]
+
+
 class SpanningTree:
     """The tree of `mechanism` that cuts the joints with the fewest equations: balls first.
 
