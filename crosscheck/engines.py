@@ -13,7 +13,7 @@ import numpy as np
 from crosscheck.errors import CrosscheckError
 from newton_euler.assemble import initial_state
 from newton_euler.equations.system import Evaluation, System
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NewtonEulerError, choices
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import StoppedError, Trajectory
 
@@ -233,7 +233,7 @@ def choose(names: list[str]) -> list[Engine]:
         raise CrosscheckError(f"no engine named; choose from: {', '.join(ENGINES)}")
     for name in names:
         if name not in ENGINES:
-            raise CrosscheckError(f"unknown engine {name!r}; choose from: {', '.join(ENGINES)}")
+            raise CrosscheckError(f"unknown engine {name!r}; {choices(name, ENGINES)}")
         if names.count(name) > 1:
             raise CrosscheckError(f"engine {name!r} is named {names.count(name)} times")
     return [ENGINES[name] for name in names]

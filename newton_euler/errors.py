@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable
+from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import Any, TypeVar
 
@@ -14,6 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 T = TypeVar("T")
+
+NEAR = 0.8
+"""Similarity of two names, of which one may be meant by the other: a letter exchanged or left out of six."""
 
 DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 """A number as people write it."""
@@ -119,6 +123,13 @@ def elements_of(where: str, field: str, given: Iterable[T], *kinds: type[T]) -> 
     return elements
 
 
+def choices(name: object, valid: Iterable[str]) -> str:
+    """Word the valid names for somebody who gave another one, beginning with the nearest if one is near."""
+    names = list(valid)
+    near = get_close_matches(str(name), names, 1, NEAR)
+    return "".join(f"did you mean {each!r}? " for each in near) + f"choose from: {', '.join(names)}"
+
+
 class UnknownNameError(NewtonEulerError):
     """A name that is not among the valid ones."""
 
@@ -126,7 +137,7 @@ class UnknownNameError(NewtonEulerError):
         self.what = what
         self.name = name
         self.valid = valid
-        super().__init__(f"unknown {what} {name!r}; choose from: {', '.join(valid)}")
+        super().__init__(f"unknown {what} {name!r}; {choices(name, valid)}")
 
 
 def check_choice(what: str, name: object, valid: Collection[str]) -> None:

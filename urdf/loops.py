@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from newton_euler.errors import choices
 from newton_euler.model.source_file import SourceError
 from newton_euler.model.xml_source import LARGEST
 from newton_euler.model.yaml_source import parse_yaml
@@ -72,7 +73,7 @@ def parse_loops(text: str, source: str) -> Loops:
         raise LoopFileError(source, "document", "not a mapping from keys to lists")
     for key in document:
         if key not in KEYS:
-            raise LoopFileError(source, f"{key!s:.100}", f"unknown key; choose from: {', '.join(KEYS)}")
+            raise LoopFileError(source, f"{key!s:.100}", f"unknown key; {choices(key, KEYS)}")
     if "joint_name" not in document and "joint_type" not in document:
         document |= {"joint_name": [], "joint_type": []}
     pairs = _entry(document, source, "closed_loop")
@@ -132,4 +133,4 @@ def _check_types(
         raise LoopFileError(source, key, f"{len(types)} entries for {count} of {of}")
     for entry in types:
         if entry not in valid:
-            raise LoopFileError(source, key, f"unknown {entry!r:.200}; choose from: {', '.join(valid)}")
+            raise LoopFileError(source, key, f"unknown {entry!r:.200}; {choices(entry, valid)}")

@@ -64,7 +64,10 @@ def bench_command(
     batch: int | None,
     output: Path | None,
 ) -> int:
-    """Measure run time against error on SCENE, for every engine and setting."""
+    """Measure run time against error of every engine.
+
+    SCENE is a name or a file, as of run.
+    """
     from crosscheck.studies.benchmark.run import (
         Model,
         bench,
@@ -143,7 +146,10 @@ def faults_command(
     reading: bool,
     output: Path | None,
 ) -> int:
-    """Plant one fault at a time in an engine's model of SCENE; say which are found and blamed right."""
+    """Plant faults one by one; say which are found, and blamed right.
+
+    Each is in one engine's model of SCENE, or with --reading in what was read from its file.
+    """
     if reading:
         options = scene_options(settings)
         return _in_reading(scene, without_exercise(options, "what is read is verified as the file stands"))
@@ -188,7 +194,9 @@ def _in_reading(path: str, options: dict[str, str]) -> int:
 @cli.command("report")
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 def report_command(folder: Path) -> int:
-    """Write DIR/report.html, one page about what other commands wrote to DIR.
+    """Write one HTML page of results, DIR/report.html.
+
+    It is about what other commands wrote to DIR.
 
     DIR is the folder of run, run --all, regress, faults, stress or bench, with whatever options, or one
     that holds such folders, as output does.

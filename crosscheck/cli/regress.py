@@ -47,9 +47,9 @@ def regress_command(
     reason: str | None,
     output: Path,
 ) -> int:
-    """Compare the figures of SCENEs or model files with stored baselines.
+    """Compare figures with stored baselines.
 
-    The library of scenes if none is given. Exit status 1 if a figure moved by more than its tolerance. What
+    SCENEs are names or model files, the library if none is given. Exit status 1 if a figure moved by more than its tolerance. What
     `crosscheck report` makes a page of is in OUTPUT.
     """
     from crosscheck.regress.report import tables, verdict

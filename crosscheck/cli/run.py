@@ -67,7 +67,9 @@ def run_command(
     advice: bool,
     **files: Path | None,
 ) -> int:
-    """Run SCENE through the engines and compare them, or with --against compare it with another model.
+    """Run a model through the engines and compare them.
+
+    With --against it is compared with another model instead.
 
     SCENE is a name, a scene file, an MJCF or a URDF; the tracker if not given. What OPTION can be is told
     by crosscheck list.
@@ -215,7 +217,7 @@ def _carry_out(
 
 @cli.command("list")
 def list_command() -> int:
-    """List the scenes, the engines, and the options of scenes and of model files."""
+    """List scenes, engines and options."""
     from crosscheck.engines import ENGINES
     from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS
     from crosscheck.scenes import SCENES
@@ -242,7 +244,10 @@ def list_command() -> int:
 @click.argument("target", metavar="OUT", type=click.Path(path_type=Path))
 @setting_options
 def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int:
-    """Write IN (a scene, MJCF or URDF) as OUT, in the format that its name ends in."""
+    """Write a model in another format.
+
+    IN is a scene, MJCF or URDF; OUT is in the format that its name ends in.
+    """
     from crosscheck.files import check_no_source, check_writable
     from crosscheck.model_files.convert import check_target, files_of, scene_report, write_as
     from crosscheck.model_files.read import report_lines
@@ -266,7 +271,7 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--web", is_flag=True, help="Show them in a browser instead of a window.")
 def view_command(files: tuple[Path, ...], web: bool) -> int:
-    """Open recordings in the Rerun viewer, side by side if they are several."""
+    """Open recordings in the Rerun viewer, side by side."""
     for file in files:
         if file.exists() and not file.is_file():
             raise CrosscheckError(f"{file} is not a file")

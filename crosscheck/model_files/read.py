@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.errors import plain_number
+from newton_euler.errors import choices, plain_number
 from newton_euler.model.scene import Scene
 from newton_euler.model.xml_source import LARGEST
 from newton_euler.verification.import_report import FATES, ImportedElement, ImportReport
@@ -120,7 +120,7 @@ def read_model(
     given: dict[str, Any] = {}
     for name, value in options.items():
         if name not in known:
-            raise CrosscheckError(f"{path} has no option {name!r}; choose from: {', '.join(known)}")
+            raise CrosscheckError(f"{path} has no option {name!r}; {choices(name, known)}")
         given[name] = known[name].read(name, str(value))
     if is_urdf(path):
         from urdf.read import read as read_urdf
@@ -138,7 +138,7 @@ def fates_line(report: ImportReport) -> str:
     found = [f"{len({entry.element for entry in report.of('exactly')})} elements exactly"]
     for fate in FATES[1:]:
         names = {entry.element for entry in report.of(fate) if not entry.inert}
-        kinds = Counter(name.split(" ")[0] for name in sorted(names))
+        kinds = Counter(name.split(" ")[0].rstrip(",") for name in sorted(names))
         if kinds:
             found.append(f"{len(names)} {fate} ({', '.join(f'{n} {kind}' for kind, n in kinds.items())})")
     return ", ".join(found)

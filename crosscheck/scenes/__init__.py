@@ -22,6 +22,7 @@ from crosscheck.scenes import (
 )
 from crosscheck.scenes.measure import Quantities
 from crosscheck.scenes.options import options_of
+from newton_euler.errors import choices
 from newton_euler.model.scene import Scene
 
 SCENES: dict[str, Callable[..., Scene]] = {
@@ -73,8 +74,7 @@ def load(name: str, /, **options: str | int) -> Scene:
         return read_model(name, options)[0]
     if Path(name).suffix not in (".yaml", ".yml", ".json"):
         raise CrosscheckError(
-            f"unknown scene {name!r}; choose from: {', '.join(SCENES)}, or give a .yaml, .json, .xml or "
-            ".urdf file"
+            f"unknown scene {name!r}; {choices(name, SCENES)}, or give a .yaml, .json, .xml or .urdf file"
         )
     if options:
         raise CrosscheckError(f"scene file {name!r} takes no options, got {', '.join(options)}")
@@ -89,9 +89,9 @@ def _read(name: str, given: dict[str, str | int]) -> dict[str, str | int]:
     options = {}
     for option, value in given.items():
         if option not in known:
-            choices = f"choose from: {', '.join(known)}" if known else "it takes none"
+            valid = choices(option, known) if known else "it takes none"
             raise CrosscheckError(
-                f"unknown option {option!r} of scene {name!r}; {choices}, beside limits (crosscheck list)"
+                f"unknown option {option!r} of scene {name!r}; {valid}, beside limits (crosscheck list)"
             )
         read = known[option].values.read(value)
         if read is None:

@@ -11,6 +11,7 @@ from mjcf.evaluate import constraint_jacobian, ends
 from mjcf.layout import element_name
 from mjcf.reading.source import SourceError
 from newton_euler.equations.loop_closure import FileStart, Units, reach
+from newton_euler.errors import choices
 from newton_euler.model.mechanism import spread
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport
@@ -85,7 +86,7 @@ class Start(FileStart):
         if key == "qpos0":
             mujoco.mj_resetData(model, data)
         else:
-            raise SourceError(self.path, f"no keyframe {key!r}; choose from: {', '.join(['qpos0', *names])}")
+            raise SourceError(self.path, f"no keyframe {key!r}; {choices(key, ['qpos0', *names])}")
         return key
 
     def residuals(self, q: Array) -> tuple[Array, Array]:

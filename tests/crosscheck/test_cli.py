@@ -107,7 +107,7 @@ def test_module_and_version():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["trakcer"], "unknown scene 'trakcer'; choose from: tracker"),
+        (["trakcer"], "unknown scene 'trakcer'; did you mean 'tracker'? choose from: tracker, "),
         (["tracker", "--engines", "bullet"], "unknown engine 'bullet'; choose from: newton_euler, mujoco"),
         (["tracker", "--engines", "mujoco,mujoco"], "engine 'mujoco' is named 2 times"),
         (["tracker", "--engines", ","], "no engine named"),

@@ -8,6 +8,7 @@ from collections import Counter
 
 import numpy as np
 
+from newton_euler.errors import choices
 from newton_euler.limits import exceeded
 from newton_euler.model import source_file
 from newton_euler.model.xml_source import LARGEST, scan
@@ -113,8 +114,8 @@ def check_inertias(path: str, root: ET.Element) -> None:
 def _check_joint(path: str, joint: ET.Element, links: set[str | None], joints: set[str | None]) -> None:
     where = f"joint {joint.get('name')!r:.100}"
     if joint.get("type") not in JOINT_TYPES:
-        problem = f"{where}: unknown type {joint.get('type')!r:.100}; choose from: {', '.join(JOINT_TYPES)}"
-        raise SourceError(path, problem)
+        kind = joint.get("type")
+        raise SourceError(path, f"{where}: unknown type {kind!r:.100}; {choices(kind, JOINT_TYPES)}")
     for end in ("parent", "child"):
         element = joint.find(end)
         link = None if element is None else element.get("link")
