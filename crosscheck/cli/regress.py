@@ -49,8 +49,8 @@ def regress_command(
 ) -> int:
     """Compare figures with stored baselines.
 
-    SCENEs are names or model files, the library if none is given. Exit status 1 if a figure moved by more than its tolerance. What
-    `crosscheck report` makes a page of is in OUTPUT.
+    SCENEs are names or model files, the library if none is given. Exit status 1 if a figure moved by more
+    than its tolerance. What `crosscheck report` makes a page of is in OUTPUT.
     """
     from crosscheck.regress.report import tables, verdict
     from crosscheck.regress.run import check, update
