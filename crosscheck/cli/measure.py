@@ -18,6 +18,7 @@ from crosscheck.cli.shared import (
     say,
     scene_options,
     setting_options,
+    tell,
     without_exercise,
 )
 from crosscheck.errors import CrosscheckError
@@ -150,45 +151,34 @@ def faults_command(
 
     Each is in one engine's model of SCENE, or with --reading in what was read from its file.
     """
-    if reading:
-        options = scene_options(settings)
-        return _in_reading(scene, without_exercise(options, "what is read is verified as the file stands"))
     from crosscheck.files import check_no_source, check_writable, write_files
-    from crosscheck.studies.faults.find import find_faults
+    from crosscheck.studies.faults.find import find_faults, find_in_reading
     from crosscheck.studies.faults.report import data, holds, report
 
     options = scene_options(settings)
-    loaded = load_and_tell(scene, options)
+    if reading:
+        options = without_exercise(options, "what is read is verified as the file stands")
+    loaded, mapping = load_scene(scene, options)
+    if reading and mapping is None:
+        raise CrosscheckError(f"{scene} is read from no model file; --reading needs an MJCF or a URDF")
     path = (output or Path("output/faults") / loaded.name) / "faults.json"
     check_no_source([path], [scene])
     check_writable(path)
     start = time.perf_counter()
     with progress_shown() as progress:
-        search = find_faults(loaded, progress, names=tuple(dict.fromkeys(names)))
+        if reading and mapping is not None:
+            search = find_in_reading(mapping, progress)
+        else:
+            tell(scene, mapping)
+            search = find_faults(loaded, progress, names=tuple(dict.fromkeys(names)))
     wall_time = time.perf_counter() - start
-    found = report(loaded, options, search, wall_time)
-    write_files({path: as_json(data(loaded, options, search), found)})
+    found = report(loaded.name, search, wall_time)
+    write_files({path: as_json(data(loaded.name, options, search), found)})
     click.echo(terminal(found.parts), nl=False)
     planted = " and ".join(search.engines)
     say(f"wrote {path}; {len(search.found)} faults in {planted} in {wall_time:.0f} s")
     say(found.verdict, bold=True)
-    return AGREE if holds(search.found) else DISAGREE
-
-
-def _in_reading(path: str, options: dict[str, str]) -> int:
-    """Plant faults between the reading of a model file and its verification."""
-    from crosscheck.studies.faults.reading import find_in_reading, reading_lines
-
-    _, report = load_scene(path, options)
-    if report is None:
-        raise CrosscheckError(f"{path} is read from no model file; --reading needs an MJCF or a URDF")
-    with progress_shown() as progress:
-        found = find_in_reading(report, progress)
-    *lines, verdict = reading_lines(path, found)
-    for line in lines:
-        say(line)
-    say(verdict, bold=True)
-    return DISAGREE if any(outcome.missed for outcome in found) else AGREE
+    return AGREE if holds(search) else DISAGREE
 
 
 @cli.command("report")

@@ -10,7 +10,7 @@ import pytest
 from urdf_files import joint, link, robot
 
 import urdf
-from crosscheck.studies.faults.reading import find_in_reading
+from crosscheck.studies.faults.find import find_in_reading
 from urdf.errors import UrdfError
 from urdf.read import _scene, read
 from urdf.reading.source import read_loops
@@ -28,10 +28,10 @@ def test_faults_in_the_reading_of_a_urdf_are_found_and_named(tmp_path: Path) -> 
     path = tmp_path / "robot.urdf"
     path.write_text(GEARED)
     report = read(path).report
-    found = find_in_reading(report, lambda _: None)
-    assert not [outcome.fault.name for outcome in found if outcome.missed]
+    found = find_in_reading(report, lambda _: None).found
+    assert not [outcome.fault.name for outcome in found if outcome.counts and not outcome.seen]
     assert not [
-        (outcome.fault.name, outcome.where) for outcome in found if outcome.figure and not outcome.named
+        (outcome.fault.name, outcome.seen.where) for outcome in found if outcome.seen and not outcome.blamed
     ]
     assert {outcome.fault.kind for outcome in found} >= {
         "mass",

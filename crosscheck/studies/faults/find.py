@@ -1,4 +1,10 @@
-"""Search for planted faults by the comparison of engines: which are found, and who is blamed."""
+"""Search for planted faults: which are found, and who is blamed.
+
+Faults of an engine's model are searched for by the comparison of engines. Faults of a reading are planted
+between the reading of a model file and its verification, in the scene with all controls at random, in which
+every actuator acts, and searched for by the verification. A fault that is not found has to change nothing:
+then newton_euler's own equations are the same with it.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +23,16 @@ from crosscheck.engines import ENGINES, Engine
 from crosscheck.errors import CrosscheckError
 from crosscheck.studies.faults import PLANTED_IN
 from crosscheck.studies.faults.catalog import SIZES, Fault, catalog
+from crosscheck.studies.faults.misreadings import EVERYTHING, misreadings
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.model.scene import Scene
+from newton_euler.verification.import_report import ImportReport
+from newton_euler.verification.original import Original
+from newton_euler.verification.verify import verify
 
 STATES = 4
 """Random consistent states beside the initial one; gravity has three components to be told from the rest."""
@@ -30,11 +40,17 @@ STATES = 4
 PROGRESS = 10
 """Faults between two messages."""
 
+SMALLEST = 1e-4
+"""Relative size down to which all faults of engines have to be found."""
+
 MOTION = EQUATION_LEVELS[1:]
 """Levels that look at what a model does and not at its numbers."""
 
 REFUSED = "refused"
 """The level of a fault that an engine or the mechanism itself refuses to run with."""
+
+READING = "the reading"
+"""In place of an engine, where faults are planted in what was read."""
 
 
 @dataclass(frozen=True)
@@ -106,13 +122,15 @@ class Search:
 
     Attributes:
         found: what became of each.
-        engines: in which they were planted, in turns.
+        engines: in which they were planted, in turns, or `READING`.
         left_out: engines that cannot express the scene, and why.
+        smallest: size down to which all have to be found.
     """
 
     found: tuple[Found, ...]
     engines: tuple[str, ...]
     left_out: dict[str, str]
+    smallest: float = SMALLEST
 
 
 def find_faults(
@@ -138,13 +156,18 @@ def find_faults(
     if not engines:
         raise sound.refusals[names[0]]
     faults = catalog(scene, sizes)
-    found = []
+    counted = _counted(faults, progress)
+    found = [find(fault, engines[number % len(engines)], sound) for number, fault in counted]
+    left_out = {name: str(error) for name, error in sound.refusals.items()}
+    return Search(tuple(_observable(found)), tuple(engine.name for engine in engines), left_out)
+
+
+def _counted(faults: Sequence[Fault], progress: Callable[[str], None]) -> Iterator[tuple[int, Fault]]:
+    """The faults with their numbers, of which `progress` is told every `PROGRESS`th."""
     for number, fault in enumerate(faults):
         if number % PROGRESS == 0:
             progress(f"{number} of {len(faults)} faults: {fault.name}")
-        found.append(find(fault, engines[number % len(engines)], sound))
-    left_out = {name: str(error) for name, error in sound.refusals.items()}
-    return Search(tuple(_observable(found)), tuple(engine.name for engine in engines), left_out)
+        yield number, fault
 
 
 def _observable(found: Sequence[Found]) -> Iterator[Found]:
@@ -251,6 +274,46 @@ def _refusal(error: NewtonEulerError, engine: str) -> Sighting:
     named = re.search(r"'(.*)'", element)
     where = named[1] if named else element
     return Sighting(REFUSED, str(error), (engine,), np.nan, np.nan, where, odd=engine)
+
+
+def find_in_reading(
+    report: ImportReport, progress: Callable[[str], None], faults: Sequence[Fault] | None = None
+) -> Search:
+    """Plant faults, all that there are if None are given, one at a time, and verify the scene with each."""
+    original, scene = report.originals[-1]
+    own = samples_of(scene)
+    faults = list(misreadings(scene)) if faults is None else faults
+    found = [_found_in_reading(fault, original, own, report) for _, fault in _counted(faults, progress)]
+    return Search(tuple(found), (READING,), {}, smallest=0.0)
+
+
+def _found_in_reading(fault: Fault, original: Original, own: Samples, report: ImportReport) -> Found:
+    """Verify a scene with one fault; one that is not seen is looked for in the motion."""
+    try:
+        planted = fault.plant(own.states.scene)
+        figures = verify(original, Relative(planted))
+        failing = next((figure for figure in figures if not figure.agrees), None)
+    except NewtonEulerError as error:
+        where = fault.element if fault.element in str(error) else ""
+        refusal = Sighting(REFUSED, str(error), (READING,), np.nan, np.nan, where, odd=READING)
+        return Found(fault, READING, refusal, None, True)
+    if failing is None:
+        rows = compare_pair(("right", "wrong"), [own], [Samples(Relative(planted), own.states)], MOTION)
+        moves = any(not (row.agrees or row.quantity.startswith("reaction")) for row in rows)
+        return Found(fault, READING, None, None, moves)
+    named = any(_is_named(element, failing.where, report) for element in fault.right | fault.near)
+    where = fault.element if named else failing.where
+    place = failing.value, failing.tolerance, where
+    seen = Sighting("verification", failing.quantity, (READING,), *place, odd=READING)
+    return Found(fault, READING, seen, None, True)
+
+
+def _is_named(element: str, where: str, report: ImportReport) -> bool:
+    """True if the blamed element is this one, or one of the file's that became it."""
+    if element in (where, EVERYTHING) or repr(element) in where:
+        return True
+    told = where.split(":")[0]
+    return any(entry.element == told and repr(element) in entry.how for entry in report.entries)
 
 
 def _planted(fault: Fault, engine: Engine, scene: Scene) -> System:

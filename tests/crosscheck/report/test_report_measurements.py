@@ -29,7 +29,7 @@ def test_planted_faults(tmp_path, capsys, monkeypatch):
     hidden = [line for line in out.splitlines() if line.startswith("unobservable")]
     assert hidden
     assert all(line in found.words for line in hidden)
-    assert {"pinocchio", "0.1", "no size", "100%, 100%"} <= set(found.text)
+    assert {"pinocchio", "by 0.1", "without a size"} <= set(found.text)
 
 
 def test_what_regress_writes(tmp_path, capsys, monkeypatch):

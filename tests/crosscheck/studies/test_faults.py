@@ -16,8 +16,18 @@ from crosscheck.scenes import load
 from crosscheck.studies.faults import PLANTED_IN, plant
 from crosscheck.studies.faults import find as finding
 from crosscheck.studies.faults.catalog import SIZES, Fault, catalog, most_of
-from crosscheck.studies.faults.find import REFUSED, Found, Search, Sighting, Sound, find, find_faults
-from crosscheck.studies.faults.report import SMALLEST, Count, by_motion, holds, in_all, lines
+from crosscheck.studies.faults.find import (
+    READING,
+    REFUSED,
+    SMALLEST,
+    Found,
+    Search,
+    Sighting,
+    Sound,
+    find,
+    find_faults,
+)
+from crosscheck.studies.faults.report import Count, by_motion, holds, in_all, lines, report
 from newton_euler import Armature, Body, JointSpring, Mechanism, Scene
 from newton_euler.errors import MechanismError
 from newton_euler.model.joint_kinds import Fixed
@@ -179,6 +189,10 @@ def a_fault(size=1e-4, **values):
     return Found(fault, "mujoco", **{"seen": sighting, "moves": sighting, "observable": True} | values)
 
 
+def search_of(*found):
+    return Search(found, ("mujoco",), {})
+
+
 def test_shares_count_what_can_be_found():
     unseen = a_fault(seen=None, moves=None)
     in_another = a_fault(seen=Sighting("model", "mass, rel", (), 1e-4, 1e-12, "bar", odd="pinocchio"))
@@ -188,16 +202,18 @@ def test_shares_count_what_can_be_found():
     assert in_all([a_fault(), in_another]) == Count(2, 2, 1)
     assert by_motion([a_fault(), unseen, elsewhere, nothing]) == Count(3, 2, 2)
     many = [a_fault()] * 99
-    assert holds([*many, elsewhere, nothing])
-    assert not holds([*many[:9], elsewhere])  # nine of ten
-    assert not holds([*many, unseen])
-    assert holds([*many, replace(unseen, fault=replace(unseen.fault, size=1e-5))])
+    assert holds(search_of(*many, elsewhere, nothing))
+    assert not holds(search_of(*many[:9], elsewhere))  # nine of ten
+    assert not holds(search_of(*many, unseen))
+    small = search_of(*many, replace(unseen, fault=replace(unseen.fault, size=1e-5)))
+    assert holds(small)
+    assert not holds(replace(small, smallest=0.0))
 
 
 def test_misses_are_listed():
     unseen = a_fault(seen=None, moves=None)
     nothing = a_fault(seen=None, moves=None, observable=False)
-    first, second, hidden = lines([a_fault(), unseen, nothing])
+    first, second, hidden = lines(search_of(a_fault(), unseen, nothing))
     assert first == "missed: mass of bar by 0.0001, in mujoco: smaller than the tolerances"
     assert second == f"by motion alone, {first}"
     assert hidden.startswith("unobservable, with and without the fault newton_euler has the same poses")
@@ -206,7 +222,7 @@ def test_misses_are_listed():
 
 def test_what_an_engine_does_not_hold_is_said():
     lost = a_fault(seen=None, moves=None, lost=Sighting("model", "inertia, rel", (), 1e-6, 1e-12, "bar"))
-    (line,) = lines([lost])
+    (line,) = lines(search_of(lost))
     assert line.startswith("missed: mass of bar by 0.0001, in mujoco: mujoco's own model does not hold it")
 
 
@@ -245,12 +261,25 @@ def test_the_command(capsys, tmp_path, monkeypatch):
 
 
 def test_the_command_tells_what_is_missed(capsys, tmp_path, monkeypatch):
-    search = Search((a_fault(seen=None, moves=None),), ("mujoco",), {"pinocchio": "no such joint"})
+    search = replace(search_of(a_fault(seen=None, moves=None)), left_out={"pinocchio": "no such joint"})
     monkeypatch.setattr("crosscheck.studies.faults.find.find_faults", lambda *_, **__: search)
     status, out, _ = run(capsys, "faults", EXAMPLE, "--output", tmp_path)
     assert status == 1
     assert "missed: mass of bar by 0.0001, in mujoco: smaller than the tolerances" in out
     assert "no fault planted in pinocchio, which cannot express the scene: no such joint" in out
+
+
+def test_the_table_has_a_row_per_kind_and_size():
+    of_mass, other = a_fault(), a_fault(1e-5, seen=None)
+    table = report("bar", search_of(of_mass, other), 1.0).parts[0]
+    assert table.rows == [
+        ["mass", *"211222"],
+        ["by 0.0001", *"111111"],
+        ["by 1e-05", *"100111"],
+    ]
+    reading = Search((replace(of_mass, engine=READING),), (READING,), {}, smallest=0.0)
+    assert report("bar", reading, 1.0).parts[0].rows[0] == ["mass", "1", "1", "0"]
+    assert report("bar", reading, 1.0).verdict.startswith("bar: faults in the reading that change a motion")
 
 
 @pytest.mark.slow

@@ -13,8 +13,8 @@ from command_line import run
 from mjcf_models import BOX, model, reading
 
 from crosscheck.engines import ENGINES
+from crosscheck.studies.faults.find import find_in_reading
 from crosscheck.studies.faults.misreadings import misreadings
-from crosscheck.studies.faults.reading import find_in_reading
 from mjcf.accounts import unaccounted
 from mjcf.errors import MjcfError
 from mjcf.reading.actuators import Actuators, Affine
@@ -72,18 +72,18 @@ def test_every_fault_that_moves_something_is_found_and_named(tmp_path: Path) -> 
         if f.size != 0.1 and not any(x in f.detail for x in LARGER)
     ]
     first = {(fault.element, fault.kind): fault for fault in reversed(faults)}
-    found = find_in_reading(report, lambda _: None, [*first.values()])
+    found = find_in_reading(report, lambda _: None, [*first.values()]).found
     assert len(found) > 100
-    assert not [outcome.fault.name for outcome in found if outcome.missed]
+    assert not [outcome.fault.name for outcome in found if outcome.counts and not outcome.seen]
     simple = [each for each in found if not any(x in each.fault.detail for x in SEVERAL)]
     assert not [
-        (outcome.fault.name, outcome.where)
+        (outcome.fault.name, outcome.seen.where)
         for outcome in simple
-        if outcome.figure and not outcome.named and not outcome.fault.kind.startswith("point")
+        if outcome.seen and not outcome.blamed and not outcome.fault.kind.startswith("point")
     ]
     # points of free joints and slides, points along hinges, and signs of axes that nothing acts on, are no
     # faults of motion, nor is the kind of a joint in a flat loop
-    idle = {(outcome.fault.element, outcome.fault.kind) for outcome in found if not outcome.moves}
+    idle = {(outcome.fault.element, outcome.fault.kind) for outcome in found if not outcome.observable}
     axes, bodies = {"axis direction", "axis sign"}, {"swapped bodies", "inertia entry"}
     assert {kind for _, kind in idle} <= {"joint point", "joint type", "offset", *axes, *bodies}
     assert {element for element, kind in idle if kind in axes} <= {"b", "d", "root"}

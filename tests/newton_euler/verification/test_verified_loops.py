@@ -11,8 +11,8 @@ from mjcf_models import BOX, model, reading
 
 from crosscheck.engines import ENGINES
 from crosscheck.run import crosscheck
+from crosscheck.studies.faults.find import find_in_reading
 from crosscheck.studies.faults.misreadings import misreadings
-from crosscheck.studies.faults.reading import find_in_reading
 from newton_euler.equations.relative import Relative
 from newton_euler.model.forces import JointSpring
 from newton_euler.verification.verify import verify
@@ -62,8 +62,8 @@ def test_offsets_that_loops_keep_hide_no_fault(tmp_path: Path) -> None:
             for f in misreadings(report.originals[-1][1])
             if f.size == 1e-6 or "1e-6" in f.detail or "1e-06" in f.detail
         ]
-        found = find_in_reading(report, lambda _: None, faults)
-        seen.append([(outcome.fault.name, outcome.figure) for outcome in found if outcome.figure])
+        found = find_in_reading(report, lambda _: None, faults).found
+        seen.append([(outcome.fault.name, outcome.seen.quantity) for outcome in found if outcome.seen])
         assert float(line.split(" to ")[1].split()[0]) < 1e-10
     assert len(seen[0]) > 30
     assert seen[0] == seen[1] == seen[2]
