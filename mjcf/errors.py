@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.trajectory import StoppedError
@@ -30,16 +32,14 @@ class DivergenceError(MjcfError, StoppedError):
 
 
 @contextmanager
-def heard_warnings() -> Iterator[list[str]]:
-    """Collect the warnings that MuJoCo gives meanwhile, each once, in place of its log file and terminal."""
+def heard_warnings(data: Any = None) -> Iterator[dict[str, float]]:
+    """Collect MuJoCo's warnings, not in its log file or terminal, with `data.time` at the first of each."""
     import mujoco
 
-    heard: list[str] = []
+    heard: dict[str, float] = {}
 
     def hear(message: str) -> None:
-        line = " ".join(message.split())
-        if line not in heard:
-            heard.append(line)
+        heard.setdefault(" ".join(message.split()), math.nan if data is None else data.time)
 
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(hear)

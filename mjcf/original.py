@@ -184,24 +184,20 @@ class MjcfOriginal(Original):
         mujoco.mj_fwdActuation(model, data)
 
     def moved(self, q: Array, step: Array) -> Array:
-        """q after velocities `step` (nv,) for a unit of time."""
         q = q.copy()
         mujoco.mj_integratePos(self._model, q, step, 1.0)
         return q
 
     def difference(self, q: Array, other: Array) -> Array:
-        """(nv,) the step from one configuration to another."""
         step = np.zeros(self._model.nv)
         mujoco.mj_differentiatePos(self._model, step, 1.0, q, other)
         return step
 
     def points(self, q: Array) -> Array:
-        """(k, 3) centers of mass and places of joints of all that moves, m."""
         self._go(q, np.zeros(self._model.nv))
         return np.concatenate([self._data.xipos[self._model.body_weldid != 0], self._data.xanchor])
 
     def mass_properties(self) -> MassProperties:
-        """Of the rigid groups at the start."""
         model, data = self._model, self._data
         self._go(self.start, np.zeros(model.nv))
         masses, centers, inertias = [], [], []
@@ -221,7 +217,6 @@ class MjcfOriginal(Original):
         return np.array([mass[k] @ places[k] / max(mass[k].sum(), 1e-300) for k in self._members])
 
     def kinematics(self, q: Array, v: Array) -> Kinematics:
-        """Of the rigid groups."""
         model, data = self._model, self._data
         self._go(q, v)
         centers = self._centers()
@@ -240,15 +235,12 @@ class MjcfOriginal(Original):
         return Kinematics(centers, turns, rows, drift)
 
     def constraints(self, q: Array) -> Constraints:
-        """Rows of the equalities that are not left out."""
         return self._equalities.constraints(q)
 
     def keep_offsets(self) -> None:
-        """Let each equality be closed where it is at the start, its second end put to the first."""
         self._equalities.keep_offsets(self.start)
 
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
-        """(nv, nv) of the bodies, and of the rotors."""
         model, joints = self._model, np.diag(self._model.dof_armature)
         others = np.any(model.tendon_armature) or np.any(model.actuator_armature)
         bare = self._full(q)
@@ -269,7 +261,6 @@ class MjcfOriginal(Original):
         return mass
 
     def forces(self, q: Array, v: Array) -> Forces:
-        """Of gravity, springs, dampers, and actuators with all else that is passive."""
         data = self._data
         self._go(q, np.zeros(len(v)))
         weight = -data.qfrc_bias
@@ -280,7 +271,6 @@ class MjcfOriginal(Original):
         return Forces(weight, springs, dampers, data.qfrc_actuator + others, data.qfrc_bias + weight)
 
     def force_limits(self, q: Array, v: Array) -> list[ForceLimit]:
-        """Limits of actuators' forces, and of those on joints."""
         model, data = self._model, self._data
         self._go(q, v)
         found = []
@@ -293,7 +283,6 @@ class MjcfOriginal(Original):
         return found
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
-        """Kinetic, and potential of gravity and springs, J."""
         self._go(q, v)
         mujoco.mj_energyPos(self._model, self._data)
         mujoco.mj_energyVel(self._model, self._data)
@@ -303,7 +292,6 @@ class MjcfOriginal(Original):
     # One element at a time
 
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
-        """Forces (4, nv) of each element alone, of all `KINDS`, at each sample, by its name."""
         model = self._model
         whole = {f"{kind}_{field}" for kind, fields in OFF.items() for field in fields}
         kept = {name: getattr(model, name).copy() for name in whole}
@@ -365,7 +353,6 @@ class MjcfOriginal(Original):
         return [np.array(self.forces(sample.q, sample.v)[:-1]) for sample in samples]
 
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
-        """Mass matrix (nv, nv) of each element's armature alone at each sample, by its name."""
         model = self._model
         for joint in range(model.njnt):
             alone = np.where(model.dof_jntid == joint, model.dof_armature, 0.0)

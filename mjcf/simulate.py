@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from numbers import Real
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mjcf.errors import DivergenceError
+from mjcf.errors import DivergenceError, heard_warnings
 from mjcf.write import SOLIMP, TIMESTEP
 from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import strongest, surroundings
@@ -44,7 +43,7 @@ def simulate(
     """Run a scene in MuJoCo, with soft constraints and native actuators, springs and tendons.
 
     Reactions at an output are those of MuJoCo's forward dynamics in that state. Work, if the scene tracks
-    it, is that of the forces that the steps apply, see `mjcf.work`.
+    it, is that of the forces that the steps apply, see `mjcf.soft`.
 
     Args:
         scene: what to run.
@@ -211,8 +210,6 @@ def _run(
     """The states at all outputs, or at those that were reached and what ended the run."""
     import mujoco
 
-    from mjcf import work as work_of
-
     model, data, layout = system.model, system.data, system.layout
     q, v = system.coordinates(initial_state(system.scene))
     system.place(q, v)
@@ -223,7 +220,7 @@ def _run(
     def record() -> None:
         rows.append(Output(system, layout.to_qpos.T @ data.qpos, layout.to_qvel.T @ data.qvel, size, work))
 
-    with _collected_warnings(data) as warnings, system.following():
+    with heard_warnings(data) as warnings, system.following():
         for interval, steps in plan:
             if interval.due:
                 try:
@@ -239,35 +236,21 @@ def _run(
                 if work is None:
                     mujoco.mj_step(model, data, number)
                 else:
-                    work += work_of.step(system, number, warnings)
+                    work += system.step_with_work(number, warnings)
                 # a step checks the state that it starts from
                 mujoco.mj_checkPos(model, data)
                 mujoco.mj_checkVel(model, data)
                 if warnings:  # after one MuJoCo starts again from its initial state
-                    return rows, _divergence(*warnings[0], rows)
+                    return rows, _divergence(*next(iter(warnings.items())), rows)
                 if wanted:
                     record()
     return rows, None
 
 
-def _divergence(time: float, warning: str, rows: Sequence[Output]) -> DivergenceError:
+def _divergence(warning: str, time: float, rows: Sequence[Output]) -> DivergenceError:
     """MuJoCo's warning, with the joint that was fastest and the force that was largest at the last output."""
     system, q, v = rows[-1][:3]
     state = system.state(q, v)
     joint = fastest_joint(system.mechanism, state)
     force = strongest(system.scene, surroundings(system.scene, state, time))
     return DivergenceError(time, blamed(warning, joint, force))
-
-
-@contextmanager
-def _collected_warnings(data: Any) -> Iterator[list[tuple[float, str]]]:
-    """MuJoCo's warnings with their times, instead of on the terminal and in a file of its own."""
-    import mujoco
-
-    collected: list[tuple[float, str]] = []
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: collected.append((data.time, " ".join(message.split()))))
-    try:
-        yield collected
-    finally:
-        mujoco.set_mju_user_warning(before)

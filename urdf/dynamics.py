@@ -104,7 +104,9 @@ class PinocchioSystem:
         self._alpha = alpha
         self._eliminates = bool(len(self._rows.units)) or mobility(scene).residual > 0.0
         self._moving = bool(self._forces) or self._eliminates
-        if not self._eliminates:
+        if self._eliminates:
+            self._unused = rows_left_out(self)
+        else:
             self._proximal = ConstraintDynamics(self.closed, self.map, self._units)
             self._proximal.choose(self.coordinates(initial_state(scene))[0], constraint_rank(self))
 
@@ -206,7 +208,7 @@ class PinocchioSystem:
             found = self._checked(self._proximal.acceleration(q, v, force))
             return self.velocity_units * found, np.zeros(0)
         mass, force = self.mass_and_force(q, v)
-        data, loops, unused = self._data, self._closures.jacobian(self._data), rows_left_out(self)
+        data, loops = self._data, self._closures.jacobian(self._data)
         drift = 2.0 * self._alpha * (loops @ v) + self._alpha**2 * self._closures.phi(data)
         rows, gamma = self._rows.equations(data, q, v, self.time)
         gamma = np.concatenate([self._closures.gamma(data) - drift, gamma])
@@ -215,8 +217,8 @@ class PinocchioSystem:
             found, multipliers = solve_constrained(
                 mass,
                 force,
-                without(jacobian, unused),
-                without(gamma, unused),
+                without(jacobian, self._unused),
+                without(gamma, self._unused),
                 self.phi_units,
                 self.velocity_units,
             )

@@ -154,15 +154,12 @@ class UrdfOriginal(Original):
     # What Pinocchio says
 
     def moved(self, q: Array, step: Array) -> Array:
-        """q after velocities `step` (nv,) for a unit of time."""
         return np.asarray(pin.integrate(self._model, q, step))
 
     def difference(self, q: Array, other: Array) -> Array:
-        """(nv,) the step from one configuration to another."""
         return np.asarray(pin.difference(self._model, q, other))
 
     def points(self, q: Array) -> Array:
-        """(k, 3) centers of mass and places of joints of all that moves, m."""
         model, data = self._model, self._data
         pin.forwardKinematics(model, data, q)
         placed = list(zip(list(data.oMi)[1:], list(model.inertias)[1:], strict=True))
@@ -170,7 +167,6 @@ class UrdfOriginal(Original):
         return np.array([*centers, *(pose.translation for pose, _ in placed)])
 
     def mass_properties(self) -> MassProperties:
-        """Of the links of each joint at the start."""
         model, data = self._model, self._data
         pin.forwardKinematics(model, data, self.start)
         placed = [data.oMi[k].act(model.inertias[k]) for k in self._joints]
@@ -178,7 +174,6 @@ class UrdfOriginal(Original):
         return MassProperties(*(np.array(value) for value in values))
 
     def kinematics(self, q: Array, v: Array) -> Kinematics:
-        """Of the links of each joint."""
         model, data = self._model, self._data
         pin.computeJointJacobians(model, data, q)
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
@@ -200,7 +195,6 @@ class UrdfOriginal(Original):
         return Kinematics(places, turns, rows, drift)
 
     def constraints(self, q: Array) -> Constraints:
-        """Rows of closures, rods, mimics and couplings."""
         model, data = self._model, self._data
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacements(model, data)
@@ -241,7 +235,6 @@ class UrdfOriginal(Original):
         return lines, rows, names
 
     def keep_offsets(self) -> None:
-        """Let each constraint be closed where it is at the start, its second frame put to the first."""
         model, data = self._model, self._data
         self._lengths = [float(np.linalg.norm(d)) for d in self._rods(self.start)[0]]
         for _, kind, (first, second) in self._closures():
@@ -272,23 +265,19 @@ class UrdfOriginal(Original):
         return np.reshape(found, (6, self._model.nv))
 
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
-        """(nv, nv) of the bodies; a URDF has no rotors."""
         upper = np.triu(pin.crba(self._model, self._data, q))
         return upper + np.triu(upper, 1).T, np.diag(self._model.armature)
 
     def forces(self, q: Array, v: Array) -> Forces:
-        """Of gravity, and of dampers."""
         weight = -np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
         bias = np.array(pin.nonLinearEffects(self._model, self._data, q, v)) + weight
         return Forces(weight, np.zeros(len(v)), -self._damping * v, np.zeros(len(v)), bias)
 
     def energies(self, q: Array, v: Array) -> tuple[float, float]:
-        """Kinetic, and potential of gravity, J."""
         kinetic = pin.computeKineticEnergy(self._model, self._data, q, v)
         return float(kinetic), float(pin.computePotentialEnergy(self._model, self._data, q))
 
     def elements(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[list[Array]]]]:
-        """Forces (4, nv) of each element alone, of all `KINDS`, at each sample, by its name."""
         gravity, weights = self._model.gravity.linear.copy(), []
         for axis in np.eye(3):
             self._model.gravity.linear = axis
@@ -305,7 +294,6 @@ class UrdfOriginal(Original):
                 yield f"{name}: damping", [found]
 
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
-        """None: a URDF has no armatures."""
         yield from ()
 
 

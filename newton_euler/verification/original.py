@@ -108,17 +108,20 @@ class Original(ABC):
         """Of the rigid groups at the start, in the order of `names`."""
 
     @abstractmethod
-    def kinematics(self, q: Array, v: Array) -> Kinematics: ...
+    def kinematics(self, q: Array, v: Array) -> Kinematics:
+        """Of the rigid groups."""
 
     @abstractmethod
-    def constraints(self, q: Array) -> Constraints: ...
+    def constraints(self, q: Array) -> Constraints:
+        """Rows of all that the file closes and couples and a report does not leave out."""
 
     @abstractmethod
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
         """(nv, nv) of the bodies, and of the rotors."""
 
     @abstractmethod
-    def forces(self, q: Array, v: Array) -> Forces: ...
+    def forces(self, q: Array, v: Array) -> Forces:
+        """Of everything but constraints."""
 
     def force_limits(self, q: Array, v: Array) -> list[ForceLimit]:
         """Limits of forces that are watched; the same ones at all states."""
