@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -33,19 +33,12 @@ POLL = 0.1
 """s between questions to the viewer."""
 
 
-def screenshot(rrd: str | os.PathLike[str], png: str | os.PathLike[str], time_seconds: float) -> None:
-    """Write what the viewer shows of a recording at a time on its timeline `time`.
+def screenshot(rrd: str | os.PathLike[str], moment: float) -> bytes:
+    """Take a PNG of what the viewer shows of a recording at a time, s, on its timeline `time`.
 
     Raises:
         CrosscheckError: if the viewer does not start or does not get as far as a picture.
     """
-    (content,) = screenshots(rrd, [time_seconds])
-    write_files({Path(png): content})
-
-
-def screenshots(rrd: str | os.PathLike[str], times: Sequence[float]) -> list[bytes]:
-    """Take PNGs of a recording in the viewer at times on its timeline `time`, s; errors as above."""
-    pictures = []
     try:
         if not RrdReader(Path(rrd)).recordings():
             raise CrosscheckError(f"no recording in {os.fspath(rrd)}")
@@ -54,15 +47,13 @@ def screenshots(rrd: str | os.PathLike[str], times: Sequence[float]) -> list[byt
             _wait_until_loaded(viewer, rrd)
             viewer.run_command("ui.toggle_top_panel")
             time.sleep(SETTLE)
-            for moment in times:
-                viewer.set_time("time", duration=moment, play_state="paused")
-                picture = Path(folder) / "picture.png"
-                viewer.save_screenshot(str(picture))
-                pictures.append(picture.read_bytes())
+            viewer.set_time("time", duration=moment, play_state="paused")
+            picture = Path(folder) / "picture.png"
+            viewer.save_screenshot(str(picture))
+            return picture.read_bytes()
     except (RuntimeError, OSError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise CrosscheckError(f"no picture of {os.fspath(rrd)}: {reason}") from error
-    return pictures
 
 
 @contextmanager
@@ -134,7 +125,7 @@ def main() -> None:
     parser.add_argument("--time", type=float, default=0.0, help="s on the recording's timeline")
     arguments = parser.parse_args()
     try:
-        screenshot(arguments.rrd, arguments.png, arguments.time)
+        write_files({Path(arguments.png): screenshot(arguments.rrd, arguments.time)})
     except CrosscheckError as error:
         sys.exit(f"crosscheck.recording.screenshot: {error}")
 

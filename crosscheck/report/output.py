@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from pydantic import BaseModel
@@ -42,7 +43,7 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path, nam
     from crosscheck.recording.log import recorded
 
     made = {folder / f"{name}.npz": run.archive() for name, run in result.runs.items()}
-    text = markdown(report, folded=True)
+    text = markdown(replace(report, parts=report.summary))
     made[recording] = recorded(result.scene, result.runs, text, result.title)
     beside = {path: content for path, content in made.items() if path.parent == folder}
     digests = {path.name: hashlib.sha256(content).hexdigest() for path, content in beside.items()}

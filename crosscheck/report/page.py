@@ -6,7 +6,7 @@ import base64
 import math
 import os
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -36,8 +36,8 @@ RESULTS = (
 )
 """Files of results, each with a report."""
 
-ALONE, AMONG_OTHERS = (0.0, 0.5, 1.0), (0.5,)
-"""Shares of the duration at which a recording is shown."""
+SHOWN = 0.5
+"""Share of the duration at which a recording is shown."""
 
 BELOW = ("*", "*/*")
 """Where results are looked for below a folder without any: the folders of `crosscheck run --all`, those of
@@ -173,7 +173,7 @@ def write_report(folder: Path, progress: Progress) -> Path:
         counted = _counted(progress, f"{number} of {len(parents)} folders") if below else progress
         first = below and file == next(other for other in found if other.parent == file.parent)
         anchor = file.parent.relative_to(folder).as_posix() if first else ""
-        entries.append(_entry(file, results, anchor, AMONG_OTHERS if below else ALONE, counted))
+        entries.append(_entry(file, results, anchor, counted))
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -206,7 +206,7 @@ def _index_line(folder: Path, file: Path, report: Report) -> dict[str, object]:
     }
 
 
-def _entry(file: Path, results: Results, anchor: str, shares: Sequence[float], progress: Progress) -> Entry:
+def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Entry:
     """The report of a file of results with pictures of the runs and recordings that lie beside it.
 
     Raises:
@@ -224,7 +224,7 @@ def _entry(file: Path, results: Results, anchor: str, shares: Sequence[float], p
     for path in (path for path in beside if path.suffix == ".rrd"):
         progress(f"{path.stem}: pictures of the recording")
         try:
-            entry.pictures.extend(_views(path, duration, shares))
+            entry.pictures.append(_view(path, SHOWN * duration))
         except CrosscheckError as error:
             entry.remarks.append(f"No picture of {path.stem}: {error}")
     if runs:
@@ -244,19 +244,17 @@ def _entry(file: Path, results: Results, anchor: str, shares: Sequence[float], p
     return entry
 
 
-def _views(recording: Path, duration: float, shares: Sequence[float]) -> Iterator[Picture]:
-    """Pictures of a recording at shares of its duration, s, by the Rerun viewer.
+def _view(recording: Path, moment: float) -> Picture:
+    """A picture of a recording at a time, s, by the Rerun viewer.
 
     Raises:
         CrosscheckError: where the viewer does not run or shows nothing.
     """
-    from crosscheck.recording.screenshot import screenshots
+    from crosscheck.recording.screenshot import screenshot
 
     if not recording.is_file():  # a pipe would keep its reader waiting
         raise CrosscheckError(f"{recording}: not a regular file")
-    moments = sorted({share * duration for share in shares})
-    for content, moment in zip(screenshots(recording, moments), moments, strict=True):
-        yield Picture(content, f"{recording.stem}: the recording at {moment:.4g} s")
+    return Picture(screenshot(recording, moment), f"{recording.stem}: the recording at {moment:.4g} s")
 
 
 def _runs(paths: Iterator[Path]) -> dict[str, dict[str, Array]]:

@@ -35,8 +35,7 @@ def test_planted_faults(tmp_path, capsys, monkeypatch):
 def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     """A page of scenes that are quiet; of one that moved also its figures and its recording."""
     monkeypatch.chdir(tmp_path)
-    taken = lambda rrd, moments: [b"\x89PNG" for _ in moments]  # noqa: E731
-    monkeypatch.setattr("crosscheck.recording.screenshot.screenshots", taken)
+    monkeypatch.setattr("crosscheck.recording.screenshot.screenshot", lambda *_: b"\x89PNG")
     swing, model = replace(load("pendulum"), duration=0.5), tmp_path / "pendulum.yaml"
     write_scene(swing, model)
     assert run(capsys, "regress", model, "--update", "as delivered")[0] == 0
