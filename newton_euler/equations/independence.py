@@ -18,7 +18,7 @@ from newton_euler.equations.sparse import (
     dot,
     factorize,
     gram,
-    pattern_order,
+    minimum_degree,
     sparse_vector,
 )
 from newton_euler.scalars import Array
@@ -65,7 +65,7 @@ def independent(rows: Rows, tolerance: float) -> Independent:
     noise = max((each for each in lengths if each <= ROUND_OFF), default=0.0)
     rows = [row if each > ROUND_OFF else {} for row, each in zip(rows, lengths, strict=True)]
     products = gram(rows, rows)
-    order = [i for i in pattern_order(products) if rows[i]]
+    order = [i for i in minimum_degree(products) if rows[i]]
     certain = max(CERTAIN, (LEAST_RATIO * tolerance) ** 2)
     factor = factorize(products, order, scales=[1.0] * len(rows), drop=certain)
     used = set(factor.order)

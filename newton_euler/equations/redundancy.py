@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -80,13 +80,6 @@ SAMPLED = 64
 
 MOST_ROWS = 1000
 """Rows beyond which singular values would take longer than a run."""
-
-
-class Equations(Protocol):
-    """Any form of the equations of a scene whose constraints include all of the scene's."""
-
-    scene: Scene
-    nv: int
 
 
 class NearlyRedundant(NamedTuple):
@@ -158,7 +151,7 @@ def mobility(scene: Scene) -> Mobility:
     return _KNOWN[scene]
 
 
-def constraint_rank(system: Equations) -> int:
+def constraint_rank(system: System) -> int:
     """Compute the number of independent constraints of any form of a scene's equations."""
     return system.nv - mobility(system.scene).degrees_of_freedom
 

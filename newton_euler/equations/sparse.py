@@ -8,7 +8,7 @@ algorithm. No pivoting: `Factor.pivot_ratio` tells how close to singular the mat
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -81,13 +81,13 @@ def assemble(blocks: Iterable[Block], force: Array) -> tuple[Rows, Array]:
     return mass, total
 
 
-def minimum_degree(pattern: Sequence[set[int]]) -> list[int]:
+def minimum_degree(matrix: Sequence[Collection[int]]) -> list[int]:
     """Compute an order of elimination with little fill: always the row with the fewest neighbors left.
 
-    `pattern[i]` holds the columns of row i. On the graph of a tree it is leaves first and makes no
+    Of a matrix the columns of each row are looked at. On the graph of a tree it is leaves first and makes no
     fill at all (George and Liu, SIAM Review 31, 1989).
     """
-    neighbors = [set(columns) - {i} for i, columns in enumerate(pattern)]
+    neighbors = [set(columns) - {i} for i, columns in enumerate(matrix)]
     waiting = [(len(others), i) for i, others in enumerate(neighbors)]
     heapq.heapify(waiting)
     order, done = [], set()
@@ -214,11 +214,6 @@ def gram(rows: Rows, others: Rows) -> Rows:
     return products
 
 
-def pattern_order(matrix: Rows) -> list[int]:
-    """Compute `minimum_degree` of a matrix."""
-    return minimum_degree([set(row) for row in matrix])
-
-
 class RowsInUse(NamedTuple):
     """Constraint rows that imply all others.
 
@@ -283,7 +278,7 @@ def solve_constrained(
     for n, i in enumerate(kept):
         if i in soft:
             add(schur[n], n, soft[i])
-    complement = factorize(schur, pattern_order(schur), rows.scales)
+    complement = factorize(schur, minimum_degree(schur), rows.scales)
     right = {n: gamma[i] - dot(weighted[n], total) for n, i in enumerate(kept)}
     multipliers: dict[int, Any] = {}
     for _ in range(2 if refine else 1):
@@ -305,7 +300,7 @@ def solve_constrained(
 def least_squares(rows: Rows, right: Array) -> tuple[dict[int, Any], Scalar]:
     """Compute the shortest x with rows @ x = right (k,), and the pivot ratio of the Gram matrix."""
     products = gram(rows, rows)
-    factor = factorize(products, pattern_order(products), [1.0] * len(rows))
+    factor = factorize(products, minimum_degree(products), [1.0] * len(rows))
     weights = factor.solve(sparse_vector(right))
     x: dict[int, Any] = {}
     for i, weight in weights.items():

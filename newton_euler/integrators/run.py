@@ -53,12 +53,6 @@ def native_method(method: Callable[..., int]) -> NativeFunctions:
     return NativeFunctions([method])
 
 
-@lru_cache
-def native_projection() -> NativeFunctions:
-    """Compile projection by itself."""
-    return NativeFunctions([project])
-
-
 def load(code: Code, integrator: str) -> None:
     """Make everything ready that a run needs."""
     native_method(METHODS[integrator])
@@ -313,7 +307,7 @@ class Projection:
         self.x = np.zeros(code.inputs)
         rates = self._python.derivative  # projection calls none, and compiling them takes time
         system = equations(code, self._python, rates, np.zeros(code.size), np.zeros(m.COUNTS))
-        self._run = native_projection().bind(project, system, 1, self.x)
+        self._run = native_method(project).bind(project, system, 1, self.x)
 
     def __call__(self, x: Array) -> bool:
         """Change x (inputs,) by the least that meets the constraints; False if that cannot be done."""

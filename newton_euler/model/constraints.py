@@ -82,6 +82,33 @@ def _centripetal(omega: Array, s: Array) -> Array:
     return cross(omega, cross(omega, s))
 
 
+class Span(NamedTuple):
+    """Points fixed in two bodies, world frame: s_i and s_j from the centers of mass, d from one to the other.
+
+    All are (3,) m.
+    """
+
+    s_i: Array
+    s_j: Array
+    d: Array
+
+    @classmethod
+    def of(cls, first: Frame, second: Frame, s_first: Array, s_second: Array) -> Span:
+        """Compute it from the points in the frames of the bodies, (3,) m."""
+        s_i, s_j = first.rotation @ s_first, second.rotation @ s_second
+        return cls(s_i, s_j, second.position + s_j - first.position - s_i)
+
+    def rate(self, first: Frame, second: Frame) -> Array:
+        """Compute dd/dt (3,), m/s."""
+        at_second = second.velocity + cross(second.angular_velocity, self.s_j)
+        return np.asarray(at_second - first.velocity - cross(first.angular_velocity, self.s_i))
+
+    def drift(self, first: Frame, second: Frame) -> Array:
+        """Compute d2d/dt2 (3,) where neither body accelerates, m/s^2."""
+        at_second = _centripetal(second.angular_velocity, self.s_j)
+        return np.asarray(at_second - _centripetal(first.angular_velocity, self.s_i))
+
+
 @dataclass(frozen=True, eq=False)
 class Coincidence:
     """Phi^(s,3), eq. (25): point s_first of body i and point s_second of body j coincide."""
@@ -150,31 +177,22 @@ class Displacement:
     is_length = True
     count = 1
 
-    def _vectors(self, first: Frame, second: Frame) -> tuple[Array, Array, Array, Array]:
-        a = first.rotation @ self.a_first
-        s_i = first.rotation @ self.s_first
-        s_j = second.rotation @ self.s_second
-        return a, s_i, s_j, second.position + s_j - first.position - s_i
+    def _vectors(self, first: Frame, second: Frame) -> tuple[Array, Span]:
+        return first.rotation @ self.a_first, Span.of(first, second, self.s_first, self.s_second)
 
     def phi(self, first: Frame, second: Frame) -> Array:
-        a, _, _, d = self._vectors(first, second)
-        return np.array([a @ d - self.offset])
+        a, span = self._vectors(first, second)
+        return np.array([a @ span.d - self.offset])
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
-        a, s_i, s_j, d = self._vectors(first, second)
+        a, (s_i, s_j, d) = self._vectors(first, second)
         return Jacobian(-a[None], cross(a, d + s_i)[None], a[None], cross(s_j, a)[None])
 
     def gamma(self, first: Frame, second: Frame) -> Array:
-        a, s_i, s_j, d = self._vectors(first, second)
-        wi, wj = first.angular_velocity, second.angular_velocity
-        d_rate = second.velocity + cross(wj, s_j) - first.velocity - cross(wi, s_i)
-        return -np.array(
-            [
-                _centripetal(wi, a) @ d
-                + 2.0 * (cross(wi, a) @ d_rate)
-                + a @ (_centripetal(wj, s_j) - _centripetal(wi, s_i))
-            ]
-        )
+        a, span = self._vectors(first, second)
+        wi, rate = first.angular_velocity, span.rate(first, second)
+        turning = _centripetal(wi, a) @ span.d + 2.0 * (cross(wi, a) @ rate)
+        return -np.array([turning + a @ span.drift(first, second)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,25 +209,22 @@ class Distance:
     is_length = True
     count = 1
 
-    def _vectors(self, first: Frame, second: Frame) -> tuple[Array, Array, Array]:
-        s_i, s_j = first.rotation @ self.s_first, second.rotation @ self.s_second
-        return s_i, s_j, second.position + s_j - first.position - s_i
+    def _span(self, first: Frame, second: Frame) -> Span:
+        return Span.of(first, second, self.s_first, self.s_second)
 
     def phi(self, first: Frame, second: Frame) -> Array:
-        d = self._vectors(first, second)[2]
+        d = self._span(first, second).d
         return np.array([0.5 * ((d @ d) / self.length - self.length)])
 
     def jacobian(self, first: Frame, second: Frame) -> Jacobian:
-        s_i, s_j, d = self._vectors(first, second)
+        s_i, s_j, d = self._span(first, second)
         along = d / self.length
         return Jacobian(-along[None], cross(along, s_i)[None], along[None], cross(s_j, along)[None])
 
     def gamma(self, first: Frame, second: Frame) -> Array:
-        s_i, s_j, d = self._vectors(first, second)
-        wi, wj = first.angular_velocity, second.angular_velocity
-        d_rate = second.velocity + cross(wj, s_j) - first.velocity - cross(wi, s_i)
-        bend = d @ (_centripetal(wj, s_j) - _centripetal(wi, s_i))
-        return np.array([-(d_rate @ d_rate + bend) / self.length])
+        span = self._span(first, second)
+        rate, bend = span.rate(first, second), span.d @ span.drift(first, second)
+        return np.array([-(rate @ rate + bend) / self.length])
 
 
 @dataclass(frozen=True, eq=False)

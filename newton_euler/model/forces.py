@@ -23,6 +23,7 @@ from newton_euler.errors import (
     set_numbers,
 )
 from newton_euler.model import balls
+from newton_euler.model.constraints import Span
 from newton_euler.model.elements import (
     AppliedForce,
     CoordinateForce,
@@ -213,16 +214,10 @@ class PointSpring(OnBodies, AppliedForce):
         """Compute the two points of the spring."""
         poses, frames = at.poses, at.frames
         i, j = at.mechanism.body_index(self.first), at.mechanism.body_index(self.second)
-        s_i = frames[i].rotation @ poses[i].point_to_body(self.point_on_first)
-        s_j = frames[j].rotation @ poses[j].point_to_body(self.point_on_second)
-        d = frames[j].position + s_j - frames[i].position - s_i
-        rate = (
-            frames[j].velocity
-            + cross(frames[j].angular_velocity, s_j)
-            - frames[i].velocity
-            - cross(frames[i].angular_velocity, s_i)
-        )
-        return Line(i, j, s_i, s_j, d, rate)
+        on_first = poses[i].point_to_body(self.point_on_first)
+        on_second = poses[j].point_to_body(self.point_on_second)
+        span = Span.of(frames[i], frames[j], on_first, on_second)
+        return Line(i, j, *span, span.rate(frames[i], frames[j]))
 
     def pull(self, line: Line) -> Array:
         """Compute the force (3,), N, on the first body's point; the opposite acts on the second's."""

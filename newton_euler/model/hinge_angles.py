@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from newton_euler.model.constraints import Frame, Jacobian
+from newton_euler.model.constraints import Frame, Jacobian, Span
 from newton_euler.scalars import Array, Scalar, arctan2, cross, sqrt, tilde
 
 _ZERO = np.zeros((1, 3))
@@ -184,11 +184,9 @@ class Separation:
     def vector(self, first: Frame, second: Frame) -> SeparationVector:
         """Compute D where the bodies have these frames."""
         axes, _, _ = self.row.moving(first, second)
-        s_i, s_j = first.rotation @ self.s_first, second.rotation @ self.s_second
-        wi, wj = first.angular_velocity, second.angular_velocity
-        value = second.position + s_j - first.position - s_i
-        theta_i, theta_j = tilde(s_i), -tilde(s_j)
-        drift = cross(wj, cross(wj, s_j)) - cross(wi, cross(wi, s_i))
+        span = Span.of(first, second, self.s_first, self.s_second)
+        theta_i, theta_j = tilde(span.s_i), -tilde(span.s_j)
+        value, drift = span.d, span.drift(first, second)
         for (u, v, w), a, b in zip(self.offsets, axes[:-1], axes[1:], strict=True):
             on_a, on_b = w * tilde(b.value) - u * np.eye(3), w * tilde(a.value) + v * np.eye(3)
             value = value + on_a @ a.value - v * b.value

@@ -12,10 +12,7 @@ from mechanisms import GRAVITY, ORIGIN, X, Y, Z, bar, wheel
 import newton_euler
 from newton_euler import Body, Gear, Mechanism, Polynomial, PrescribedMotion, Scene, Sine, Sum
 from newton_euler.assemble import initial_state
-from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.integrators.compiled import Code
-from newton_euler.integrators.projection import project_position, project_velocity
 from newton_euler.model.forces import Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Prismatic, Revolute, Screw, Spherical, Translational, Universal
@@ -155,31 +152,6 @@ def test_a_crank_at_constant_speed(formulation, rtol):
     assert np.abs(run.linear_velocity[:, 3, 0] - speed).max() < 1e-12
     assert run.constraint_violation.max() < 1e-13
     assert run.time[-1] * OMEGA > 10 * np.pi
-
-
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_the_driving_torque_does_the_work(formulation):
-    """T omega = d(kinetic + potential)/dt at any time: the torque is part of the main joint's reaction."""
-    motion = PrescribedMotion("main", Sum([Polynomial([0.2, 3.0]), Sine(0.4, 5.0, 0.3, 0.1)]))
-    scene = slider_crank(motion, GRAVITY)
-    code = Code(scene, formulation)
-    system = code.system
-    q, v = system.coordinates(initial_state(scene))
-    for t in (0.0, 0.7):
-        now = at_time(system, t)
-        q = project_position(now, q)
-        v = project_velocity(now, q, v)
-        a = now.acceleration(q, v)
-        e = now.evaluate(q, v)
-
-        def energy(s, q=q, v=v, a=a, now=now):
-            moved = now.retract(q, s * v + 0.5 * s * s * a)
-            at = now.evaluate(moved, v + s * a)
-            return np.array([at.kinetic_energy + at.potential_energy])
-
-        power = derivative(energy, 1e-4)[0]  # an error of the path in s^3 does nothing at s = 0
-        torque = e.reaction_torque[0] @ Y
-        assert torque * motion.function.rate(t) == pytest.approx(power, rel=1e-8)
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)

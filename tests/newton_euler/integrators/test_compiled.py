@@ -148,20 +148,6 @@ def test_outputs_that_are_not_asked_for_are_not_computed(tracker):
     assert poses < 0.25 * everything
 
 
-@pytest.mark.parametrize("stabilization", ["none", "projection"])
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_redundant_loops_run(formulation, stabilization):
-    scene = replace(planar_four_bar(), duration=0.2)
-    floats = run(formulate(scene, formulation), "newton_euler", Options(projection=False), {})
-    native = newton_euler.simulate(scene, formulation, stabilization=stabilization)
-    energy = native.kinetic_energy + native.potential_energy
-    assert np.ptp(energy) < 1e-9
-    assert native.settings["dense"] == 0
-    # without projection the loop opens by the integration error of 200 N bars: 1e-9 at rtol 1e-10
-    assert np.abs(native.position - floats.position).max() < 1e-8
-    assert np.abs(native.reaction_force - floats.reaction_force).max() < 1e-6
-
-
 def test_a_singular_configuration_takes_the_dense_path():
     """Started flat, the planar loop has two freedoms in place of one; the float form knows how to go on."""
     scene = flat_four_bar()

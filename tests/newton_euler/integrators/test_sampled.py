@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from mechanisms import GRAVITY, bar, slider_tree
+from mechanisms import slider_tree
 
 import mjcf
 import newton_euler
@@ -22,7 +22,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError
 from newton_euler.integrators.options import Options
 from newton_euler.model.control import PD, Sampled
-from newton_euler.model.joint_kinds import Revolute, Translational
+from newton_euler.model.joint_kinds import Translational
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, Trajectory
@@ -150,23 +150,6 @@ def test_controllers_of_a_tree_see_the_same_in_all_engines():
         # meters and radians at rtol 1e-10; MuJoCo's RK4 at 1 ms without loops
         assert np.max(np.abs(found - wanted)) < 1e-8, name
         assert np.max(np.abs(ends[name] - ends["relative"])) < 1e-8, name
-
-
-def test_turns_are_counted():
-    """An angle beyond half a turn, in engines that know only quaternions as well."""
-    mechanism = Mechanism(
-        [Body.ground(), bar("rod", [0.0, 0.0, 0.0], [1.0, 0.0, 0.0])],
-        [Revolute("pivot", "ground", "rod", [0.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0], actuated=True)],
-    )
-    seen = {}
-    for name, simulate in ENGINES.items():
-        recorder = Recorder()
-        control = (Sampled("pivot", lambda *seen, r=recorder: 8.0 + 0.0 * r(*seen), 0.25),)
-        simulate(Scene("rod", mechanism, 1.25, 0.05, GRAVITY, control))
-        seen[name] = np.array([x[0] for _, x, _ in recorder.calls])
-    assert seen["relative"][-1] > 2 * np.pi
-    for name, angles in seen.items():
-        assert np.max(np.abs(angles - seen["relative"])) < 1e-8, name  # rad, at rtol 1e-10, RK4 at 1 ms
 
 
 @pytest.mark.parametrize("simulate", ENGINES.values(), ids=ENGINES)
