@@ -84,7 +84,7 @@ class Found(BaseModel):
 
     verdict: str
     line: str
-    fates: dict[str, int]
+    fates: dict[str, int] = Field(default_factory=dict)
     covered: str = ""
     lacks: str = ""
     seconds: float
@@ -103,14 +103,13 @@ def read_list(path: Path) -> list[Repository]:
         raise CrosscheckError(f"{path} is no list of models: {error}") from error
 
 
-def run_model(
-    folder: Path, repository: Repository, entry: Entry, output: Path, limit: float = LIMIT
-) -> Found:
+def run_model(folder: Path, repository: Repository, entry: Entry, output: Path) -> Found:
     """Run one file of a repository that is in `folder`, results to `output`."""
-    path = folder / repository.repository / entry.file
+    home = folder / repository.repository
+    path = home / entry.file
     options = repository.options | entry.options
     if not is_urdf(entry.file):
-        options = {"root": str(folder / repository.repository)} | options
+        options = {"root": str(home)} | options
     if "loops" in options:
         options["loops"] = str(path.parent / str(options["loops"]))
     settings = [part for name, value in options.items() for part in ("--set", f"{name}={value}")]
@@ -118,30 +117,27 @@ def run_model(
     command = [sys.executable, "-m", "crosscheck", "run", str(path), *settings, "--output", str(output)]
     start = time.perf_counter()
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
     except subprocess.TimeoutExpired:
-        return Found(verdict="too long", line=f"more than {limit:g} s", fates={}, seconds=limit)
+        return Found(verdict="too long", line=f"more than {LIMIT:g} s", seconds=LIMIT)
     seconds = time.perf_counter() - start
     summary = output / "summary.json"
-    if done.returncode in (0, 1, 3) and summary.exists():
-        content = json.loads(summary.read_text(encoding="utf-8"))
-        verdict = "AGREE" if content["agrees"] else "stopped" if content["unfinished"] else "DISAGREE"
-        report = ImportReport()
-        report.entries = [ImportedElement(**entry) for entry in content["mapping"] or []]
-        fates, still = _fates(report), "nothing moves" if "nothing moves" in content["verdict"] else ""
-        lacks = "; ".join(filter(None, [still, report.counts()]))
-        tested = [covered["tested"] for covered in content["coverage"] or []]
-        return Found(
-            verdict=verdict,
-            line=content["verdict"],
-            fates=fates,
-            covered=f"{sum(tested)} of {len(tested)}" if tested else "",
-            lacks=lacks,
-            seconds=seconds,
-        )
-    lines = [line for line in done.stderr.splitlines() if line.strip()] or [f"status {done.returncode}"]
-    line = lines[-1].replace(str(folder / repository.repository) + "/", "")
-    return Found(verdict="refused", line=line, fates={}, seconds=seconds)
+    if done.returncode not in (0, 1, 3) or not summary.exists():
+        lines = [line for line in done.stderr.splitlines() if line.strip()] or [f"status {done.returncode}"]
+        return Found(verdict="refused", line=lines[-1].replace(f"{home}/", ""), seconds=seconds)
+    content = json.loads(summary.read_text(encoding="utf-8"))
+    report = ImportReport()
+    report.entries = [ImportedElement(**each) for each in content["mapping"] or []]
+    still = "nothing moves" if "nothing moves" in content["verdict"] else ""
+    tested = [covered["tested"] for covered in content["coverage"] or []]
+    return Found(
+        verdict="AGREE" if content["agrees"] else "stopped" if content["unfinished"] else "DISAGREE",
+        line=content["verdict"],
+        fates=_fates(report),
+        covered=f"{sum(tested)} of {len(tested)}" if tested else "",
+        lacks="; ".join(filter(None, [still, report.counts()])),
+        seconds=seconds,
+    )
 
 
 def _fates(report: ImportReport) -> dict[str, int]:
@@ -172,10 +168,9 @@ def table(repositories: Sequence[Repository], found: dict[str, Found]) -> Iterat
     for repository in repositories:
         rows.append(repository.repository)
         for entry in repository.files:
-            name = f"{repository.repository}/{entry.file}"
-            if name not in found:
+            model = found.get(f"{repository.repository}/{entry.file}")
+            if model is None:
                 continue
-            model = found[name]
             options = ", ".join(f"{k}={v}" for k, v in (repository.options | entry.options).items())
             verdict = model.verdict
             if verdict != "AGREE":
@@ -202,19 +197,10 @@ def write(path: Path, lines: Sequence[str]) -> None:
 @click.command()
 @click.argument("models", type=click.Path(path_type=Path))
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False, exists=True))
-@click.option("--only", default=None, help="Run files whose path holds this text; the others stay as found.")
+@click.option("--only", default="", help="Run files whose path holds this text; the others stay as found.")
 @click.option("--write", "target", type=click.Path(path_type=Path), help="Markdown file to write into.")
-@click.option(
-    "--output",
-    type=click.Path(path_type=Path),
-    default=Path("output/models"),
-    show_default=True,
-    help="Folder.",
-)
-@click.option("--limit", default=LIMIT, show_default=True, help="s for one model.")
-def main(
-    models: Path, folder: Path, only: str | None, target: Path | None, output: Path, limit: float
-) -> None:
+@click.option("--output", type=click.Path(path_type=Path), default="output/models", help="Folder.")
+def main(models: Path, folder: Path, only: str, target: Path | None, output: Path) -> None:
     """Run the files of the list MODELS, whose repositories are in FOLDER as OWNER/NAME."""
     try:
         repositories = read_list(models)
@@ -227,9 +213,9 @@ def main(
         for repository in repositories:
             for entry in repository.files:
                 name = f"{repository.repository}/{entry.file}"
-                if only is not None and only not in name:
+                if only not in name:
                     continue
-                found[name] = run_model(folder, repository, entry, output / "run", limit)
+                found[name] = run_model(folder, repository, entry, output / "run")
                 click.echo(f"{name}: {found[name].seconds:.0f} s: {found[name].line}")
                 kept = {key: each.model_dump() for key, each in found.items()}
                 write_files({store: (json.dumps(kept, indent=1) + "\n").encode()})

@@ -1,10 +1,10 @@
-"""One right-hand side of each engine, over the size of a scene if asked for: time, operations, peak memory.
+"""One right-hand side of each engine, over the size of a scene if asked for: time, operations, loading.
 
 Each engine is called in its cheapest way: newton_euler from a native loop, MuJoCo by `mj_forward` from
 Python and by `mj_step` with its loop in C (which also integrates), Pinocchio from Python, the only way
-there is, so a call of its binding is in its time. Ways take turns. Peak memory and loading are those of a
-fresh process that makes the right-hand side without a compilation cache and calls it once; Pinocchio's hold a
-second and a third model, in other units, that choose the regularization.
+there is, so a call of its binding is in its time. Ways take turns. Loading is that of a fresh process that
+makes the right-hand side without a compilation cache and calls it once; Pinocchio's makes two more models, in
+other units, that choose the regularization.
 """
 
 from __future__ import annotations
@@ -12,14 +12,11 @@ from __future__ import annotations
 import math
 import os
 import resource
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise, repeat
-from pathlib import Path
 from typing import NamedTuple
 
 from crosscheck.errors import CrosscheckError, reason_of
@@ -74,7 +71,6 @@ class Timing(Timed):
         operations: floating-point operations, where they are known.
         times: s per call, of each batch; none if it cannot run the scene.
         load: s to import, build and compile it in a fresh process, without a cache.
-        memory: bytes, by how much the peak of that process grows.
         reason: why it cannot run the scene.
     """
 
@@ -82,7 +78,6 @@ class Timing(Timed):
     operations: int | None = None
     times: tuple[float, ...] = ()
     load: float = 0.0
-    memory: int = 0
     reason: str = ""
 
     @property
@@ -143,7 +138,7 @@ WAYS: dict[str, Callable[[Scene], RightHandSide]] = {
 def time_right_hand_sides(
     scene: Scene, progress: Progress, ways: Iterable[str] | None = None
 ) -> list[Timing]:
-    """Time one right-hand side of each engine at a scene's initial state, and measure its memory.
+    """Time one right-hand side of each engine at a scene's initial state, and its loading.
 
     Args:
         scene: loaded, with native control laws.
@@ -192,26 +187,13 @@ def probe(scene: Scene, way: str) -> Timing:
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     os.environ[CACHE_VARIABLE] = ""
     try:
-        before, start = _peak_memory(), time.perf_counter()
+        start = time.perf_counter()
         side = WAYS[way](scene)
         side.repeat(1)
         seconds = time.perf_counter() - start
     except Exception as error:  # whatever an engine has against a scene belongs in the table
         return Timing(way, reason=reason_of(error))
-    return Timing(way, side.operations, load=seconds, memory=_peak_memory() - before)
-
-
-def _peak_memory() -> int:
-    """Bytes that this process has held at most.
-
-    Linux hands ru_maxrss down from the process that started this one, so its own figure is preferred.
-    """
-    with suppress(OSError):
-        for line in Path("/proc/self/status").read_text(encoding="utf-8").splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) * 1024
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+    return Timing(way, side.operations, load=seconds)
 
 
 # Report
@@ -228,7 +210,7 @@ def parts(timings: Sequence[Timing]) -> list[Part]:
     best = fastest_other(timings)
     rows: Rows = []
     for t in timings:
-        cells = ["-"] * 6
+        cells = ["-"] * 5
         if not t.reason:
             cells = [
                 "-" if t.operations is None else str(t.operations),
@@ -236,11 +218,10 @@ def parts(timings: Sequence[Timing]) -> list[Part]:
                 t.spread,
                 "-" if best is None else f"{t.ratio(best):.3g}",
                 f"{t.load:.2f}",
-                f"{t.memory / 1e6:.0f}",
             ]
         rows.append([t.way, *cells])
-    heads = figures("operations", "time, us", "spread", "ratio", "load, s", "MB")
-    words = ["load, MB: of a fresh process that makes and calls it without a cache", *_words(timings)]
+    heads = figures("operations", "time, us", "spread", "ratio", "load, s")
+    words = ["load: in a fresh process, without a cache", *_words(timings)]
     return [Table("", [*texts("right-hand side"), *heads], rows), Lines("", words)]
 
 
@@ -291,14 +272,13 @@ def growth(sizes: Sizes, way: str) -> list[float]:
 
 
 def size_parts(sizes: Sizes) -> list[Part]:
-    """Time and its growth, and memory, by size, for each way to call an engine; ratios in words."""
-    times, memory = list[list[str]](), list[list[str]]()
+    """Time and its growth by size, for each way to call an engine; ratios in words."""
+    rows: Rows = []
     for way in WAYS:
         by_size = [next((t for t in timings if t.way == way and t.times), None) for timings in sizes.values()]
         exponents = ", ".join(f"{power:.2f}" for power in growth(sizes, way))
-        times.append([way, *("-" if t is None else f"{t.median * 1e6:.3g}" for t in by_size), exponents])
-        memory.append([way, *("-" if t is None else f"{t.memory / 1e6:.0f}" for t in by_size)])
+        rows.append([way, *("-" if t is None else f"{t.median * 1e6:.3g}" for t in by_size), exponents])
     heads = figures(*(f"{OPTION} = {size}" for size in sizes), "growth")
-    rows: Rows = ["time, us, and exponents of its growth", *times, "memory, MB", *memory]  # type: ignore[list-item]
+    title = "us of a right-hand side, and exponents of its growth"
     words = [line for size, timings in sizes.items() for line in _words(timings, f"{OPTION} = {size}: ")]
-    return [Table("", [*texts("right-hand side"), *heads], rows), Lines("", words)]
+    return [Table(title, [*texts("right-hand side"), *heads], rows), Lines("", words)]
