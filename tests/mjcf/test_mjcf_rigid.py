@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import pytest
 from mechanisms import planar_four_bar
-from random_chains import CHAINS
 
 from crosscheck.scenes.tracker import tracker as make_tracker
 from mjcf.rigid import RigidMuJoCo
@@ -90,18 +89,6 @@ def test_refused_inertia_along_the_axes_of_a_body() -> None:
     for found, wanted in both(scene, random_states(scene, 3), Relative(scene)):
         assert_same_accelerations(found, wanted)
         assert_same_energies(found, wanted)
-
-
-@pytest.mark.parametrize(
-    ("name", "types"),
-    [
-        ("loop through a free joint", ["BALL", "SLIDE", "SLIDE", "SLIDE", "BALL"]),
-        ("loop through a free joint reversed", ["BALL", "BALL", "SLIDE", "SLIDE", "SLIDE"]),
-    ],
-)
-def test_free_joints_in_loops_are_the_way_round_that_the_cases_say(name: str, types: list[str]) -> None:
-    found = [mujoco.mjtJoint(kind).name for kind in RigidMuJoCo(CHAINS[name]).model.jnt_type]
-    assert found == [f"mjJNT_{kind}" for kind in types]
 
 
 def test_a_loop_between_fixed_bodies_does_nothing() -> None:

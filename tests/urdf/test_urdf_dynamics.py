@@ -1,9 +1,8 @@
-"""Pinocchio's equations of motion against this package's, and against its own mass matrix."""
+"""Pinocchio's equations of motion: masses, gains, and states without an answer."""
 
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from constrained_motion import states_near_start
 from elements import offset_slide
@@ -27,8 +26,6 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.model.scene import Scene
 from urdf.dynamics import PinocchioSystem
-
-"""Published with the scene: three independent formulations agree on them, six digits printed."""
 
 
 def cylinder_loop() -> Scene:
@@ -74,44 +71,6 @@ def test_states_without_finite_accelerations_are_refused(tracker):
     v[2] = np.inf
     with pytest.raises(SingularityError, match="ball_67, ball_57"):
         system.acceleration(q, v)
-
-
-def test_constraint_dynamics_solves_the_dense_kkt_system(tracker, tracker_states):
-    """1e-11: a dense solve of condition 1e4 to 1e5 at 1e-16.
-
-    Everything is Pinocchio's: crba, nonLinearEffects and getConstraintsJacobian; gamma is what the
-    closure points' accelerations are at vdot = 0, in the frame of the first.
-    """
-    system = PinocchioSystem(tracker)
-    model, constraints = system.closed.model, system.closed.constraints
-    data = model.createData()
-    constraint_data = pin.StdVec_RigidConstraintData([c.createData() for c in constraints])
-    for state in tracker_states[:50]:
-        q, v = system.coordinates(state)
-        pin_q, pin_v = system.map.q_to_pinocchio(q), system.map.v_to_pinocchio(v)
-        upper = np.triu(pin.crba(model, data, pin_q))
-        mass = upper + np.triu(upper, 1).T
-        bias = pin.nonLinearEffects(model, data, pin_q, pin_v)
-        pin.computeJointJacobians(model, data, pin_q)
-        for constraint, its_data in zip(constraints, constraint_data, strict=True):
-            constraint.calc(model, data, its_data)  # else the Jacobian is that of no configuration
-        rows = pin.getConstraintsJacobian(model, data, constraints, constraint_data)
-        pin.forwardKinematics(model, data, pin_q, pin_v, np.zeros(model.nv))
-        pin.updateFramePlacements(model, data)
-        gamma = []
-        for first, second in system.closed.frames:
-            a, b = (
-                pin.getFrameClassicalAcceleration(model, data, f, pin.LOCAL_WORLD_ALIGNED).linear
-                for f in (first, second)
-            )
-            gamma.append(data.oMf[first].rotation.T @ (b - a))
-        force = np.zeros(model.nv)
-        for law, u in zip(tracker.control, system.actuation(q, v), strict=True):
-            force[model.joints[model.getJointId(law.joint)].idx_v] = u
-        kkt = np.block([[mass, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
-        solution = np.linalg.solve(kkt, np.concatenate([force - bias, *gamma]))
-        wanted = system.map.v_from_pinocchio(solution[: model.nv])
-        assert apart(system.acceleration(q, v), wanted) < 1e-11
 
 
 @pytest.mark.parametrize("build", [ball_loop, cylinder_loop, all_universal_loop, seven_hinges])

