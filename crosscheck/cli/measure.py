@@ -46,7 +46,6 @@ def figures_command(output: Path) -> int:
     "--error", type=float, default=1e-6, show_default=True, help="Error to name the cheapest settings for."
 )
 @click.option("--rhs", is_flag=True, help="Time one right-hand side of each engine instead of whole runs.")
-@click.option("--scaling", is_flag=True, help="The same over the scene's option N, from 1 to 1000.")
 @click.option(
     "--batch",
     type=click.IntRange(2, 10_000_000),
@@ -61,7 +60,6 @@ def bench_command(
     settings: tuple[str, ...],
     error: float,
     rhs: bool,
-    scaling: bool,
     batch: int | None,
     output: Path | None,
 ) -> int:
@@ -69,25 +67,15 @@ def bench_command(
 
     SCENE is a name or a file, as of run.
     """
-    from crosscheck.studies.benchmark.run import (
-        Model,
-        bench,
-        many_runs,
-        right_hand_sides,
-        sizes,
-        work_precision,
-    )
+    from crosscheck.studies.benchmark.run import Wanted, bench
 
+    if rhs and batch is not None:
+        raise CrosscheckError("--rhs and --batch are different benchmarks; choose one")
     options = exercised(scene, scene_options(settings))
-    if rhs + scaling + (batch is not None) > 1:
-        raise CrosscheckError("--rhs, --scaling and --batch are different benchmarks; choose one")
-    if rhs or scaling:
-        kind = right_hand_sides() if rhs else sizes(scene, options)
-    else:
-        kind = work_precision(error) if batch is None else many_runs(batch, error)
-    model = Model(load_and_tell(scene, options), scene, options)
+    wanted = Wanted(load_and_tell(scene, options), scene, options, error, batch or 0)
+    kind = "rhs" if rhs else "runs" if batch is None else "batch"
     with progress_shown() as progress:
-        found, written = bench(model, kind, output, progress)
+        found, written = bench(wanted, kind, output, progress)
     click.echo(terminal(found.parts), nl=False)
     say("wrote " + ", ".join(str(path) for path in written))
     return AGREE

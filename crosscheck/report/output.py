@@ -20,7 +20,7 @@ from crosscheck.run import Crosscheck
 
 TOLD = {
     "crosscheck": ("summary.json",),
-    "benchmark": ("bench.json", "rhs.json", "batch.json", "scaling.json"),
+    "benchmark": ("bench.json", "rhs.json", "batch.json"),
 }
 """Files that tell whose results a folder has."""
 

@@ -32,7 +32,6 @@ RESULTS = (
     "bench.json",
     "rhs.json",
     "batch.json",
-    "scaling.json",
 )
 """Files of results, each with a report."""
 

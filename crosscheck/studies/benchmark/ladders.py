@@ -73,12 +73,10 @@ class Model(NamedTuple):
     Attributes:
         ladders: its methods.
         run: a run at a setting's options; raises an exception that says why if it cannot.
-        remark: on the loading.
     """
 
     ladders: Sequence[Ladder]
     run: Callable[[Options], Run]
-    remark: str
 
 
 Models = Mapping[str, Callable[[], Model]]
@@ -163,9 +161,7 @@ def _load_own(scene: Scene, formulation: str, stabilization: str) -> Model:
         found = compiled.simulate(**options)
         return Run(found.wall_time, found.settings["evaluations"], lambda: (found.position, found.quaternion))
 
-    source = "loaded from the cache" if compiled.from_cache else "compiled"
-    remark = f"traced {compiled.trace_time:.2f} s, {source} {compiled.compile_time:.2f} s"
-    return Model(ladders, run, remark)
+    return Model(ladders, run)
 
 
 # MuJoCo
@@ -215,7 +211,7 @@ def _load_mujoco(scene: Scene) -> Model:
         stages = 4 if options["integrator"] == "RK4" else 1
         return Run(seconds, stages * options["number"] * (len(scene.times) - 1), stepper.poses)
 
-    return Model(mujoco_ladders(output_interval(scene)), run, "MJCF written and compiled")
+    return Model(mujoco_ladders(output_interval(scene)), run)
 
 
 def intervals(times: Array) -> list[tuple[int, float]]:
@@ -258,7 +254,7 @@ def _load_pinocchio(scene: Scene, alpha: float) -> Model:
 
     method = f"constraintDynamics, alpha {alpha:g}, LSODA"
     ladders = [_by_tolerance(method, 2, FINEST, share) for share in SHARES]
-    return Model(ladders, run, "URDF written and read, model built")
+    return Model(ladders, run)
 
 
 ENGINES: dict[str, Callable[[Scene], Models]] = {

@@ -98,7 +98,7 @@ class Benchmark:
 
 
 def parts(result: Benchmark, error: float) -> Iterator[Part]:
-    """The times for each error, what the wanted one takes, and on demand settings, loading and failures."""
+    """The times for each error, what the wanted one takes, and on demand settings and failures."""
     reference = result.reference
     yield Lines(
         "",
@@ -114,9 +114,6 @@ def parts(result: Benchmark, error: float) -> Iterator[Part]:
     against = [f"{m:.1e} m, {rad:.1e} rad from {name}" for name, (m, rad) in reference.differences.items()]
     missing = [f"could not run {name}: {reason}" for name, reason in reference.missing.items()]
     yield Lines("the reference differs by", [*against, *missing], folded=True)
-    loadings: Rows = [[x.engine, x.model, f"{x.seconds:.3g}", x.remark] for x in result.measured.loadings]
-    heads = [*texts("engine", "model"), *figures("s"), *texts("of which")]
-    yield Table("loading, not counted above", heads, loadings, folded=True)
     failures: Rows = [[x.engine, x.name, x.reason] for x in result.measured.failures]
     if failures:
         yield Table("what cannot run the scene", texts("engine", "setting", "reason"), failures, folded=True)

@@ -1,4 +1,4 @@
-"""One right-hand side of each engine, over the size of a scene if asked for: time, operations, loading.
+"""One right-hand side of each engine: time, operations, loading.
 
 Each engine is called in its cheapest way: newton_euler from a native loop, MuJoCo by `mj_forward` from
 Python and by `mj_step` with its loop in C (which also integrates), Pinocchio from Python, the only way
@@ -9,20 +9,17 @@ other units, that choose the regularization.
 
 from __future__ import annotations
 
-import math
 import os
 import resource
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise, repeat
+from itertools import repeat
 from typing import NamedTuple
 
-from crosscheck.errors import CrosscheckError, reason_of
+from crosscheck.errors import reason_of
 from crosscheck.report.table import Lines, Part, Rows, Table, figures, texts
-from crosscheck.scenes import SCENES, load
-from crosscheck.scenes.options import options_of
 from crosscheck.studies.benchmark.ladders import JUDGED, poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
 from crosscheck.workers import LostError, in_processes
@@ -45,9 +42,6 @@ LIMIT = 180.0
 
 MEMORY_SHARE = 0.4
 """Of the machine's memory that the address space of that process may be."""
-
-OPTION, SIZES = "N", (1, 10, 100, 1000)
-"""Option of a scene that sets its size, and what it is set to in turn."""
 
 
 class RightHandSide(NamedTuple):
@@ -225,60 +219,11 @@ def parts(timings: Sequence[Timing]) -> list[Part]:
     return [Table("", [*texts("right-hand side"), *heads], rows), Lines("", words)]
 
 
-def _words(timings: Sequence[Timing], prefix: str = "") -> Iterator[str]:
+def _words(timings: Sequence[Timing]) -> Iterator[str]:
     """The ratios in words, and what cannot run the scene."""
     best = fastest_other(timings)
     for t in timings:
         if t.reason:
-            yield f"{prefix}{t.way} cannot run the scene: {t.reason}"
+            yield f"{t.way} cannot run the scene: {t.reason}"
         elif t.judged and best is not None:
-            yield f"{prefix}{t.way} takes {t.ratio(best):.3g} times as long as {best.way}"
-
-
-# Sizes
-
-Sizes = Mapping[int, Sequence[Timing]]
-"""Timings of a scene at each size."""
-
-
-def check_sizable(source: str, options: Mapping[str, str]) -> None:
-    """Raise `CrosscheckError` for a scene without the option `OPTION`, or with it set already."""
-    if source not in SCENES or OPTION not in options_of(SCENES[source]):
-        sizable = [name for name, scene in SCENES.items() if OPTION in options_of(scene)]
-        raise CrosscheckError(f"scene {source!r} has no option {OPTION}; choose from: {', '.join(sizable)}")
-    if OPTION in options:
-        raise CrosscheckError(f"--scaling sets {OPTION} itself")
-
-
-def time_sizes(source: str, options: Mapping[str, str], progress: Progress) -> Sizes:
-    """Time every right-hand side at each of `SIZES`; what fails is not tried at larger ones.
-
-    Raises:
-        CrosscheckError: for a scene that cannot be benchmarked.
-    """
-    ways, found = list(WAYS), {}
-    for size in SIZES:
-        progress(f"{OPTION} = {size}")
-        scene = load(source, **options, **{OPTION: size})
-        found[size] = time_right_hand_sides(scene, progress, ways)
-        ways = [t.way for t in found[size] if not t.reason]
-    return found
-
-
-def growth(sizes: Sizes, way: str) -> list[float]:
-    """Exponents p of time ~ N^p between each size at which a way ran and the next."""
-    ran = [(size, t.median) for size, timings in sizes.items() for t in timings if t.way == way and t.times]
-    return [math.log(b / a) / math.log(large / small) for (small, a), (large, b) in pairwise(ran)]
-
-
-def size_parts(sizes: Sizes) -> list[Part]:
-    """Time and its growth by size, for each way to call an engine; ratios in words."""
-    rows: Rows = []
-    for way in WAYS:
-        by_size = [next((t for t in timings if t.way == way and t.times), None) for timings in sizes.values()]
-        exponents = ", ".join(f"{power:.2f}" for power in growth(sizes, way))
-        rows.append([way, *("-" if t is None else f"{t.median * 1e6:.3g}" for t in by_size), exponents])
-    heads = figures(*(f"{OPTION} = {size}" for size in sizes), "growth")
-    title = "us of a right-hand side, and exponents of its growth"
-    words = [line for size, timings in sizes.items() for line in _words(timings, f"{OPTION} = {size}: ")]
-    return [Table(title, [*texts("right-hand side"), *heads], rows), Lines("", words)]
+            yield f"{t.way} takes {t.ratio(best):.3g} times as long as {best.way}"

@@ -41,16 +41,6 @@ than a millisecond would be timed with the processor's caches full of another en
 
 
 @dataclass(frozen=True)
-class Loading:
-    """Load time of one model, s."""
-
-    engine: str
-    model: str
-    seconds: float
-    remark: str
-
-
-@dataclass(frozen=True)
 class Failure:
     """A model, or a setting of one, that cannot run the scene."""
 
@@ -100,7 +90,6 @@ class Measured:
     """
 
     measurements: list[Measurement] = field(default_factory=list)
-    loadings: list[Loading] = field(default_factory=list)
     failures: list[Failure] = field(default_factory=list)
     ended: dict[str, str] = field(default_factory=dict)
 
@@ -118,13 +107,11 @@ def measure(engines: Mapping[str, Models], exact: Poses, progress: Progress) -> 
     for engine, models in engines.items():
         for name, load in models.items():
             progress(f"{engine}: {name}")
-            begun = time.perf_counter()
             try:
                 model = load()
             except Exception as error:  # whatever an engine has against a scene belongs in the table
                 found.failures.append(Failure(engine, name, reason_of(error)))
                 continue
-            found.loadings.append(Loading(engine, name, time.perf_counter() - begun, model.remark))
             climbing = time.process_time()
             for ladder in model.ladders:
                 end = f"not begun: others of its model have taken {BUDGET:g} s"

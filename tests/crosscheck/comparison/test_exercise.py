@@ -15,7 +15,7 @@ import newton_euler
 import urdf.read
 from crosscheck.cli import main
 from crosscheck.comparison.coverage import covered_by
-from crosscheck.studies.benchmark.run import Model
+from crosscheck.studies.benchmark.run import Wanted
 from mjcf.read import Reading
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
@@ -237,8 +237,8 @@ def test_bench_exercises_as_run_does(tmp_path: Path, monkeypatch: pytest.MonkeyP
     path.write_text(FILE)
     moves: list[bool] = []
 
-    def bench(model: Model, *_: object) -> tuple[list[str], list[Path]]:
-        moves.append(bool(np.any(initial_state(model.scene).linear_velocity)))
+    def bench(wanted: Wanted, *_: object) -> tuple[list[str], list[Path]]:
+        moves.append(bool(np.any(initial_state(wanted.scene).linear_velocity)))
         return [], []
 
     monkeypatch.setattr("crosscheck.studies.benchmark.run.bench", bench)

@@ -22,7 +22,7 @@ from crosscheck.studies.benchmark.ladders import ENGINES, Ladder, Model, Run, in
 from crosscheck.studies.benchmark.reference import Reference, pose_errors, reference
 from crosscheck.studies.benchmark.report import Benchmark, data, parts
 from crosscheck.studies.benchmark.timing import machine
-from crosscheck.studies.benchmark.work_precision import Loading, Measured, Measurement
+from crosscheck.studies.benchmark.work_precision import Measured, Measurement
 from newton_euler.model.euler_parameters import from_rotation_vector, product
 
 POSES = (np.zeros((2, 1, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (2, 1, 1)))
@@ -47,8 +47,7 @@ def result(scene, measurements=MADE_UP, uncertainty=1e-12):
     """A benchmark that nobody ran."""
     differences = {"another": (0.5 * uncertainty, uncertainty)}
     against = Reference("made up", POSES, differences, {"third": "no reason"})
-    loadings = [Loading("mujoco", "MJCF", 0.25, "written")]
-    measured = Measured(list(measurements), loadings, [], {"mujoco: method": "its last setting"})
+    measured = Measured(list(measurements), [], {"mujoco: method": "its last setting"})
     return Benchmark("tracker (leg_inertia=aligned)", scene, against, measured)
 
 
@@ -82,7 +81,7 @@ def measured_of(**runs):
         return found() if callable(found) and not isinstance(found, Run) else found
 
     ladder = Ladder("m", lambda n: (names[n], {"name": names[n]}), range(len(names)))
-    engines = {"engine": {"model": lambda: Model((ladder,), call, "a remark")}}
+    engines = {"engine": {"model": lambda: Model((ladder,), call)}}
     return work_precision.measure(engines, POSES, lambda message: None), calls
 
 
@@ -148,7 +147,6 @@ def test_what_cannot_run_is_listed_with_its_reason_and_the_rest_goes_on():
         ("m, refused", "no such luck"),
         ("m, diverges", "its motion is not finite"),
     ]
-    assert [(load.model, load.remark) for load in measured.loadings] == [("model", "a remark")]
     broken = {"engine": {"broken": partial(refuse, "will not load")}}
     measured = work_precision.measure(broken, POSES, lambda message: None)
     assert [(f.name, f.reason) for f in measured.failures] == [("broken", "will not load")]
@@ -318,8 +316,6 @@ def test_mujoco_delivers_poses_of_its_own_outputs(short, integrator):
         (["--rhs", "--batch", "10"], "choose one"),
         (["--batch", "1"], "--batch"),
         (["--batch", "10", "--error", "0"], "--error is 0"),
-        (["--scaling", "tracker"], "no option N; choose from: four_bar, chain"),
-        (["--scaling", "chain", "--set", "N=3"], "--scaling sets N itself"),
     ],
 )
 def test_bad_usage_is_one_line(capsys, tmp_path, arguments, message):

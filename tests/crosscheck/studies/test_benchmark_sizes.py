@@ -72,37 +72,6 @@ def test_a_process_that_fails_says_why(tracker):
     assert found.times == ()
 
 
-# Sizes
-
-SIZES = {
-    1: (timing(OWN, 1e-6), timing(OTHER, 4e-6)),
-    10: (timing(OWN, 1e-5), timing(OTHER, 4e-4)),
-    100: (timing(OWN, 1e-3), Timing(OTHER, reason="too large")),
-}
-
-
-def test_sizes_as_table_and_words():
-    table, lines = rhs.size_parts(SIZES)
-    rows = {row[0]: row[1:] for row in table.rows}
-    assert rows[OWN] == ["1", "10", "1e+03", "1.00, 2.00"]
-    assert rows[OTHER] == ["4", "400", "-", "2.00"]
-    assert f"N = 10: {OWN} takes 0.025 times as long as {OTHER}" in lines.lines
-    assert f"N = 100: {OTHER} cannot run the scene: too large" in lines.lines
-
-
-def test_what_fails_at_a_size_is_not_tried_at_larger_ones(monkeypatch):
-    asked = []
-
-    def made_up_timings(scene, progress, ways):
-        asked.append((len(scene.mechanism.bodies), ways))
-        return [timing(OWN, 1e-6), Timing(OTHER, reason="too large")]
-
-    monkeypatch.setattr(rhs, "time_right_hand_sides", made_up_timings)
-    monkeypatch.setattr(rhs, "SIZES", (1, 10))
-    rhs.time_sizes("chain", {}, lambda message: None)
-    assert asked == [(2, list(rhs.WAYS)), (11, [OWN])]
-
-
 # Batches
 
 
