@@ -13,7 +13,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,9 +29,9 @@ from newton_euler.scalars import Array
 LARGE = 10_000
 """Operations from which on a program is rolled up into loops; see the table of scene sizes in README."""
 
-LEVEL = 1
-"""LLVM's level of code generation: 2, its default, makes the same code of programs in a sixth more time; 0 is
-four times as fast, and its code takes twice as long to run."""
+LEVEL, QUICK_LEVEL = 1, 0
+"""LLVM's levels of code generation, of straight-line and of rolled code: 2, its default, makes the same code
+in a sixth more time; 0 is ten times as fast as 1, and its straight-line code takes twice as long to run."""
 
 DESCRIPTION = "f.description"
 """Constant beside the function that a program becomes: the attributes of `NativeFunction`, as JSON."""
@@ -73,7 +73,7 @@ class NativeModule:
     def __init__(
         self,
         identity: str,
-        text: Callable[[], str],
+        text: Callable[[], tuple[str, int]],
         functions: Mapping[str, Signature],
         optimize: bool = False,
     ) -> None:
@@ -81,7 +81,7 @@ class NativeModule:
 
         Args:
             identity: all that the text depends on, or the text itself.
-            text: makes the text.
+            text: makes the text, and chooses LLVM's level of code generation for it.
             functions: signatures of the functions that others call, by name.
             optimize: for code with variables, which are to live in registers; a program has none.
         """
@@ -92,13 +92,12 @@ class NativeModule:
         key = cache_key(identity, *versions)
         code = read_cache(key)
         self.from_cache = code is not None
-        machine = llvm.Target.from_default_triple().create_target_machine(
-            cpu=processor, features=features, opt=LEVEL
-        )
+        target = llvm.Target.from_default_triple()
+        machine_of = partial(target.create_target_machine, cpu=processor, features=features)
         if code is None:
             with uncollected():
-                written = text()
-            module = llvm.parse_assembly(written)
+                written, level = text()
+            module, machine = llvm.parse_assembly(written), machine_of(opt=level)
             if optimize:
                 # LLVM's own selection of passes takes ten times as long and gains nothing
                 passes = llvm.create_new_module_pass_manager()
@@ -108,7 +107,7 @@ class NativeModule:
                 passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
             code = machine.emit_object(module)
             write_cache(key, code)
-        self._engine: Any = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+        self._engine: Any = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine_of())
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(code))
         self._engine.finalize_object()
         self.addresses = {name: int(self._engine.get_function_address(name)) for name in functions}
@@ -152,15 +151,17 @@ class NativeFunction:
             identity: all that the program depends on, and this package; its text if None.
         """
 
-        def text() -> str:
+        @cache
+        def text() -> tuple[str, int]:
             program, many, layout = trace()
             straight = program.operations < LARGE
             lanes = LANES if many and straight else 1
             body = emit_straight(program, "f", lanes) if straight else emit_rolled(program, "f")
             description = program.inputs, len(program.outputs), lanes, program.operations, layout
-            return declarations(lanes) + body + _constant(DESCRIPTION, json.dumps(description))
+            written = declarations(lanes) + body + _constant(DESCRIPTION, json.dumps(description))
+            return written, LEVEL if straight else QUICK_LEVEL
 
-        known = f"{identity}, rolled from {LARGE}, {LANES} lanes" if identity else text()
+        known = f"{identity}, rolled from {LARGE}, {LANES} lanes" if identity else text()[0]
         self.module = NativeModule(known, text, {"f": PROGRAM})
         description = json.loads(self.module.constant(DESCRIPTION))
         self.inputs, self.outputs, self.lanes, self.operations, self.layout = description

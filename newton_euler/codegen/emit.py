@@ -1,6 +1,6 @@
 """Emission of programs as LLVM text.
 
-Products may be contracted with sums into one rounding (`contract`); nothing else is reordered.
+Products may be contracted with sums into one rounding where that is asked for; nothing else is reordered.
 """
 
 from __future__ import annotations
@@ -36,9 +36,10 @@ class Instructions:
         lines: their text.
     """
 
-    def __init__(self, lanes: int = 1) -> None:
+    def __init__(self, lanes: int = 1, flags: str = "") -> None:
+        """`flags` are those of LLVM's floating-point arithmetic."""
         self.lines: list[str] = []
-        self._lanes = lanes
+        self._lanes, self._flags = lanes, flags
         self._type, self._suffix = vector_type("double", lanes), "f64" if lanes == 1 else f"v{lanes}f64"
         self._turned: set[str] = set()
 
@@ -46,7 +47,7 @@ class Instructions:
         """Add an operation on operands a and b; its result is named `name`."""
         t = self._type
         if op in _ARITHMETIC:
-            self.lines.append(f"  {name} = {_ARITHMETIC[op]} contract {t} {a}, {b}")
+            self.lines.append(f"  {name} = {_ARITHMETIC[op]} {self._flags}{t} {a}, {b}")
         elif op == "neg":
             self.lines.append(f"  {name} = fneg {t} {a}")
         elif op in _BOTH:
@@ -81,7 +82,7 @@ Emitter = Callable[[Program, str], str]
 
 def emit_straight(program: Program, name: str, lanes: int = 1) -> str:
     """Emit the program as straight-line code; x and y hold the values of all lanes side by side."""
-    out = Instructions(lanes)
+    out = Instructions(lanes, "contract ")
     values: list[str] = []
     for k, (op, a, b) in enumerate(program.nodes):
         if op == "const":

@@ -9,7 +9,7 @@ from types import FunctionType
 from typing import Any
 
 from newton_euler.codegen import native, translate
-from newton_euler.codegen.compile import NativeModule
+from newton_euler.codegen.compile import LEVEL, NativeModule
 from newton_euler.codegen.native import (
     Kind,
     NativeError,
@@ -35,7 +35,7 @@ class NativeFunctions:
         """Compile them."""
         signatures = {function.__name__: signature_of(function) for function in functions}
         identity = " ".join(signatures) + sources(functions)
-        self.module = NativeModule(identity, lambda: text(functions), signatures, optimize=True)
+        self.module = NativeModule(identity, lambda: (text(functions), LEVEL), signatures, optimize=True)
         self._calls = {
             name: _ctypes(signature)(self.module.addresses[name]) for name, signature in signatures.items()
         }

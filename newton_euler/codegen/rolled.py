@@ -4,7 +4,7 @@ Straight-line code grows with the scene; what it computes repeats itself, once f
 and loop of a kind. The program is cut into pieces at places that depend on nothing but the operations
 just before them, so that repetitions are cut alike wherever they stand. Pieces of the same structure
 become one function; which values and constants each instance takes is data. Results are those of the
-straight-line code: the same operations in the same order.
+straight-line code: the same operations in the same order, each rounded by itself.
 
 A value that other pieces use has a place in a table of values. Its first places are the inputs. Where
 there is no memory for the table, all results are NaN, whose pivot ratio no caller takes for positive.
@@ -26,10 +26,10 @@ from newton_euler.scalars import Array
 WINDOW = 8
 """Number of operations that decide on a cut of the program after them."""
 
-SHORTEST = 48
-"""Operations of a piece at least; calling a shorter one would cost as much as running it."""
+SHORTEST = 128
+"""Operations of a piece at least; calls, and values that other pieces use, take as long as an operation."""
 
-REACH = 32
+REACH = 80
 """A cut has the least checksum of so many operations before and after it."""
 
 BASE, PRIME = 131, 1_000_003
@@ -189,11 +189,12 @@ def emit_rolled(program: Program, name: str) -> str:
     values: list[int] = []
     data: list[float] = []
     value_starts, data_starts = [], []
-    for _, instance in order:
+    for piece, instance in order:
         value_starts.append(len(values))
         data_starts.append(len(data))
-        values.extend(place[k] for k in instance.values)
-        data.extend(instance.data)
+        if len(piece.instances) > 1:
+            values.extend(place[k] for k in instance.values)
+            data.extend(instance.data)
     used = sorted({int(a) for op, a, _ in program.nodes if op == "input"})
     tables = [
         _table("i32", f"{name}.values", values),
@@ -210,7 +211,7 @@ def emit_rolled(program: Program, name: str) -> str:
         f"  store double {literal(program.nodes[k][1])}, ptr %c{k}"
         for k in fixed
     ]
-    bodies = [_emit_piece(piece, name) for piece in pieces]
+    bodies = [_emit_piece(piece, name, place) for piece in pieces]
     loops = _LOOPS.format(
         name=name,
         bytes=8 * size,
@@ -228,21 +229,29 @@ def _table(kind: str, name: str, entries: Sequence[object]) -> str:
     return f"@{name} = private constant [{len(entries)} x {kind}] [{content}]"
 
 
-def _emit_piece(piece: Piece, name: str) -> str:
-    """Emit a piece as `void(values, places of its arguments, data, start of its results)`."""
+def _emit_piece(piece: Piece, name: str, place: dict[int, int]) -> str:
+    """Emit a piece as `void(values, places of its arguments, data, start of its results)`.
+
+    A piece with one instance has places and data in its code; `place` holds the places of nodes.
+    """
     out = Instructions()
     known: dict[Operand, str] = {}
+    first, *others = piece.instances
 
     def operand(key: Operand) -> str:
         kind, number = key
         if kind == "literal":
             return literal(number)
+        if kind == "data" and not others:
+            return literal(first.data[int(number)])
         if key not in known:
             if kind == "data":
                 known[key] = out.load(f"%d{number}", "%data", int(number))
+            elif not others:
+                known[key] = out.load(f"%v{number}", "%v", place[first.values[int(number)]])
             else:
                 out.lines.append(f"  %p{number}.at = getelementptr i32, ptr %places, i64 {number}")
-                out.lines.append(f"  %p{number} = load i32, ptr %p{number}.at, !invariant.load !0")
+                out.lines.append(f"  %p{number} = load i32, ptr %p{number}.at")
                 out.lines.append(f"  %q{number} = zext i32 %p{number} to i64")
                 known[key] = out.load(f"%v{number}", "%v", f"%q{number}")
         return known[key]
@@ -262,7 +271,6 @@ def _emit_piece(piece: Piece, name: str) -> str:
 _LOOPS = """
 declare ptr @malloc(i64)
 declare void @free(ptr)
-!0 = !{{}}
 
 define void @{name}(ptr noalias %x, ptr noalias %y) {{
 entry:

@@ -56,8 +56,19 @@ def constant(value: float, lanes: int) -> str:
     return literal(value) if lanes == 1 else f"splat (double {literal(value)})"
 
 
+def _suffix(lanes: int) -> str:
+    """Return the ending of names of LLVM's own functions."""
+    return "f64" if lanes == 1 else f"v{lanes}f64"
+
+
 def _whole(value: int, lanes: int) -> str:
-    return str(value) if lanes == 1 else f"splat (i32 {value})"
+    return str(value) if lanes == 1 else f"splat (i64 {value})"
+
+
+def _sum(name: str, a: str, b: str, c: str, lanes: int) -> str:
+    """Emit %name = a b + c, rounded once where the processor can."""
+    t = vector_type("double", lanes)
+    return f"  %{name} = call {t} @llvm.fmuladd.{_suffix(lanes)}({t} {a}, {t} {b}, {t} {c})"
 
 
 def _polynomial(name: str, coefficients: Sequence[float], lanes: int) -> str:
@@ -66,17 +77,14 @@ def _polynomial(name: str, coefficients: Sequence[float], lanes: int) -> str:
     last = constant(coefficients[-1], lanes)
     lines = [f"  %{name}{len(coefficients) - 1} = fadd {t} {last}, {constant(0.0, lanes)}"]
     for k in range(len(coefficients) - 2, -1, -1):
-        lines.append(f"  %{name}m{k} = fmul contract {t} %{name}{k + 1}, %z")
-        lines.append(f"  %{name}{k} = fadd contract {t} %{name}m{k}, {constant(coefficients[k], lanes)}")
+        lines.append(_sum(f"{name}{k}", f"%{name}{k + 1}", "%z", constant(coefficients[k], lanes), lanes))
     return "\n".join(lines)
 
 
 def _reduction(lanes: int) -> str:
     """Emit %x - %n pi/2 into %r3, one part of pi/2 after the other."""
-    t = vector_type("double", lanes)
     return "\n".join(
-        f"  %w{k} = fmul contract {t} %n, {constant(part, lanes)}\n"
-        f"  %r{k + 1} = fsub contract {t} %{'x' if k == 0 else f'r{k}'}, %w{k}"
+        _sum(f"r{k + 1}", "%n", constant(-part, lanes), f"%r{k}" if k else "%x", lanes)
         for k, part in enumerate(HALF_PI)
     )
 
@@ -103,14 +111,15 @@ def sincos(lanes: int) -> str:
 
     With several, all of them go to the C library if one is far.
     """
-    t, i, b = (vector_type(element, lanes) for element in ("double", "i32", "i1"))
-    suffix = "f64" if lanes == 1 else f"v{lanes}f64"
+    t, i, w, b = (vector_type(element, lanes) for element in ("double", "i32", "i64", "i1"))
+    suffix = _suffix(lanes)
     all_near = f"call i1 @llvm.vector.reduce.and.v{lanes}i1({b} %lanes.near)"
     return f"""
 declare double @sin(double)
 declare double @cos(double)
 declare {t} @llvm.fabs.{suffix}({t})
 declare {t} @llvm.rint.{suffix}({t})
+declare {t} @llvm.fmuladd.{suffix}({t}, {t}, {t})
 {"" if lanes == 1 else f"declare i1 @llvm.vector.reduce.and.v{lanes}i1({b})"}
 
 define private {{{t}, {t}}} @sincos({t} %x) noinline {{
@@ -129,31 +138,34 @@ fast:
   %z = fmul {t} %r3, %r3
 {_polynomial("s", SINE, lanes)}
   %cube = fmul {t} %z, %r3
-  %s.rest = fmul contract {t} %cube, %s0
-  %s = fadd contract {t} %r3, %s.rest
+{_sum("s", "%cube", "%s0", "%r3", lanes)}
 {_polynomial("c", COSINE, lanes)}
   %half = fmul {t} %z, {constant(0.5, lanes)}
   %w = fsub {t} {constant(1.0, lanes)}, %half
   %left = fsub {t} {constant(1.0, lanes)}, %w
   %lost = fsub {t} %left, %half
   %square = fmul {t} %z, %z
-  %c.high = fmul contract {t} %square, %c0
-  %c.rest = fadd contract {t} %lost, %c.high
+{_sum("c.rest", "%square", "%c0", "%lost", lanes)}
   %c = fadd {t} %w, %c.rest
   %k = fptosi {t} %n to {i}
-  %odd.bit = and {i} %k, {_whole(1, lanes)}
-  %odd = icmp ne {i} %odd.bit, {_whole(0, lanes)}
-  %sin.size = select {b} %odd, {t} %c, {t} %s
-  %cos.size = select {b} %odd, {t} %s, {t} %c
-  %sin.bit = and {i} %k, {_whole(2, lanes)}
-  %sin.down = icmp ne {i} %sin.bit, {_whole(0, lanes)}
-  %next = add {i} %k, {_whole(1, lanes)}
-  %cos.bit = and {i} %next, {_whole(2, lanes)}
-  %cos.down = icmp ne {i} %cos.bit, {_whole(0, lanes)}
-  %sin.neg = fneg {t} %sin.size
-  %cos.neg = fneg {t} %cos.size
-  %sin.near = select {b} %sin.down, {t} %sin.neg, {t} %sin.size
-  %cos.near = select {b} %cos.down, {t} %cos.neg, {t} %cos.size
+  %quarter = sext {i} %k to {w}
+  %odd = and {w} %quarter, {_whole(1, lanes)}
+  %swap = sub {w} {_whole(0, lanes)}, %odd
+  %s.bits = bitcast {t} %s to {w}
+  %c.bits = bitcast {t} %c to {w}
+  %differ = xor {w} %s.bits, %c.bits
+  %swapped = and {w} %differ, %swap
+  %sin.size = xor {w} %s.bits, %swapped
+  %cos.size = xor {w} %c.bits, %swapped
+  %sin.up = shl {w} %quarter, {_whole(62, lanes)}
+  %sin.sign = and {w} %sin.up, {_whole(-(2**63), lanes)}
+  %next = add {w} %quarter, {_whole(1, lanes)}
+  %cos.up = shl {w} %next, {_whole(62, lanes)}
+  %cos.sign = and {w} %cos.up, {_whole(-(2**63), lanes)}
+  %sin.bits = xor {w} %sin.size, %sin.sign
+  %cos.bits = xor {w} %cos.size, %cos.sign
+  %sin.near = bitcast {w} %sin.bits to {t}
+  %cos.near = bitcast {w} %cos.bits to {t}
   br label %end
 end:
   %sin.x = phi {t} [ %sin.far, %library ], [ %sin.near, %fast ]

@@ -20,7 +20,7 @@ from test_expression import everything, traced
 
 import newton_euler.codegen.cache
 from newton_euler.codegen.cache import CACHE_VARIABLE, cache_key, read_cache, write_cache
-from newton_euler.codegen.compile import NativeFunction, NativeModule, Traced
+from newton_euler.codegen.compile import LEVEL, NativeFunction, NativeModule, Traced
 from newton_euler.codegen.emit import LANES
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.native import Callback, NativeError, Record, Signature, Vector, native
@@ -50,7 +50,9 @@ def test_native_code_computes_what_the_program_says(cache):
 
 
 def compiled(text):
-    return NativeModule(text, lambda: text, {"f": Signature({"x": "double"}, "double")}, optimize=True)
+    return NativeModule(
+        text, lambda: (text, LEVEL), {"f": Signature({"x": "double"}, "double")}, optimize=True
+    )
 
 
 SOURCE = "define double @f(double %x) {\n  %y = fadd double %x, 1.0\n  ret double %y\n}"
@@ -138,7 +140,7 @@ def test_a_user_without_a_home_has_no_cache(tmp_path, monkeypatch):
 
 def test_processes_that_compile_at_once_do_not_disturb_each_other(cache):
     code = "from newton_euler.codegen.compile import NativeModule\n"
-    code += f"NativeModule({SOURCE!r}, lambda: {SOURCE!r}, {{}}, optimize=True)"
+    code += f"NativeModule({SOURCE!r}, lambda: ({SOURCE!r}, 1), {{}}, optimize=True)"
     environment = os.environ | {CACHE_VARIABLE: str(cache)}
     jobs = [subprocess.Popen([sys.executable, "-c", code], env=environment) for _ in range(3)]
     assert [job.wait() for job in jobs] == [0] * 3
@@ -149,7 +151,7 @@ def test_processes_that_compile_at_once_do_not_disturb_each_other(cache):
 def test_runs_that_are_killed_leave_the_cache_usable(cache):
     """Killed at random moments while they compile and write, again and again."""
     code = "from newton_euler.codegen.compile import NativeModule\nk = 0\nwhile True:\n    k += 1\n" + (
-        f"    NativeModule({SOURCE!r} + '; %d' % (k % 7), lambda: {SOURCE!r}, {{}}, optimize=True)\n"
+        f"    NativeModule({SOURCE!r} + '; %d' % (k % 7), lambda: ({SOURCE!r}, 1), {{}}, optimize=True)\n"
         "    import shutil, os\n"
         "    for name in os.listdir(os.environ['NEWTON_EULER_CACHE'])[:3]:\n"
         "        if not name.startswith('.'): os.unlink(os.environ['NEWTON_EULER_CACHE'] + '/' + name)\n"
