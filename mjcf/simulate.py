@@ -14,8 +14,7 @@ import numpy as np
 from mjcf.errors import DivergenceError, heard_warnings
 from mjcf.write import SOLIMP, TIMESTEP
 from newton_euler.assemble import initial_state
-from newton_euler.equations.applied_forces import strongest, surroundings
-from newton_euler.equations.system import blamed, fastest_joint
+from newton_euler.equations.applied_forces import blamed, surroundings
 from newton_euler.errors import OptionError, UnknownNameError, check_type
 from newton_euler.integrators.options import MOST_FIXED_STEPS
 from newton_euler.integrators.sampling import Interval, holding, intervals, sample
@@ -251,6 +250,5 @@ def _divergence(warning: str, time: float, rows: Sequence[Output]) -> Divergence
     """MuJoCo's warning, with the joint that was fastest and the force that was largest at the last output."""
     system, q, v = rows[-1][:3]
     state = system.state(q, v)
-    joint = fastest_joint(system.mechanism, state)
-    force = strongest(system.scene, surroundings(system.scene, state, time))
-    return DivergenceError(time, blamed(warning, joint, force))
+    at = surroundings(system.scene, state, time)
+    return DivergenceError(time, blamed(system.scene, state, warning, at))

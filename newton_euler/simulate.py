@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import time
 import warnings
+from collections import Counter
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from typing import Any, Unpack
@@ -226,7 +227,7 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     q, v = system.coordinates(initial_state(scene))
     start = time.perf_counter()
     rows: list[tuple[System, float, Array, Array]] = []
-    counts = {"steps": 0, "evaluations": 0}
+    counts = Counter(steps=0, evaluations=0)
     stopped: IntegrationError | None = None
     for interval in intervals(scene):
         if interval.due:
@@ -236,16 +237,14 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
             except IntegrationError as error:
                 stopped = error
                 break
-        solution = integrate(system, q, v, interval.times, options)
-        for t, wanted, *state in zip(interval.times, interval.wanted, solution.q, solution.v, strict=False):
+        table, counted, stopped = integrate(system, q, v, interval.times, options)
+        counts.update(counted)
+        for t, wanted, state in zip(interval.times, interval.wanted, table, strict=False):
+            q, v = state[: system.nq], state[system.nq :]
             if wanted:
-                rows.append((system, t, *state))
-        counts["steps"] += solution.steps
-        counts["evaluations"] += solution.evaluations
-        stopped = solution.stopped
+                rows.append((system, t, q, v))
         if stopped:
             break
-        q, v = solution.q[-1], solution.v[-1]
     wall_time = time.perf_counter() - start
     evaluations: list[Evaluation] = []
     phi: list[Array] = []
@@ -258,7 +257,7 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
         except NewtonEulerError as error:
             stopped = stopped or IntegrationError(t, str(error))
             break
-    settings = settings | options.chosen() | counts
+    settings = settings | options.chosen() | dict(counts)
     return trajectory_from(scene, engine, settings, wall_time, evaluations, phi, stopped)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from newton_euler.equations.system import fastest_joint
 from newton_euler.model.constraints import Frame
 from newton_euler.model.elements import Surroundings
 from newton_euler.model.scene import Scene
@@ -75,10 +76,12 @@ def power(scene: Scene, at: Surroundings) -> Scalar:
     return sum((term for force in forces for term in force.powers(at)), start=0.0)
 
 
-def strongest(scene: Scene, at: Surroundings) -> str | None:
-    """Find the largest of a scene's forces, by the name that errors use; None for a scene without forces."""
+def blamed(scene: Scene, state: State, reason: str, at: Surroundings) -> str:
+    """Complete the reason of a failure with the fastest joint and the largest force, if there is one."""
+    reason = f"{reason}; fastest at joint {fastest_joint(scene.mechanism, state)!r}"
     with np.errstate(all="ignore"):
         found = {f.element: f.magnitude(at) for f in (*scene.joint_forces, *scene.body_forces)}
     if not found:
-        return None
-    return max(found, key=lambda element: np.nan_to_num(found[element], nan=np.inf))
+        return reason
+    largest = max(found, key=lambda element: np.nan_to_num(found[element], nan=np.inf))
+    return f"{reason}, largest force: {largest}"

@@ -175,12 +175,6 @@ def rate_of_phi(system: System, jacobian: Array, v: Array) -> Array:
     return np.asarray(rate + system.phi_t() if is_rheonomic(system) else rate)
 
 
-def blamed(reason: str, joint: str, force: str | None) -> str:
-    """Complete the reason of a failure with the fastest joint and the largest force, if there is one."""
-    reason = f"{reason}; fastest at joint {joint!r}"
-    return reason if force is None else f"{reason}, largest force: {force}"
-
-
 def fastest_joint(mechanism: Mechanism, state: State) -> str:
     """Find the joint whose bodies have the largest relative velocity, in mechanism sizes and rad per s."""
     with np.errstate(all="ignore"):

@@ -4,14 +4,13 @@ steps."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from newton_euler.equations.applied_forces import strongest, surroundings
+from newton_euler.equations.applied_forces import blamed, surroundings
 from newton_euler.equations.redundancy import mobility
-from newton_euler.equations.system import System, at_time, blamed, fastest_joint
+from newton_euler.equations.system import System, at_time
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.options import ADAPTIVE, Options
 from newton_euler.integrators.projection import project_position, project_velocity
@@ -31,23 +30,12 @@ adaptive method gives up, as where a linkage locks. After a start, or a singular
 than the one before."""
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """q (n, nq) and v (n, nv) at the n output times that were reached, and what it took.
+def integrate(
+    system: System, q: Array, v: Array, times: Array, options: Options
+) -> tuple[Array, dict[str, int], IntegrationError | None]:
+    """Integrate from q, v at times[0]: (q, v) at all times, or at those before it had to stop, (n, nq + nv).
 
-    Attributes:
-        stopped: what ended it before the last output; None if nothing did.
-    """
-
-    q: Array
-    v: Array
-    steps: int
-    evaluations: int
-    stopped: IntegrationError | None
-
-
-def integrate(system: System, q: Array, v: Array, times: Array, options: Options) -> Solution:
-    """Integrate from q, v at times[0]: the solution at all times, or at those before it had to stop.
+    Counts of the run and the error that stopped it, None if none did, come with them.
 
     It stops, with the time, the reason and the joint or force that it is about, for steps that shrink to
     nothing, numbers that are not finite, and equations or constraints that cannot be solved.
@@ -94,17 +82,13 @@ def integrate(system: System, q: Array, v: Array, times: Array, options: Options
     except IntegrationError as error:
         stopped = error
     table = np.array(rows).reshape(len(rows), system.nq + system.nv)
-    return Solution(table[:, : system.nq], table[:, system.nq :], steps, evaluations, stopped)
+    return table, {"steps": steps, "evaluations": evaluations}, stopped
 
 
 def _with_blame(system: System, time: float, y: Array, reason: str) -> str:
     """Add the joint that moves fastest and the largest force at a time in s to a reason."""
     state = system.state(y[: system.nq], y[system.nq :])
-    return blamed(
-        reason,
-        fastest_joint(system.mechanism, state),
-        strongest(system.scene, surroundings(system.scene, state, time)),
-    )
+    return blamed(system.scene, state, reason, surroundings(system.scene, state, time))
 
 
 Derivative = Callable[[float, Array], Array]

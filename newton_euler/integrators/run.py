@@ -13,11 +13,11 @@ import numpy as np
 
 from newton_euler.codegen.native import Callback, Record
 from newton_euler.codegen.native_functions import NativeFunctions
-from newton_euler.equations.applied_forces import strongest
+from newton_euler.equations.applied_forces import blamed
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import largest_share, singular_values
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.system import blamed, dimensionless_jacobian, fastest_joint
+from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code
@@ -342,8 +342,7 @@ def failure(
         reason = f"projection cannot close joint {joint!r}, which is open by {residual:.3g} (m or rad)"
     else:
         reason = _reason(code, integrator, most, status, x)
-    force = strongest(system.scene, system.seen(q, v))
-    return IntegrationError(reached, blamed(reason, fastest_joint(system.mechanism, state), force))
+    return IntegrationError(reached, blamed(system.scene, state, reason, system.seen(q, v)))
 
 
 def _reason(code: Code, integrator: str, most: int, status: int, x: Array) -> str:

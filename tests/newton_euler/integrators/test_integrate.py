@@ -79,8 +79,8 @@ def test_projection_restores_positions_and_velocities():
     options = Options(integrator="RK4", step=0.05)
     q, v = q + 1e-3 * rng.standard_normal(q.size), v + rng.standard_normal(v.size)
     assert np.abs(system.phi(q)).max() > 1e-4
-    solution = integrate(system, q, v, np.array([0.0, 0.1]), options)
-    for q, v in zip(solution.q, solution.v, strict=True):
+    table, _, _ = integrate(system, q, v, np.array([0.0, 0.1]), options)
+    for q, v in zip(table[:, : system.nq], table[:, system.nq :], strict=True):
         assert np.abs(system.phi(q)).max() < 1e-14  # round-off of meters
         assert np.abs(system.phi_jacobian(q) @ v).max() < 1e-13
 
