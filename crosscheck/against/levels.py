@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -23,11 +24,13 @@ from crosscheck.comparison.samples import Samples, States
 from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import body_wrenches, surroundings
 from newton_euler.equations.couplings import Coupling, couplings
+from newton_euler.equations.dense import orthonormal_range
+from newton_euler.model.constraints import Frame
 from newton_euler.model.control import Law
 from newton_euler.model.elements import OnBall, OnCoordinate
 from newton_euler.model.euler_parameters import angle_between, rotation, rotations
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring
-from newton_euler.model.joint import Key
+from newton_euler.model.joint import JointEquations, Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
@@ -111,30 +114,54 @@ def differences(states: SharedStates) -> Iterator[Difference]:
     yield Difference("center of mass, m", np.linalg.norm(aligned.centers[1:], axis=1), length, names)
     yield Difference("inertia, rel", np.array(inertias), ROUND_OFF, names)
     if joints := [aligned.joint_names.get(name, name) for name in aligned.both[1].mechanism.joint_names]:
-        lengths, angles = joint_residuals(states)
+        lengths, angles, freedoms = joint_differences(states)
         share = round_off(states.condition, states.noise) + states.condition * states.opening
         far = max(reach(first, state.position) for state in states.all)
         yield Difference("joint axes, rad", angles, share, joints)
         yield Difference("joint points, m", lengths, share * far, joints)
+        yield Difference("joint Jacobians, rel", freedoms, share, joints)
     if coupled := dict(_couplings_apart(aligned)):
         yield Difference("couplings, rel", np.array(list(coupled.values())), ROUND_OFF, tuple(coupled))
 
 
-def joint_residuals(states: SharedStates) -> Array:
-    """(2, j) how far joints of the second model are open where the first's are closed, m and rad.
+def joint_differences(states: SharedStates) -> Array:
+    """(3, j) how far joints of the second model are open where the first's are closed, m and rad, and how far
+    the motions that they allow there are others, of those of one kind, relative.
 
-    Whatever their kinds and directions are: a joint that holds wherever the first model moves is the same.
+    Whatever their points and directions are: a joint that holds wherever the first model moves is the same.
     """
-    mechanism = states.aligned.both[1].mechanism
-    found = np.zeros((2, len(mechanism.joints)))
+    aligned, size = states.aligned, states.scene.mechanism.size
+    own, mechanism = (scene.mechanism for scene in aligned.both)
+    found, names = np.zeros((3, len(mechanism.joints))), aligned.joint_names
+    alike = {other: name for other, name in names.items() if aligned.same_kind(name)}
     for state in states.all:
-        arms = rotations(state.quaternion) @ states.aligned.centers[:, :, None]
-        frames = replace(state, position=state.position + arms[:, :, 0]).frames()
+        arms = (rotations(state.quaternion) @ aligned.centers[:, :, None])[:, :, 0]
+        here, there = state.frames(), replace(state, position=state.position + arms).frames()
         for n, equations in enumerate(mechanism.equations):
-            phi = np.abs(equations.phi(frames[equations.first], frames[equations.second]))
-            for unit, rows in enumerate((equations.is_length, ~equations.is_length)):
-                found[unit, n] = max(found[unit, n], np.max(phi[rows], initial=0.0))
+            phi = np.abs(equations.phi(there[equations.first], there[equations.second]))
+            lengths, angles = phi[equations.is_length], phi[~equations.is_length]
+            other = 0.0
+            if (joint := equations.joint.name) in alike:
+                one = _reactions(own.joint_equations(alike[joint]), here, 0.0 * arms, size)
+                two = _reactions(equations, there, arms, size)
+                other = np.max(np.abs(two @ two.T - one @ one.T))
+            now = np.max(lengths, initial=0.0), np.max(angles, initial=0.0), other
+            found[:, n] = np.maximum(found[:, n], now)
     return found
+
+
+def _reactions(equations: JointEquations, frames: Sequence[Frame], arms: Array, size: float) -> Array:
+    """(12, r) orthonormal wrenches of a joint on its two bodies, torques over the size, N.
+
+    About points that lie `arms` (b, 3), m, before the centers of mass.
+    """
+    first, second = equations.first, equations.second
+    r_i, theta_i, r_j, theta_j = equations.jacobian(frames[first], frames[second])
+    parts = [
+        np.hstack([r, (theta + np.cross(arms[body], r)) / size])
+        for body, r, theta in sorted(((first, r_i, theta_i), (second, r_j, theta_j)), key=itemgetter(0))
+    ]
+    return orthonormal_range(np.hstack(parts).T)
 
 
 def model_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterator[Figure]:

@@ -165,6 +165,12 @@ def test_an_axis_that_points_the_other_way_is_the_same_hinge(linkage: Scene, tmp
     assert first_failing(result) == ("dynamics", "actuator force", "motor")
 
 
+def test_a_ball_at_another_point_is_another_joint_though_all_moves_alike(linkage: Scene) -> None:
+    """Beside the plane of the linkage, where the ball turns as before and loads its bodies otherwise."""
+    beside = plant.joint_point("loop", np.array([0.0, FAULT, 0.0]))(linkage)
+    assert first_failing(compared(linkage, beside)) == ("model", "joint Jacobians", "loop")
+
+
 def test_the_point_of_a_hinge_may_be_anywhere_on_its_axis() -> None:
     """Its reaction is told at another point then, where the same force has another torque."""
     result = compared(pendulum(), plant.joint_point("pivot", np.array([0.0, 0.3, 0.0]))(pendulum()))
