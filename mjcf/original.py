@@ -21,12 +21,8 @@ from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross
 from newton_euler.verification.activity import Bounds
 from newton_euler.verification.import_report import ImportReport, approximated, left_out, unique_name
-from newton_euler.verification.original import Original, Sample, wholes
+from newton_euler.verification.original import SEVERAL_HINGES, Original, Sample, wholes
 from newton_euler.verification.quantities import Constraints, ForceLimit, Forces, Kinematics
-
-SEVERAL_HINGES = 1.2
-"""rad, that hinges of a body with others are moved from the start: beyond a quarter turn of the second of
-three, poses tell other angles."""
 
 ROUND_OFF = 1e-14
 """Relative, of what is left of MuJoCo's sum of passive forces without its parts."""
@@ -152,16 +148,13 @@ class MjcfOriginal(Original):
     def _leave_out(self, report: ImportReport) -> None:
         """Switch off or replace what a report says is not in the scene as it is, at the start."""
         model, without, near = self._model, left_out(report), approximated(report)
-        numbers = {
-            element_name(self._model, kind, k): (kind, k)
-            for kind, count in (
-                ("joint", model.njnt),
-                ("equality", model.neq),
-                ("tendon", model.ntendon),
-                ("actuator", model.nactuator),
-            )
-            for k in range(count)
+        counts = {
+            "joint": model.njnt,
+            "equality": model.neq,
+            "tendon": model.ntendon,
+            "actuator": model.nactuator,
         }
+        numbers = {element_name(model, kind, k): (kind, k) for kind, n in counts.items() for k in range(n)}
         for element, topics in without.items():
             kind, k = numbers.get(element, (element, -1))
             for topic in topics:

@@ -70,12 +70,10 @@ def simulate(
         raise UnknownNameError("integrator", integrator, INTEGRATORS)
     stiffness = None if solref is None else _checked_solref(solref, largest)
 
-    import mujoco
-
-    from mjcf.soft import SoftMuJoCo
+    from mjcf.soft import SoftMuJoCo, stiffest
 
     system = SoftMuJoCo(scene)
-    system.model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+    system.use_integrator(integrator)
 
     start = time.perf_counter()
     states, stopped = _run(system, plan, stiffness)
@@ -83,7 +81,7 @@ def simulate(
     settings: dict[str, Any] = {
         "timestep": largest,
         "integrator": integrator,
-        "solref": list(stiffness or _stiffest(largest)),
+        "solref": list(stiffness or stiffest(largest)),
         "solimp": list(SOLIMP),
         "steps": sum(step.number for step in steps),
     }
@@ -91,7 +89,7 @@ def simulate(
         settings["last_timestep"] = steps[-1].size
     evaluations, phi = [], []
     for (system, q, v, size, work), now in zip(states, scene.times, strict=stopped is None):
-        _use(system.model, size, stiffness)
+        system.use_step(size, stiffness)
         system.time = float(now)
         evaluations.append(replace(system.evaluate(q, v), work=work))
         phi.append(system.joint_phi(q))
@@ -157,17 +155,6 @@ def _step(scene: Scene, timestep: float | None) -> float:
     return step
 
 
-def _stiffest(timestep: float) -> tuple[float, float]:
-    """The stiffest solref that MuJoCo allows: a time constant of two steps, critical damping."""
-    return 2.0 * timestep, 1.0
-
-
-def _use(model: Any, timestep: float, solref: tuple[float, float] | None) -> None:
-    """Give a model its step, and constraints as stiff as the step allows if no solref is given."""
-    model.opt.timestep = timestep
-    model.eq_solref[:] = solref or _stiffest(timestep)
-
-
 def _checked_solref(solref: Sequence[float], timestep: float) -> tuple[float, float]:
     needed = (
         f"a time constant of two time steps ({2.0 * timestep:g} s) or more and a positive damping "
@@ -231,7 +218,7 @@ def _run(
             if interval.wanted[0]:
                 record()
             for (number, size), wanted in zip(steps, interval.wanted[1:], strict=True):
-                _use(model, size, solref)
+                system.use_step(size, solref)
                 if work is None:
                     mujoco.mj_step(model, data, number)
                 else:

@@ -32,6 +32,12 @@ from newton_euler.model.control import PD, Feedforwards
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
+
+def stiffest(step: float, damping_ratio: float = 1.0) -> tuple[float, float]:
+    """Return the stiffest solref that MuJoCo allows: a time constant of two steps."""
+    return 2.0 * step, damping_ratio
+
+
 RK4_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 
 
@@ -57,6 +63,15 @@ class SoftMuJoCo(CompiledScene):
         # of the evaluations in a step; shared by copies of this object, one of which MuJoCo calls
         self._asked: list[tuple[Array, Array]] = []
         self._stages: list[Array] = []
+
+    def use_integrator(self, name: str) -> None:
+        """Have MuJoCo integrate by the method that MJCF calls so."""
+        self.model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}")
+
+    def use_step(self, step: float, solref: tuple[float, float] | None = None) -> None:
+        """Have MuJoCo make steps, s, with the stiffest constraints that they allow if no solref is given."""
+        self.model.opt.timestep = step
+        self.model.eq_solref[:] = solref or stiffest(step)
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Accelerations, reactions and energies at a state."""

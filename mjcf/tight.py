@@ -16,7 +16,7 @@ import mujoco.rollout
 import numpy as np
 
 from mjcf.errors import DivergenceError, MjcfError, heard_warnings
-from mjcf.soft import SoftMuJoCo
+from mjcf.soft import SoftMuJoCo, stiffest
 from mjcf.write import controls
 from newton_euler.assemble import initial_state
 from newton_euler.model.scene import Scene
@@ -74,7 +74,7 @@ def steps(scene: Scene) -> Any:
     system = compiled(scene)
     system.place(*system.coordinates(initial_state(scene)))
     model, data = system.model, system.data
-    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    system.use_integrator("Euler")
     qpos, qvel = data.qpos.copy(), data.qvel.copy()
 
     def call(count: int) -> None:
@@ -101,7 +101,7 @@ class Stepper:
     ) -> None:
         """`intervals` are numbers of equal intervals, s, between outputs, one after the other."""
         self._system, self._intervals, self._number, self._ratio = system, intervals, number, damping_ratio
-        self._integrator = _integrator(integrator)
+        self._integrator = integrator
         outputs = 1 + sum(count for count, _ in intervals)
         self.position = np.empty((outputs, system.model.nbody, 3))
         self.quaternion = np.empty((outputs, system.model.nbody, 4))
@@ -112,7 +112,7 @@ class Stepper:
         system = self._system
         mujoco.mj_resetData(system.model, system.data)
         system.place(*system.coordinates(initial_state(system.scene)))
-        system.model.opt.integrator = self._integrator
+        system.use_integrator(self._integrator)
 
     def run(self) -> None:
         """Fill `position` and `quaternion`."""
@@ -120,7 +120,8 @@ class Stepper:
         rows = zip(self.position, self.quaternion, strict=True)
         with heard_warnings(), self._system.following():
             for count, interval in self._intervals:
-                _use(model, interval / self._number, self._ratio)
+                step = interval / self._number
+                self._system.use_step(step, stiffest(step, self._ratio))
                 self._advance(model, data, rows, count, self._number)
             mujoco.mj_kinematics(model, data)
         self.position[-1], self.quaternion[-1] = data.xpos, data.xquat
@@ -183,8 +184,9 @@ class Rollout:
         """For a scene with equal intervals between outputs."""
         self._system, self._number = system, number
         model, times = system.model, system.scene.times
-        model.opt.integrator = _integrator(integrator)
-        _use(model, float(times[1] - times[0]) / number, damping_ratio)
+        system.use_integrator(integrator)
+        step = float(times[1] - times[0]) / number
+        system.use_step(step, stiffest(step, damping_ratio))
         self._datas = [mujoco.MjData(model) for _ in range(threads)]
         self._pool = mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0)
         steps = number * (len(times) - 1)
@@ -242,15 +244,6 @@ class Rollout:
 def _held(scene: Scene, steps: int, step: float) -> Array:
     """(steps, nu) controls in the middle of each step, s, which is of second order for driven laws."""
     return np.array([controls(scene, (n + 0.5) * step) for n in range(steps)])
-
-
-def _integrator(name: str) -> Any:
-    return getattr(mujoco.mjtIntegrator, f"mjINT_{name.upper()}")
-
-
-def _use(model: Any, step: float, damping_ratio: float) -> None:
-    model.opt.timestep = step
-    model.eq_solref[:] = 2.0 * step, damping_ratio
 
 
 def _of_scene(system: SoftMuJoCo, position: Array, quaternion: Array) -> tuple[Array, Array]:

@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from newton_euler.errors import choices
 from newton_euler.model.source_file import SourceError
 from newton_euler.model.xml_source import LARGEST
 from newton_euler.model.yaml_source import parse_yaml
@@ -73,30 +72,36 @@ def parse_loops(text: str, source: str) -> Loops:
         raise LoopFileError(source, "document", "not a mapping from keys to lists")
     for key in document:
         if key not in KEYS:
-            raise LoopFileError(source, f"{key!s:.100}", f"unknown key; {choices(key, KEYS)}")
+            raise LoopFileError(source, f"{key!s:.100}", f"unknown key; choose from: {', '.join(KEYS)}")
     if "joint_name" not in document and "joint_type" not in document:
         document |= {"joint_name": [], "joint_type": []}
-    pairs = _entry(document, source, "closed_loop")
-    for pair in pairs:
+    document.setdefault("coupled", [])
+    for key in KEYS:
+        if key not in document:
+            raise LoopFileError(source, key, "missing")
+        if not isinstance(document[key], list):
+            raise LoopFileError(source, key, f"{document[key]!r:.200} is not a list")
+        for entry in document[key] if key in ("type", "name_mot", "joint_name", "joint_type") else ():
+            if not isinstance(entry, str):
+                raise LoopFileError(source, key, f"{entry!r:.200} is not a name")
+    for pair in document["closed_loop"]:
         if not isinstance(pair, list) or len(pair) != 2 or not all(isinstance(n, str) for n in pair):
             raise LoopFileError(source, "closed_loop", f"{pair!r:.200} is not a pair of frame names")
         if pair[0] == pair[1]:
             raise LoopFileError(source, "closed_loop", f"{pair!r:.200} is one frame; needed: two")
-    names = {key: _names(document, source, key) for key in ("type", "name_mot", "joint_name", "joint_type")}
-    names["type"] = tuple(entry.lower() for entry in names["type"])
-    _check_types(source, "type", names["type"], CLOSURE_TYPES, "closed_loop", len(pairs))
-    _check_types(
-        source,
-        "joint_type",
-        names["joint_type"],
-        JOINT_TYPES,
-        "joint_name",
-        len(names["joint_name"]),
-    )
-    if len(set(names["joint_name"])) < len(names["joint_name"]):
+    document["type"] = [kind.lower() for kind in document["type"]]
+    for key, valid, of in (("type", CLOSURE_TYPES, "closed_loop"), ("joint_type", JOINT_TYPES, "joint_name")):
+        if len(document[key]) != len(document[of]):
+            problem = f"{len(document[key])} entries for {len(document[of])} of {of}"
+            raise LoopFileError(source, key, problem)
+        for kind in document[key]:
+            if kind not in valid:
+                raise LoopFileError(source, key, f"unknown {kind!r:.200}; choose from: {', '.join(valid)}")
+    if len(set(document["joint_name"])) < len(document["joint_name"]):
         raise LoopFileError(source, "joint_name", "names a joint twice")
-    coupled = [_coupling(entry, source) for entry in _entry({"coupled": [], **document}, source, "coupled")]
-    return Loops(source, tuple((first, second) for first, second in pairs), **names, coupled=tuple(coupled))
+    document["coupled"] = [_coupling(entry, source) for entry in document["coupled"]]
+    document["closed_loop"] = [tuple(pair) for pair in document["closed_loop"]]
+    return Loops(source, **{key: tuple(document[key]) for key in KEYS})
 
 
 def _coupling(entry: Any, source: str) -> dict[str, float]:
@@ -108,29 +113,3 @@ def _coupling(entry: Any, source: str) -> dict[str, float]:
         needed = f"is not a mapping from joints to numbers of at most {LARGEST:g} in magnitude"
         raise LoopFileError(source, "coupled", f"{entry!r:.200} {needed}")
     return factors
-
-
-def _entry(document: dict[str, Any], source: str, key: str) -> list[Any]:
-    if key not in document:
-        raise LoopFileError(source, key, "missing")
-    if not isinstance(document[key], list):
-        raise LoopFileError(source, key, f"{document[key]!r:.200} is not a list")
-    return document[key]
-
-
-def _names(document: dict[str, Any], source: str, key: str) -> tuple[str, ...]:
-    entries = _entry(document, source, key)
-    for entry in entries:
-        if not isinstance(entry, str):
-            raise LoopFileError(source, key, f"{entry!r:.200} is not a name")
-    return tuple(entries)
-
-
-def _check_types(
-    source: str, key: str, types: tuple[str, ...], valid: tuple[str, ...], of: str, count: int
-) -> None:
-    if len(types) != count:
-        raise LoopFileError(source, key, f"{len(types)} entries for {count} of {of}")
-    for entry in types:
-        if entry not in valid:
-            raise LoopFileError(source, key, f"unknown {entry!r:.200}; {choices(entry, valid)}")

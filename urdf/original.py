@@ -16,17 +16,10 @@ import pinocchio as pin
 from newton_euler.equations.system import MassProperties
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array, cross, tilde
-from newton_euler.verification.import_report import (
-    ImportReport,
-    left_out,
-    unique_name,
-)
-from newton_euler.verification.original import Original, Sample, wholes
+from newton_euler.verification.import_report import ImportReport, left_out, unique_name
+from newton_euler.verification.original import SEVERAL_HINGES, Original, Sample, wholes
 from newton_euler.verification.quantities import Constraints, Forces, Kinematics
 from urdf.loops import NO_LOOPS, UNIVERSAL, Loops, parse_loops
-
-SEVERAL_HINGES = 1.2
-"""rad, that hinges in a row without a mass between them are moved from the start, see `mjcf.original`."""
 
 HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 
@@ -59,7 +52,7 @@ class UrdfOriginal(Original):
         self._without = left_out(report)
         self._damping = self._dampers()
         self._name(scene)
-        self._lengths: list[float] = []
+        self._lengths: dict[int, float] = {}
         self.unaccounted = tuple(self._unaccounted(report))
         self._pairs = self._ends()
         self._data: Any = self._model.createData()
@@ -199,46 +192,34 @@ class UrdfOriginal(Original):
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacements(model, data)
         residuals, rows, owners = [np.zeros(0)], [np.zeros((0, model.nv))], list[str]()
-        for pair, kind, (first, second) in self._closures():
-            if kind == "rod":
-                continue
+        for number, (pair, kind, (first, second)) in enumerate(self._closures()):
             a, b = data.oMf[first], data.oMf[second]
-            apart = self._moving(first) - self._moving(second)
-            residuals.append((a.translation - b.translation) / self.size)
-            rows.append(apart[:3] / self.size)
+            line, apart = a.translation - b.translation, self._moving(first) - self._moving(second)
+            before = len(rows)
+            if kind != "rod":
+                residuals.append(line / self.size)
+                rows.append(apart[:3] / self.size)
+            elif number in self._lengths:  # rods have none before the start is found
+                length = np.linalg.norm(line)
+                residuals.append(np.array([length - self._lengths[number]]) / self.size)
+                rows.append((line / length @ apart[:3])[None] / self.size)
             if kind == "6d":
                 turn = a.rotation.T @ b.rotation
                 residuals.append(pin.log3(turn))
                 rows.append(-pin.Jlog3(turn) @ b.rotation.T @ apart[3:])
-            owners += [f"closed_loop {' and '.join(pair)}"] * (6 if kind == "6d" else 3)
-        lines, across, names = self._rods(q)
-        # rods have no lengths before the start is found
-        for length, d, row, name in zip(self._lengths, lines, across, names, strict=False):
-            residuals.append(np.array([np.linalg.norm(d) - length]) / self.size)
-            rows.append((d / np.linalg.norm(d) @ row)[None] / self.size)
-            owners.append(name)
+            owners += [f"closed_loop {' and '.join(pair)}"] * sum(map(len, rows[before:]))
         residuals.append(self._rows @ pin.difference(model, self._from, q) + self._open)
         jacobian = np.concatenate([*rows, self._rows]) * self.units
         return Constraints(np.concatenate(residuals), jacobian, [*owners, *self._owners])
 
-    def _rods(self, q: Array) -> tuple[list[Array], list[Array], list[str]]:
-        """Lines (3,) of the rods, their rates (3, nv), and their names."""
-        model, data = self._model, self._data
-        pin.computeJointJacobians(model, data, q)
-        pin.updateFramePlacements(model, data)
-        lines, rows, names = list[Array](), list[Array](), list[str]()
-        for pair, kind, (first, second) in self._closures():
-            if kind == "rod":
-                lines.append(data.oMf[second].translation - data.oMf[first].translation)
-                rows.append((self._moving(second) - self._moving(first))[:3])
-                names.append(f"closed_loop {' and '.join(pair)}")
-        return lines, rows, names
-
     def keep_offsets(self) -> None:
         model, data = self._model, self._data
-        self._lengths = [float(np.linalg.norm(d)) for d in self._rods(self.start)[0]]
-        for _, kind, (first, second) in self._closures():
-            if kind != "rod":
+        pin.framesForwardKinematics(model, data, self.start)
+        for number, (_, kind, (first, second)) in enumerate(self._closures()):
+            if kind == "rod":
+                line = data.oMf[first].translation - data.oMf[second].translation
+                self._lengths[number] = float(np.linalg.norm(line))
+            else:
                 joint = data.oMi[model.frames[second].parentJoint]
                 wanted = data.oMf[first] if kind == "6d" else pin.SE3(np.eye(3), data.oMf[first].translation)
                 model.frames[second].placement = joint.actInv(wanted)

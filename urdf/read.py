@@ -31,7 +31,7 @@ from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.source_file import ReadOptions, Request, path_text
+from newton_euler.model.source_file import ReadOptions, Request, path_text, read_text
 from newton_euler.model.spanning_tree import unweld_loops
 from newton_euler.verification.activity import Bounds, Rest, Watch
 from newton_euler.verification.import_report import (
@@ -43,11 +43,11 @@ from newton_euler.verification.import_report import (
 )
 from newton_euler.verification.verify import check
 from urdf.errors import UrdfError
-from urdf.loops import NO_LOOPS, Loops
+from urdf.loops import NO_LOOPS
 from urdf.model import BASES, build
 from urdf.original import UrdfOriginal
 from urdf.reading.bodies import Tree
-from urdf.reading.source import SourceError, check_inertias, parsed, read_loop_text, read_loops, read_text
+from urdf.reading.source import SourceError, check_inertias, parsed, read_loops
 from urdf.reading.start import Mimic, Start
 from urdf.reading.visuals import dressed
 
@@ -95,13 +95,14 @@ def read(
     """
     check_choice("base", base, tuple(BASES))
     where, report, request = path_text(path, SourceError), ImportReport(), Request(**options)
-    text = read_text(where)
+    text = read_text(where, "file_size", SourceError)
     root = parsed(where, text)
-    text = _without_declaration(text)
+    if text.startswith("<?xml"):  # Pinocchio would take the encoding that it names for that of the text
+        text = text[text.index("?>") + 2 :]
     closing, loop_text = NO_LOOPS, None
     if loops is not None:
         loop_path = path_text(loops, SourceError)
-        loop_text = read_loop_text(loop_path)
+        loop_text = read_text(loop_path, "scene_size", SourceError)
         closing = read_loops(loop_path, loop_text)
     words: list[str] = []
     try:
@@ -113,7 +114,6 @@ def read(
         mimics = [Mimic(j, m) for j in moving for m in j.findall("mimic")]
         start = Start(where, closed, closing, mimics, report, request.redundancy_tolerance)
         tree = Tree(where, start, set(closing.name_mot), report)
-        _report_held(closing, report)
         tree.bodies = dressed(where, root, start, tree, report)
         scene = _scene(where, root, start, tree, report, request, gravity)
         with np.errstate(all="ignore"):  # what overflows is refused
@@ -140,12 +140,6 @@ def read(
     return Reading(scene, report)
 
 
-def _report_held(loops: Loops, report: ImportReport) -> None:
-    for name, kind in zip(loops.joint_name, loops.joint_type, strict=True):
-        if kind == "FIXED":
-            report.exactly(f"joint {name!r}", "held at 0, as the loop file says")
-
-
 @contextmanager
 def _overheard(words: list[str]) -> Iterator[None]:
     """Keep what the parser says on standard error beside what it raises, which names no element."""
@@ -163,11 +157,6 @@ def _overheard(words: list[str]) -> Iterator[None]:
             words += [line.removeprefix("Error:").strip() for line in lines if line.startswith("Error:")]
 
 
-def _without_declaration(text: str) -> str:
-    """Pinocchio takes text, whatever encoding its first line names."""
-    return text[text.index("?>") + 2 :] if text.startswith("<?xml") else text
-
-
 def _scene(
     path: str,
     root: ET.Element,
@@ -177,6 +166,9 @@ def _scene(
     request: Request,
     gravity: Sequence[float],
 ) -> Scene:
+    for joint, kind in zip(start.loops.joint_name, start.loops.joint_type, strict=True):
+        if kind == "FIXED":
+            report.exactly(f"joint {joint!r}", "held at 0, as the loop file says")
     joints = [*tree.joints, *_closing(start, tree, report)]
     gears = list(_gears(start, tree, [joint.name for joint in joints], report))
     name = unique_name(root.get("name", "") or Path(path).stem, "robot", ())[:100].strip(".") or "robot"
@@ -205,17 +197,13 @@ def _closing(start: Start, tree: Tree, report: ImportReport) -> Iterator[Joint]:
         if a == b:
             report.left_out(element, f"both frames are on {a!r}", inert=True)
             continue
-        name = unique_name(_closure_name(pair) or f"closure_{number + 1}", "closure", taken)
+        own, other = (frame.rpartition("_on_")[0] for frame in pair)  # as `urdf.write` names them
+        wanted = own if own and own == other else f"closure_{number + 1}"
+        name = unique_name(wanted, "closure", taken)
         taken = [*taken, name]
         # one point for both, so that the loop keeps what the file's digits leave it open by
         yield Rod(name, a, b, p, point_on_second=q) if kind == "rod" else CLOSURES[kind](name, a, b, p)
         report.exactly(element, f"{'rod' if kind == 'rod' else CLOSURES[kind].kind} joint {name!r}")
-
-
-def _closure_name(pair: tuple[str, str]) -> str:
-    """The name of the joint whose frames `urdf.write` names so, or none."""
-    first, second = (name.rpartition("_on_")[0] for name in pair)
-    return first if first == second else ""
 
 
 def _gears(start: Start, tree: Tree, taken: list[str], report: ImportReport) -> Iterator[JointCoupling]:

@@ -53,6 +53,10 @@ AMPLITUDES = (0.2, 0.6, 2.5)
 REACH = 2.9
 """rad, that an angle may be from where it starts, so that poses tell it, and sizes."""
 
+SEVERAL_HINGES = 1.2
+"""rad, that hinges in a row without a mass between them are moved from the start: beyond a quarter turn of
+the second of three, poses tell other angles."""
+
 WORST_CONDITION = 1e4
 """Of constraints at a random state: beyond, it is next to a singular one, where little can be seen."""
 

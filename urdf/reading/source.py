@@ -34,16 +34,6 @@ class SourceError(source_file.SourceError, UrdfError):
     """A file that is no usable model: names the file and what is wrong where."""
 
 
-def read_text(path: str) -> str:
-    """The text of a URDF of reasonable size; raises `SourceError`."""
-    return source_file.read_text(path, "file_size", SourceError)
-
-
-def read_loop_text(path: str) -> str:
-    """The text of a loop file of reasonable size; raises `SourceError`."""
-    return source_file.read_text(path, "scene_size", SourceError)
-
-
 def read_loops(path: str, text: str) -> Loops:
     """Parse the text of a loop file; raises `LoopFileError`."""
     loops = parse_loops(text, path)
