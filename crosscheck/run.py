@@ -52,8 +52,8 @@ class Crosscheck:
         scene: what was run.
         engines: those that can express the scene, in the order asked for.
         left_out: engines that cannot express the scene, and why.
-        runs: by engine, as far as they came; none of an engine that came nowhere.
-        rows: the compared figures.
+        trajectories: by engine, as far as they came; none of an engine that came nowhere.
+        figures: all that were compared.
         measured: figures that are known from elsewhere, as the engines give them.
         wall_time: s, of everything.
         mapping: what became of the elements of a model file; None for a scene of this package's own.
@@ -70,8 +70,8 @@ class Crosscheck:
     scene: Scene
     engines: tuple[Engine, ...]
     left_out: dict[str, str]
-    runs: dict[str, Trajectory]
-    rows: tuple[Figure, ...]
+    trajectories: dict[str, Trajectory]
+    figures: tuple[Figure, ...]
     measured: tuple[Measured, ...]
     wall_time: float
     mapping: ImportReport | None = None
@@ -89,7 +89,7 @@ class Crosscheck:
     @property
     def rests(self) -> bool:
         """True if nothing moves in the runs, so that trajectories and energies test nothing."""
-        return rests(self.scene, self.engines, self.runs)
+        return rests(self.scene, self.engines, self.trajectories)
 
     @property
     def deserted(self) -> bool:
@@ -99,7 +99,7 @@ class Crosscheck:
     @property
     def differs(self) -> bool:
         """True if any figure exceeds its tolerance."""
-        return not all(row.agrees for row in self.rows) or not all(known.agrees for known in self.measured)
+        return not all(row.agrees for row in self.figures) or not all(known.agrees for known in self.measured)
 
     @property
     def agrees(self) -> bool:
@@ -110,7 +110,7 @@ class Crosscheck:
     def diagnosis(self) -> tuple[Diagnosis, ...]:
         """Who differs, at the first level at which any engine does, and then without it."""
         names, soft = [each.name for each in self.engines], [e.name for e in self.engines if e.soft_start]
-        return diagnose(names, self.rows, self.measured, soft, mobility(self.scene).nearly)
+        return diagnose(names, self.figures, self.measured, soft, mobility(self.scene).nearly)
 
     @property
     def agreement(self) -> str:
@@ -146,13 +146,13 @@ class Crosscheck:
     @property
     def _alone(self) -> bool:
         """True if one engine has nothing to be compared with but its own figures."""
-        compared = any(len(row.between) > 1 for row in self.rows if not row.agrees)
+        compared = any(len(row.between) > 1 for row in self.figures if not row.agrees)
         return len(self.engines) == 1 and not compared and all(known.agrees for known in self.measured)
 
     @property
     def _own_figures(self) -> str:
         """Those of a single engine."""
-        failed = next((row for row in self.rows if not row.agrees), None)
+        failed = next((row for row in self.figures if not row.agrees), None)
         if failed is None:
             return f"hold, all {self._judged}{self._beside}"
         return (
@@ -162,12 +162,12 @@ class Crosscheck:
 
     @property
     def _judged(self) -> int:
-        return sum(not row.informs for row in self.rows)
+        return sum(not row.informs for row in self.figures)
 
     @property
     def _failed(self) -> str:
         """Word the number of figures that fail."""
-        failed = sum(not row.agrees for row in self.rows)
+        failed = sum(not row.agrees for row in self.figures)
         if failed:
             return f"{failed} of {self._judged} figures fail"
         wrong = sum(not measured.agrees for measured in self.measured)
@@ -177,7 +177,7 @@ class Crosscheck:
     def _beside(self) -> str:
         """Word what there is to say of figures that hold."""
         said = f", and the reference in all {len(self.measured)}" if self.measured else ""
-        said += not_judged(self.rows)
+        said += not_judged(self.figures)
         said += "; nothing moves" if self.rests else ""
         if self.coverage:
             said += f"; {self.coverage}"
@@ -207,7 +207,7 @@ class Crosscheck:
             "left_out": self.left_out,
             "mapping": [asdict(entry) for entry in self.mapping.entries] if self.mapping else None,
             "start": self.mapping.start if self.mapping else None,
-            "figures": [asdict(row) | {"agrees": row.agrees} for row in self.rows],
+            "figures": [asdict(row) | {"agrees": row.agrees} for row in self.figures],
             "known_figures": [measured.summary() for measured in self.measured],
             "advice": [asdict(advice) for advice in self.advice],
             "coverage": self.coverage.summary() if self.coverage else None,
@@ -216,9 +216,9 @@ class Crosscheck:
 
     def _ran(self, name: str) -> dict[str, Any]:
         """Return settings and counts of an engine's run, for JSON."""
-        if name not in self.runs:
+        if name not in self.trajectories:
             return {"settings": {}, "wall_time": None, "off_by": None}
-        run = self.runs[name]
+        run = self.trajectories[name]
         return {"settings": run.settings, "wall_time": run.wall_time, "off_by": self.off_by.get(name)}
 
 

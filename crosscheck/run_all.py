@@ -87,7 +87,7 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
 
 
 def _outcome(name: str, result: Crosscheck, wall_time: float) -> Outcome:
-    judged_rows = [row for row in result.rows if not row.informs]
+    judged_rows = [row for row in result.figures if not row.informs]
     own = [row for row in judged_rows if len(row.between) == 1]
     pairs = [row for row in judged_rows if len(row.between) > 1]
     found: tuple[Sequence[Figure], ...] = (
@@ -101,7 +101,7 @@ def _outcome(name: str, result: Crosscheck, wall_time: float) -> Outcome:
         wall_time,
         result.agrees,
         result.verdict,
-        tuple(result.runs),
+        tuple(result.trajectories),
         result.left_out,
         {head: max(rows, key=lambda row: row.share) for head, rows in zip(HEADS, found, strict=True) if rows},
         judged_word(result),

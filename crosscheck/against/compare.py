@@ -111,12 +111,12 @@ class Against(Crosscheck):
     @property
     def verdict(self) -> str:
         """One line: whether they are the same, or the first level at which they are not, and where."""
-        judged = [row for row in self.rows if not row.informs]
+        judged = [row for row in self.figures if not row.informs]
         failed = [row for row in judged if not row.agrees]
         names = " and ".join(model.title for model in self.models)
         ending = f"; {TO_THE_END}" if self.unfinished else ""
         if not failed:
-            agree = f"{names} agree in all {len(judged)} figures{not_judged(self.rows)}"
+            agree = f"{names} agree in all {len(judged)} figures{not_judged(self.figures)}"
             agree += "; nothing moves" if self.rests else ""
             if moving := [other for other in self.unsimulated if other.moves]:
                 more = f" (and {len(moving) - 1} more)" if len(moving) > 1 else ""
@@ -194,8 +194,8 @@ def against(first: Model, second: Model, progress: Progress) -> Against:
         scene=scene,
         engines=tuple(engines),
         left_out={},
-        runs=runs,
-        rows=tuple(rows),
+        trajectories=runs,
+        figures=tuple(rows),
         measured=(),
         wall_time=time.perf_counter() - begun,
         mapping=first.mapping,

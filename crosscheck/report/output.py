@@ -42,13 +42,13 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path, nam
     """
     from crosscheck.recording.log import recorded
 
-    made = {folder / f"{name}.npz": run.archive() for name, run in result.runs.items()}
+    made = {folder / f"{name}.npz": run.archive() for name, run in result.trajectories.items()}
     text = markdown(replace(report, parts=report.summary))
-    made[recording] = recorded(result.scene, result.runs, text, result.title)
+    made[recording] = recorded(result.scene, result.trajectories, text, result.title)
     beside = {path: content for path, content in made.items() if path.parent == folder}
     digests = {path.name: hashlib.sha256(content).hexdigest() for path, content in beside.items()}
     summary = folder / "summary.json"
-    others = {*ENGINES, *(engine.name for engine in result.engines)} - result.runs.keys()
+    others = {*ENGINES, *(engine.name for engine in result.engines)} - result.trajectories.keys()
     stale = [summary, *(folder / f"{name}.npz" for name in others)]
     if recording != (usual := folder / f"{name}.rrd"):
         stale.append(usual)

@@ -101,12 +101,12 @@ def tables(result: Crosscheck) -> Iterator[Table]:
     }
     engines = {engine.name for engine in result.engines}
     for part, title in titles.items():
-        rows = [row for row in result.rows if _part(row, engines) == part]
+        rows = [row for row in result.figures if _part(row, engines) == part]
         if rows:
             yield _table(title, rows)
     if result.measured:
         yield _measured_table(result.measured)
-    failed = [row for row in result.rows if not row.agrees]
+    failed = [row for row in result.figures if not row.agrees]
     if len(failed) > 1:
         yield Table(
             "where they part",
@@ -167,7 +167,7 @@ def _measured_table(measured: Sequence[Measured]) -> Table:
 
 def _settings(result: Crosscheck) -> Iterator[tuple[str, str]]:
     """Each engine with its settings and run time."""
-    for name, run in result.runs.items():
+    for name, run in result.trajectories.items():
         settings = ", ".join(f"{key} {_short(value)}" for key, value in run.settings.items())
         yield name, f"{settings}; {run.wall_time:.2g} s"
 
@@ -175,7 +175,7 @@ def _settings(result: Crosscheck) -> Iterator[tuple[str, str]]:
 def notes(result: Crosscheck) -> Iterator[str]:
     """Word all that is to be known beside the figures, a line each, the first bearing on the verdict most."""
     mapping, scene = result.mapping, result.scene
-    active, inactive = _activity_lines(mapping) if mapping and result.runs else ([], [])
+    active, inactive = _activity_lines(mapping) if mapping and result.trajectories else ([], [])
     yield from result.notes
     yield from (f"{name}: left out: {reason}" for name, reason in result.left_out.items())
     yield from active
@@ -186,7 +186,7 @@ def notes(result: Crosscheck) -> Iterator[str]:
     if impossible:
         broken = "two principal moments together less than the third"
         yield f"inertia that no mass has, {broken}: {', '.join(impossible)}"
-    yield from not_compared(result.rows)
+    yield from not_compared(result.figures)
     if result.coverage and result.coverage.untested:
         names = [covered.element for covered in result.coverage.untested]
         listed = f", {ALL_LISTED}" if len(names) > MOST_NAMED else ""
@@ -198,13 +198,13 @@ def notes(result: Crosscheck) -> Iterator[str]:
     if count:
         rows = "1 redundant constraint" if count == 1 else f"{count} redundant constraints"
         yield f"reactions not unique: {rows} at joints {_named(joints)}"
-    implicit = [name for name, run in result.runs.items() if run.settings.get("integrator") in IMPLICIT]
+    implicit = [name for name, run in result.trajectories.items() if run.settings.get("integrator") in IMPLICIT]
     if implicit:
         rate, steps = fastest_decay(scene), explicit_steps(scene)
         fixed = f", RK4 steps of {RK4_LIMIT / rate:.2g} s" if "mujoco" in implicit and rate else ""
         needed = f"DOP853 would need {steps:.0f} steps{fixed}"
         yield f"stiff: fastest decay {rate:.2g} 1/s at the start; {needed}; implicit: {', '.join(implicit)}"
-    if mapping and result.runs:
+    if mapping and result.trajectories:
         yield _start_line(result)
     yield from inactive
 
@@ -239,8 +239,8 @@ def _activity_lines(mapping: ImportReport) -> tuple[list[str], list[str]]:
 
 def _start_line(result: Crosscheck) -> str:
     """Word the start of each engine: the same pose, closed as far as its own run says at its first output."""
-    names = list(result.runs)
-    runs = list(result.runs.values())
+    names = list(result.trajectories)
+    runs = list(result.trajectories.values())
     apart = max((distance(runs[0], run, at=0) for run in runs[1:]), default=0.0)
     residuals = ", ".join(
         f"{name} {np.max(run.constraint_violation[0]):.1e}"
@@ -253,7 +253,7 @@ def _start_line(result: Crosscheck) -> str:
 
 def _rest_line(result: Crosscheck) -> str:
     """That nothing moves, why as far as the constraints tell, and what that leaves untested."""
-    moved = ", ".join(f"{name} {far:.1e}" for name, far in displacements(result.runs).items())
+    moved = ", ".join(f"{name} {far:.1e}" for name, far in displacements(result.trajectories).items())
     system = Relative(result.scene)
     q, _ = system.coordinates(initial_state(result.scene))
     basis, _ = admissible_basis(system, q, body_units(result.scene))

@@ -22,7 +22,7 @@ LEAST_SHARE = 0.01
 def summary(result: Crosscheck, notes: Sequence[str]) -> list[Part]:
     """Make the tables of levels and of engines, the first notes, and all advice."""
     parts: list[Part] = [levels_table(result)]
-    if result.runs:
+    if result.trajectories:
         parts.append(engines_table(result))
     if notes:
         parts.append(Lines("", list(notes[:MOST_NOTES]), brief=True))
@@ -39,7 +39,7 @@ def levels_table(result: Crosscheck) -> Table:
     """
     first, *others = [engine.name for engine in result.engines]
     columns = others or [first]
-    found = [row for row in result.rows if not row.informs]
+    found = [row for row in result.figures if not row.informs]
     for each in result.measured:
         place = f"{each.known.time:g} s"
         found.append(
@@ -86,7 +86,7 @@ def engines_table(result: Crosscheck) -> Table:
     stopped = {stop.what: stop for stop in result.unfinished}
     rows: Rows = []
     for engine in result.engines:
-        run, stop = result.runs.get(engine.name), stopped.get(engine.name)
+        run, stop = result.trajectories.get(engine.name), stopped.get(engine.name)
         far = [f"{result.off_by[engine.name]:.1e}" if engine.name in result.off_by else ""]
         how = brief_settings(run.settings) if run else ""
         ended = Cell(f"STOPPED: {stop.reason}", "fails") if stop else how

@@ -237,7 +237,7 @@ def test_a_run_in_which_nothing_moves_is_called_so_and_teaches_nothing() -> None
 
     # one engine that stands still where another moves has not said that nothing does
     falling = newton_euler.simulate(replace(loop, gravity=GRAVITY))
-    both = {"newton_euler": result.runs["newton_euler"], "pinocchio": falling}
+    both = {"newton_euler": result.trajectories["newton_euler"], "pinocchio": falling}
     assert not rests(resting, choose(list(both)), both)
 
     moving = crosscheck(loop, engines, lambda _: None, "a_scene", {})

@@ -74,10 +74,10 @@ def linkage(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 
 def first_failing(result: Against) -> tuple[str, str, str]:
     """Level, quantity and place of what the verdict names."""
-    row = next(row for row in result.rows if not row.agrees)
+    row = next(row for row in result.figures if not row.agrees)
     assert f"part at level '{row.level}': {row.quantity}: " in result.verdict
     assert f"worst at {row.where} " in result.verdict
-    assert {r.level for r in result.rows if not r.agrees} == {row.level}  # none after it
+    assert {r.level for r in result.figures if not r.agrees} == {row.level}  # none after it
     return row.level, row.quantity.split(",")[0], row.where
 
 
@@ -88,10 +88,10 @@ def first_failing(result: Against) -> tuple[str, str, str]:
 def test_one_mechanism_cut_in_two_ways_is_the_same(tmp_path: Path, one: str, other: str) -> None:
     result = compared(read_mjcf(tmp_path, written_mjcf(one, sites=False)), read_urdf(tmp_path, other))
     assert result.verdict.startswith("SAME: a and b agree in all ")
-    assert {row.level for row in result.rows} == {*LEVELS[1:], START} - {"drift"}
-    reactions = [row for row in result.rows if row.quantity.startswith("reaction")]
+    assert {row.level for row in result.figures} == {*LEVELS[1:], START} - {"drift"}
+    reactions = [row for row in result.figures if row.quantity.startswith("reaction")]
     assert len(reactions) == 2
-    assert all(row.value < ROUND_OFF for row in result.rows if row.level in LEVELS[1:5] and not row.informs)
+    assert all(row.value < ROUND_OFF for row in result.figures if row.level in LEVELS[1:5] and not row.informs)
 
 
 def test_notes_tell_what_is_not_the_same_by_name(tmp_path: Path) -> None:
@@ -175,7 +175,7 @@ def test_the_point_of_a_hinge_may_be_anywhere_on_its_axis() -> None:
     """Its reaction is told at another point then, where the same force has another torque."""
     result = compared(pendulum(), plant.joint_point("pivot", np.array([0.0, 0.3, 0.0]))(pendulum()))
     assert result.verdict.startswith("SAME")
-    (torque,) = (row for row in result.rows if row.quantity == "reaction torque, rel")
+    (torque,) = (row for row in result.figures if row.quantity == "reaction torque, rel")
     assert torque.value < ROUND_OFF
 
 
@@ -247,7 +247,7 @@ def test_bodies_without_partner_are_named() -> None:
     )
     result = compared(other, stranger)
     assert first_failing(result) == ("model", "bodies without partner", "rod, stick")
-    assert list(result.runs) == ["a"]
+    assert list(result.trajectories) == ["a"]
     assert result.notes == ("bodies are paired by their names, and what is left by the names of its joints",)
 
 
@@ -370,7 +370,7 @@ def test_a_run_that_stops_does_not_hide_where_the_models_part(monkeypatch) -> No
     assert result.verdict.startswith("DIFFERENT: a and b part at level 'model': mass, rel: ")
     assert result.verdict.endswith("; not run to the end")
     assert result.notes[0] == f"not run to the end: b: {STOPPED}"
-    assert list(result.runs) == ["a", "b"]
+    assert list(result.trajectories) == ["a", "b"]
     assert [stop.what for stop in result.unfinished] == ["b"]
 
 
@@ -391,7 +391,7 @@ def test_a_run_that_stops_of_models_that_agree_until_then_gives_no_verdict(monke
     one, other, agreed = result.verdict.split("; ")[:3]
     assert (one, other) == (f"UNFINISHED: a: {STOPPED}", f"b: {STOPPED}")
     assert agreed.startswith("as far as compared a and b agree in all ")
-    assert {row.level for row in result.rows} >= {"model", "trajectories"}
+    assert {row.level for row in result.figures} >= {"model", "trajectories"}
 
 
 def test_models_that_part_are_different_on_the_command_line_whatever_stops(

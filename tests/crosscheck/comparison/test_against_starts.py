@@ -75,5 +75,5 @@ def test_another_keyframe_of_one_file_is_another_start(tmp_path: Path, kind: str
     first, second = (mjcf.read.read(model, key).scene for key in ("k0", "k1"))
     result = compared(first, second)
     assert first_failing(result)[0] == START
-    figures = [row for row in result.rows if row.level == "model" and not row.informs]
+    figures = [row for row in result.figures if row.level == "model" and not row.informs]
     assert all(row.value < ROUND_OFF for row in figures)

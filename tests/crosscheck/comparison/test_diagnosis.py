@@ -410,6 +410,6 @@ def test_an_engine_that_diverges_is_named_beside_what_the_others_say():
     assert found.verdict.startswith("UNFINISHED: mujoco: MuJoCo diverged at t = ")
     said = "as far as compared mujoco differs; newton_euler and pinocchio agree to "
     assert said in found.verdict
-    held = [row for row in found.rows if row.between == ("newton_euler", "pinocchio")]
+    held = [row for row in found.figures if row.between == ("newton_euler", "pinocchio")]
     assert {row.level for row in held} >= {"model", "trajectories", "energy"}
     assert all(row.agrees for row in held)

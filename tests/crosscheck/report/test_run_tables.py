@@ -14,7 +14,7 @@ def result(rows=(), measured=()):
     """What tables are made of."""
     engines = [SimpleNamespace(name=name) for name in ("newton_euler", "mujoco")]
     scene = SimpleNamespace(description="a bar on a hinge")
-    return SimpleNamespace(rows=rows, measured=measured, engines=engines, scene=scene, title="pendulum")
+    return SimpleNamespace(figures=rows, measured=measured, engines=engines, scene=scene, title="pendulum")
 
 
 def test_known_figures_stand_beside_what_was_found():

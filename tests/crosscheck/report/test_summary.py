@@ -22,8 +22,8 @@ def result(rows=(), **more):
     """The parts of a crosscheck that its summary is made of."""
     engines = [SimpleNamespace(name=name) for name in ("newton_euler", "mujoco", "pinocchio")]
     scene = SimpleNamespace(description="a bar on a hinge", duration=2.0)
-    nothing = {"measured": (), "runs": {}, "unfinished": (), "off_by": {}, "advice": ()}
-    return SimpleNamespace(rows=rows, engines=engines, scene=scene, **nothing | more)
+    nothing = {"measured": (), "trajectories": {}, "unfinished": (), "off_by": {}, "advice": ()}
+    return SimpleNamespace(figures=rows, engines=engines, scene=scene, **nothing | more)
 
 
 def figure(level, between, value, tolerance=1e-6, quantity="mass, rel", where="rod"):
@@ -75,7 +75,7 @@ def test_engines_have_their_time_their_error_and_why_they_stopped():
         "mujoco": SimpleNamespace(settings=settings, wall_time=1.5),
     }
     stopped = (Stop("pinocchio", "integration stopped"),)
-    table = engines_table(result(runs=runs, unfinished=stopped, off_by={"mujoco": 7e-8}))
+    table = engines_table(result(trajectories=runs, unfinished=stopped, off_by={"mujoco": 7e-8}))
     assert cells(table) == {
         "newton_euler": ["2.5 ms", "", "DOP853 rtol 1e-10, projection, relative"],
         "mujoco": ["1.5 s", "7.0e-08", "RK4 1 ms, solref 0.002 s"],

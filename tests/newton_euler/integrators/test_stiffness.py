@@ -115,7 +115,7 @@ def test_rk4_is_kept_while_it_takes_seconds() -> None:
 def test_mujoco_takes_an_implicit_integrator_where_rk4_diverges() -> None:
     scene, *_ = damped(1e7)
     result = crosscheck(scene, choose(["newton_euler", "mujoco"]), lambda _: None, "x", {})
-    assert result.runs["mujoco"].settings["integrator"] == "implicitfast"
+    assert result.trajectories["mujoco"].settings["integrator"] == "implicitfast"
     assert result.agrees, result.verdict
     (line,) = [line for line in notes(result) if line.startswith("stiff: ")]
     assert line.endswith(", RK4 steps of 2.8e-07 s; implicit: newton_euler, mujoco")
