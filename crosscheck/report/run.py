@@ -198,7 +198,8 @@ def notes(result: Crosscheck) -> Iterator[str]:
     if count:
         rows = "1 redundant constraint" if count == 1 else f"{count} redundant constraints"
         yield f"reactions not unique: {rows} at joints {_named(joints)}"
-    implicit = [name for name, run in result.trajectories.items() if run.settings.get("integrator") in IMPLICIT]
+    runs = result.trajectories.items()
+    implicit = [name for name, run in runs if run.settings.get("integrator") in IMPLICIT]
     if implicit:
         rate, steps = fastest_decay(scene), explicit_steps(scene)
         fixed = f", RK4 steps of {RK4_LIMIT / rate:.2g} s" if "mujoco" in implicit and rate else ""
