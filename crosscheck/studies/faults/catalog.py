@@ -11,7 +11,7 @@ import numpy as np
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
 from newton_euler.equations.couplings import couplings
-from newton_euler.model.control import PD
+from newton_euler.model.control import PD, Sampled
 from newton_euler.model.elements import OnBodies
 from newton_euler.model.joint import Joint, perpendicular_pair
 from newton_euler.model.scene import Scene
@@ -28,6 +28,9 @@ kinds that reach it and each comparison takes longer."""
 
 STANDARD_GRAVITY = 9.81
 """m/s^2; what a fault is a share of in a scene without gravity."""
+
+VALUES = {"stiffness": "gain", "damping": "damping", "target": "actuator reference"}
+"""Values of control laws and of springs at joints, and the kinds of their faults."""
 
 SKEW = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
 """No principal axis: inertias are turned about it."""
@@ -136,32 +139,23 @@ def _of_joints(scene: Scene, size: float) -> Iterator[Fault]:
 
 
 def _of_forces(scene: Scene, size: float) -> Iterator[Fault]:
-    for index, law in enumerate(scene.control):
-        if isinstance(law, PD):
-            yield from _of_law(scene, index, law, size)
-    for index, force in enumerate(scene.forces):
-        if not isinstance(force, OnBodies):
-            right = frozenset({force.joint})
-            detail = "spring of its ball" if force.on_ball else "spring"
-            for kind, name in (("gain", "stiffness"), ("damping", "damping")):
-                if value := getattr(force, name):
-                    other = plant.entry("forces", index, **{name: (1.0 + size) * value})
-                    yield Fault(kind, force.joint, detail, size, other, right)
+    for field in ("control", "forces"):
+        for index, force in enumerate(getattr(scene, field)):
+            if isinstance(force, OnBodies | Sampled):
+                continue
+            detail = "" if field == "control" else "spring of its ball" if force.on_ball else "spring"
+            for name, kind in VALUES.items():
+                value = getattr(force, name, None)
+                if value or (name == "target" and value is not None):
+                    other = (1.0 + size) * value if value else size * _unit(scene, force)
+                    changed = plant.entry(field, index, **{name: other})
+                    yield Fault(kind, force.joint, detail, size, changed, frozenset({force.joint}))
     for index, rotor in enumerate(scene.armatures):
         other = plant.entry("armatures", index, inertia=(1.0 + size) * rotor.inertia)
         joint = scene.mechanism.joint(rotor.joint)
         right = bodies_at(joint) | {rotor.joint}  # what turns there is as heavy to turn as with more inertia
         detail = "of its ball" if rotor.on_ball else ""
         yield Fault("armature", rotor.joint, detail, size, other, right)
-
-
-def _of_law(scene: Scene, index: int, law: PD, size: float) -> Iterator[Fault]:
-    right = frozenset({law.joint})
-    for kind, name in (("gain", "stiffness"), ("damping", "damping"), ("actuator reference", "target")):
-        value = getattr(law, name)
-        if value or name == "target":
-            other = (1.0 + size) * value if value else size * _unit(scene, law)
-            yield Fault(kind, law.joint, "", size, plant.entry("control", index, **{name: other}), right)
 
 
 def _unit(scene: Scene, law: PD) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import time
 from dataclasses import replace
 from functools import partial
@@ -12,13 +13,12 @@ import numpy as np
 import pytest
 from command_line import command, run
 
-import newton_euler
 from crosscheck.errors import CrosscheckError
 from crosscheck.references import known_figures
 from crosscheck.report.page import write_report
 from crosscheck.scenes import load
-from crosscheck.studies.stress import configurations, extremes
-from crosscheck.studies.stress.cases import Bound, Case, Measured, judge, refusal, run_cases
+from crosscheck.studies.stress import configurations, extremes, integration, rotation
+from crosscheck.studies.stress.cases import Bound, Case, Measured, judge, of_run, refusal, run_cases
 from crosscheck.studies.stress.integration import growth, smallest
 from crosscheck.studies.stress.report import counts, report, write
 from crosscheck.studies.stress.runs import (
@@ -26,12 +26,14 @@ from crosscheck.studies.stress.runs import (
     Setting,
     bar_angles,
     lasting,
+    newton_euler,
     parallelogram_angle,
     parallelogram_error,
     symmetric_top,
     top_error,
 )
 from crosscheck.studies.stress.topics import TOPICS, cases_of, stress
+from newton_euler import simulate
 from newton_euler.assemble import initial_state
 from newton_euler.integrators.fixed_step import RK4_LIMIT
 from newton_euler.model.trajectory import IntegrationError
@@ -214,10 +216,10 @@ def test_the_slider_comes_to_rest_at_its_dead_centers():
 
 def test_a_wrong_motion_of_the_windows_is_seen():
     scene = lasting(load("four_bar", N=1), 0.5, 5)
-    run = newton_euler.simulate(scene)
+    run = simulate(scene)
     assert parallelogram_error(scene, run) < 1e-9
     heavier = replace(scene, gravity=1.01 * scene.gravity)
-    assert parallelogram_error(scene, newton_euler.simulate(heavier)) > 1e-4
+    assert parallelogram_error(scene, simulate(heavier)) > 1e-4
 
 
 def test_the_limit_of_rk4_is_where_its_growth_is_one():
@@ -266,6 +268,44 @@ def test_traps(trap):
 def test_starts_off_the_constraints_are_assembled(offset):
     found = configurations.measure_assembly(offset, TIGHT)
     assert configurations.ASSEMBLED.verdict(found.figure) == "survives"
+
+
+# Energies: round-off is told from what a method adds by itself
+
+
+def noted(setting, scene, duration):
+    """The energy error of a run and the round-off in it."""
+    found = integration.measure_energy(scene, duration, setting)
+    return found.figure, float(re.match(r"accumulated round-off (\S+);", found.note)[1])
+
+
+def test_round_off_is_told_from_errors_of_the_method():
+    """Next to passages of flat bars all of a tight run's error is round-off, next to none of a pendulum's."""
+    error, rounding = noted(TIGHT, "four_bar", 20.0)
+    assert 0.05 * error < rounding < 20.0 * error
+    error, rounding = noted(newton_euler(integrator="RK4", step=1e-2), "pendulum", 50.0)
+    assert 0.0 < rounding < 1e-5 * error
+
+
+def test_an_error_far_from_round_off_is_not_held_against_it():
+    found = integration.measure_energy("pendulum", 20.0, newton_euler(integrator="Euler", step=1e-2))
+    assert found.figure > 1e-3
+    assert "round-off" not in found.note
+
+
+def test_energy_of_fixed_steps_is_what_the_gyroscopic_torque_adds():
+    """To first order h omega^2 T times a number of the body's: ten times less with a tenth of the step."""
+    errors = [
+        of_run(
+            rotation.top(rotation.FAST, 1.0),
+            rotation.kinetic_energy,
+            newton_euler(form, integrator="Euler", step=step),
+        ).figure
+        for form in ("relative", "cartesian")
+        for step in (1e-4, 1e-5)
+    ]
+    assert errors[0] / errors[1] == pytest.approx(10.0, rel=0.05)
+    assert errors[2:] == pytest.approx(errors[:2], rel=1e-6)  # the same method in other coordinates
 
 
 # The report
