@@ -300,8 +300,7 @@ def benchmark_batch(given: Scene, runs: int, error: float, progress: Progress) -
     progress(f"{runs} random states")
     states = random_states(scene, runs)
     sample = [states[k] for k in np.linspace(0, runs - 1, min(SAMPLE, runs)).astype(int)]
-    progress(f"reference of {len(sample)} runs")
-    exact, uncertainty = batch_references(scene, sample)
+    exact, uncertainty = batch_references(scene, sample, progress)
     if uncertainty > error:
         raise CrosscheckError(f"--error {error:g}: the reference is known to {uncertainty:.1e} only")
     known, poses = [sample[k] for k in exact], list(exact.values())

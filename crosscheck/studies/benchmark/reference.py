@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -32,13 +31,10 @@ RTOLS = (5e-14, 1e-11)
 """Tried in turn, with atol = 0.01 rtol. DOP853 takes no rtol below 2.2e-14."""
 
 BATCH_RTOL = 1e-12
-"""Of references of many runs, with atol = 0.01 rtol."""
+"""Of references of many runs."""
 
 LIMIT = 10.0
 """s after which a run is given up."""
-
-REFUSALS = (NewtonEulerError, CrosscheckError, ArithmeticError, MemoryError)
-"""Of runs that a reference does without."""
 
 
 def pose_errors(poses: Poses, exact: Poses) -> tuple[float, float]:
@@ -69,14 +65,14 @@ class Reference:
         return max(max(difference) for difference in self.differences.values())
 
 
-def reference(scene: Scene, progress: Progress) -> Reference:
-    """Make the reference of a scene.
+def reference(scene: Scene, progress: Progress, rtols: Sequence[float] = RTOLS) -> Reference:
+    """Make the reference of a scene, at the first of these tolerances that it can be made at.
 
     Raises:
         CrosscheckError: where fewer than two independent equations of motion can run it.
     """
     missing: dict[str, str] = {}
-    for rtol in RTOLS:
+    for rtol in rtols:
         runs = _runs(scene, rtol, missing, progress)
         if len({name.split(",")[0] for name in runs}) > 1:
             break
@@ -95,7 +91,7 @@ def _runs(scene: Scene, rtol: float, missing: dict[str, str], progress: Progress
         try:
             with time_limit(LIMIT):
                 found = run()
-        except REFUSALS as error:
+        except (NewtonEulerError, CrosscheckError, ArithmeticError, MemoryError) as error:
             missing[name] = reason_of(error)
             continue
         if np.all(np.isfinite(found.position)) and np.all(np.isfinite(found.quaternion)):
@@ -119,27 +115,23 @@ def _ways(scene: Scene, tightest: float) -> dict[str, Callable[[], Trajectory]]:
     return ways
 
 
-def batch_references(scene: Scene, states: Sequence[State]) -> tuple[dict[int, Poses], float]:
-    """Return Pinocchio's poses at tight tolerances by number of the state, and how far newton_euler's differ.
+def batch_references(
+    scene: Scene, states: Sequence[State], progress: Progress
+) -> tuple[dict[int, Poses], float]:
+    """Make references of runs from several states; return them by number of the state, and their uncertainty.
 
-    A state has none from which one of them cannot go that tightly: its run passes a singular configuration.
+    A state has none from which engines cannot go that tightly: its run passes a singular configuration.
 
     Raises:
         CrosscheckError: if none has any.
     """
-    tight: dict[str, Any] = {"rtol": BATCH_RTOL, "atol": 0.01 * BATCH_RTOL}
-    found: dict[int, Poses] = {}
-    uncertainty, reason = 0.0, ""
+    found: dict[int, Reference] = {}
     for k, state in enumerate(states):
-        started = replace(scene, initial_state=state)
+        progress(f"reference of run {k + 1} of {len(states)}")
         try:
-            with time_limit(LIMIT):
-                own, exact = newton_euler.simulate(started, **tight), urdf.simulate(started, **tight)
-        except REFUSALS as error:
-            reason = reason_of(error)
-            continue
-        found[k] = exact.position, exact.quaternion
-        uncertainty = max(uncertainty, *pose_errors((own.position, own.quaternion), found[k]))
+            found[k] = reference(replace(scene, initial_state=state), lambda _: None, (BATCH_RTOL,))
+        except CrosscheckError as error:
+            reason = str(error)
     if not found:
         raise CrosscheckError(f"none of {len(states)} random runs has a reference; the last: {reason}")
-    return found, uncertainty
+    return {k: each.poses for k, each in found.items()}, max(each.uncertainty for each in found.values())

@@ -187,7 +187,7 @@ def test_a_batch_is_measured_for_both_engines(monkeypatch, tracker):
 
 def test_an_error_below_what_the_reference_is_known_to_is_refused(monkeypatch, tracker):
     monkeypatch.setattr(batch, "SAMPLE", 1)
-    monkeypatch.setattr(batch, "batch_references", lambda scene, states: ({}, 1e-9))
+    monkeypatch.setattr(batch, "batch_references", lambda *_: ({}, 1e-9))
     with pytest.raises(CrosscheckError, match=r"--error 1e-10: the reference is known to 1\.0e-09 only"):
         batch.benchmark_batch(tracker, 2, 1e-10, lambda message: None)
 
@@ -195,4 +195,4 @@ def test_an_error_below_what_the_reference_is_known_to_is_refused(monkeypatch, t
 def test_a_batch_without_a_reference_is_refused(short, tracker_states, monkeypatch):
     monkeypatch.setattr(benchmark_reference, "LIMIT", 1e-3)
     with pytest.raises(CrosscheckError, match=r"none of 1 random runs has a reference.*0\.001 s"):
-        batch_references(short, tracker_states[:1])
+        batch_references(short, tracker_states[:1], lambda message: None)
