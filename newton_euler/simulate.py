@@ -25,7 +25,6 @@ from newton_euler.errors import (
 from newton_euler.integrators.compiled import PAPER_ALPHA, Code, baumgarte_alpha, check_formulation
 from newton_euler.integrators.interpreted import integrate
 from newton_euler.integrators.options import Options, StepControl
-from newton_euler.integrators.outputs import time_function
 from newton_euler.integrators.run import load
 from newton_euler.integrators.sampling import holding, integrate_sampled, intervals, sample
 from newton_euler.model.euler_parameters import continuous
@@ -150,11 +149,6 @@ class CompiledScene(Code):
         jacobian = self.function("jacobian")(x).reshape(self.size, self.size)
         work = self.system.work
         return np.delete(np.delete(jacobian, work, axis=0), work, axis=1)
-
-    def repeat(self, count: int, q: Array, v: Array) -> float:
-        """Measure the time, s, of `count` right-hand sides at one state q, v, called from native code."""
-
-        return time_function(self.function("derivative"), self.packed(q, v), count)
 
     def _run(self, options: Options) -> Trajectory:
         for weak in self.nearly_redundant:

@@ -150,7 +150,7 @@ class Cartesian(Formulation):
         return phi_q, b
 
     def right_side(self, q: Array, qdot: Array) -> Array:
-        """Compute gamma - K_D (Phi_q qdot) - K_P Phi(q), eq. (9)."""
+        """Compute gamma - K_D (Phi_q qdot) - K_P Phi(q), eqs (6), (8) and (9) with erratum 1."""
         gamma = self.gamma(q, qdot)
         if not (self.K_D or self.K_P):
             return gamma
@@ -241,7 +241,7 @@ class Cartesian(Formulation):
     # Equation (21), solved with dense matrices
 
     def equation_21(self, q: Array, qdot: Array) -> tuple[Array, Array]:
-        """Assemble the matrix and the right side of equation (21); its unknowns are (qddot, -lambda)."""
+        """Assemble eq. (21), of bodies eqs (16), (19), (20): its matrix, and its side without (qddot, -lambda)."""
         n6, n7 = 6 * len(self.bodies), self.nv
         phi_q_rows, b_rows = self.Phi_q_and_B(q, qdot)
         Phi_q, B, P = to_array(phi_q_rows, n7), to_array(b_rows, n6), to_array(self.P(q), n7)

@@ -24,8 +24,8 @@ from crosscheck.studies.benchmark.ladders import JUDGED, poses_only
 from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
 from crosscheck.workers import LostError, in_processes
 from newton_euler import compile_scene
-from newton_euler.assemble import initial_state
 from newton_euler.codegen.cache import CACHE_VARIABLE
+from newton_euler.integrators.outputs import time_function
 from newton_euler.model.scene import Scene
 
 BATCH = 1e-3
@@ -82,8 +82,8 @@ class Timing(Timed):
 
 def _newton_euler(scene: Scene, formulation: str) -> RightHandSide:
     compiled = compile_scene(scene, formulation=formulation, stabilization="none")
-    state = compiled.system.coordinates(initial_state(scene))
-    return RightHandSide(lambda count: compiled.repeat(count, *state), compiled.operations["derivative"])
+    call = partial(time_function, compiled.function("derivative"), compiled.start)
+    return RightHandSide(call, compiled.operations["derivative"])
 
 
 def _mj_forward(scene: Scene) -> RightHandSide:
