@@ -241,7 +241,7 @@ class Cartesian(Formulation):
     # Equation (21), solved with dense matrices
 
     def equation_21(self, q: Array, qdot: Array) -> tuple[Array, Array]:
-        """Assemble eq. (21), of bodies eqs (16), (19), (20): its matrix, and its side without (qddot, -lambda)."""
+        """Assemble the matrix and the right side of eq. (21) from eqs (16), (19) and (20) of the bodies."""
         n6, n7 = 6 * len(self.bodies), self.nv
         phi_q_rows, b_rows = self.Phi_q_and_B(q, qdot)
         Phi_q, B, P = to_array(phi_q_rows, n7), to_array(b_rows, n6), to_array(self.P(q), n7)
