@@ -125,10 +125,11 @@ def differences(states: SharedStates) -> Iterator[Difference]:
 
 
 def joint_differences(states: SharedStates) -> Array:
-    """(3, j) how far joints of the second model are open where the first's are closed, m and rad, and how far
-    the motions that they allow there are others, of those of one kind, relative.
+    """(3, j) residuals of the second's joints where the first's are closed, m and rad, and differences of the
+    wrenches of two joints of one kind, relative.
 
-    Whatever their points and directions are: a joint that holds wherever the first model moves is the same.
+    A joint that holds and has the same wrenches wherever the first model moves is the same, whatever its
+    point and its directions are.
     """
     aligned, size = states.aligned, states.scene.mechanism.size
     own, mechanism = (scene.mechanism for scene in aligned.both)
@@ -153,7 +154,7 @@ def joint_differences(states: SharedStates) -> Array:
 def _reactions(equations: JointEquations, frames: Sequence[Frame], arms: Array, size: float) -> Array:
     """(12, r) orthonormal wrenches of a joint on its two bodies, torques over the size, N.
 
-    About points that lie `arms` (b, 3), m, before the centers of mass.
+    Torques are about points from which `arms` (b, 3), m, lead to the centers of mass.
     """
     first, second = equations.first, equations.second
     r_i, theta_i, r_j, theta_j = equations.jacobian(frames[first], frames[second])
