@@ -90,11 +90,11 @@ def _guarded(sources: tuple[str, ...], options: dict[str, str], baseline: Path |
                 f"the baseline of {source!r} is of its defaults; --set needs --baseline FILE"
             )
         path = baseline or usual_path(source)
-        options = exercised(source, made_with(source, path, options))
-        scene, mapping = load_scene(source, options)
+        own = exercised(source, made_with(source, path, options))
+        scene, mapping = load_scene(source, own)
         tell(source, mapping)
         for other in guarded:
             if other.scene.name == scene.name:
                 raise CrosscheckError(f"{other.source} and {source} are both named {scene.name!r}")
-        guarded.append(Guarded(source, options, scene, path, mapping))
+        guarded.append(Guarded(source, own, scene, path, mapping))
     return guarded

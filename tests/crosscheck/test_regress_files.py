@@ -153,3 +153,14 @@ def test_a_model_file_has_the_options_of_its_baseline(tmp_path):
     path.write_text(json.dumps(content))
     assert regress.made_with("robot.xml", path, {"duration": "3"}) == {"key": "go", "duration": "3"}
     assert regress.made_with("tracker", path, {}) == {}
+
+
+def test_options_of_one_baseline_are_not_those_of_the_next(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    seen = []
+    monkeypatch.setattr(regress, "check", lambda guarded, *_: seen.extend(guarded) or ([], {}, []))
+    (tmp_path / "m.xml").write_text(
+        '<mujoco><worldbody><body name="bob"><joint/><geom size="1" pos="0 0 9"/></body></worldbody></mujoco>'
+    )
+    assert run(capsys, "regress", "m.xml", "pendulum")[0] == 0
+    assert [each.options for each in seen] == [{"exercise": "on"}, {}]
