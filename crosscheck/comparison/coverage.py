@@ -137,11 +137,13 @@ class _Runs:
         self, scene: Scene, found: Sequence[Element], length: float, angle: float, end: int | None
     ) -> None:
         self._settings, refined = (adaptive(scene, NATIVE_STEPS, refined=each) for each in (False, True))
-        scene = replace(scene, outputs=frozenset({"velocities"}))
+        scene = replace(scene, outputs=scene.outputs | {"velocities"})
         self._elements, self._code = found, CompiledScene(scene)
         self.run = self._as_far_as_it_goes(scene if end is None else _until(scene, scene.times[end - 1]))
-        self._scene = _until(scene, self.run.time[-1])
-        finer = self._as_far_as_it_goes(self._scene, refined)
+        scene = _until(scene, self.run.time[-1])
+        finer = self._as_far_as_it_goes(scene, refined)
+        # states with the work or without it, as those that code has been made for
+        self._scene = replace(scene, outputs=scene.outputs & {"velocities", "energy"})
         units = max(1.0, reach(scene, self.run.position)), 1.0
         own = (float(np.max(apart(self.run, finer))) for apart in (positions_apart, orientations_apart))
         # both of two engines may be off by their own errors, as in comparisons
@@ -158,7 +160,7 @@ class _Runs:
     def _parametrized(self) -> CompiledScene:
         """The code of all changes of parameters."""
         names = dict.fromkeys(name for element in self._elements for name in element.parameters or ())
-        return CompiledScene(self._code.scene, parameters=tuple(names))
+        return CompiledScene(self._scene, parameters=tuple(names))
 
     def _as_far_as_it_goes(self, scene: Scene, settings: dict[str, Any] | None = None) -> Trajectory:
         """The run of the scene itself."""

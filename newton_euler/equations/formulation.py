@@ -281,6 +281,11 @@ class Formulation(System):
         """Compute what the forces depend on."""
         return Surroundings(self.mechanism, self.poses, self.frames(q, v), self.measured(q, v), self.time)
 
+    def energies(self, at: Surroundings) -> tuple[Scalar, Scalar]:
+        """Compute the kinetic and the potential energy, J."""
+        kinetic, potential = energies(self.scene, list(at.frames), self.inertias)
+        return kinetic + rotors_energy(self.scene, at), potential + forces_energy(self.scene, at)
+
     def power(self, q: Array, v: Array) -> Scalar:
         """Compute the power, W, of what has no potential energy; that of constraints is -lambda . Phi_t."""
         total = power(self.scene, self.seen(q, v))
@@ -317,14 +322,12 @@ class Formulation(System):
         at = self.seen(q, v)
         bodies = self.body_accelerations(q, v, vdot)
         forces, torques = self.reactions(q, v, vdot, bodies, multipliers)
-        kinetic, potential = energies(self.scene, list(at.frames), self.inertias)
         return Evaluation(
             self.state(q, v),
             *bodies,
             forces,
             torques,
             np.array(list(self.joint_forces(at.measured))[: len(self.scene.control)]),
-            kinetic + rotors_energy(self.scene, at),
-            potential + forces_energy(self.scene, at),
+            *self.energies(at),
             q[self.work][0] if self.scene.tracks_work else None,
         )

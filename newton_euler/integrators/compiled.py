@@ -388,11 +388,11 @@ class Code:
     def _trace_output(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace the arrays that the scene asks for; the layout has their places and shapes."""
         wanted = self.scene.outputs
-        if wanted.isdisjoint(("reactions", "actuation", "energy")):  # nothing has to be solved for
-            state = system.state(q, v)
+        if wanted.isdisjoint(("reactions", "actuation")):  # nothing has to be solved for
+            state, found = system.state(q, v), system.energies(system.seen(q, v))
         else:
             e, pivot_ratio = system.sparse_evaluation(q, v, self.rows)
-            state = e.state
+            state, found = e.state, (e.kinetic_energy, e.potential_energy)
         arrays: dict[str, Any] = {"position": state.position, "quaternion": state.quaternion}
         if "velocities" in wanted:
             arrays["linear_velocity"] = state.linear_velocity
@@ -402,8 +402,7 @@ class Code:
         if "actuation" in wanted:
             arrays["actuator_force"] = e.actuator_force
         if "energy" in wanted:
-            arrays["kinetic_energy"] = np.array(e.kinetic_energy)
-            arrays["potential_energy"] = np.array(e.potential_energy)
+            arrays["kinetic_energy"], arrays["potential_energy"] = map(np.array, found)
         if self.scene.tracks_work:
             arrays["work"] = np.array(q[system.work][0])
         if "violation" in wanted or self.stabilization != "projection":
