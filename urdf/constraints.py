@@ -108,10 +108,7 @@ class Rows:
         map: CoordinateMap,
         couplings: TreeCouplings,
         length: float,
-        alpha: float,
     ) -> None:
-        """`alpha`, 1/s, is that of Baumgarte's gains, which the closures have too."""
-        self._alpha = alpha
         self._model, self._rods, self._map, self._couplings = closed.model, closed.rods, map, couplings
         data = self._model.createData()
         pin.framesForwardKinematics(self._model, data, pin.neutral(self._model))
@@ -120,18 +117,6 @@ class Rows:
         motions = len(couplings.couplings) - len(closed.couplings)
         self._coupled = np.vstack([couplings.jacobian[:motions], map.v_from_pinocchio(closed.couplings)])
         self.units = np.concatenate([np.full(len(self._rods), length), couplings.units])
-
-    def equations(self, data: Any, q: Array, v: Array, time: float) -> tuple[Array, Array]:
-        """Phi_q (r, nv) and the stabilized gamma (r,) at tree coordinates q and velocities v.
-
-        Of data after `forwardKinematics` at qddot = 0, `computeJointJacobians`, `updateFramePlacements`.
-        """
-        if not len(self.units):
-            return np.zeros((0, self._model.nv)), np.zeros(0)
-        rows = self.jacobian(data)
-        opening = rows @ v + self.phi_t(time)
-        drift = 2.0 * self._alpha * opening + self._alpha**2 * self.phi(data, q, time)
-        return rows, self.gamma(data, time) - drift
 
     def phi(self, data: Any, q: Array, time: float) -> Array:
         """Residuals (r,), m or rad; of data after `framesForwardKinematics` at tree coordinates q."""

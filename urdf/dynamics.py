@@ -95,7 +95,7 @@ class PinocchioSystem:
         mass = sum(body.mass for body in self.mechanism.bodies[1:])
         self._units = Units(length, mass, q_units, self.velocity_units)
         self._closures = Closures(self.closed, self.map, length)
-        self._rows = Rows(self.closed, self.map, self._couplings, length, alpha)
+        self._rows = Rows(self.closed, self.map, self._couplings, length)
         self.phi_units = np.concatenate([self._closures.units, self._rows.units])
         self._laws = JointLaws(scene.joint_forces)
         places = [self._tree.place(law.joint, law.coordinate) for law in scene.joint_forces]  # none is cut
@@ -107,8 +107,8 @@ class PinocchioSystem:
         if self._eliminates:
             self._unused = rows_left_out(self)
         else:
-            self._proximal = ConstraintDynamics(self.closed, self.map, self._units)
-            self._proximal.choose(self.coordinates(initial_state(scene))[0], constraint_rank(self))
+            q, _ = self.coordinates(initial_state(scene))
+            self._proximal = ConstraintDynamics(self.closed, self.map, self._units, q, constraint_rank(self))
 
     def _add_body_frames(self) -> list[int]:
         """Add the frames of the bodies: at the center of mass, turned by `Body.quaternion`."""
@@ -208,11 +208,9 @@ class PinocchioSystem:
             found = self._checked(self._proximal.acceleration(q, v, force))
             return self.velocity_units * found, np.zeros(0)
         mass, force = self.mass_and_force(q, v)
-        data, loops = self._data, self._closures.jacobian(self._data)
-        drift = 2.0 * self._alpha * (loops @ v) + self._alpha**2 * self._closures.phi(data)
-        rows, gamma = self._rows.equations(data, q, v, self.time)
-        gamma = np.concatenate([self._closures.gamma(data) - drift, gamma])
-        jacobian = np.concatenate([loops, rows])
+        data, jacobian = self._data, self._jacobian()
+        drift = 2.0 * self._alpha * (jacobian @ v + self.phi_t()) + self._alpha**2 * self._phi(q)
+        gamma = np.concatenate([self._closures.gamma(data), self._rows.gamma(data, self.time)]) - drift
         try:
             found, multipliers = solve_constrained(
                 mass,
@@ -250,6 +248,10 @@ class PinocchioSystem:
     def phi(self, q: Array) -> Array:
         """Residuals (k,) of the closures, then of `Rows`."""
         pin.framesForwardKinematics(self._model, self._data, self.map.q_to_pinocchio(q))
+        return self._phi(q)
+
+    def _phi(self, q: Array) -> Array:
+        """The same where frames are placed."""
         return np.concatenate([self._closures.phi(self._data), self._rows.phi(self._data, q, self.time)])
 
     def joint_phi(self, q: Array) -> Array:
@@ -264,6 +266,10 @@ class PinocchioSystem:
     def phi_jacobian(self, q: Array) -> Array:
         """Derivative (k, nv) of `phi` along `retract`, and of its rate by v."""
         self._place(q)
+        return self._jacobian()
+
+    def _jacobian(self) -> Array:
+        """The same where frames and Jacobians are."""
         return np.concatenate([self._closures.jacobian(self._data), self._rows.jacobian(self._data)])
 
     def _place(self, q: Array) -> None:
@@ -394,6 +400,9 @@ class PinocchioSystem:
             torques[joint] -= torque
         kinetic = float(0.5 * v @ self.mass_matrix(q) @ v)  # pin.computeKineticEnergy has rotors in part
         potential = pin.computePotentialEnergy(self._model, self._data, pin_q)
+        root, (x, _) = self._model.inertias[0], self._measured(q, v)
+        fixed = -root.mass * float(self.scene.gravity @ root.lever)  # of bodies that Pinocchio leaves out
+        springs = self._laws.energy(x) + self._balls.energy(q) + self._forces.energy(self._data)
         return Evaluation(
             state,
             accelerations[:, :3],
@@ -402,7 +411,7 @@ class PinocchioSystem:
             torques,
             actuation[: len(self.scene.control)],
             kinetic,
-            potential + self._fixed_energy() + self._springs_energy(q, v),
+            potential + fixed + springs,
             q[self._work][0] if self.scene.tracks_work else None,
         )
 
@@ -413,13 +422,3 @@ class PinocchioSystem:
         for body, wrench in (*self._balls.wrenches(q, v, rotations), *self._forces.wrenches(self._data)):
             found[body] += wrench
         return found
-
-    def _springs_energy(self, q: Array, v: Array) -> float:
-        """Energy of all springs, J."""
-        joints, balls = self._laws.energy(self._measured(q, v)[0]), self._balls.energy(q)
-        return joints + balls + self._forces.energy(self._data)
-
-    def _fixed_energy(self) -> float:
-        """Potential energy of bodies that fixed joints hold to the ground; Pinocchio leaves it out."""
-        fixed = self._model.inertias[0]
-        return -fixed.mass * float(self.scene.gravity @ fixed.lever)

@@ -71,7 +71,14 @@ class Units(NamedTuple):
 class ConstraintDynamics:
     """Accelerations of a model by `constraintDynamics`, in tree coordinates and dimensionless."""
 
-    def __init__(self, closed: ClosedLoopModel, map: CoordinateMap, units: Units) -> None:
+    def __init__(
+        self, closed: ClosedLoopModel, map: CoordinateMap, units: Units, q: Array, count: int
+    ) -> None:
+        """Choose plain elimination for independent closures, iterations for redundant ones, at a start q.
+
+        Pinocchio returns NaN for redundant closures without regularization. `count` of their rows are
+        independent, at the start maybe fewer.
+        """
         self._closed, self._map, self._units = closed, map, units
         self._closures, self._data = Closures(closed, map, units.length), closed.model.createData()
         self._model, self._constraints = _in_units(closed, map, units)
@@ -80,13 +87,6 @@ class ConstraintDynamics:
             [constraint.createData() for constraint in self._constraints]
         )
         pin.initConstraintDynamics(self._model, self._scaled_data, self._constraints, self._constraint_data)
-
-    def choose(self, q: Array, count: int) -> None:
-        """Choose plain elimination for independent closures, iterations for redundant ones, at a start q.
-
-        Pinocchio returns NaN for redundant closures without regularization. `count` of their rows are
-        independent, at the start maybe fewer.
-        """
         jacobian = self._jacobian(q)
         self._redundant = len(jacobian) - min(rank(jacobian), count)
         plain = pin.ProximalSettings(0.0, ACCURACY, 0.0, 1)

@@ -15,8 +15,6 @@ SCENE_FILES = (".yaml", ".yml", ".json")
 
 MJCF = (".xml", ".mjcf")
 
-NO_FORCES = "a URDF has no forces but damping along hinges and slides, which is written"
-
 
 def check_target(path: Path) -> None:
     """Raise `CrosscheckError` for a name that tells no format."""
@@ -59,7 +57,8 @@ def write_as(scene: Scene, path: Path, report: ImportReport) -> list[Path]:
         for law in scene.control:
             if isinstance(law, PD) and law.is_driven:
                 report.left_out(law.element, "MJCF has no function of time; its control is that of the start")
-        _report_sampled(scene, "a motor", report)
+            elif isinstance(law, Sampled):
+                report.left_out(law.element, "a controller in Python; a motor in its place")
         report.left_out("duration and outputs", "an MJCF has none")
         return [path]
     import urdf
@@ -67,7 +66,8 @@ def write_as(scene: Scene, path: Path, report: ImportReport) -> list[Path]:
     urdf.write(scene, path)
     _leave_out(report, CONTROL, "a URDF has no control laws", [law.element for law in scene.control])
     forces = [f.element for f in scene.forces if not (isinstance(f, JointSpring) and f.stiffness == 0.0)]
-    _leave_out(report, FORCE, NO_FORCES, forces)
+    why = "a URDF has no forces but damping along hinges and slides, which is written"
+    _leave_out(report, FORCE, why, forces)
     # rotors of several elements of a file add up at one joint coordinate, and are told of there
     report.entries = [entry for entry in report.entries if entry.became != ROTOR]
     for armature in scene.armatures:
@@ -86,12 +86,6 @@ def _leave_out(report: ImportReport, became: str, why: str, elements: list[str])
         report.left_out(entry.element, f"{entry.how}: {why}")
     for element in () if again else elements:
         report.left_out(element, why)
-
-
-def _report_sampled(scene: Scene, instead: str, report: ImportReport) -> None:
-    for law in scene.control:
-        if isinstance(law, Sampled):
-            report.left_out(law.element, f"a controller in Python; {instead} in its place")
 
 
 def scene_report(scene: Scene) -> ImportReport:

@@ -18,8 +18,6 @@ from newton_euler.model.joint import Key
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import FORCE, ROTOR, ImportReport, unique_name
 
-NOT_LINEAR = "the part of its stiffness or damping that is not linear"
-
 
 class Forces:
     """Forces on joints and bodies beside gravity and actuators.
@@ -47,14 +45,22 @@ class Forces:
         named = (force.name for force in self.forces if isinstance(force, PointSpring | Wrench))
         return unique_name(wanted, fallback, named)
 
+    def _linear(
+        self, element: str, spring: tuple[float, Array], damper: tuple[float, Array]
+    ) -> tuple[float, float]:
+        """Return stiffness and damping, 0 where the file switches them off, and report other coefficients."""
+        (stiffness, bent), (damping, bent_rate) = spring, damper
+        if (self._springs and np.any(bent)) or (self._dampers and np.any(bent_rate)):
+            why = "the part of its stiffness or damping that is not linear"
+            self._report.left_out(element, why, topic="not linear")
+        return float(stiffness) * self._springs, float(damping) * self._dampers
+
     def _add_joint(self, number: int) -> None:
         model, element = self._model, self._joints.element(number)
         dof, place = int(model.jnt_dofadr[number]), int(model.jnt_qposadr[number])
-        stiffness = float(model.jnt_stiffness[number]) if self._springs else 0.0
-        damping = float(model.dof_damping[dof]) if self._dampers else 0.0
-        bent = self._springs and np.any(model.jnt_stiffnesspoly[number])
-        if bent or (self._dampers and np.any(model.dof_dampingpoly[dof])):
-            self._report.left_out(element, NOT_LINEAR, topic="not linear")
+        spring = model.jnt_stiffness[number], model.jnt_stiffnesspoly[number]
+        damper = model.dof_damping[dof], model.dof_dampingpoly[dof]
+        stiffness, damping = self._linear(element, spring, damper)
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
@@ -114,11 +120,9 @@ class Forces:
     def _add_tendon(self, tendon: int) -> None:
         model = self._model
         element = element_name(model, "tendon", tendon)
-        stiffness = float(model.tendon_stiffness[tendon]) if self._springs else 0.0
-        damping = float(model.tendon_damping[tendon]) if self._dampers else 0.0
-        bent = self._springs and np.any(model.tendon_stiffnesspoly[tendon])
-        if bent or (self._dampers and np.any(model.tendon_dampingpoly[tendon])):
-            self._report.left_out(element, NOT_LINEAR, topic="not linear")
+        spring = model.tendon_stiffness[tendon], model.tendon_stiffnesspoly[tendon]
+        damper = model.tendon_damping[tendon], model.tendon_dampingpoly[tendon]
+        stiffness, damping = self._linear(element, spring, damper)
         if stiffness == 0.0 and damping == 0.0:
             return
         what = f"its stiffness {stiffness:g} and damping {damping:g}"
