@@ -117,8 +117,8 @@ def differences(states: SharedStates) -> Iterator[Difference]:
         lengths, angles, freedoms = joint_differences(states)
         share = round_off(states.condition, states.noise) + states.condition * states.opening
         far = max(reach(first, state.position) for state in states.all)
-        yield Difference("joint axes, rad", angles, share, joints)
-        yield Difference("joint points, m", lengths, share * far, joints)
+        yield Difference("open joints, rad", angles, share, joints)
+        yield Difference("open joints, m", lengths, share * far, joints)
         yield Difference("joint Jacobians, rel", freedoms, share, joints)
     if coupled := dict(_couplings_apart(aligned)):
         yield Difference("couplings, rel", np.array(list(coupled.values())), ROUND_OFF, tuple(coupled))

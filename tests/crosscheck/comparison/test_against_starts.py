@@ -23,9 +23,9 @@ from newton_euler.assemble import assemble
     [
         (plant.mass("coupler", FAULT), "mass", "coupler"),
         (plant.inertia_entry("rocker", 0, 1, FAULT), "inertia", "rocker"),
-        (plant.center_of_mass("crank", np.array([0.0, 0.0, FAULT])), "center of mass", "crank"),
-        (plant.joint_point("b", np.array([FAULT, 0.0, 0.0])), "joint points", "b"),
-        (lambda scene: scene, "positions", "coupler"),
+        (plant.center_of_mass("crank", np.array([0.0, 0.0, FAULT])), "center of mass, m", "crank"),
+        (plant.joint_point("b", np.array([FAULT, 0.0, 0.0])), "open joints, m", "b"),
+        (lambda scene: scene, "positions, m", "coupler"),
     ],
 )
 def test_models_that_start_elsewhere_are_compared_by_equal_body_frames(
@@ -34,7 +34,7 @@ def test_models_that_start_elsewhere_are_compared_by_equal_body_frames(
     scene, found, *_ = whole()
     other = replace(fault(scene), initial_state=None)
     result = compared(scene, replace(other, initial_state=assemble(other, states_of(found)[5])))
-    assert first_failing(result) == (START if quantity == "positions" else "model", quantity, where)
+    assert first_failing(result) == (START if quantity == "positions, m" else "model", quantity, where)
     assert result.notes[0].startswith("starts differ: positions, m: 2.")
 
 
