@@ -93,13 +93,16 @@ def adaptive(scene: Scene, steps: int, refined: bool) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=1)
-def _newton_euler_run(scene: Scene) -> Trajectory:
+def native_run(scene: Scene) -> Trajectory:
+    """newton_euler's run, made once for all that it is compared with."""
     from newton_euler import simulate
 
     return simulate(scene, **adaptive(scene, NATIVE_STEPS, refined=False))
 
 
-def _newton_euler_refined(scene: Scene) -> Trajectory:
+@lru_cache(maxsize=1)
+def native_refined(scene: Scene) -> Trajectory:
+    """newton_euler's finer run, made once as well."""
     from newton_euler import simulate
 
     return simulate(scene, **adaptive(scene, NATIVE_STEPS, refined=True))
@@ -120,7 +123,7 @@ def _newton_euler_systems(scene: Scene) -> tuple[System, ...]:
 def _way(scene: Scene) -> Trajectory | None:
     """newton_euler's run as far as it comes: where other engines will come by."""
     try:
-        return _newton_euler_run(scene)
+        return native_run(scene)
     except StoppedError as error:
         return error.partial
     except NewtonEulerError:
@@ -190,8 +193,8 @@ ENGINES: dict[str, Engine] = {
         # DOP853 at rtol 1e-10 or Radau, projected onto the constraints after each step
         Engine(
             "newton_euler",
-            _newton_euler_run,
-            _newton_euler_refined,
+            native_run,
+            native_refined,
             _newton_euler_systems,
             trajectory_error=1e-9,
             drift=1e-13,

@@ -20,7 +20,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from crosscheck.comparison.changes import CHANGE, Element, Moments, elements
 from crosscheck.comparison.figure import OWN_ERROR, POSES, ROUND_OFF, UNRESOLVED, Figure, reach
 from crosscheck.comparison.joint_loads import JointLoads
 from crosscheck.comparison.runs import orientations_apart, positions_apart
-from crosscheck.engines import NATIVE_STEPS, adaptive
+from crosscheck.engines import NATIVE_STEPS, adaptive, native_refined, native_run
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import System, at_time
 from newton_euler.errors import AssemblyError, NearlyRedundantWarning, NewtonEulerError, SingularityError
@@ -136,14 +135,14 @@ class _Runs:
     def __init__(
         self, scene: Scene, found: Sequence[Element], length: float, angle: float, end: int | None
     ) -> None:
-        self._settings, refined = (adaptive(scene, NATIVE_STEPS, refined=each) for each in (False, True))
-        scene = replace(scene, outputs=scene.outputs | {"velocities"})
-        self._elements, self._code = found, CompiledScene(scene)
-        self.run = self._as_far_as_it_goes(scene if end is None else _until(scene, scene.times[end - 1]))
-        scene = _until(scene, self.run.time[-1])
-        finer = self._as_far_as_it_goes(scene, refined)
+        self._elements, self._settings = found, adaptive(scene, NATIVE_STEPS, refined=False)
+        if "velocities" not in scene.outputs:
+            scene = replace(scene, outputs=scene.outputs | {"velocities"})
+        run, finer = (_as_far_as_it_goes(each, scene) for each in (native_run, native_refined))
+        self.run = run if end is None else run.first(end)
         # states with the work or without it, as those that code has been made for
-        self._scene = replace(scene, outputs=scene.outputs & {"velocities", "energy"})
+        wanted = scene.outputs & {"velocities", "energy"}
+        self._scene = _until(replace(scene, outputs=wanted), self.run.time[-1])
         units = max(1.0, reach(scene, self.run.position)), 1.0
         own = (float(np.max(apart(self.run, finer))) for apart in (positions_apart, orientations_apart))
         # both of two engines may be off by their own errors, as in comparisons
@@ -161,17 +160,6 @@ class _Runs:
         """The code of all changes of parameters."""
         names = dict.fromkeys(name for element in self._elements for name in element.parameters or ())
         return CompiledScene(self._scene, parameters=tuple(names))
-
-    def _as_far_as_it_goes(self, scene: Scene, settings: dict[str, Any] | None = None) -> Trajectory:
-        """The run of the scene itself."""
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", NearlyRedundantWarning)
-                return self._code.with_scene(scene).simulate(**(settings or self._settings))
-        except StoppedError as error:
-            if error.partial is None:
-                raise
-            return error.partial
 
     @cached_property
     def _states(self) -> list[tuple[float, State]]:
@@ -278,6 +266,18 @@ def _is_same(own: Motion, other: Motion, scene: Scene) -> bool:
         bool(np.max(np.abs(x - y)) <= ROUND_OFF * max(floor, float(np.max(np.abs(x)))))
         for x, y, floor in zip(own, other, floors, strict=True)
     )
+
+
+def _as_far_as_it_goes(engine: Callable[[Scene], Trajectory], scene: Scene) -> Trajectory:
+    """The run of the scene itself."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NearlyRedundantWarning)
+            return engine(scene)
+    except StoppedError as error:
+        if error.partial is None:
+            raise
+        return error.partial
 
 
 def _until(scene: Scene, end: float) -> Scene:
