@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from crosscheck.errors import reason_of
+from crosscheck.errors import CrosscheckError, reason_of
 from crosscheck.limit import time_limit
 from crosscheck.studies.benchmark.ladders import Ladder, Models, Options, Poses, Run
 from crosscheck.studies.benchmark.reference import pose_errors
@@ -22,13 +22,13 @@ from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
 from newton_euler.codegen.compile import uncollected
 
 LONGEST = 1.5
-"""s: a ladder is climbed no further once one of its runs has taken longer."""
+"""s of processor time: a ladder is climbed no further once one of its runs has taken longer."""
 
 LIMIT = 3.0
 """s after which a run is given up."""
 
 BUDGET = 20.0
-"""s of processor time after which a model begins no further ladder: others' load leaves no setting out."""
+"""s of processor time after which a model begins no further ladder. Others' load leaves no setting out."""
 
 SHARE = 0.15
 """s that the repeats of one setting should take together, if `LEAST_REPEATS` of them do not take longer."""
@@ -139,21 +139,17 @@ def _climb(
             with uncollected(), time_limit(LIMIT):
                 done = run(options)
             errors = pose_errors(done.poses(), exact)
+            if not np.all(np.isfinite(errors)):
+                raise CrosscheckError("its motion is not finite")
         except Exception as error:
             found.failures.append(Failure(engine, name, reason_of(error)))
-            seconds = time.process_time() - start
-            if seconds > LONGEST:
-                return f"{name} failed after {seconds:.1f} s, more than {LONGEST:g} s"
-            continue
-        if not np.all(np.isfinite(errors)):
-            found.failures.append(Failure(engine, name, "its motion is not finite"))
-            continue
-        found.measurements.append(
-            Measurement(engine, ladder.method, name, *errors, done.evaluations, done.seconds)
-        )
-        calls.append(partial(_sample, run, options))
-        if done.seconds > LONGEST and number != ladder.numbers[-1]:
-            return f"{name} took {done.seconds:.1f} s, more than {LONGEST:g} s"
+        else:
+            of_run = *errors, done.evaluations, done.seconds
+            found.measurements.append(Measurement(engine, ladder.method, name, *of_run))
+            calls.append(partial(_sample, run, options))
+        seconds = time.process_time() - start
+        if seconds > LONGEST and number != ladder.numbers[-1]:
+            return f"{name} took {seconds:.1f} s, more than {LONGEST:g} s"
     return "its last setting"
 
 
