@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -30,7 +30,6 @@ from newton_euler.integrators.compiled import FORMULATIONS
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
-from newton_euler.simulate import CompiledScene
 
 # (a) Long runs: what is left of the energy and of closed joints, and what of it is round-off
 
@@ -214,24 +213,18 @@ def _sought(name: str) -> tuple[Scene, Trajectory]:
 def measure_largest(name: str, setting: Setting) -> Measured:
     """Measure, by bisection, the step (s) of methods with fixed steps or the relative tolerance of others."""
     scene, reference = _sought(name)
-    integrator, adaptive = setting.options["integrator"], setting.options["integrator"] in ADAPTIVE
-    simulate: Callable[..., Trajectory] = lambda **more: Setting(  # noqa: E731
-        setting.engine, {"integrator": integrator, **more}
-    ).simulate(scene)
-    if setting.engine == "newton_euler":
-        simulate = partial(CompiledScene(scene, setting.options["formulation"]).simulate, integrator)
+    adaptive = setting.options["integrator"] in ADAPTIVE
 
     def size(n: int) -> float:
         """Return the n-th to try: ten tolerances per decade, or n steps from one output to the next."""
         return float(10.0 ** (-n / 10.0)) if adaptive else scene.output_period / n
 
     def succeeds(n: int) -> bool:
+        tried = {"timestep" if setting.engine == "mujoco" else "step": size(n)}
         if adaptive:
-            options = {"rtol": size(n), "atol": 1e-2 * size(n)}
-        else:
-            options = {"timestep" if setting.engine == "mujoco" else "step": size(n)}
+            tried = {"rtol": size(n), "atol": 1e-2 * size(n)}
         try:
-            run = simulate(**options)
+            run = replace(setting, options={**setting.options, **tried}).simulate(scene)
         except (NewtonEulerError, np.linalg.LinAlgError):
             return False
         return distance(run, reference) < SHARE * scene.mechanism.size
