@@ -54,20 +54,17 @@ def rank(matrix: Array) -> int:
     return numerical_rank(singular_values(matrix)[1]) if matrix.size else 0
 
 
-def minimum_norm(
-    matrix: Array, right: Array, row_units: Array, column_units: Array, rank: int | None = None
-) -> Array:
+def minimum_norm(matrix: Array, right: Array, row_units: Array, column_units: Array) -> Array:
     """Compute the x (n,) of least dimensionless length with matrix @ x = right in the least-squares sense.
 
     Args:
         matrix: (k, n); right: (k,).
         row_units, column_units: (k,) and (n,) units of the rows and of x.
-        rank: that the matrix has at most, but for noise.
     """
     if not matrix.size:
         return np.zeros(matrix.shape[1])
     u, s, vt = singular_values(matrix * column_units / row_units[:, None])
-    r = numerical_rank(s) if rank is None else min(numerical_rank(s), rank)
+    r = numerical_rank(s)
     return np.asarray(column_units * (vt[:r].T @ ((u[:, :r].T @ (right / row_units)) / s[:r])))
 
 
