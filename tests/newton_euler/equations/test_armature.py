@@ -1,4 +1,4 @@
-"""Armature and compound joints: analytic answers, both formulations, and the other engines."""
+"""Armature: analytic answers in both formulations, and refusals of compound joints."""
 
 from __future__ import annotations
 
@@ -6,16 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from armed_scenes import COMPOUNDS
-from finite_difference import derivative
-from mechanisms import MASS, STIFFNESS, mass_on_rail, pendulum, planar_four_bar
+from mechanisms import MASS, STIFFNESS, mass_on_rail, pendulum
 
 import newton_euler
-from newton_euler import Armature, JointSpring, Mechanism
+from newton_euler import Armature, JointSpring
 from newton_euler.assemble import initial_state
-from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
-from newton_euler.exercise import random_states
 from newton_euler.integrators.compiled import FORMULATIONS, formulate
 from newton_euler.model.compound_joint import Compound
 
@@ -47,52 +43,6 @@ def test_a_mass_on_a_spring_swings_slower_and_keeps_its_energy(formulation: str)
     assert run.position[:, 1, 2] == pytest.approx(wanted, abs=1e-9)  # DOP853 at rtol 1e-10
     energy = run.kinetic_energy + run.potential_energy
     assert energy == pytest.approx(energy[0], abs=1e-9)
-
-
-def test_rotors_of_a_cut_joint_and_of_a_kept_one_do_the_same() -> None:
-    """A four-bar linkage whose actuated joint the tree keeps, or cuts."""
-    scene = replace(planar_four_bar(), armatures=(Armature("at_c", 0.4),))
-    runs = []
-    for order in ((0, 1, 2, 3), (3, 2, 0, 1)):
-        joints = [scene.mechanism.joints[k] for k in order]
-        own = replace(scene, mechanism=Mechanism(scene.mechanism.bodies, joints), initial_state=None)
-        runs.append(newton_euler.simulate(own).position)
-    assert runs[0] == pytest.approx(runs[1], abs=1e-8)  # two runs of DOP853 at rtol 1e-10
-
-
-@pytest.mark.parametrize("name", COMPOUNDS)
-def test_coordinates_of_a_compound_joint_have_the_rates_and_gammas_they_say(name: str) -> None:
-    scene = COMPOUNDS[name]
-    system = Relative(scene)
-    (state,) = random_states(scene, 1, seed=2)
-    q, v = system.coordinates(state)
-    acceleration = np.linspace(-1.0, 2.0, system.nv)
-
-    def measured(t: float) -> np.ndarray:
-        now = system.retract(q, v * t + 0.5 * acceleration * t * t)
-        frames = [link.frame for link in system.links(now, v + acceleration * t)]
-        values = []
-        for k in range(len(scene.mechanism.joints)):
-            e = system.tree.equations(k)
-            first, second = frames[e.first], frames[e.second]
-            values += [c.jacobian(first, second).rate(first, second) for c in e.coordinates]
-        return np.concatenate(values)
-
-    links = system.links(q, v)
-    predicted = []
-    for k in range(len(scene.mechanism.joints)):
-        e = system.tree.equations(k)
-        first, second = links[e.first], links[e.second]
-        for c in e.coordinates:
-            r_i, t_i, r_j, t_j = c.jacobian(first.frame, second.frame)
-            total = -c.gamma(first.frame, second.frame)
-            for link, r, theta in ((first, r_i, t_i), (second, r_j, t_j)):
-                total = total + r @ (link.acceleration + link.linear @ acceleration[link.path])
-                total = total + theta @ (link.angular_acceleration + link.angular @ acceleration[link.path])
-            predicted.append(total)
-    found = derivative(measured)
-    # 1e-8: differences of order 6 on rates of order 1 to 10
-    assert found == pytest.approx(np.concatenate(predicted), abs=1e-8 * max(1.0, np.max(np.abs(found))))
 
 
 @pytest.mark.parametrize(
