@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from mechanisms import at_rest
 
 import mjcf
 import urdf
@@ -20,8 +21,7 @@ from crosscheck.scenes.tracker import tracker as make_tracker
 from mjcf.errors import ModelError
 from mjcf.model import CompiledScene
 from mjcf.read import read as read_mjcf
-from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import Evaluation, MassProperties
+from newton_euler.equations.system import MassProperties
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.model.control import PD
@@ -30,7 +30,6 @@ from newton_euler.model.joint_kinds import Free, Revolute, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import unweld_loops, weld_loops
-from newton_euler.model.state import State
 from urdf.read import read as read_urdf
 from urdf.write import loops_path
 
@@ -190,11 +189,6 @@ def test_damping_that_feeds_energy_is_refused(tracker: Scene) -> None:
     control = (PD("slide_12", 50.0, -2.0, 0.0),)
     with pytest.raises(ModelError, match="'slide_12' is -2"):
         mjcf.to_xml(replace(tracker, control=control))
-
-
-def at_rest(scene: Scene) -> Evaluation:
-    system = Relative(scene)
-    return system.evaluate(*system.coordinates(State.initial(scene.mechanism)))
 
 
 WELD_CLOSED = """<mujoco><worldbody>

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.system import Evaluation
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.forces import Force, PointSpring
 from newton_euler.model.joint import Joint
@@ -262,3 +264,9 @@ def line_spring(**values: float) -> PointSpring:
     """From 2 m above to the mass of `mass_on_rail`."""
     ends = ([0.0, 0.0, 2.0], [0.0, 0.0, 0.0])
     return PointSpring("line", "ground", "mass", *ends, **({"stiffness": STIFFNESS} | values))
+
+
+def at_rest(scene: Scene) -> Evaluation:
+    """Evaluate the joint-coordinate form at the initial pose, without velocities."""
+    system = Relative(scene)
+    return system.evaluate(*system.coordinates(State.initial(scene.mechanism)))

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from urdf.read import Reading, read
+
 LOOPS = "closed_loop: {pairs}\ntype: {types}\nname_mot: {motors}\njoint_name: []\njoint_type: []\n"
 
 
@@ -44,3 +48,12 @@ TIPS = (
     joint("ta", "fixed", "a", "tip_a", xyz="0.3 0 0.4"),
     joint("tb", "fixed", "b", "tip_b", xyz="-0.2 0 0.4"),
 )  # fmt: skip
+
+
+def reading(folder: Path, text: str, loops: str | None = None, base: str = "fixed") -> Reading:
+    """Read files of these texts."""
+    (folder / "robot.urdf").write_text(text)
+    if loops is None:
+        return read(folder / "robot.urdf", base=base)
+    (folder / "robot.yaml").write_text(loops)
+    return read(folder / "robot.urdf", folder / "robot.yaml", base=base)

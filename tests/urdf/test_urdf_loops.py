@@ -7,17 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from urdf_files import LOOPS, joint, link, robot
+from mechanisms import at_rest
+from urdf_files import LOOPS, joint, link, reading, robot
 
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import Evaluation
 from newton_euler.errors import UnknownNameError
 from newton_euler.model.joint_kinds import Fixed, Free, Revolute, Spherical, Universal
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import State
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import LoopFileError
-from urdf.read import Reading, read
+from urdf.read import Reading
 
 ENDS = (
     link("a"), link("b"), link("ball"), link("end"),
@@ -29,20 +28,9 @@ ENDS = (
 """Two arms that end in frames of joints; the second arm floats, so that it can meet the first."""
 
 
-def reading(folder: Path, text: str, loops: str, base: str = "fixed") -> Reading:
-    (folder / "robot.urdf").write_text(text)
-    (folder / "robot.yaml").write_text(loops)
-    return read(folder / "robot.urdf", folder / "robot.yaml", base=base)
-
-
 def with_types(**types: str) -> str:
     names, kinds = ", ".join(types), ", ".join(types.values())
     return f"closed_loop: []\ntype: []\nname_mot: []\njoint_name: [{names}]\njoint_type: [{kinds}]\n"
-
-
-def at_rest(scene: Scene) -> Evaluation:
-    system = Relative(scene)
-    return system.evaluate(*system.coordinates(State.initial(scene.mechanism)))
 
 
 def same_motion(one: Reading, two: Reading) -> None:
@@ -165,9 +153,7 @@ def parallelogram(tmp_path: Path) -> Scene:
         '<child link="tip"/></joint>',
     )  # fmt: skip
     loops = LOOPS.format(pairs="[[pin, tip]]", types="[6d]", motors="[]")
-    (tmp_path / "robot.urdf").write_text(text)
-    (tmp_path / "robot.yaml").write_text(loops)
-    return read(tmp_path / "robot.urdf", tmp_path / "robot.yaml").scene
+    return reading(tmp_path, text, loops).scene
 
 
 @pytest.mark.parametrize("start", [1.2, 0.0])

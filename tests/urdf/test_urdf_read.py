@@ -9,32 +9,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from elements import JOINTS
-from mechanisms import GRAVITY, REGULAR, planar_four_bar
-from urdf_files import CHAIN, LOOPS, TIPS, joint, link, robot
+from mechanisms import GRAVITY, REGULAR, at_rest, planar_four_bar
+from urdf_files import CHAIN, LOOPS, TIPS, joint, link, reading, robot
 
 import urdf
-from newton_euler.equations.relative import Relative
-from newton_euler.equations.system import Evaluation
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.joint_kinds import Fixed, Free, Prismatic, Revolute, Spherical
-from newton_euler.model.scene import Scene
-from newton_euler.model.state import State
 from urdf.errors import UrdfError
-from urdf.read import Reading, read
-
-
-def reading(folder: Path, text: str, loops: str | None = None) -> Reading:
-    path = folder / "robot.urdf"
-    path.write_text(text)
-    if loops is None:
-        return read(path)
-    (folder / "robot.yaml").write_text(loops)
-    return read(path, folder / "robot.yaml")
-
-
-def at_rest(scene: Scene) -> Evaluation:
-    system = Relative(scene)
-    return system.evaluate(*system.coordinates(State.initial(scene.mechanism)))
+from urdf.read import read
 
 
 def test_links_and_joints_become_bodies_and_joints(tmp_path: Path) -> None:

@@ -122,22 +122,18 @@ def nothing(*_: object) -> None:
     return None
 
 
-@pytest.mark.parametrize(
-    ("of", "method", "fault", "named"),
-    [
-        (Actuators, "_affine", scaled_gain, "actuator 'm'.*actuators, rel"),
-        (Bodies, "_body", heavier, "crank.*mass, rel"),
-        (Loops, "_add_closure", nothing, "elements unaccounted for"),
-        (Loops, "_couple", nothing, "elements unaccounted for"),
-    ],
-    ids=["half a gain at control 0", "twice all masses", "no connects", "no gears"],
-)
-def test_a_reader_at_fault_is_refused(
-    of: type, method: str, fault: Any, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def told(self: Any, index: int) -> None:
+    self._report.exactly(self._start.equality(index), "carried over")
+
+
+def steady(self: Any, actuator: int) -> float:
+    return float(self._data.act[0]) if actuator == 0 else self._control(actuator)
+
+
+def half_of_it(
+    self: Any, k: int, element: str, law: Affine, moments: Any, kept: Any = Actuators._report_limits
 ) -> None:
-    monkeypatch.setattr(of, method, fault)
-    with pytest.raises(MjcfError, match=f"model.xml: .*{named}"):
-        reading(tmp_path, ZOO)
+    kept(self, k, element, Affine(*(0.5 * x for x in law)), moments)
 
 
 LIMITED = model(
@@ -149,20 +145,7 @@ LIMITED = model(
 )
 """Each limit of forces, and an actuator whose activation goes to 1."""
 
-
-@pytest.mark.parametrize("exercise", [False, True])
-def test_dynamics_of_actuators_that_are_lost_are_found(
-    exercise: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert reading(tmp_path, LIMITED, exercise=exercise).report.originals[0][0].unaccounted == ()
-    monkeypatch.setattr(
-        Actuators, "_activation", lambda self, k: float(self._data.act[0]) if k == 0 else self._control(k)
-    )
-    with pytest.raises(MjcfError, match=r"'slow': its activation, which does not rest: .* unaccounted"):
-        reading(tmp_path, LIMITED, exercise=exercise)
-
-
-COMPENSATED = model(
+BORNE = model(
     '<body gravcomp="1"><joint name="a" axis="0 1 0" actuatorgravcomp="true" actuatorfrcrange="-99 99"/>'
     f"{BOX.format('0.1 0 0')}</body>",
     '<actuator><position name="servo" joint="a" kp="3" kv="1" forcerange="-9 9"/></actuator>',
@@ -172,32 +155,35 @@ COMPENSATED = model(
 
 @pytest.mark.parametrize("exercise", [False, True])
 @pytest.mark.parametrize(
-    ("of", "method", "fault", "named"),
+    ("text", "method", "fault", "named"),
     [
-        (Actuators, "_others", lambda *_: "", "joint 'a'"),
-        (Actuators, "_report_limits", None, "actuator 'servo'"),
+        (ZOO, (Actuators, "_affine"), scaled_gain, "actuator 'm'.*actuators, rel"),
+        (ZOO, (Bodies, "_body"), heavier, "crank.*mass, rel"),
+        (ZOO, (Loops, "_add_closure"), nothing, "elements unaccounted for"),
+        (ZOO, (Loops, "_couple"), nothing, "elements unaccounted for"),
+        (ZOO, (Loops, "_add_closure"), told, "equality 'c': .*motions free in the scene alone"),
+        (LIMITED, (Actuators, "_activation"), steady, "'slow': its activation, .* rest: .* unaccounted"),
+        (BORNE, (Actuators, "_others"), lambda *_: "", "joint 'a': .*limits of forces, rel"),
+        (BORNE, (Actuators, "_report_limits"), half_of_it, "actuator 'servo': .*limits of forces, rel"),
     ],
-    ids=["gravity compensation", "half of a force"],
-)
-def test_limits_are_watched_of_the_forces_that_the_file_has(
-    of: type,
-    method: str,
+    ids=[
+        "half a gain at control 0", "twice all masses", "no connects", "no gears", "a connect only said",
+        "dynamics", "gravity compensation", "half of a force that is watched",
+    ],
+)  # fmt: skip
+def test_a_reader_at_fault_is_refused(
+    text: str,
+    method: tuple[type, str],
     fault: Any,
     named: str,
     exercise: bool,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert reading(tmp_path, COMPENSATED, exercise=exercise)
-
-    def half(
-        self: Any, k: int, element: str, law: Affine, moments: Any, kept: Any = Actuators._report_limits
-    ) -> None:
-        kept(self, k, element, Affine(*(0.5 * x for x in law)), moments)
-
-    monkeypatch.setattr(of, method, fault or half)
-    with pytest.raises(MjcfError, match=f"{named}: .*limits of forces, rel"):
-        reading(tmp_path, COMPENSATED, exercise=exercise)
+    reading(tmp_path, text, exercise=exercise)
+    monkeypatch.setattr(*method, fault)
+    with pytest.raises(MjcfError, match=f"model.xml: .*{named}"):
+        reading(tmp_path, text, exercise=exercise)
 
 
 POSE = "0 0 0 0.2 2 1 0.8 0.2 -0.4 0.4 1 0 0 0 0.1 0.2 -0.08 -0.2"
@@ -261,17 +247,6 @@ def test_loops_that_a_start_closes_hide_no_fault_of_it(
     monkeypatch.setattr(Start, "_place", moved)
     with pytest.raises(MjcfError, match=figure):
         reading(tmp_path, APART)
-
-
-def test_an_equality_that_is_reported_and_not_there_is_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def told(self: Any, index: int) -> None:
-        self._report.exactly(self._start.equality(index), "carried over")
-
-    monkeypatch.setattr(Loops, "_add_closure", told)
-    with pytest.raises(MjcfError, match=r"equality 'c': .*motions free in the scene alone"):
-        reading(tmp_path, ZOO)
 
 
 def test_the_command_line_shows_what_the_library_refuses(
