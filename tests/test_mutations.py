@@ -135,6 +135,12 @@ MISTAKES = {
         "sign = -1.0 if kept.forward else 1.0",
         "newton_euler/equations/test_systems.py",
     ),
+    "a slide before skew hinges with the wrong sign in gamma": (
+        "newton_euler/model/hinge_angles.py",
+        "gamma = gamma - self._spare(first, second) @",
+        "gamma = gamma + self._spare(first, second) @",
+        "newton_euler/equations/test_systems.py",
+    ),
     "a coupling's acceleration with the wrong sign": (
         "newton_euler/equations/couplings.py",
         "self.function.acceleration(time) if self.function else 0.0",

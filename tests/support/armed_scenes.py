@@ -59,7 +59,20 @@ def compound_loop() -> Scene:
     return Scene("compound_loop", Mechanism(bodies, joints), 0.3, 0.1, GRAVITY)
 
 
+def skew_chain() -> Scene:
+    """A slide before two hinges whose axes do not meet, then three such hinges."""
+    bodies = [bar("a", [0.2, 0.0, 0.3], [0.5, 0.1, 0.3]), bar("b", [0.6, 0.3, 0.3], [0.9, 0.4, 0.5])]
+    joints: list[Joint] = [
+        Compound("first", "ground", "a", [0.1, 0.2, 0.0], slides=[[1, 0.2, 0.3]],
+                 hinges=[[1, 0.2, 0], [0, 1, 0.3]], offsets=[[0.1, -0.2, 0.3]]),
+        Compound("second", "a", "b", [0.5, 0.1, 0.3], hinges=[[0, 1, 0], [0.6, 0.5, 0], [0.2, 0, 1]],
+                 offsets=[[0.1, 0.0, 0.1], [0.0, 0.2, -0.1]]),
+    ]  # fmt: skip
+    return Scene("skew_chain", Mechanism([Body.ground(), *bodies], joints), 0.3, 0.1, GRAVITY)
+
+
 COMPOUNDS = {
+    "compound, skew": skew_chain(),
     "compound": compound_chain(),
     "compound, reversed": compound_chain(forward=False),
     "compound, cut": compound_loop(),
