@@ -219,6 +219,12 @@ MISTAKES = {
         "found = 2 * tuple(elements(scene))",
         "crosscheck/comparison/test_coverage.py::test_joints_that_do_not_move_are_untested",
     ),
+    "joints of two models compared by residuals alone": (
+        "crosscheck/against/levels.py",
+        "if (joint := equations.joint.name) in alike:",
+        "if (joint := equations.joint.name) in ():",
+        "crosscheck/comparison/test_against.py::test_a_ball_at_another_point_is_another_joint_though_all_moves_alike",
+    ),
     "a baseline compared with itself": (
         "crosscheck/regress/compare.py",
         "_check(figure, now.get(figure.name), problem)",
