@@ -151,7 +151,7 @@ class Actuators:
             return f"through its transmission, {kind.name.removeprefix('mjTRN_').lower()}"
         joint = int(self._model.actuator_trnid[actuator, 0])
         what = "free" if self._model.jnt_type[joint] == FREE else "ball"
-        return f"on a {what} joint, as {self._joints.element(joint)} is"
+        return f"on a {what} joint, as {element_name(self._model, 'joint', joint)} is"
 
     def _disabled(self, actuator: int) -> str:
         """Why the file itself switches its force off, if it does."""
@@ -243,7 +243,7 @@ class Actuators:
     def _report_joint_limit(self, joint: int) -> None:
         """Report a limit of all that drives a joint."""
         model, data = self._model, self._data
-        key, element = self._joints.keys.get(joint), self._joints.element(joint)
+        key, element = self._joints.keys.get(joint), element_name(self._model, "joint", joint)
         low, high = (float(x) for x in model.jnt_actfrcrange[joint])
         why, topic = f"its limit of actuator forces, {low:g} to {high:g}", "limit of actuator forces"
         law = None if key is None else self._acting.get(key)

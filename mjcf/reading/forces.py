@@ -56,7 +56,7 @@ class Forces:
         return float(stiffness) * self._springs, float(damping) * self._dampers
 
     def _add_joint(self, number: int) -> None:
-        model, element = self._model, self._joints.element(number)
+        model, element = self._model, element_name(self._model, "joint", number)
         dof, place = int(model.jnt_dofadr[number]), int(model.jnt_qposadr[number])
         spring = model.jnt_stiffness[number], model.jnt_stiffnesspoly[number]
         damper = model.dof_damping[dof], model.dof_dampingpoly[dof]
@@ -101,7 +101,7 @@ class Forces:
             return np.asarray(model.qpos_spring[place : place + size])
         limit = float(model.jnt_springyield[number])
         if limit < np.pi or model.jnt_type[number] != BALL:
-            self._report_yield(self._joints.element(number), limit)
+            self._report_yield(element_name(self._model, "joint", number), limit)
         return np.asarray(self._data.plastic[plastic : plastic + size])
 
     def _report_yield(self, element: str, limit: float) -> None:
@@ -210,7 +210,7 @@ def armatures(
         inertia = float(model.dof_armature[model.jnt_dofadr[number]])
         if inertia == 0.0:
             continue
-        element = joints.element(number)
+        element = element_name(model, "joint", number)
         if number in joints.keys:
             key = joints.keys[number]
             found[key] = found.get(key, 0.0) + inertia

@@ -46,11 +46,7 @@ class Joints:
             self.joints.append(joint)
             for number in numbers:
                 self.of[number] = joint.name
-                report.exactly(self.element(number), self._became(number, joint))
-
-    def element(self, number: int) -> str:
-        """Name one of MuJoCo's joints for reports."""
-        return element_name(self._model, "joint", number)
+                report.exactly(element_name(self._model, "joint", number), self._became(number, joint))
 
     def _became(self, number: int, joint: Joint) -> str:
         if number not in self.keys or len(joint.coordinate_kinds) == 1:

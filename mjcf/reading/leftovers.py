@@ -103,7 +103,7 @@ def _report_contacts(start: Start, poses: Poses, report: ImportReport) -> None:
 
 
 def _report_joint(start: Start, joints: Joints, number: int, report: ImportReport) -> None:
-    model, element = start.model, joints.element(number)
+    model, element = start.model, element_name(start.model, "joint", number)
     if model.jnt_limited[number]:
         low, high = model.jnt_range[number]
         where, watches = "", list[Watch]()
