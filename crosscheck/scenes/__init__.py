@@ -93,8 +93,8 @@ def _read(name: str, given: dict[str, str | int]) -> dict[str, str | int]:
             raise CrosscheckError(
                 f"unknown option {option!r} of scene {name!r}; {valid}, beside limits (crosscheck list)"
             )
-        read = known[option].values.read(value)
+        read = known[option].read(value)
         if read is None:
-            raise CrosscheckError(f"{option} of scene {name!r} is {value!r}; {known[option].values.wanted}")
+            raise CrosscheckError(f"{option} of scene {name!r} is {value!r}; {known[option].wanted}")
         options[option] = read
     return options

@@ -6,7 +6,6 @@ from typing import Annotated
 
 import numpy as np
 
-from crosscheck.scenes.options import Range
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -39,7 +38,7 @@ AXES = (Y + Z, Y - Z)
 so would y and z in turn, as no force turns the hinges along z."""
 
 
-def chain(N: Annotated[int, Range(1, 1000)] = 5) -> Scene:
+def chain(N: Annotated[int, range(1, 1001)] = 5) -> Scene:
     """N rods of 1 m and 1 kg that fall from rest, stretched out along x from a wall, 1 s.
 
     Args:

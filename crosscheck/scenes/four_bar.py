@@ -8,7 +8,6 @@ import numpy as np
 
 from crosscheck.scenes.chain import LENGTH, rod
 from crosscheck.scenes.measure import Quantity, angular_velocity, components, position, velocity
-from crosscheck.scenes.options import Range
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
@@ -21,7 +20,7 @@ SPEED = 1.0
 X, Y, Z = np.eye(3)
 
 
-def four_bar(N: Annotated[int, Range(1, 1000)] = 2) -> Scene:
+def four_bar(N: Annotated[int, range(1, 1001)] = 2) -> Scene:
     """N windows of rods of 1 m and 1 kg, from upright with the couplers moving at 1 m/s, 10 s.
 
     Problem A02 of the IFToMM library of computational benchmark problems. All bars stay parallel, so
