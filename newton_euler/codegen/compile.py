@@ -26,8 +26,9 @@ from newton_euler.codegen.native import Signature
 from newton_euler.codegen.rolled import emit_rolled
 from newton_euler.scalars import Array
 
-LARGE = 10_000
-"""Operations from which on a program is rolled up into loops; see the table of scene sizes in README."""
+LARGE = 9_500
+"""Operations from which on a program is rolled up into loops: written out it would run twice as fast and
+take four times as long to compile."""
 
 LEVEL, QUICK_LEVEL = 1, 0
 """LLVM's levels of code generation, of straight-line and of rolled code: 2, its default, makes the same code

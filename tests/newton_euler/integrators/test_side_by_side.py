@@ -25,7 +25,7 @@ def recorded(code, times, table):
 
 
 @pytest.mark.parametrize("far", [(), (3,), (1, 6)])
-@pytest.mark.parametrize("scene", ["tracker", "four_bar", "stewart"])
+@pytest.mark.parametrize("scene", ["tracker", "four_bar", "slider_crank"])
 def test_rows_are_what_each_is_alone(scene, far):
     """A group of as many as there are lanes and one of fewer, with and without rows that need more steps."""
     code, rng = CompiledScene(load(scene)), np.random.default_rng(0)
