@@ -17,75 +17,57 @@ from newton_euler.verification.import_report import FATES, ImportedElement, Impo
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 
 
-def _number(needed: str) -> Callable[[str, str], float]:
-    """A reader of numbers that says what is needed."""
-
-    def read(name: str, value: str) -> float:
-        try:
-            return plain_number(value)
-        except ValueError as error:
-            raise CrosscheckError(f"{name} is {value!r}; needed: {needed}") from error
-
-    return read
-
-
-def _vector(name: str, value: str) -> tuple[float, float, float]:
-    """Three numbers, between commas, or 0 for all of them."""
-    try:
-        x, y, z = map(plain_number, ["0", "0", "0"] if value == "0" else value.split(","))
-        if not max(abs(x), abs(y), abs(z)) <= LARGEST:
-            raise ValueError
-    except ValueError as error:
-        needed = f"X,Y,Z in m/s^2, at most {LARGEST:g}, or 0"
-        raise CrosscheckError(f"{name} is {value!r}; needed: {needed}") from error
-    return x, y, z
-
-
-def _text(name: str, value: str) -> str:
-    return value
-
-
 class Option(NamedTuple):
     """One option of model files.
 
     Attributes:
         values: what people give.
         default: what it is unless told otherwise.
-        read: takes the option's name and a value as given.
+        read: takes a value as given; raises `ValueError` for one that cannot be.
+        needed: of a value.
     """
 
     values: str
     default: str
-    read: Callable[[str, str], Any]
+    read: Callable[[str], Any] = str
+    needed: str = ""
 
 
-_SECONDS = _number("a positive number of seconds")
+def _vector(value: str) -> tuple[float, float, float]:
+    """Three numbers, between commas, or 0 for all of them."""
+    x, y, z = map(plain_number, ["0", "0", "0"] if value == "0" else value.split(","))
+    if not max(abs(x), abs(y), abs(z)) <= LARGEST:
+        raise ValueError(value)
+    return x, y, z
 
 
-def _switch(name: str, value: str) -> bool:
-    if value not in ("on", "off"):
-        raise CrosscheckError(f"{name} is {value!r}; needed: on or off")
-    return value == "on"
+def _switch(value: str) -> bool:
+    return bool(("off", "on").index(value))
 
+
+_SECONDS = plain_number, "a positive number of seconds"
+_GRAVITY = _vector, f"X,Y,Z in m/s^2, at most {LARGEST:g}, or 0"
 
 COMMON = {
-    "duration": Option("SECONDS", "1", _SECONDS),
-    "output_period": Option("SECONDS", "0.01", _SECONDS),
-    "redundancy_tolerance": Option("NUMBER, 0 takes all constraints literally", "1e-4", _number("a number")),
+    "duration": Option("SECONDS", "1", *_SECONDS),
+    "output_period": Option("SECONDS", "0.01", *_SECONDS),
+    "redundancy_tolerance": Option(
+        "NUMBER, 0 takes all constraints literally", "1e-4", plain_number, "a number"
+    ),
     "exercise": Option(
-        "on|off, moving joints and driven actuators; on in run, regress, bench", "off", _switch
+        "on|off, moving joints and driven actuators; on in run, regress, bench", "off", _switch, "on or off"
     ),
 }
 """Options of all model files."""
 
 MJCF_OPTIONS = COMMON | {
-    "key": Option("KEYFRAME to start from, or qpos0", "the first keyframe if there is one", _text),
-    "root": Option("FOLDER that holds all files that it refers to", "its own folder", _text),
+    "key": Option("KEYFRAME to start from, or qpos0", "the first keyframe if there is one"),
+    "root": Option("FOLDER that holds all files that it refers to", "its own folder"),
 }
 URDF_OPTIONS = COMMON | {
-    "loops": Option("FILE, its loop file", "none", _text),
-    "base": Option("fixed|free", "fixed", _text),
-    "gravity": Option("X,Y,Z in m/s^2, or 0", "0,0,-9.81", _vector),
+    "loops": Option("FILE, its loop file", "none"),
+    "base": Option("fixed|free", "fixed"),
+    "gravity": Option("X,Y,Z in m/s^2, or 0", "0,0,-9.81", *_GRAVITY),
 }
 
 LONGEST_NAMES = 150
@@ -121,7 +103,11 @@ def read_model(
     for name, value in options.items():
         if name not in known:
             raise CrosscheckError(f"{path} has no option {name!r}; {choices(name, known)}")
-        given[name] = known[name].read(name, str(value))
+        text = str(value)
+        try:
+            given[name] = known[name].read(text)
+        except ValueError as error:
+            raise CrosscheckError(f"{name} is {text!r}; needed: {known[name].needed}") from error
     if is_urdf(path):
         from urdf.read import read as read_urdf
 

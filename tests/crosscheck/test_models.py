@@ -262,7 +262,7 @@ def test_options_of_models_are_listed_with_their_defaults(capsys, options, reade
     for name, option in options.items():
         assert f"    --set {name}={option.values}  [default: {option.default}]\n" in out
         if defaults[name] is not None:
-            assert option.read(name, option.default) == defaults[name]
+            assert option.read(option.default) == defaults[name]
 
 
 def test_a_model_of_several_folders_needs_the_option_root(capsys, tmp_path):
