@@ -47,7 +47,7 @@ class Crosscheck:
     """Result of a crosscheck.
 
     Attributes:
-        source: the name or the file that the scene was loaded from.
+        source: the name or the file that the scene was loaded from; empty if it was made in Python.
         options: of the scene, as they were set.
         scene: what was run.
         engines: those that can express the scene, in the order asked for.

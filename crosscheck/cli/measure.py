@@ -11,9 +11,7 @@ from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
     cli,
-    exercised,
     load_and_tell,
-    load_scene,
     progress_shown,
     say,
     scene_options,
@@ -67,6 +65,7 @@ def bench_command(
 
     SCENE is a name or a file, as of run.
     """
+    from crosscheck.load import exercised
     from crosscheck.studies.benchmark.run import Wanted, bench
 
     if rhs and batch is not None:
@@ -140,6 +139,7 @@ def faults_command(
     Each is in one engine's model of SCENE, or with --reading in what was read from its file.
     """
     from crosscheck.files import check_no_source, check_writable, write_files
+    from crosscheck.load import load_scene
     from crosscheck.studies.faults.find import find_faults, find_in_reading
     from crosscheck.studies.faults.report import data, holds, report
 

@@ -11,8 +11,6 @@ from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
     cli,
-    exercised,
-    load_scene,
     progress_shown,
     say,
     scene_options,
@@ -80,21 +78,19 @@ def regress_command(
 
 
 def _guarded(sources: tuple[str, ...], options: dict[str, str], baseline: Path | None) -> list[Guarded]:
-    from crosscheck.regress.run import Guarded, made_with, usual_path
+    from crosscheck.regress.run import guard
     from crosscheck.scenes import SCENES
 
-    guarded: list[Guarded] = []
+    found: list[Guarded] = []
     for source in sources or tuple(SCENES):
         if source in SCENES and options and baseline is None:
             raise CrosscheckError(
                 f"the baseline of {source!r} is of its defaults; --set needs --baseline FILE"
             )
-        path = baseline or usual_path(source)
-        own = exercised(source, made_with(source, path, options))
-        scene, mapping = load_scene(source, own)
-        tell(source, mapping)
-        for other in guarded:
-            if other.scene.name == scene.name:
-                raise CrosscheckError(f"{other.source} and {source} are both named {scene.name!r}")
-        guarded.append(Guarded(source, own, scene, path, mapping))
-    return guarded
+        one = guard(source, options, baseline)
+        tell(source, one.mapping)
+        for other in found:
+            if other.scene.name == one.scene.name:
+                raise CrosscheckError(f"{other.source} and {source} are both named {one.scene.name!r}")
+        found.append(one)
+    return found

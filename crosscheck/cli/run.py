@@ -16,8 +16,6 @@ from crosscheck.cli.shared import (
     DISAGREE,
     UNFINISHED,
     cli,
-    exercised,
-    load_scene,
     progress_shown,
     say,
     scene_options,
@@ -130,6 +128,7 @@ def _run(
 ) -> int:
     from crosscheck.engines import choose
     from crosscheck.files import check_no_source
+    from crosscheck.load import exercised, load_scene
     from crosscheck.report.output import own_name
     from crosscheck.run import crosscheck
 
@@ -157,6 +156,7 @@ def _own_folder(name: str, sources: Sequence[str]) -> Path:
 def _models(*named: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:
     """Load two models by name or file and settings, with names of their own."""
     from crosscheck.against.compare import Model
+    from crosscheck.load import load_scene
     from newton_euler.verification.import_report import unique_name
 
     paths = [Path(source) for source, *_ in named]
@@ -249,6 +249,7 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
     IN is a scene, MJCF or URDF; OUT is in the format that its name ends in.
     """
     from crosscheck.files import check_no_source, check_writable
+    from crosscheck.load import load_scene
     from crosscheck.model_files.convert import check_target, files_of, scene_report, write_as
     from crosscheck.model_files.read import report_lines
 

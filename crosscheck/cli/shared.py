@@ -71,38 +71,11 @@ def scene_options(settings: tuple[str, ...], prefix: str = "") -> dict[str, str]
     return options
 
 
-def exercised(scene: str, options: dict[str, str]) -> dict[str, str]:
-    """Options with which model files are exercised unless the options say otherwise."""
-    from crosscheck.model_files.read import is_model
-
-    return {"exercise": "on"} | options if is_model(scene) else options
-
-
 def without_exercise(options: dict[str, str], why: str) -> dict[str, str]:
     """Options of a command on which exercise has no effect; an error, which says why, if they ask for it."""
     if options.get("exercise") == "on":
         raise CrosscheckError(f"--set exercise=on has no effect here: {why}")
     return options
-
-
-def load_scene(
-    scene: str, options: dict[str, str], verified: bool = True
-) -> tuple[Scene, ImportReport | None]:
-    """A scene, and what became of the elements of its file if that is a model of another tool.
-
-    Unless it is `verified`, what it is verified against comes with it.
-    """
-    from crosscheck.model_files.read import is_model, read_model
-    from crosscheck.scenes import load
-    from crosscheck.scenes.size import check_scene
-
-    if is_model(scene):
-        loaded, mapping = read_model(scene, options, verified)
-        check_scene(loaded, scene)
-    else:
-        loaded, mapping = load(scene, **options), None
-        check_scene(loaded)
-    return loaded, mapping
 
 
 def say(*lines: str, bold: bool = False) -> None:
@@ -143,6 +116,8 @@ def show(report: Report, *after: str) -> None:
 
 def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
     """A scene, with a line on standard error for each element of its file that is not in it as it was."""
+    from crosscheck.load import load_scene
+
     loaded, mapping = load_scene(scene, options)
     tell(scene, mapping)
     return loaded

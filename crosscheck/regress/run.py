@@ -11,6 +11,7 @@ import numpy as np
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import check_no_source, check_writable, write_files
+from crosscheck.load import exercised, load_scene
 from crosscheck.model_files.read import is_model
 from crosscheck.regress.baseline import Baseline, GroupName, Record, StoredFigure, read
 from crosscheck.regress.compare import Comparison, compare, unsimulated
@@ -62,18 +63,25 @@ class Guarded:
         return found
 
 
-def made_with(source: str, path: Path, options: dict[str, str]) -> dict[str, str]:
-    """Options of a model file: those given, and those of its baseline but `root`, which needs trust."""
-    if not (is_model(source) and path.exists()):
-        return options
-    return {name: value for name, value in read(path).options.items() if name != "root"} | options
-
-
 def usual_path(source: str) -> Path:
     """Return a baseline's default path: in this package for the library, else beside the file."""
     if source in SCENES:
         return Path(__file__).parents[1] / "baselines" / f"{source}.json"
     return Path(source).with_suffix(".baseline.json")
+
+
+def guard(source: str, options: dict[str, str], baseline: Path | None = None) -> Guarded:
+    """Load a scene or model file, with the options of its baseline but `root`, which needs trust.
+
+    Args:
+        baseline: where that is; at its usual place if None.
+    """
+    path = baseline or usual_path(source)
+    if is_model(source) and path.exists():
+        options = {name: value for name, value in read(path).options.items() if name != "root"} | options
+    options = exercised(source, options)
+    scene, mapping = load_scene(source, options)
+    return Guarded(source, options, scene, path, mapping)
 
 
 def make(guarded: Guarded, reason: str, progress: Progress) -> Baseline:

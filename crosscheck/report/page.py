@@ -173,18 +173,21 @@ def write_report(folder: Path, progress: Progress) -> Path:
         first = below and file == next(other for other in found if other.parent == file.parent)
         anchor = file.parent.relative_to(folder).as_posix() if first else ""
         entries.append(_entry(file, results, anchor, counted))
+    title = f"crosscheck: {folder.resolve().name}"
+    text = rendered("page.html", title=title, index=index, entries=entries, most=MOST_IN_FULL)
+    write_files({path: text.encode()})
+    return path
+
+
+def rendered(template: str, **content: object) -> str:
+    """HTML of a template beside this module; jinja2 escapes all texts in it."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
         undefined=StrictUndefined,
         keep_trailing_newline=True,
     )
-    title = f"crosscheck: {folder.resolve().name}"
-    text = environment.get_template("page.html").render(
-        title=title, index=index, entries=entries, most=MOST_IN_FULL
-    )
-    write_files({path: text.encode()})
-    return path
+    return environment.get_template(template).render(**content)
 
 
 def _results_in(folder: Path) -> list[Path]:

@@ -1,0 +1,72 @@
+"""A pytest fixture that crosschecks models in anybody's test suite.
+
+def test_arm(crosscheck):
+    arm = crosscheck("arm.xml")
+    arm.assert_agrees()  # all engines
+    arm.assert_unchanged()  # the baseline that `pytest --crosscheck-update REASON` stored beside it
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from crosscheck.verdict import Verdict
+
+UPDATE = "--crosscheck-update"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that stores baselines."""
+    group = parser.getgroup("crosscheck")
+    group.addoption(UPDATE, metavar="REASON", help="Store the baselines of assert_unchanged() anew, and why.")
+
+
+class Checked:
+    """A crosscheck of a model within a test.
+
+    Attributes:
+        verdict: what was found.
+        folder: where trajectories, figures and the recording are kept if the test fails.
+        reason: why baselines are stored anew; None to compare with them.
+    """
+
+    def __init__(self, verdict: Verdict, folder: Path, reason: str | None) -> None:
+        self.verdict, self.folder, self.reason = verdict, folder, reason
+
+    def assert_agrees(self) -> None:
+        """Fail, naming level, body and the engine that differs, unless all engines agree."""
+        __tracebackhide__ = True
+        if not self.verdict.agrees:
+            *_, recording = self.verdict.save(self.folder)
+            pytest.fail(f"{self.verdict}\nlook: crosscheck view {recording}", pytrace=False)
+
+    def assert_unchanged(self) -> None:
+        """Fail, naming what moved, unless the figures of newton_euler are those of the stored baseline."""
+        from crosscheck.regress.compare import compare
+        from crosscheck.regress.run import guard, update
+
+        __tracebackhide__ = True
+        found = self.verdict.crosscheck
+        guarded = guard(found.source, dict(found.options))
+        if self.reason is not None:
+            update([guarded], self.reason, lambda stage: None)
+        elif not guarded.path.exists():
+            pytest.fail(f"no baseline {guarded.path}; pytest {UPDATE} REASON stores it", pytrace=False)
+        else:
+            comparison = compare(guarded.scene, guarded.baseline(), lambda stage: None, guarded.mapping)
+            if comparison.moved:
+                pytest.fail(comparison.verdict, pytrace=False)
+
+
+@pytest.fixture
+def crosscheck(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., Checked]:
+    """Crosscheck a model: `crosscheck("arm.xml", key="home")`, arguments as of `crosscheck.check`."""
+    from crosscheck.verdict import check
+
+    reason = request.config.getoption(UPDATE)
+    return lambda *model, **options: Checked(check(*model, **options), tmp_path / "crosscheck", reason)

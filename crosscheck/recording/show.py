@@ -1,0 +1,34 @@
+"""Recordings on the screen: in a viewer's window, or below the cell of a notebook."""
+
+from __future__ import annotations
+
+import sys
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.recording.log import log_run, new_recording
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+
+
+def show(scene: Scene, trajectories: dict[str, Trajectory], verdict: str, title: str) -> None:
+    """Show a recording; arguments as of `log_run`.
+
+    Raises:
+        CrosscheckError: where no viewer can be opened.
+    """
+    recording = new_recording(scene)
+    try:
+        if in_notebook():
+            log_run(recording, scene, trajectories, verdict, title)
+            recording.notebook_show()
+        else:
+            recording.spawn()
+            log_run(recording, scene, trajectories, verdict, title)
+    except (ImportError, RuntimeError) as error:
+        raise CrosscheckError(f"no viewer: {' '.join(str(error).split())}") from error
+
+
+def in_notebook() -> bool:
+    """Return whether the interpreter is the kernel of a notebook."""
+    shell = sys.modules.get("IPython")
+    return shell is not None and hasattr(shell.get_ipython(), "kernel")

@@ -1,0 +1,136 @@
+"""Crosschecks from Python: `crosscheck.check(model)` and what it found."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from crosscheck.comparison.diagnosis import Diagnosis
+from crosscheck.comparison.figure import Figure
+from crosscheck.engines import ENGINES, choose
+from crosscheck.files import check_writable
+from crosscheck.load import exercised, load_scene
+from crosscheck.report.output import own_name, write
+from crosscheck.report.page import rendered
+from crosscheck.report.render import terminal
+from crosscheck.report.run import report
+from crosscheck.report.table import Report
+from crosscheck.run import Crosscheck, crosscheck
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """The result of a crosscheck.
+
+    Attributes:
+        crosscheck: all of it.
+
+    Example:
+        >>> verdict = check("pendulum")
+        >>> verdict.agrees
+        True
+        >>> verdict.trajectories["mujoco"].position.shape
+        (501, 2, 3)
+    """
+
+    crosscheck: Crosscheck
+
+    @property
+    def agrees(self) -> bool:
+        """True if all engines ran to the end and every figure is within its tolerance."""
+        return self.crosscheck.agrees
+
+    @property
+    def figures(self) -> tuple[Figure, ...]:
+        """Compared figures, each with its tolerance and where it is worst."""
+        return self.crosscheck.figures
+
+    @property
+    def trajectories(self) -> Mapping[str, Trajectory]:
+        """The run of each engine, as far as it came."""
+        return self.crosscheck.trajectories
+
+    @property
+    def diagnosis(self) -> tuple[Diagnosis, ...]:
+        """Engines that differ, at which level and where; empty if none does."""
+        return self.crosscheck.diagnosis
+
+    @cached_property
+    def report(self) -> Report:
+        """Tables of all figures, settings and notes."""
+        return report(self.crosscheck)
+
+    def __repr__(self) -> str:
+        return f"<{self.crosscheck.verdict}>"
+
+    def __str__(self) -> str:
+        return f"{self.report.title}\n{self.report.verdict}\n\n{terminal(self.report.summary)}"
+
+    def _repr_html_(self) -> str:
+        return rendered("summary.html", report=self.report)
+
+    def assert_agrees(self) -> None:
+        """Raise `AssertionError`, with the verdict and the worst figure of each level, unless all agree."""
+        if not self.agrees:
+            raise AssertionError(str(self))
+
+    def save(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Write trajectories, figures and the recording, as `crosscheck run --output FOLDER`.
+
+        Returns:
+            The files.
+
+        Raises:
+            CrosscheckError: naming a path that cannot be written.
+        """
+        name = own_name(self.crosscheck.source or self.crosscheck.scene.name)
+        recording = Path(folder) / f"{name}.rrd"
+        check_writable(recording)
+        return write(self.crosscheck, self.report, Path(folder), recording, name)
+
+    def show(self) -> None:
+        """Open the recording in the Rerun viewer, in a notebook below the cell."""
+        from crosscheck.recording.show import show
+
+        show(self.crosscheck.scene, dict(self.trajectories), str(self), self.crosscheck.title)
+
+
+def check(
+    model: str | os.PathLike[str] | Scene,
+    engines: Sequence[str] = tuple(ENGINES),
+    *,
+    advice: bool = False,
+    progress: Callable[[str], None] = lambda stage: None,
+    **options: str | float,
+) -> Verdict:
+    """Run a model through the engines and compare them.
+
+    Args:
+        model: a scene of the library by name, a scene file, an MJCF, a URDF, or a `Scene`.
+        engines: by name.
+        advice: whether to work out what to do about what is found, by more runs.
+        progress: is told each stage.
+        options: of the scene or the file, as `crosscheck list` shows them.
+
+    Raises:
+        CrosscheckError, NewtonEulerError: for a model, engine or option that does not exist or cannot be run.
+
+    Example:
+        >>> check("four_bar", engines=["newton_euler", "pinocchio"], N=3).agrees
+        True
+    """
+    chosen = choose(list(engines))
+    texts = {name: str(value) for name, value in options.items()}
+    if isinstance(model, Scene):
+        if texts:
+            raise TypeError(f"options are of names and files, not of a Scene: {', '.join(texts)}")
+        scene, source, mapping = model, "", None
+    else:
+        source = os.fspath(model)
+        scene, mapping = load_scene(source, exercised(source, texts), verified=False)
+    return Verdict(crosscheck(scene, chosen, progress, source, texts, mapping, advice))

@@ -1,0 +1,68 @@
+"""The pytest fixture for users' own suites, run as they run it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+pytest_plugins = ["pytester"]
+
+LINKAGE = Path(__file__).parents[2] / "examples" / "linkage.xml"
+
+SUITE = """
+    import dataclasses
+    from crosscheck.engines import ENGINES
+
+    def wrong(scene):
+        bodies = list(scene.mechanism.bodies)
+        bodies[2] = dataclasses.replace(bodies[2], mass=1.001 * bodies[2].mass)
+        mechanism = type(scene.mechanism)(bodies, scene.mechanism.joints)
+        return dataclasses.replace(scene, mechanism=mechanism, initial_state=None)
+
+    def test_arm(crosscheck):
+        crosscheck("arm.xml", key="go", duration=0.05).assert_agrees()
+
+    def test_odd(crosscheck, monkeypatch):
+        good = ENGINES["mujoco"]
+        odd = dataclasses.replace(good, systems=lambda scene: good.systems(wrong(scene)), soft_start=None)
+        monkeypatch.setitem(ENGINES, "mujoco", odd)
+        crosscheck("arm.xml", key="go", duration=0.05).assert_agrees()
+
+    def test_guarded(crosscheck):
+        crosscheck("arm.xml", ["newton_euler"], key="go", duration=0.05).assert_unchanged()
+"""
+
+
+@pytest.fixture
+def suite(pytester):
+    """A user's suite with a model beside it."""
+    (pytester.path / "arm.xml").write_text(LINKAGE.read_text())
+    pytester.makepyfile(SUITE)
+    return pytester
+
+
+def test_models_that_agree_pass_and_others_name_the_engine_and_keep_the_recording(suite):
+    done = suite.runpytest_subprocess("-k", "arm or odd")
+    done.assert_outcomes(passed=1, failed=1)
+    text = done.stdout.str()
+    assert "DISAGREE: mujoco differs; newton_euler, pinocchio and the file agree to " in text
+    assert "at level 'reading': mass, rel: 0.001 > 1e-12, worst at coupler; mujoco's model is wrong" in text
+    recording = re.search(r"look: crosscheck view (\S+)", text)
+    assert recording is not None
+    assert Path(recording[1]).is_file()
+
+
+def test_a_baseline_is_stored_on_demand_and_compared_with(suite):
+    done = suite.runpytest_subprocess("-k", "guarded")
+    done.assert_outcomes(failed=1)
+    assert "no baseline arm.baseline.json; pytest --crosscheck-update REASON stores it" in done.stdout.str()
+    stored = suite.runpytest_subprocess("-k", "guarded", "--crosscheck-update", "as delivered")
+    stored.assert_outcomes(passed=1)
+    suite.runpytest_subprocess("-k", "guarded").assert_outcomes(passed=1)
+    model = suite.path / "arm.xml"
+    model.write_text(model.read_text().replace("0.3 0 0.15", "0.3003 0 0.15"))
+    done = suite.runpytest_subprocess("-k", "guarded")
+    done.assert_outcomes(failed=1)
+    assert "linkage: MOVED: " in done.stdout.str()

@@ -1,0 +1,76 @@
+"""`crosscheck.check`: models from Python, and what it returns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import crosscheck
+from crosscheck.errors import CrosscheckError
+from crosscheck.scenes import load
+
+LINKAGE = Path(__file__).parents[2] / "examples" / "linkage.xml"
+
+
+@pytest.fixture(scope="module")
+def verdict():
+    return crosscheck.check(replace(load("pendulum"), duration=0.1), ["newton_euler", "pinocchio"])
+
+
+def test_a_scene_is_checked(verdict):
+    assert verdict.agrees
+    assert verdict.diagnosis == ()
+    assert set(verdict.trajectories) == {"newton_euler", "pinocchio"}
+    assert all(figure.agrees for figure in verdict.figures)
+    verdict.assert_agrees()
+
+
+def test_representations_are_short(verdict):
+    assert repr(verdict).startswith("<AGREE: newton_euler, pinocchio agree on pendulum in all ")
+    assert "\n" not in repr(verdict)
+    assert str(verdict).splitlines()[1] == repr(verdict)[1:-1]
+    page = verdict._repr_html_()
+    assert "<strong>AGREE: " in page
+    assert page.count("<table>") == 2
+
+
+def test_results_are_saved(verdict, tmp_path):
+    files = {path.name for path in verdict.save(tmp_path / "out")}
+    assert files == {path.name for path in (tmp_path / "out").iterdir()}
+    assert files == {"newton_euler.npz", "pinocchio.npz", "summary.json", "pendulum.rrd"}
+
+
+def test_a_file_is_checked_with_its_options():
+    found = crosscheck.check(LINKAGE, ["newton_euler"], key="go", duration=0.05)
+    assert found.crosscheck.options == {"key": "go", "duration": "0.05"}
+    assert found.trajectories["newton_euler"].time[-1] == 0.05
+    with pytest.raises(CrosscheckError, match="has no option 'duratoin'; did you mean 'duration'"):
+        crosscheck.check(LINKAGE, duratoin=1)
+
+
+def test_options_are_not_of_scenes():
+    with pytest.raises(TypeError, match="options are of names and files, not of a Scene: N"):
+        crosscheck.check(load("pendulum"), N=3)
+
+
+def test_a_disagreement_is_an_assertion(verdict):
+    wrong = [
+        replace(row, value=1.0) if (row.quantity, row.between[0]) == ("mass, rel", "newton_euler") else row
+        for row in verdict.figures
+    ]
+    found = crosscheck.Verdict(replace(verdict.crosscheck, figures=tuple(wrong)))
+    assert not found.agrees
+    level = r"(?s)DISAGREE: .* level 'model': mass, rel: 1 > .*\nmodel +1/\d+ FAIL"
+    with pytest.raises(AssertionError, match=level):
+        found.assert_agrees()
+
+
+def test_it_opens_a_viewer(verdict, monkeypatch):
+    import rerun as rr
+
+    spawned = []
+    monkeypatch.setattr(rr.RecordingStream, "spawn", lambda stream: spawned.append(stream))
+    verdict.show()
+    assert len(spawned) == 1
