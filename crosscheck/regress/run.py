@@ -63,6 +63,13 @@ class Guarded:
         return found
 
 
+def made_with(source: str, path: Path, options: dict[str, str]) -> dict[str, str]:
+    """Options of a model file: those given, and those of its baseline but `root`, which needs trust."""
+    if not (is_model(source) and path.exists()):
+        return options
+    return {name: value for name, value in read(path).options.items() if name != "root"} | options
+
+
 def usual_path(source: str) -> Path:
     """Return a baseline's default path: in this package for the library, else beside the file."""
     if source in SCENES:
@@ -71,15 +78,9 @@ def usual_path(source: str) -> Path:
 
 
 def guard(source: str, options: dict[str, str], baseline: Path | None = None) -> Guarded:
-    """Load a scene or model file, with the options of its baseline but `root`, which needs trust.
-
-    Args:
-        baseline: where that is; at its usual place if None.
-    """
+    """Load a scene or model file for its baseline, which is at its usual place if None."""
     path = baseline or usual_path(source)
-    if is_model(source) and path.exists():
-        options = {name: value for name, value in read(path).options.items() if name != "root"} | options
-    options = exercised(source, options)
+    options = exercised(source, made_with(source, path, options))
     scene, mapping = load_scene(source, options)
     return Guarded(source, options, scene, path, mapping)
 
