@@ -14,6 +14,7 @@ import numpy as np
 
 from crosscheck.engines import ENGINES
 from crosscheck.files import check_writable, write_files
+from crosscheck.palette import palette
 from crosscheck.report.plots import curve, png
 from crosscheck.scenes import load
 from crosscheck.scenes.tracker import TARGET_HEIGHT
@@ -65,9 +66,10 @@ def _axes(title: str, rows: int, labels: Sequence[str]) -> tuple[Figure, list[Ax
 
 def _plot(axes: list[Axes], runs: dict[str, Trajectory], columns: Callable[[Trajectory], Array]) -> None:
     """One column a panel, one curve an engine."""
+    colors = palette(list(runs))
     for name, run in runs.items():
         for ax, values in zip(axes, columns(run).T, strict=True):
-            curve(ax, name, run.time, values)
+            curve(ax, name, colors[name], run.time, values)
     axes[0].legend(loc="best", fontsize="small")
 
 

@@ -13,7 +13,7 @@ from crosscheck.comparison.figure import Figure
 from crosscheck.engines import ENGINES, choose
 from crosscheck.files import check_writable
 from crosscheck.load import exercised, load_scene
-from crosscheck.report.output import own_name, write
+from crosscheck.report.output import own_name, to_record, write
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal
 from crosscheck.report.run import report
@@ -97,7 +97,7 @@ class Verdict:
         """Open the recording in the Rerun viewer, in a notebook below the cell."""
         from crosscheck.recording.show import show
 
-        show(self.crosscheck.scene, dict(self.trajectories), str(self), self.crosscheck.title)
+        show(*to_record(self.crosscheck, self.report))
 
 
 def check(

@@ -2,93 +2,147 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from crosscheck.recording.plots import Plot
+from crosscheck.recording.shapes import paths
 from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.scalars import Array
 
-EYE_DIRECTION = np.array([0.5, -0.72, 0.5])
-"""From the mechanism to the camera."""
+TIME = "time"
+"""The timeline of a recording."""
 
-EYE_DISTANCE = 3.1
-"""Distance of the camera in multiples of the mechanism's size."""
+EYE_DIRECTION = np.array([0.35, -0.78, 0.6])
+"""From the mechanism to the camera where it does not move in a plane."""
 
-MESH_DISTANCE = 2.0
-"""Least distance of the camera in multiples of how far meshes reach."""
+FLATNESS = 1e-4
+"""Largest motion across a plane that is motion in it, as a share of the motion along it."""
 
-MOST_COLUMNS = 4
+HALF_ANGLE = np.radians(27.5)
+"""Half of the angle that the camera sees from top to bottom."""
+
+ASPECT, MARGIN = 1.3, 1.1
+"""Width by height of what the camera sees at least, and its distance by the least that shows all."""
+
+UPRIGHT = 0.9
+"""Least share along z of a direction that is looked along with y upwards."""
+
+FRAMES = 50
+"""Outputs, about, that the camera is placed by."""
+
+MOST_COLUMNS = 3
 """Plots side by side in one group."""
 
 
-def blueprint(
-    mechanism: Mechanism, engines: list[str], plots: list[Plot], title: str, timeline: str
-) -> rrb.Blueprint:
-    """The mechanism and the verdict at the left, rows of plots over a timeline at the right.
+class Motion(NamedTuple):
+    """Points (n, 3), m, that a mechanism is drawn between, and the normal (3,) if they move in a plane."""
 
-    Joint points and reactions are shown for the first engine; those of the others can be switched
-    on in the viewer.
+    points: Array
+    normal: Array | None
+
+
+def blueprint(
+    mechanism: Mechanism,
+    run: Trajectory,
+    plots: list[Plot],
+    heading: str,
+    hidden: Sequence[Sequence[str]],
+) -> rrb.Blueprint:
+    """The mechanism and the verdict at the left, two rows of plots over a timeline at the right.
+
+    Args:
+        run: what the camera is placed by.
+        heading: of the 3-D view.
+        hidden: parts of the paths of entities that are not shown at first.
     """
-    hidden = {
-        rr.new_entity_path([kind, engine]): rrb.EntityBehavior(visible=False)
-        for kind in ("joints", "reactions")
-        for engine in engines[1:]
-    }
+    motion = _motion(mechanism, run)
     scene_view = rrb.Spatial3DView(
         origin="/",
-        contents=["+ /ground/**", "+ /mechanism/**", "+ /joints/**", "+ /reactions/**"],
-        name=title,
-        overrides=hidden,
-        eye_controls=_eye(mechanism),
+        contents=[f"+ /{kind}/**" for kind in ("ground", "mechanism", "joints", "reactions", "labels")],
+        name=heading,
+        overrides={rr.new_entity_path(path): rrb.EntityBehavior(visible=False) for path in hidden},
+        eye_controls=_eye(motion),
+        line_grid=_grid(motion),
     )
     verdict = rrb.TextDocumentView(origin="/verdict", name="Verdict")
+    rows = [[plot for plot in plots if plot.judges is judges] for judges in (False, True)]
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(scene_view, verdict, row_shares=[2.0, 1.0]),
-            rrb.Vertical(*(_row(plots, row) for row in sorted({plot.row for plot in plots}))),
+            rrb.Vertical(scene_view, verdict, row_shares=[1.0, 1.2]),
+            rrb.Vertical(*(_row(row) for row in rows if row)),
             column_shares=[1.0, 1.2],
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=timeline, loop_mode="all"),
+        rrb.TimePanel(state="collapsed", timeline=TIME, loop_mode="all"),
         auto_layout=False,
         auto_views=False,
     )
 
 
-def _eye(mechanism: Mechanism) -> rrb.EyeControls3D:
-    points = [body.center_of_mass for body in mechanism.bodies[1:]]
-    points += [joint.point for joint in mechanism.joints]
-    target = np.mean(points, axis=0)
-    corners = [mesh.vertices - target for body in mechanism.bodies[1:] for mesh in body.meshes]
-    reach = max((float(np.max(np.linalg.norm(arms, axis=1), initial=0.0)) for arms in corners), default=0.0)
-    distance = max(EYE_DISTANCE * mechanism.size, MESH_DISTANCE * reach)
-    direction = EYE_DIRECTION / np.linalg.norm(EYE_DIRECTION)
+def _motion(mechanism: Mechanism, run: Trajectory) -> Motion:
+    points, products = [], np.zeros((3, 3))
+    for k in range(len(mechanism.bodies)):
+        ways = paths(mechanism, k, run)[:: max(1, len(run.time) // FRAMES)]
+        points.append(ways.reshape(-1, 3))
+        moved = (ways - ways[0]).reshape(-1, 3)
+        products += moved.T @ moved
+    (across, along, most), axes = np.linalg.eigh(products)
+    # motion along a line is in many planes
+    planar = along > FLATNESS**2 * most and across <= FLATNESS**2 * along
+    normal = axes[:, 0] * (1.0 if axes[:, 0] @ EYE_DIRECTION > 0.0 else -1.0)
+    return Motion(np.concatenate(points), normal if planar else None)
+
+
+def _eye(motion: Motion) -> rrb.EyeControls3D:
+    """Place the camera so that all points are seen: face on if they move in a plane."""
+    direction = EYE_DIRECTION / np.linalg.norm(EYE_DIRECTION) if motion.normal is None else motion.normal
+    up = np.eye(3)[2 if abs(direction[2]) < UPRIGHT else 1]
+    right = np.cross(up, direction)
+    right /= np.linalg.norm(right)
+    frame = np.array([right, np.cross(direction, right), direction])
+    seen = motion.points @ frame.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    x, y, z = (seen - 0.5 * (low + high)).T
+    distance = MARGIN * np.max(z + np.maximum(np.abs(y), np.abs(x) / ASPECT) / np.tan(HALF_ANGLE))
+    target = 0.5 * (low + high) @ frame
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=target + distance * direction,
         look_target=target,
-        eye_up=[0.0, 0.0, 1.0],
+        eye_up=up,
     )
 
 
-def _row(plots: list[Plot], row: int) -> rrb.Tabs:
+def _grid(motion: Motion) -> rrb.LineGrid3D:
+    """Lines on the floor, or in the plane of the motion, a round length apart."""
+    reach = float(np.max(np.ptp(motion.points, axis=0)))
+    normal = np.array([0.0, 0.0, 1.0]) if motion.normal is None else motion.normal
+    behind = float(np.min(motion.points @ normal))
+    plane = rr.components.Plane3D(normal, behind)
+    return rrb.LineGrid3D(spacing=10.0 ** np.floor(np.log10(reach)), plane=plane)
+
+
+def _row(plots: list[Plot]) -> rrb.Tabs:
     groups: dict[str, list[Plot]] = {}
     for plot in plots:
-        if plot.row == row:
-            groups.setdefault(plot.group, []).append(plot)
+        groups.setdefault(plot.group, []).append(plot)
     return rrb.Tabs(*(_group(name, members) for name, members in groups.items()), active_tab=0)
 
 
 def _group(name: str, plots: list[Plot]) -> rrb.Grid:
     """Plots side by side; engines have the same colors in all, so one legend is enough."""
-    corner = rrb.Corner2D.RightBottom if plots[0].lines_coincide else rrb.Corner2D.RightTop
     views = [
         rrb.TimeSeriesView(
             origin=rr.new_entity_path(["plots", *plot.path]),
             name=plot.title,
-            plot_legend=rrb.PlotLegend(corner, visible=plot is plots[0]),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=plot is plots[0]),
         )
         for plot in plots
     ]

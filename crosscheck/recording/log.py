@@ -7,7 +7,9 @@ Entities:
     /mechanism/ENGINE/BODY/mesh_K  its meshes
     /joints/ENGINE/JOINT         joint point on the second body over time
     /reactions/ENGINE/JOINT      constraint force on the second body over time
-    /plots/QUANTITY/.../ENGINE   scalars over time, see `crosscheck.recording.plots`
+    /labels/BODY                 names of the body and of its meshes, with the first engine's pose over time
+    /plots/QUANTITY/.../ENGINE   scalars over time, see `crosscheck.recording.plots`; also `target` and
+                                 `ENGINE_tolerance`
     /verdict                     the tables, as text
 
 Poses and arrows are for the eye and hold single precision; the scalars hold double precision.
@@ -29,24 +31,24 @@ import numpy as np
 import rerun as rr
 
 from crosscheck.files import write_files
-from crosscheck.recording.blueprint import blueprint
-from crosscheck.recording.plots import Plot, plots, rotated
-from crosscheck.recording.shapes import Style, log_shapes, xyzw
+from crosscheck.palette import palette, rgb
+from crosscheck.recording.blueprint import TIME, blueprint
+from crosscheck.recording.plots import Plot, Tolerances, plots, rotated
+from crosscheck.recording.shapes import Style, log_shapes, paths, xyzw
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
-COLORS = ((230, 159, 0), (86, 180, 233), (204, 121, 167), (0, 158, 115))
-"""One color an engine: M. Okabe and K. Ito, Color Universal Design, 2008."""
-
 GROUND_COLOR = (128, 128, 128)
-JOINT_COLOR = (240, 240, 240)
+PLAIN_COLOR = (220, 220, 220)
+"""Of joint points, labels and targets."""
+
 REACTION_COLOR = (240, 228, 66)
 
-SHELL = 0.012
-"""By how much of the mechanism's size each engine's shapes are larger than those of the engine before
-it. Engines that agree would otherwise hide each other."""
+PIXEL = 0.002
+"""Difference that is seen, in multiples of the mechanism's size."""
 
 LINE_WIDTH = 1.5
 """Width of the thinnest lines in plots, points."""
@@ -54,9 +56,8 @@ LINE_WIDTH = 1.5
 LONGEST_ARROW = 1.0
 """Length of the largest reaction, in multiples of the mechanism's size."""
 
-
-TIME = "time"
-"""The timeline of a recording."""
+MOST_LABELS = 8
+"""Bodies whose names are shown at first."""
 
 SWITCH = "RERUN"
 """Environment variable that turns off logging; a recording that is asked for is made all the same."""
@@ -84,8 +85,12 @@ def log_run(
     trajectories: dict[str, Trajectory],
     verdict: str,
     title: str,
+    tolerances: Tolerances,
 ) -> None:
     """Log all there is to see of a run, and how the viewer lays it out.
+
+    The first engine is solid. Those that part from it are ghosts; the others are hidden, as they would only
+    cover it.
 
     Args:
         scene: what was run.
@@ -93,21 +98,29 @@ def log_run(
             others are compared with.
         verdict: Markdown.
         title: of the recording, to tell it from others of the scene.
+        tolerances: of differences and of drift, drawn beside them.
     """
     mechanism = scene.mechanism
-    styles = _styles(list(trajectories), mechanism.size)
-    shown = plots(scene, trajectories)
+    engines = list(trajectories)
+    styles = _styles(engines)
+    shown = plots(scene, trajectories, tolerances)
     arrow_scale = _arrow_scale(mechanism, trajectories)
-    heading = title if arrow_scale is None else f"{title} (reactions: 1 N is {arrow_scale:.2g} m)"
-    layout = blueprint(mechanism, list(trajectories), shown, heading, TIME)
+    first = next(iter(trajectories.values()), None) or _at_rest(mechanism)
+    apart = {engine: _apart(mechanism, first, trajectories[engine]) for engine in engines[1:]}
+    near = [engine for engine, distance in apart.items() if distance <= PIXEL * mechanism.size]
+    hidden = [["mechanism", engine] for engine in near] + [["joints", engine] for engine in engines[1:]]
+    hidden += [["reactions"]] + [["labels"]] * (len(mechanism.bodies) > MOST_LABELS)
+    layout = blueprint(mechanism, first, shown, _heading(title, engines, apart, near), hidden)
     recording.send_blueprint(layout, make_active=False)
     recording.send_recording_name(title)
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    recording.log("/verdict", rr.TextDocument(verdict, media_type=rr.MediaType.MARKDOWN), static=True)
+    text = verdict + _hint(arrow_scale)
+    recording.log("/verdict", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
     _log_ground(recording, mechanism)
     for engine, run in trajectories.items():
         _log_bodies(recording, mechanism, engine, run, styles[engine])
         _log_joints(recording, mechanism, engine, run, arrow_scale)
+    _log_labels(recording, mechanism, first)
     times = {engine: run.time for engine, run in trajectories.items()}
     for plot in shown:
         _log_plot(recording, plot, times, styles)
@@ -118,11 +131,12 @@ def recorded(
     trajectories: dict[str, Trajectory],
     verdict: str,
     title: str,
+    tolerances: Tolerances | None = None,
 ) -> bytes:
     """The content of an .rrd; arguments as of `log_run`."""
     recording = new_recording(scene)
     memory = recording.memory_recording()
-    log_run(recording, scene, trajectories, verdict, title)
+    log_run(recording, scene, trajectories, verdict, title, tolerances or {})
     return bytes(memory.drain_as_bytes())
 
 
@@ -132,6 +146,7 @@ def write_recording(
     trajectories: dict[str, Trajectory],
     verdict: str,
     title: str | None = None,
+    tolerances: Tolerances | None = None,
 ) -> None:
     """Write an .rrd; the file appears whole or not at all. Arguments as of `log_run`.
 
@@ -142,28 +157,53 @@ def write_recording(
         CrosscheckError: if the file cannot be written to its end.
     """
     # in memory first: Rerun's own writer would wait for ever on a disk that is full
-    content = recorded(scene, trajectories, verdict, title or scene.name)
+    content = recorded(scene, trajectories, verdict, title or scene.name, tolerances)
     write_files({Path(path): content})
 
 
-def _styles(engines: list[str], size: float) -> dict[str, Style]:
-    """Choose styles by which engines that agree can still be told apart.
+def _styles(engines: list[str]) -> dict[str, Style]:
+    """Choose styles: the first engine's bodies are solid, those of the others ghosts.
 
-    The first is solid and the others are wireframes around it. The viewer draws lines in the order
-    of their names, so each is thinner than the one before it in that order.
+    The viewer draws lines in the order of their names. Each is thinner than the one before it, so that lines
+    that coincide all show.
     """
-    solid, wires = rr.components.FillMode.Solid, rr.components.FillMode.MajorWireframe
     thinnest_first = sorted(engines, reverse=True)
     return {
-        engine: Style(
-            color=COLORS[k % len(COLORS)],
-            line_width=LINE_WIDTH + 2.0 * thinnest_first.index(engine),
-            fill=solid if k == 0 else wires,
-            rank=k,
-            shell=SHELL * k * size,
-        )
-        for k, engine in enumerate(engines)
+        engine: Style(rgb(color), LINE_WIDTH + 2.0 * thinnest_first.index(engine), engine != engines[0])
+        for engine, color in palette(engines).items()
     }
+
+
+def _at_rest(mechanism: Mechanism) -> Trajectory:
+    """Stand in for the run of a scene that no engine came anywhere with."""
+    start, names = State.initial(mechanism), (mechanism.body_names, mechanism.joint_names)
+    return Trajectory("", {}, 0.0, np.zeros(1), *names, start.position[None], start.quaternion[None])
+
+
+def _apart(mechanism: Mechanism, first: Trajectory, other: Trajectory) -> float:
+    """How far what is drawn of two runs is apart at any output, m, at most."""
+    n = min(len(first.time), len(other.time))
+    ways = (
+        paths(mechanism, body, first)[:n] - paths(mechanism, body, other)[:n]
+        for body in range(len(mechanism.bodies))
+    )
+    return max(float(np.max(np.linalg.norm(way, axis=2))) for way in ways)
+
+
+def _heading(title: str, engines: list[str], apart: dict[str, float], near: list[str]) -> str:
+    """Say which engines the 3-D view shows."""
+    parts = [f"{engine} solid" for engine in engines[:1]]
+    parts += [f"{engine} ghost, up to {apart[engine]:.2g} m away" for engine in apart if engine not in near]
+    if near:
+        within = max(apart[engine] for engine in near)
+        parts.append(f"{', '.join(near)} within {within:.0e} m, hidden (blueprint panel)")
+    return f"{title}: {'; '.join(parts)}"
+
+
+def _hint(arrow_scale: float | None) -> str:
+    """Where to find what the viewer hides at first."""
+    reactions = "" if arrow_scale is None else f", reactions (1 N is {arrow_scale:.2g} m long)"
+    return f"\nHidden engines, labels{reactions}: eye icons of the blueprint panel, left.\n"
 
 
 def _send(
@@ -183,8 +223,7 @@ def _log_ground(recording: rr.RecordingStream, mechanism: Mechanism) -> None:
     quaternion = rr.Quaternion(xyzw=xyzw(body.quaternion))
     pose = rr.Transform3D(translation=body.center_of_mass, quaternion=quaternion)
     recording.log("/ground", pose, static=True)
-    style = Style(GROUND_COLOR, 0.0, rr.components.FillMode.Solid, 0, 0.0)
-    log_shapes(recording, "/ground", mechanism, 0, style)
+    log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
 
 
 def _log_bodies(
@@ -200,6 +239,20 @@ def _log_bodies(
         position, quaternion = run.position[:, k], xyzw(run.quaternion[:, k])
         pose = rr.Transform3D.columns
         _send(recording, path, run.time, pose, translation=position, quaternion=quaternion)
+
+
+def _log_labels(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
+    for k, body in enumerate(mechanism.bodies):
+        if not (k or body.shapes or body.meshes):
+            continue
+        drawn = [mesh for mesh in body.meshes if mesh.label]
+        points = [np.zeros(3), *(body.pose.point_to_body(mesh.vertices[0]) for mesh in drawn)]
+        labels = [body.name, *(mesh.label for mesh in drawn)]
+        path = rr.new_entity_path(["labels", body.name])
+        look = rr.Points3D(points, labels=labels, show_labels=True, colors=PLAIN_COLOR, radii=0.0)
+        recording.log(path, look, static=True)
+        position, quaternion = run.position[:, k], xyzw(run.quaternion[:, k])
+        _send(recording, path, run.time, rr.Transform3D.columns, translation=position, quaternion=quaternion)
 
 
 def _arrow_scale(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> float | None:
@@ -223,7 +276,7 @@ def _log_joints(
         arm = mechanism.bodies[second].pose.point_to_body(joint.reaction_point)
         points = run.position[:, second] + rotated(run.quaternion[:, second], arm)
         path = rr.new_entity_path(["joints", engine, joint.name])
-        look = rr.Points3D.from_fields(colors=JOINT_COLOR, radii=0.07 * mechanism.size)
+        look = rr.Points3D.from_fields(colors=PLAIN_COLOR, radii=0.03 * mechanism.size)
         recording.log(path, look, static=True)
         _send(recording, path, run.time, rr.Points3D.columns, positions=points)
         if run.reaction_force is not None and arrow_scale is not None:
@@ -241,11 +294,22 @@ def _log_plot(
     times: dict[str, Array],
     styles: dict[str, Style],
 ) -> None:
-    for engine, values in plot.lines.items():
-        path = rr.new_entity_path(["plots", *plot.path, engine])
-        style = styles[engine]
-        width = style.line_width if plot.lines_coincide else LINE_WIDTH
-        line = rr.SeriesLines(colors=style.color, names=engine, widths=width)
-        recording.log(path, line, static=True)
-        time = times[engine][: len(values)] if plot.compares else times[engine]
+    def log(name: str, look: rr.SeriesLines, time: Array, values: Array) -> None:
+        path = rr.new_entity_path(["plots", *plot.path, name])
+        recording.log(path, look, static=True)
         _send(recording, path, time, rr.Scalars.columns, scalars=values)
+
+    for engine, values in plot.lines.items():
+        style = styles[engine]
+        width = LINE_WIDTH if plot.judges else style.line_width
+        look = rr.SeriesLines(colors=style.color, names=engine, widths=width)
+        # a difference of two runs ends with the shorter
+        time = times[engine][: len(values)] if plot.judges else times[engine]
+        log(engine, look, time, values)
+        if engine in plot.tolerances:
+            look = rr.SeriesLines(colors=style.color, names=engine, widths=0.5 * LINE_WIDTH)
+            log(f"{engine}_tolerance", look, time[[0, -1]], np.full(2, plot.tolerances[engine]))
+    if plot.target is not None:
+        time = max(times.values(), key=len)
+        look = rr.SeriesLines(colors=PLAIN_COLOR, names="target", widths=0.5 * LINE_WIDTH)
+        log("target", look, time[[0, -1]], np.full(2, plot.target))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from crosscheck.comparison.figure import OPEN, POSES
 from crosscheck.comparison.runs import orientations_apart, positions_apart
+from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import conjugate, product
+from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Joint, Motion
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -18,43 +21,59 @@ from newton_euler.scalars import Array
 SMALLEST = 1e-18
 """Where logarithms are cut off, so that a difference of zero can be drawn."""
 
+FLAT = 1e-5
+"""Share of what is large in its unit that the lines of a plot cover at least."""
+
+MOST_COORDINATES = 6
+"""Joint coordinates that are plotted."""
+
+MOST_BESIDE = 3
+"""Joint coordinates, from which on the tilt has a tab of its own."""
+
+Tolerances = Mapping[tuple[str, ...], float]
+"""By quantity and the names of one or two engines."""
+
 
 @dataclass(frozen=True, eq=False)
 class Plot:
     """One quantity over time.
 
     Attributes:
-        row: 0 for joints, control and energy, 1 for the last body, 2 for what engines are judged by.
-        group: plots of one group are shown side by side, the groups of one row as tabs.
+        group: plots of one group are shown side by side, groups as tabs.
         path: where its lines are logged, below `/plots`; the engine's name is added.
         title: the quantity and its unit.
         lines: (n,) values by engine.
-        compares: whether a line is about two runs, and ends with the shorter.
+        large: what is large in its unit; lines that cover much less are flat.
+        target: the value that a control law aims at.
+        tolerances: by engine, in the unit of the plot.
+        judges: whether engines are judged by it; else those that agree draw one line over the other.
     """
 
-    row: int
     group: str
     path: tuple[str, ...]
     title: str
     lines: dict[str, Array]
-    compares: bool = False
+    large: float = 0.0
+    target: float | None = None
+    tolerances: dict[str, float] = field(default_factory=dict)
+    judges: bool = False
 
     @property
-    def lines_coincide(self) -> bool:
-        """True if engines that agree draw one line over the other."""
-        return self.row < 2
+    def is_flat(self) -> bool:
+        """True if its lines neither move nor part."""
+        covered = np.ptp(np.concatenate(list(self.lines.values())))
+        return not self.judges and bool(covered <= FLAT * self.large)
 
 
-def plots(scene: Scene, trajectories: dict[str, Trajectory]) -> list[Plot]:
-    """All plots of a run; what the scene did not ask for is left out."""
+def plots(scene: Scene, trajectories: dict[str, Trajectory], tolerances: Tolerances) -> list[Plot]:
+    """All plots of a run; what the scene did not ask for and what is flat is left out."""
     candidates = (
-        *_joint_plots(scene.mechanism, trajectories),
+        *_motion_plots(scene, trajectories),
         *_control_plots(scene, trajectories),
         *_energy_plots(trajectories),
-        *_orientation_plots(scene.mechanism, trajectories),
-        *_agreement_plots(trajectories),
+        *_agreement_plots(trajectories, tolerances),
     )
-    return [plot for plot in candidates if plot.lines]
+    return [plot for plot in candidates if plot.lines and not plot.is_flat]
 
 
 def rotated(quaternion: Array, vector: Array) -> Array:
@@ -106,77 +125,118 @@ def _axes(joint: Joint) -> list[tuple[str, Motion]]:
     return [(f"{joint.name}:{k}", motion) for k, motion in enumerate(motions)]
 
 
-def _joint_plots(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
-    """Coordinates of the actuated joints; of the joints on the ground if nothing is actuated."""
+def _coordinates(scene: Scene) -> list[tuple[Joint, int]]:
+    """Joint coordinates that laws or springs act on; else of actuated joints; else of those on the ground."""
+    mechanism = scene.mechanism
+    acting = (*scene.control, *(force for force in scene.forces if isinstance(force, JointSpring)))
     ground = mechanism.body_names[0]
     joints = [joint for joint in mechanism.joints if joint.actuated] or [
         joint for joint in mechanism.joints if ground in (joint.first, joint.second)
     ]
-    for joint in joints:
-        for name, motion in _axes(joint):
-            if motion.kind == "slide":
-                lines = {
-                    engine: slide_position(mechanism, joint, motion, run)
-                    for engine, run in trajectories.items()
-                }
-                title = f"{joint.second} along {name} [m]"
-                yield Plot(0, "Sliders", ("slider_position", name), title, lines)
-            else:
-                lines = {
-                    engine: hinge_angle(mechanism, joint, motion, run) for engine, run in trajectories.items()
-                }
-                title = f"angle of {name} [rad]"
-                yield Plot(0, "Joint angles", ("joint_angle", name), title, lines)
+    found = dict.fromkeys((each.joint, each.coordinate) for each in acting)
+    return [(mechanism.joint(name), k) for name, k in found] or [
+        (joint, k) for joint in joints for k in range(len(_axes(joint)))
+    ]
+
+
+def _motion_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
+    """Joint coordinates with their targets, and the tilt of the last of the bodies with most joints."""
+    mechanism = scene.mechanism
+    targets = {(law.joint, law.coordinate): law.target for law in scene.control if isinstance(law, PD)}
+    coordinates = _coordinates(scene)
+    group = "Motion"
+    if len(coordinates) > MOST_COORDINATES:
+        group = f"Motion ({MOST_COORDINATES} of {len(coordinates)} joint coordinates)"
+    for joint, k in coordinates[:MOST_COORDINATES]:
+        name, motion = _axes(joint)[k]
+        target = targets.get((joint.name, k))
+        slides = motion.kind == "slide"
+        measure = slide_position if slides else hinge_angle
+        lines = {engine: measure(mechanism, joint, motion, run) for engine, run in trajectories.items()}
+        if slides and target is not None:
+            target += _reference_position(mechanism, joint, motion)
+        path = ("slider_position" if slides else "joint_angle", name)
+        title = f"{joint.second} along {name} [m]" if slides else f"angle of {name} [rad]"
+        yield Plot(group, path, title, lines, mechanism.size if slides else 1.0, target)
+    body = max(range(1, len(mechanism.bodies)), key=lambda k: (len(mechanism.joints_at[k]), k))
+    name = mechanism.body_names[body]
+    lines = {engine: tilt(run.quaternion[:, body]) for engine, run in trajectories.items()}
+    if len(coordinates) >= MOST_BESIDE:
+        group = "Tilt"
+    yield Plot(group, ("tilt", name), f"tilt of {name} [deg]", lines, 90.0)
+
+
+def _reference_position(mechanism: Mechanism, joint: Joint, motion: Motion) -> float:
+    """The `slide_position`, m, at which the joint coordinate is zero."""
+    first, second = mechanism.body(joint.first), mechanism.body(joint.second)
+    start = 0.0 if joint.first == mechanism.body_names[0] else first.center_of_mass
+    return float((second.center_of_mass - start) @ motion.axis)
+
+
+def tilt(quaternion: Array) -> Array:
+    """(n,) degrees between the body's zeta axis and the world's z axis, for quaternions (n, 4)."""
+    x, y, z = rotated(quaternion, np.array([0.0, 0.0, 1.0])).T
+    return np.asarray(np.degrees(np.arctan2(np.hypot(x, y), z)))
 
 
 def _control_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
+    forces = _present(trajectories, lambda run: run.actuator_force)
+    largest = _largest(forces.values())
     for k, law in enumerate(scene.control):
         joint = scene.mechanism.joint(law.joint)
         name, motion = _axes(joint)[law.coordinate]
         quantity = "force [N]" if motion.kind == "slide" else "torque [N m]"
-        lines = _present(
-            trajectories,
-            lambda run, k=k: None if run.actuator_force is None else run.actuator_force[:, k],  # type: ignore[misc]
-        )
-        yield Plot(0, "Control", ("control", name), f"{name} {quantity}", lines)
+        lines = {engine: force[:, k] for engine, force in forces.items()}
+        yield Plot("Control", ("control", name), f"{name} {quantity}", lines, largest)
 
 
 def _energy_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
     kinetic = _present(trajectories, lambda run: run.kinetic_energy)
-    yield Plot(0, "Energy", ("energy", "kinetic"), "kinetic energy [J]", kinetic)
     potential = _present(trajectories, lambda run: run.potential_energy)
-    yield Plot(0, "Energy", ("energy", "potential"), "potential energy [J]", potential)
+    largest = _largest([*kinetic.values(), *potential.values()])
+    yield Plot("Energy", ("energy", "kinetic"), "kinetic energy [J]", kinetic, largest)
+    yield Plot("Energy", ("energy", "potential"), "potential energy [J]", potential, largest)
 
 
-def _orientation_plots(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
-    """Orientation of the last body."""
-    for k in range(4):
-        lines = {engine: run.quaternion[:, -1, k] for engine, run in trajectories.items()}
-        group = f"Euler parameters of {mechanism.body_names[-1]}"
-        yield Plot(1, group, ("euler_parameters", f"e{k}"), f"e{k}", lines)
+def _largest(values: Iterable[Array]) -> float:
+    return max((float(np.max(np.abs(each), initial=0.0)) for each in values), default=0.0)
 
 
-def _agreement_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
+def _agreement_plots(trajectories: dict[str, Trajectory], tolerances: Tolerances) -> Iterator[Plot]:
     """Each engine against the first, largest over the bodies; and how far joints drift apart."""
     if not trajectories:  # of engines or models none of which came anywhere
         return
     (reference, first), *others = trajectories.items()
-    distances, angles = {}, {}
-    for engine, run in others:
-        distances[engine] = np.max(positions_apart(first, run), axis=1)
-        angles[engine] = np.max(orientations_apart(first, run), axis=1)
+    group = f"Agreement with {reference}; thin lines: tolerances"
+    names = ("position", "angle")
+    for name, quantity, apart in zip(names, POSES, (positions_apart, orientations_apart), strict=True):
+        lines = {engine: _log10(np.max(apart(first, run), axis=1)) for engine, run in others}
+        title = f"{name} difference [log10 {quantity.rpartition(', ')[2]}]"
+        yield Plot(
+            group,
+            ("difference", name),
+            title,
+            lines,
+            tolerances=_of_engines(tolerances, quantity, {engine: (reference, engine) for engine in lines}),
+            judges=True,
+        )
     drift = _present(
         trajectories,
         lambda run: None if run.constraint_violation is None else np.max(run.constraint_violation, axis=1),
     )
-    differences = (("position", "m", distances), ("angle", "rad", angles))
-    group = f"Agreement with {reference}"
-    for quantity, unit, lines in differences:
-        log_lines = {engine: _log10(line) for engine, line in lines.items()}
-        title = f"log10 {quantity} difference [{unit}]"
-        yield Plot(2, group, ("difference_log10", quantity), title, log_lines, True)
-    log_drift = {engine: _log10(line) for engine, line in drift.items()}
-    yield Plot(2, group, ("drift_log10",), "log10 joint drift [m, rad]", log_drift)
-    group = f"Difference from {reference}"
-    for quantity, unit, lines in differences:
-        yield Plot(2, group, ("difference", quantity), f"{quantity} [{unit}]", lines, True)
+    yield Plot(
+        group,
+        ("drift",),
+        "joint drift [log10 m, rad]",
+        {engine: _log10(line) for engine, line in drift.items()},
+        tolerances=_of_engines(tolerances, OPEN, {engine: (engine,) for engine in drift}),
+        judges=True,
+    )
+
+
+def _of_engines(
+    tolerances: Tolerances, quantity: str, between: Mapping[str, tuple[str, ...]]
+) -> dict[str, float]:
+    """log10 of those tolerances of a quantity that there are."""
+    found = {engine: tolerances.get((quantity, *names), 0.0) for engine, names in between.items()}
+    return {engine: float(np.log10(value)) for engine, value in found.items() if value > 0.0}

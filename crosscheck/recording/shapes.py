@@ -2,32 +2,37 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
 
-from newton_euler.model.euler_parameters import conjugate, from_rotation, product
-from newton_euler.model.geometry import Box, Capsule, Mesh
+from crosscheck.recording.plots import rotated
+from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
+from newton_euler.model.geometry import Box, Capsule, Mesh, Shape
 from newton_euler.model.joint import Pose, perpendicular_pair
 from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
-HULL_OPACITY = 70
-"""Of 255, of meshes of engines after the first."""
+GHOST_OPACITY = 70
+"""Of 255, of ghosts."""
 
 
 class Style(NamedTuple):
-    """Color and line width of one engine."""
+    """Look of one engine."""
 
     color: tuple[int, int, int]
-    line_width: float
+    line_width: float = 0.0
     """Of its lines where those of other engines lie under or over them, points."""
-    fill: rr.components.FillMode
-    rank: int
-    """0 for the first engine."""
-    shell: float
-    """m, by which its shapes are grown."""
+    ghost: bool = False
+    """Whether its bodies are drawn as translucent wireframes."""
+
+    @property
+    def fill(self) -> rr.components.FillMode:
+        modes = rr.components.FillMode
+        return modes.TransparentFillMajorWireframe if self.ghost else modes.Solid
 
 
 def xyzw(quaternion: Array) -> Array:
@@ -42,12 +47,12 @@ def log_shapes(
     pose = mechanism.bodies[body].pose
     back = conjugate(mechanism.bodies[body].quaternion)
     meshes = mechanism.bodies[body].meshes
-    shapes = mechanism.bodies[body].shapes if meshes else mechanism.shapes(body)
+    shapes = drawn_shapes(mechanism, body)
     boxes = [shape for shape in shapes if isinstance(shape, Box)]
     bars = [shape for shape in shapes if isinstance(shape, Capsule)]
     if boxes:
         drawn = rr.Boxes3D(
-            half_sizes=[box.half_sizes + style.shell for box in boxes],
+            half_sizes=[box.half_sizes for box in boxes],
             centers=[pose.point_to_body(box.center) for box in boxes],
             quaternions=[xyzw(product(back, box.quaternion)) for box in boxes],
             colors=style.color,
@@ -60,7 +65,7 @@ def log_shapes(
         pairs = list(zip(starts, ends, strict=True))
         capsules = rr.Capsules3D(
             lengths=[float(np.linalg.norm(end - start)) for start, end in pairs],
-            radii=[bar.radius + style.shell for bar in bars],
+            radii=[bar.radius for bar in bars],
             translations=starts,
             quaternions=[xyzw(_from_z(end - start)) for start, end in pairs],
             colors=style.color,
@@ -71,16 +76,38 @@ def log_shapes(
         recording.log(f"{path}/mesh_{k}", _mesh(mesh, pose, style), static=True)
 
 
+def drawn_shapes(mechanism: Mechanism, body: int) -> tuple[Shape, ...]:
+    """The shapes that are drawn of a body: bars stand in for them where it has no meshes either."""
+    own = mechanism.bodies[body]
+    return own.shapes if own.meshes else mechanism.shapes(body)
+
+
+def paths(mechanism: Mechanism, body: int, run: Trajectory) -> Array:
+    """(n, m, 3) m: where a run takes points that what is drawn of a body lies between."""
+    pose = mechanism.bodies[body].pose
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    points = [pose.position[None]]
+    for mesh in mechanism.bodies[body].meshes:
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        points.append(0.5 * (low + high) + signs * 0.5 * (high - low))
+    for shape in drawn_shapes(mechanism, body):
+        if isinstance(shape, Capsule):
+            points.append(np.array([shape.start, shape.end]))
+        else:
+            points.append(shape.center + (signs * shape.half_sizes) @ rotation(shape.quaternion).T)
+    corners = (np.concatenate(points) - pose.position) @ pose.rotation
+    return run.position[:, body, None] + rotated(run.quaternion[:, body, None], corners)
+
+
 def _mesh(mesh: Mesh, pose: Pose, style: Style) -> rr.Mesh3D:
-    """A mesh in the frame of its body: as it is for the first engine, a hull around it for the others."""
+    """A mesh in the frame of its body, in its own color or as a ghost."""
     vertices = (mesh.vertices - pose.position) @ pose.rotation
-    normals = _normals(vertices, mesh.triangles)
-    color = [*style.color, 255 if style.rank == 0 else HULL_OPACITY]
-    if style.rank == 0 and mesh.color is not None:
+    color = [*style.color, GHOST_OPACITY if style.ghost else 255]
+    if mesh.color is not None and not style.ghost:
         color = [round(255 * part) for part in mesh.color]
     return rr.Mesh3D(
-        vertex_positions=vertices + style.shell * normals,
-        vertex_normals=normals,
+        vertex_positions=vertices,
+        vertex_normals=_normals(vertices, mesh.triangles),
         triangle_indices=mesh.triangles,
         albedo_factor=color,
     )

@@ -6,11 +6,14 @@ import sys
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.recording.log import log_run, new_recording
+from crosscheck.recording.plots import Tolerances
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 
 
-def show(scene: Scene, trajectories: dict[str, Trajectory], verdict: str, title: str) -> None:
+def show(
+    scene: Scene, trajectories: dict[str, Trajectory], verdict: str, title: str, tolerances: Tolerances
+) -> None:
     """Show a recording; arguments as of `log_run`.
 
     Raises:
@@ -19,11 +22,11 @@ def show(scene: Scene, trajectories: dict[str, Trajectory], verdict: str, title:
     recording = new_recording(scene)
     try:
         if in_notebook():
-            log_run(recording, scene, trajectories, verdict, title)
+            log_run(recording, scene, trajectories, verdict, title, tolerances)
             recording.notebook_show()
         else:
             recording.spawn()
-            log_run(recording, scene, trajectories, verdict, title)
+            log_run(recording, scene, trajectories, verdict, title, tolerances)
     except (ImportError, RuntimeError) as error:
         raise CrosscheckError(f"no viewer: {' '.join(str(error).split())}") from error
 

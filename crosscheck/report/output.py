@@ -17,6 +17,8 @@ from crosscheck.report.render import as_json, markdown
 from crosscheck.report.table import Report
 from crosscheck.results import read_json
 from crosscheck.run import Crosscheck
+from newton_euler.model.scene import Scene
+from newton_euler.model.trajectory import Trajectory
 
 TOLD = {
     "crosscheck": ("summary.json",),
@@ -43,8 +45,7 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path, nam
     from crosscheck.recording.log import recorded
 
     made = {folder / f"{name}.npz": run.archive() for name, run in result.trajectories.items()}
-    text = markdown(replace(report, parts=report.summary))
-    made[recording] = recorded(result.scene, result.trajectories, text, result.title)
+    made[recording] = recorded(*to_record(result, report))
     beside = {path: content for path, content in made.items() if path.parent == folder}
     digests = {path.name: hashlib.sha256(content).hexdigest() for path, content in beside.items()}
     summary = folder / "summary.json"
@@ -55,6 +56,15 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path, nam
     write_files({summary: as_json(result.summary(), report, digests), **made}, stale)
     runs = [path for path in made if path != recording]
     return [*runs, summary, recording]
+
+
+def to_record(
+    result: Crosscheck, report: Report
+) -> tuple[Scene, dict[str, Trajectory], str, str, dict[tuple[str, ...], float]]:
+    """The arguments of `crosscheck.recording.log.log_run` for a crosscheck and the report on it."""
+    text = markdown(replace(report, title="", parts=report.summary))
+    tolerances = {(row.quantity, *row.between): row.tolerance for row in result.figures}
+    return result.scene, result.trajectories, text, result.title, tolerances
 
 
 def own_name(source: str) -> str:

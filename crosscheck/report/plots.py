@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crosscheck.comparison.figure import OPEN, POSES
+from crosscheck.palette import palette
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 
@@ -16,18 +17,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-STYLES = {
-    "newton_euler": ("#0072b2", "-", 2.6),
-    "mujoco": ("#d55e00", "--", 1.6),
-    "pinocchio": ("#009e73", ":", 1.8),
-}
-"""Color, dash and width of each engine's curves; thick under thin, so that equal curves all show."""
+DASHES = {"newton_euler": ("-", 2.6), "mujoco": ("--", 1.6), "pinocchio": (":", 1.8)}
+"""Dash and width of each engine's curves; thick under thin, so that equal curves all show."""
 
 SMALLEST = 1e-18
 """Where logarithms are cut off, so that zero can be drawn."""
 
-OTHER_STYLE = ("#555555", "-.", 1.6)
-"""Of an engine that `STYLES` does not know."""
+OTHER_DASH = ("-.", 1.6)
+"""Of curves that `DASHES` does not know."""
 
 Runs = Mapping[str, Mapping[str, Array]]
 """Arrays of `Trajectory.arrays` by name, by engine; the first engine is what others are compared with."""
@@ -48,9 +45,9 @@ def speed(costs: Mapping[str, tuple[float | None, float | None]]) -> Iterator[tu
         return
     figure = Figure(figsize=(4.6, 3.2), layout="constrained")
     ax = figure.add_subplot()
+    colors = palette(list(costs))
     for name, (time, error) in known.items():
-        color, *_ = STYLES.get(name, OTHER_STYLE)
-        ax.loglog(time, error, "o", color=color, markersize=10, label=name)
+        ax.loglog(time, error, "o", color=colors[name], markersize=10, label=name)
     ax.set_xlabel("run time, s")
     ax.set_ylabel("error, m or rad")
     ax.grid(alpha=0.3)
@@ -86,9 +83,9 @@ def _axes(labels: list[str]) -> tuple[Figure, list[Axes]]:
     return figure, axes
 
 
-def curve(ax: Axes, engine: str, time: Array, values: Array) -> None:
+def curve(ax: Axes, engine: str, color: str, time: Array, values: Array) -> None:
     """Draw a quantity over time in the engine's style."""
-    color, dash, width = STYLES.get(engine, OTHER_STYLE)
+    dash, width = DASHES.get(engine, OTHER_DASH)
     ax.plot(time, values, color=color, linestyle=dash, linewidth=width, label=engine)
 
 
@@ -101,6 +98,7 @@ def _over_time(runs: Runs, name: str, label: str) -> Iterator[Line]:
 
 def _drawn(
     lines: list[Line],
+    colors: Mapping[str, str],
     caption: str,
     logarithmic: bool = False,
     tolerances: Mapping[tuple[str, str], float | None] | None = None,
@@ -111,10 +109,9 @@ def _drawn(
         return
     figure, axes = _axes(labels)
     for label, engine, time, values in lines:
-        curve(axes[labels.index(label)], engine, time, values)
+        curve(axes[labels.index(label)], engine, colors[engine], time, values)
         if bound := (tolerances or {}).get((label, engine)):
-            color, *_ = STYLES.get(engine, OTHER_STYLE)
-            axes[labels.index(label)].axhline(bound, color=color, linewidth=0.8)
+            axes[labels.index(label)].axhline(bound, color=colors[engine], linewidth=0.8)
     for ax in axes:
         if logarithmic:
             ax.set_yscale("log")
@@ -134,7 +131,7 @@ def _differences(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
             lines.append((quantity, engine, time, np.maximum(values, SMALLEST)))
             tolerances[quantity, engine] = bounds.get((quantity, reference[0], engine))
     caption = f"Difference from {reference[0]}, largest over the bodies; thin lines are tolerances"
-    yield from _drawn(lines, caption, True, tolerances)
+    yield from _drawn(lines, palette(list(runs)), caption, True, tolerances)
 
 
 def _drift(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
@@ -144,11 +141,11 @@ def _drift(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
     ]
     tolerances = {(OPEN, engine): bounds.get((OPEN, engine)) for engine in runs}
     caption = "Drift: how far joints are open, largest over the joints; thin lines are tolerances"
-    yield from _drawn(lines, caption, True, tolerances)
+    yield from _drawn(lines, palette(list(runs)), caption, True, tolerances)
 
 
 def _energy(runs: Runs) -> Iterator[tuple[bytes, str]]:
     lines = [*_over_time(runs, "kinetic_energy", "kinetic, J")]
     lines += _over_time(runs, "potential_energy", "potential, J")
     lines += _over_time(runs, "work", "work done by what has no potential, J")
-    yield from _drawn(lines, "Energy")
+    yield from _drawn(lines, palette(list(runs)), "Energy")

@@ -189,8 +189,8 @@ def _rich_table(table: Table, width: int) -> RichTable:
 
 
 def markdown(report: Report, folded: bool = False) -> str:
-    """A document; its folded parts only if they are asked for."""
-    lines = [f"# {_escaped(report.title)}", ""]
+    """A document; its folded parts only if they are asked for, its heading if the report has a title."""
+    lines = [f"# {_escaped(report.title)}", ""] if report.title else []
     if report.verdict:
         lines += [f"**{_escaped(report.verdict)}**", ""]
     for part in report.parts:

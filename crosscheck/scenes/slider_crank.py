@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from crosscheck.scenes.measure import Quantity, angle, angular_velocity, position, velocity
+from newton_euler.model.geometry import Box
 from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
@@ -53,11 +54,12 @@ def slider_crank(variant: Literal["A", "B"] = "A") -> Scene:
     cardan = np.cross(along, X)
     cardan /= np.linalg.norm(cardan)
     axes = np.array([along, cardan, np.cross(along, cardan)])
+    block = Box(np.array([0.02, 0.012, 0.012]), WRIST)
     bodies = [
         Body.ground(),
         Body("crank", MASSES["crank"], 0.5 * (PIVOT + PIN), np.diag(CRANK_MOMENTS)),
         Body("rod", MASSES["rod"], 0.5 * (PIN + WRIST), axes.T @ np.diag(ROD_MOMENTS[variant]) @ axes),
-        Body("slider", MASSES["slider"], WRIST, SLIDER_MOMENT * np.eye(3)),
+        Body("slider", MASSES["slider"], WRIST, SLIDER_MOMENT * np.eye(3), shapes=(block,)),
     ]
     joints = [
         Revolute("pivot", "ground", "crank", PIVOT, axis=X),

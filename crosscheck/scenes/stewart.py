@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from crosscheck.scenes.drawing import disc
 from crosscheck.scenes.measure import Quantity, angular_velocity, components, position, quaternion, velocity
 from newton_euler.model.forces import JointSpring
+from newton_euler.model.geometry import Capsule
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Cylindrical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
@@ -59,7 +61,11 @@ def stewart() -> Scene:
     mass = DENSITY * np.pi * PLATFORM_RADIUS**2 * PLATFORM_THICKNESS
     across = mass * (3.0 * PLATFORM_RADIUS**2 + PLATFORM_THICKNESS**2) / 12.0
     axial = 0.5 * mass * PLATFORM_RADIUS**2
-    bodies = [Body.ground(), Body("platform", mass, HOME, np.diag([across, across, axial]))]
+    plate = disc(PLATFORM_RADIUS, PLATFORM_THICKNESS, HOME, Z)
+    bodies = [
+        Body.ground(),
+        Body("platform", mass, HOME, np.diag([across, across, axial]), meshes=(plate,)),
+    ]
     joints: list[Joint] = []
     for k, (low, high) in enumerate(zip(BASE, PLATFORM, strict=True), start=1):
         along = (high - low) / LEG_LENGTH
@@ -95,7 +101,8 @@ def _part(name: str, end: Array, along: Array, radii: tuple[float, float]) -> Bo
     across = 0.5 * axial + mass * PART_LENGTH**2 / 12.0
     projector = np.outer(along, along)
     inertia = axial * projector + across * (np.eye(3) - projector)
-    return Body(name, mass, end + 0.5 * PART_LENGTH * along, inertia)
+    bar = Capsule(end, end + PART_LENGTH * along, outer)
+    return Body(name, mass, end + 0.5 * PART_LENGTH * along, inertia, shapes=(bar,))
 
 
 CENTER = np.zeros(3)

@@ -15,9 +15,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from crosscheck.scenes.drawing import arrow, tiles
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.geometry import Box, Capsule, Shape
+from newton_euler.model.geometry import Box, Capsule, Mesh, Shape
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
@@ -100,6 +101,15 @@ def corrected_tables(*, literal_panel: bool = False) -> Tables:
 TARGET_HEIGHT = 0.046
 """Wanted height of both sliders' centers of mass, m (section 4)."""
 
+PANEL = (0.07, 0.055)
+"""Half sizes of the panel that is drawn, m."""
+
+ARROW_LENGTH = 0.07
+"""Of the panel's normal, m."""
+
+CELL_COLOR, NORMAL_COLOR, TARGET_COLOR = (0.03, 0.05, 0.12, 1.0), (0.9, 0.9, 0.9, 1.0), (0.95, 0.8, 0.1, 1.0)
+"""Red, green, blue and opacity, from 0 to 1."""
+
 STIFFNESS = 50.0
 """K_p of both actuators, N/m (section 5)."""
 
@@ -166,6 +176,7 @@ def _scene(
             tables.scaled_inertia[k],
             tables.euler_parameters[k],
             shapes=shapes,
+            meshes=_meshes(tables) if body == "panel_7" else _target(tables) if body == "base" else (),
             allow_unrealisable_inertia=body == "panel_7" and literal_panel,
         )
         for k, (body, shapes) in enumerate(zip(BODY_NAMES, _shapes(tables, joints), strict=True))
@@ -217,10 +228,13 @@ def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
     )
     panel_rotation = rotation(tables.euler_parameters[6])
     eta = panel_rotation[:, 1]
-    panel_center = centers[6] + panel_rotation @ [0.0, 0.0, 0.006]
     panel: tuple[Shape, ...] = (
-        Box(np.array([0.07, 0.055, 0.002]), panel_center, tables.euler_parameters[6]),
+        Box(np.array([*PANEL, 0.002]), centers[6], tables.euler_parameters[6]),
         Capsule(point["ball_67"], point["ball_57"], 0.003),
+        *(
+            Capsule(point[joint], _onto(point[joint], centers[6], panel_rotation[:, 2]), 0.003)
+            for joint in ("ball_67", "ball_57", "universal_47")
+        ),
         Capsule(point["universal_47"] - 0.01 * eta, point["universal_47"] + 0.01 * eta, 0.004),
     )
 
@@ -237,3 +251,21 @@ def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
         (Capsule(point["hinge_26"], point["ball_67"], 0.003),),
         panel,
     ]
+
+
+def _onto(point: Array, center: Array, normal: Array) -> Array:
+    """The foot of a point on a plane."""
+    return np.asarray(point + (center - point) @ normal * normal)
+
+
+def _meshes(tables: Tables) -> tuple[Mesh, ...]:
+    """Solar cells on the panel, and its normal."""
+    center, turn = tables.center_of_mass[6], rotation(tables.euler_parameters[6])
+    cells = tiles(PANEL, (6, 4), center + 0.0025 * turn[:, 2], turn, CELL_COLOR)
+    return cells, arrow(center, turn[:, 2], ARROW_LENGTH, NORMAL_COLOR, "normal")
+
+
+def _target(tables: Tables) -> tuple[Mesh, ...]:
+    """The direction that the control laws turn the normal to, above the published panel."""
+    up = np.array([0.0, 0.0, 1.0])
+    return (arrow(tables.center_of_mass[6], up, 1.4 * ARROW_LENGTH, TARGET_COLOR, "target"),)

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from crosscheck.report.plots import STYLES, png
+from crosscheck.palette import ENGINE_COLORS
+from crosscheck.report.plots import png
 from crosscheck.report.table import Cell, Lines, Part, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.ladders import ENGINES, JUDGED
 from crosscheck.studies.benchmark.reference import Reference
@@ -185,7 +186,7 @@ def picture(result: Benchmark) -> bytes:
     drawn = Figure(figsize=(9.0, 5.0), layout="constrained")
     ax = drawn.add_subplot()
     for engine in ENGINES:
-        color = STYLES[engine][0]
+        color = ENGINE_COLORS[engine]
         points = [m for m in result.measured.measurements if m.engine == engine]
         if points:
             ax.plot(*_points(points).T, ".", color=color, markersize=4, alpha=0.3)

@@ -53,7 +53,7 @@ def test_both_angles_of_a_universal_joint() -> None:
     for motion_, expected in zip(cardan.motions, (a, b), strict=True):
         found = hinge_angle(mechanism, cardan, motion_, run)
         np.testing.assert_allclose(found, expected, atol=1e-12)
-    titles = [p.path for p in plots(Scene("s", mechanism, 0.8, 0.1), {"e": run})][:2]
+    titles = [p.path for p in plots(Scene("s", mechanism, 0.8, 0.1), {"e": run}, {})][:2]
     assert titles == [("joint_angle", "cardan:0"), ("joint_angle", "cardan:1")]
 
 

@@ -21,10 +21,11 @@ from recordings import (
 )
 from rerun.chunk import RrdReader
 
+from crosscheck.comparison.figure import OPEN
+from crosscheck.recording.blueprint import TIME
 from crosscheck.recording.log import (
     LONGEST_ARROW,
-    SHELL,
-    TIME,
+    PIXEL,
     application_id,
     write_recording,
 )
@@ -40,7 +41,7 @@ def recording(
     scene: Scene, runs: dict[str, Trajectory], tmp_path_factory: pytest.TempPathFactory
 ) -> Recording:
     path = tmp_path_factory.mktemp("recording") / "lid.rrd"
-    write_recording(path, scene, runs, VERDICT)
+    write_recording(path, scene, runs, VERDICT, tolerances=TOLERANCES)
     return read_recording(path)
 
 
@@ -59,22 +60,39 @@ MOVING = of_engines(
     "/plots/control/rail/*",
     "/plots/energy/kinetic/*",
     "/plots/energy/potential/*",
-    *(f"/plots/euler_parameters/e{k}/*" for k in range(4)),
-    "/plots/drift_log10/*",
+    "/plots/tilt/slider/*",
+    "/plots/drift/*",
 ) | {
-    f"/plots/{kind}/{quantity}/alpha"
-    for kind in ("difference", "difference_log10")
-    for quantity in ("position", "angle")
+    "/plots/difference/position/alpha",
+    "/plots/difference/angle/alpha",
+    "/labels/ground",
+    "/labels/slider",
+    "/labels/lid",
 }
+
+TOLERANCES = {("positions, m", "zeta", "alpha"): 1e-3, (OPEN, "zeta"): 1e-8, (OPEN, "alpha"): 1e-7}
+
+LEVELS = {
+    "/plots/slider_position/rail/target": 0.3 * 0.6 + 0.3 * 0.8 + 0.1,
+    "/plots/difference/position/alpha_tolerance": -3.0,
+    "/plots/drift/zeta_tolerance": -8.0,
+    "/plots/drift/alpha_tolerance": -7.0,
+}
+"""Constant lines."""
 
 
 def test_holds_these_entities_and_no_others(recording: Recording) -> None:
-    assert recording.entities == MOVING | {"/", "/ground", "/verdict", "/__properties"}
+    assert recording.entities == MOVING | LEVELS.keys() | {"/", "/ground", "/verdict", "/__properties"}
 
 
 def test_every_moving_entity_has_every_output_time(recording: Recording) -> None:
     expected = [0, 300_000_000, 600_000_000, 900_000_000, 1_200_000_000]
-    assert recording.times == dict.fromkeys(MOVING, expected)
+    assert recording.times == dict.fromkeys(MOVING, expected) | dict.fromkeys(LEVELS, expected[::4])
+
+
+def test_targets_and_tolerances_are_lines(recording: Recording) -> None:
+    for path, value in LEVELS.items():
+        np.testing.assert_allclose(recording.scalars(path), [value, value], rtol=1e-15, err_msg=path)
 
 
 def test_scalars_are_exact(recording: Recording, runs: dict[str, Trajectory]) -> None:
@@ -86,17 +104,13 @@ def test_scalars_are_exact(recording: Recording, runs: dict[str, Trajectory]) ->
             f"/plots/slider_position/rail/{engine}": run.position[:, 1] @ AXIS,
             f"/plots/energy/kinetic/{engine}": run.kinetic_energy,
             f"/plots/energy/potential/{engine}": run.potential_energy,
-            f"/plots/euler_parameters/e0/{engine}": run.quaternion[:, 2, 0],
-            f"/plots/euler_parameters/e3/{engine}": run.quaternion[:, 2, 3],
-            f"/plots/drift_log10/{engine}": drift,
+            f"/plots/drift/{engine}": drift,
         }.items():
             np.testing.assert_array_equal(recording.scalars(path), expected, err_msg=path)
     distance = np.linalg.norm(other.position - first.position, axis=2).max(axis=1)
     angle = angle_between(first.quaternion, other.quaternion).max(axis=1)
     for quantity, values in {"position": distance, "angle": angle}.items():
-        linear = recording.scalars(f"/plots/difference/{quantity}/alpha")
-        np.testing.assert_array_equal(linear, values)
-        logarithm = recording.scalars(f"/plots/difference_log10/{quantity}/alpha")
+        logarithm = recording.scalars(f"/plots/difference/{quantity}/alpha")
         np.testing.assert_array_equal(logarithm, np.log10(values))
 
 
@@ -104,7 +118,7 @@ def test_no_difference_is_drawn_at_the_floor(
     scene: Scene, runs: dict[str, Trajectory], tmp_path: Path
 ) -> None:
     write_recording(tmp_path / "same.rrd", scene, {"one": runs["zeta"], "two": runs["zeta"]}, VERDICT)
-    values = read_recording(tmp_path / "same.rrd").scalars("/plots/difference_log10/position/two")
+    values = read_recording(tmp_path / "same.rrd").scalars("/plots/difference/position/two")
     np.testing.assert_array_equal(values, np.full(N, np.log10(SMALLEST)))
 
 
@@ -146,22 +160,51 @@ def test_shapes_in_the_body_frame_stand_where_the_mechanism_has_them(
     assert drawn["Capsules3D:radii"][0] == pytest.approx(LID_BAR.radius)
 
 
-def test_engines_are_drawn_apart(scene: Scene, recording: Recording) -> None:
+def test_the_first_engine_is_solid_and_others_are_ghosts_of_the_same_size(recording: Recording) -> None:
     path, other = "/mechanism/zeta/lid", "/mechanism/alpha/lid"
     for component in ("Boxes3D:colors", "Boxes3D:fill_mode", "Capsules3D:fill_mode"):
         assert recording.static[path, component] != recording.static[other, component]
-    shell = SHELL * scene.mechanism.size
-    half_sizes = recording.static[other, "Boxes3D:half_sizes"][0]
-    np.testing.assert_allclose(half_sizes, LID_BOX.half_sizes + shell, rtol=1e-6)
-    (radius,) = recording.static[other, "Capsules3D:radii"]
-    assert radius == pytest.approx(LID_BAR.radius + shell)
+    for component in ("Boxes3D:half_sizes", "Capsules3D:radii", "Capsules3D:lengths"):
+        assert recording.static[path, component] == recording.static[other, component]
+
+
+@pytest.mark.parametrize(("share", "seen"), [(0.5, False), (2.0, True)])
+def test_a_ghost_is_shown_if_it_parts_from_the_first(
+    scene: Scene, runs: dict[str, Trajectory], tmp_path: Path, share: float, seen: bool
+) -> None:
+    """By a share of a pixel, of the body that moves least alone and at one output only."""
+    position = runs["zeta"].position.copy()
+    position[3, 1] += share * PIXEL * scene.mechanism.size * AXIS
+    parted = {"zeta": runs["zeta"], "alpha": replace(runs["zeta"], position=position)}
+    write_recording(tmp_path / "parted.rrd", scene, parted, VERDICT)
+    found = layout(tmp_path / "parted.rrd")
+    assert ("mechanism/alpha" in found["hidden"]) is not seen
+    assert (
+        {"joints/alpha", "reactions"}
+        <= set(found["hidden"])
+        <= {"mechanism/alpha", "joints/alpha", "reactions"}
+    )
+    distance = share * PIXEL * scene.mechanism.size
+    how = f"alpha ghost, up to {distance:.2g} m" if seen else f"alpha within {distance:.0e} m, hidden"
+    assert any(
+        name.startswith(f"lid_scene: zeta solid; {how}") for name in found["ViewBlueprint:display_name"]
+    )
+
+
+def test_bodies_are_labeled_where_the_first_engine_has_them(
+    runs: dict[str, Trajectory], recording: Recording
+) -> None:
+    for k, name in enumerate(("ground", "slider", "lid")):
+        assert recording.static[f"/labels/{name}", "Points3D:labels"] == [name]
+        translation = np.array(recording.columns[f"/labels/{name}", "Transform3D:translation"])[:, 0]
+        np.testing.assert_array_equal(translation, runs["zeta"].position[:, k].astype("float32"))
 
 
 def test_an_engine_has_one_color_and_its_name_in_every_plot(recording: Recording) -> None:
     for engine in ("zeta", "alpha"):
         color = recording.static[f"/mechanism/{engine}/lid", "Boxes3D:colors"]
         lines = [p for p in MOVING if p.startswith("/plots/") and p.endswith(f"/{engine}")]
-        assert len(lines) >= 9
+        assert len(lines) >= 6
         for path in lines:
             assert recording.static[path, "SeriesLines:colors"] == color
             assert recording.static[path, "SeriesLines:names"] == [engine]
@@ -188,7 +231,9 @@ def test_joint_points_and_reactions_follow_the_second_body(
 
 
 def test_verdict_is_markdown(recording: Recording) -> None:
-    assert recording.static["/verdict", "TextDocument:text"] == [VERDICT]
+    (text,) = recording.static["/verdict", "TextDocument:text"]
+    assert text.startswith(VERDICT)
+    assert ", reactions (1 N is " in text.removeprefix(VERDICT)
     assert recording.static["/verdict", "TextDocument:media_type"] == ["text/markdown"]
 
 
@@ -208,7 +253,8 @@ def test_runs_open_side_by_side(scene: Scene, runs: dict[str, Trajectory], tmp_p
     assert first.entities == second.entities
     assert first.static["/__properties", "RecordingInfo:name"] == ["lid_scene"]
     assert second.static["/__properties", "RecordingInfo:name"] == ["a second run"]
-    assert layout(one) == layout(two)
+    for component in ("ViewBlueprint:space_origin", "TimePanelBlueprint:timeline"):
+        assert layout(one)[component] == layout(two)[component]
 
 
 def test_other_scenes_have_a_layout_of_their_own(scene: Scene) -> None:
@@ -216,14 +262,19 @@ def test_other_scenes_have_a_layout_of_their_own(scene: Scene) -> None:
 
 
 def layout(path: Path) -> dict[str, list[str]]:
-    """What the views of a file's blueprint show, and the timeline that it plays."""
+    """What the views of a file's blueprint show and hide, and the timeline that it plays."""
     reader = RrdReader(path)
     (entry,) = reader.blueprints()
-    values: dict[str, list[str]] = {"ViewBlueprint:space_origin": [], "TimePanelBlueprint:timeline": []}
+    components = ("ViewBlueprint:space_origin", "ViewBlueprint:display_name", "TimePanelBlueprint:timeline")
+    values: dict[str, list[str]] = {component: [] for component in components} | {"hidden": []}
     for chunk in reader.stream(store=entry):
         batch = chunk.to_record_batch()
         for component in values.keys() & set(batch.schema.names):
             values[component] += batch.column(component).to_pylist()[0]
+        if "EntityBehavior:visible" in batch.schema.names:
+            values["hidden"].append(
+                chunk.entity_path.partition("/overrides/")[2].removesuffix("/visualizers")
+            )
     return {component: sorted(entries) for component, entries in values.items()}
 
 
@@ -232,11 +283,11 @@ def test_blueprint_is_in_the_file_and_shows_every_plot(
 ) -> None:
     path = tmp_path / "lid.rrd"
     write_recording(path, scene, runs, VERDICT)
-    origins, timelines = layout(path).values()
-    expected = {"/plots/" + "/".join(plot.path) for plot in plots(scene, runs)}
-    assert len(expected) == 13
-    assert origins == sorted(expected | {"/", "/verdict"})
-    assert timelines == [TIME]
+    found = layout(path)
+    expected = {"/plots/" + "/".join(plot.path) for plot in plots(scene, runs, {})}
+    assert len(expected) == 8
+    assert found["ViewBlueprint:space_origin"] == sorted(expected | {"/", "/verdict"})
+    assert found["TimePanelBlueprint:timeline"] == [TIME]
 
 
 def test_outputs_that_were_not_asked_for_are_left_out(
@@ -252,11 +303,12 @@ def test_outputs_that_were_not_asked_for_are_left_out(
         potential_energy=None,
     )
     write_recording(tmp_path / "bare.rrd", scene, {"zeta": bare, "alpha": bare}, VERDICT)
-    kinds = ("/reactions/", "/plots/control/", "/plots/drift_log10/", "/plots/energy/")
+    kinds = ("/reactions/", "/plots/control/", "/plots/drift/", "/plots/energy/")
     skipped = {path for path in MOVING if path.startswith(kinds)}
     assert len(skipped) == 12
-    assert set(read_recording(tmp_path / "bare.rrd").times) == MOVING - skipped
-    assert len(plots(scene, {"zeta": bare})) == 5  # without the lines there is no empty plot either
+    target = "/plots/slider_position/rail/target"
+    assert set(read_recording(tmp_path / "bare.rrd").times) == (MOVING - skipped) | {target}
+    assert len(plots(scene, {"zeta": bare}, {})) == 2  # without the lines there is no empty plot either
 
 
 def test_one_engine_alone_has_no_differences(
@@ -264,14 +316,17 @@ def test_one_engine_alone_has_no_differences(
 ) -> None:
     write_recording(tmp_path / "one.rrd", scene, {"zeta": runs["zeta"]}, VERDICT)
     moving = set(read_recording(tmp_path / "one.rrd").times)
-    assert moving == {path for path in MOVING if "zeta" in path}
+    labels = {path for path in MOVING if path.startswith("/labels/")}
+    assert moving == {path for path in MOVING if "zeta" in path} | labels | {
+        "/plots/slider_position/rail/target"
+    }
 
 
 def test_a_failing_write_leaves_what_was_there(
     scene: Scene, runs: dict[str, Trajectory], tmp_path: Path
 ) -> None:
     # energies are logged after the 3D entities, so this fails in the middle of the file
-    short = replace(runs["zeta"], kinetic_energy=np.zeros(N - 1))
+    short = replace(runs["zeta"], kinetic_energy=np.arange(N - 1.0))
     with pytest.raises(ValueError, match="All columns must have the same length"):
         write_recording(tmp_path / "new.rrd", scene, {"zeta": short}, VERDICT)
     assert list(tmp_path.iterdir()) == []

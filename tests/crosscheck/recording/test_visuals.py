@@ -12,8 +12,8 @@ from recordings import VERDICT, lid_runs, lid_scene, read_recording
 
 import mjcf.read
 import urdf.read
-from crosscheck.recording.log import SHELL, write_recording
-from crosscheck.recording.shapes import HULL_OPACITY
+from crosscheck.recording.log import write_recording
+from crosscheck.recording.shapes import GHOST_OPACITY
 from newton_euler.errors import MechanismError
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Capsule, Mesh
@@ -159,7 +159,7 @@ def test_what_cannot_be_drawn_is_reported_and_the_rest_is(folder, geometry, why)
 def test_meshes_in_a_recording_stand_where_the_mechanism_has_them(tmp_path):
     scene = lid_scene()
     ground, slider, lid = scene.mechanism.bodies
-    mesh = Mesh(CORNERS + lid.center_of_mass, FACES, (0.2, 0.4, 0.6, 1.0))
+    mesh = Mesh(CORNERS + lid.center_of_mass, FACES, (0.2, 0.4, 0.6, 1.0), "corner")
     bodies = (ground, replace(slider, meshes=(Mesh(CORNERS, FACES),)), replace(lid, meshes=(mesh,)))
     scene = replace(scene, mechanism=Mechanism(bodies, scene.mechanism.joints), initial_state=None)
     write_recording(tmp_path / "lid.rrd", scene, lid_runs(scene), VERDICT)
@@ -170,11 +170,11 @@ def test_meshes_in_a_recording_stand_where_the_mechanism_has_them(tmp_path):
     np.testing.assert_allclose(drawn @ rotation(lid.quaternion).T, CORNERS, atol=1e-7)
     assert static[first, "Mesh3D:triangle_indices"] == FACES.tolist()
     assert static[first, "Mesh3D:albedo_factor"] == [0x336699FF]
-    assert static[second, "Mesh3D:albedo_factor"][0] & 0xFF == HULL_OPACITY
-    hull = np.array(static[second, "Mesh3D:vertex_positions"])
-    distances = np.linalg.norm(hull - drawn, axis=1)
-    np.testing.assert_allclose(distances, SHELL * scene.mechanism.size, rtol=1e-5)
-    assert volume(Mesh(hull, FACES)) > volume(Mesh(drawn, FACES))
+    assert static[second, "Mesh3D:albedo_factor"][0] & 0xFF == GHOST_OPACITY
+    assert static[second, "Mesh3D:vertex_positions"] == static[first, "Mesh3D:vertex_positions"]
+    assert static["/labels/lid", "Points3D:labels"] == ["lid", "corner"]
+    tip = static["/labels/lid", "Points3D:positions"][1]
+    np.testing.assert_allclose(tip, drawn[0], atol=1e-7)
     # bars stand in for shapes where there are no meshes
     assert ("/mechanism/zeta/slider", "Capsules3D:lengths") not in static
     assert ("/mechanism/zeta/lid", "Capsules3D:lengths") in static  # the lid's own

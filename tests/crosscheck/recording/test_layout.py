@@ -1,0 +1,80 @@
+"""What is plotted of a run, and from where it is seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+import newton_euler
+from crosscheck.palette import ENGINE_COLORS, OTHER_COLORS, palette, rgb
+from crosscheck.recording.blueprint import ASPECT, EYE_DIRECTION, HALF_ANGLE
+from crosscheck.recording.log import write_recording
+from crosscheck.recording.plots import plots, tilt
+from crosscheck.recording.shapes import paths
+from crosscheck.scenes import load
+from newton_euler.model.euler_parameters import from_rotation_vector
+
+X, Y, Z = np.eye(3)
+
+
+@pytest.mark.parametrize(
+    ("name", "direction", "up"),
+    [
+        ("four_bar", Z, Y),
+        ("andrews", Z, Y),
+        ("slider_crank", EYE_DIRECTION, Z),
+        ("tracker", EYE_DIRECTION, Z),
+    ],
+)
+def test_all_that_moves_is_seen_and_a_plane_face_on(tmp_path, name, direction, up):
+    scene = load(name)
+    run = newton_euler.simulate(scene)
+    write_recording(tmp_path / "run.rrd", scene, {"newton_euler": run}, "")
+    reader = RrdReader(tmp_path / "run.rrd")
+    (entry,) = reader.blueprints()
+    batches = [chunk.to_record_batch() for chunk in reader.stream(store=entry)]
+    (batch,) = [batch for batch in batches if "EyeControls3D:position" in batch.schema.names]
+    position, target, upwards = (
+        np.array(batch.column(f"EyeControls3D:{part}").to_pylist()[0][0])
+        for part in ("position", "look_target", "eye_up")
+    )
+    seen = (position - target) / np.linalg.norm(position - target)
+    np.testing.assert_allclose(seen, direction / np.linalg.norm(direction), atol=1e-6)  # single precision
+    np.testing.assert_array_equal(upwards, up)
+    right = np.cross(up, seen) / np.linalg.norm(np.cross(up, seen))
+    for body in range(len(scene.mechanism.bodies)):
+        points = paths(scene.mechanism, body, run) - position
+        depth = -points @ seen
+        assert np.all(depth > 0.0)
+        assert np.all(np.abs(points @ right) < ASPECT * np.tan(HALF_ANGLE) * depth)
+        assert np.all(np.abs(points @ np.cross(seen, right)) < np.tan(HALF_ANGLE) * depth)
+
+
+def test_what_neither_moves_nor_parts_is_not_plotted():
+    scene = load("pendulum")
+    run = newton_euler.simulate(scene)
+    titles = [plot.title for plot in plots(scene, {"newton_euler": run}, {}) if not plot.judges]
+    assert titles == ["angle of pivot [rad]", "kinetic energy [J]", "potential energy [J]"]
+
+
+def test_springs_say_which_coordinates_are_plotted():
+    scene = load("stewart")
+    run = newton_euler.simulate(scene)
+    found = plots(scene, {"newton_euler": run}, {})
+    assert [plot.path[1] for plot in found if plot.group == "Motion"] == [f"leg_{k + 1}:0" for k in range(6)]
+    assert [plot.title for plot in found if plot.group == "Tilt"] == ["tilt of platform [deg]"]
+
+
+def test_tilt_is_in_degrees():
+    turns = [0.0, 1e-9, 0.5, np.pi]
+    found = tilt(np.array([from_rotation_vector(angle * (0.6 * X - 0.8 * Y)) for angle in turns]))
+    np.testing.assert_allclose(found, np.degrees(turns), rtol=1e-12, atol=1e-15)
+
+
+def test_engines_keep_their_colors_beside_others():
+    found = palette(["one", "mujoco", "two"])
+    assert found == {"one": OTHER_COLORS[0], "mujoco": ENGINE_COLORS["mujoco"], "two": OTHER_COLORS[1]}
+    many = palette([str(k) for k in range(5)])
+    assert many["4"] == many["0"]
+    assert rgb("#0072b2") == (0, 114, 178)
