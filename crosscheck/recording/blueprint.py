@@ -18,7 +18,7 @@ from newton_euler.scalars import Array
 TIME = "time"
 """The timeline of a recording."""
 
-EYE_DIRECTION = np.array([0.35, -0.78, 0.6])
+EYE_DIRECTION = np.array([0.35, -0.78, 0.72])
 """From the mechanism to the camera where it does not move in a plane."""
 
 FLATNESS = 1e-4

@@ -181,7 +181,7 @@ def _at_rest(mechanism: Mechanism) -> Trajectory:
 
 
 def _apart(mechanism: Mechanism, first: Trajectory, other: Trajectory) -> float:
-    """How far what is drawn of two runs is apart at any output, m, at most."""
+    """The largest distance, m, between what is drawn of two runs at any output."""
     n = min(len(first.time), len(other.time))
     ways = (
         paths(mechanism, body, first)[:n] - paths(mechanism, body, other)[:n]
@@ -201,7 +201,7 @@ def _heading(title: str, engines: list[str], apart: dict[str, float], near: list
 
 
 def _hint(arrow_scale: float | None) -> str:
-    """Where to find what the viewer hides at first."""
+    """Say where to find what the viewer hides at first."""
     reactions = "" if arrow_scale is None else f", reactions (1 N is {arrow_scale:.2g} m long)"
     return f"\nHidden engines, labels{reactions}: eye icons of the blueprint panel, left.\n"
 
@@ -242,11 +242,17 @@ def _log_bodies(
 
 
 def _log_labels(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
+    """Label bodies at their centers of mass; the ground, which others stand on, at its lowest point."""
+    ground = paths(mechanism, 0, run)[0]
+    foot = mechanism.bodies[0].pose.point_to_body(ground[np.argmin(ground[:, 2])])
     for k, body in enumerate(mechanism.bodies):
         if not (k or body.shapes or body.meshes):
             continue
         drawn = [mesh for mesh in body.meshes if mesh.label]
-        points = [np.zeros(3), *(body.pose.point_to_body(mesh.vertices[0]) for mesh in drawn)]
+        points = [
+            foot if k == 0 else np.zeros(3),
+            *(body.pose.point_to_body(mesh.vertices[0]) for mesh in drawn),
+        ]
         labels = [body.name, *(mesh.label for mesh in drawn)]
         path = rr.new_entity_path(["labels", body.name])
         look = rr.Points3D(points, labels=labels, show_labels=True, colors=PLAIN_COLOR, radii=0.0)
