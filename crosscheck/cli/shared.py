@@ -124,9 +124,9 @@ def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
 
 
 def tell(scene: str, mapping: ImportReport | None) -> None:
-    """Write a line to standard error for each element of a model file that is not in its scene as it was."""
+    """Write a line to standard error for each element that acts and is not in the scene as it was."""
     for entry in mapping.entries if mapping else ():
-        if entry.fate != "exactly":
+        if entry.fate != "exactly" and not entry.inert:
             click.echo(wrapped(f"{scene}: {entry}", sys.stderr), err=True)
 
 

@@ -25,7 +25,7 @@ from newton_euler.scalars import Array
 
 PACKAGES = ("numpy", "scipy", "llvmlite", "mujoco", "pin", "crosscheck")
 
-GroupName = Literal["relative", "cartesian", "integrators", "mujoco", "pinocchio"]
+GroupName = Literal["model", "relative", "cartesian", "integrators", "mujoco", "pinocchio"]
 """Of `crosscheck.regress.measure.GROUPS`."""
 
 

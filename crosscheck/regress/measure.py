@@ -30,6 +30,7 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.system import Evaluation, System, at_time
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.compiled import FORMULATIONS, PAPER_ALPHA, formulate
+from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
@@ -75,6 +76,7 @@ EVALUATIONS = 4
 """Of RK4 in a step."""
 
 XYZ, WXYZ = ("x", "y", "z"), ("w", "x", "y", "z")
+MOMENTS = ("xx", "yy", "zz", "xy", "xz", "yz")
 
 
 def regress_scene(scene: Scene) -> Scene:
@@ -309,6 +311,23 @@ def _shares(samples: Samples) -> tuple[float, float]:
     return round_off(samples.condition * masses, noise), round_off(samples.condition**2 * masses, noise)
 
 
+def _model(here: Measurement) -> Iterator[StoredFigure]:
+    """What the scene is made of, at the pose of its description, by which other changes are explained."""
+    mechanism = here.scene.mechanism
+    bodies, joints = mechanism.bodies[1:], mechanism.joints
+    turned = [rotation(body.quaternion) @ body.inertia @ rotation(body.quaternion).T for body in bodies]
+    tensors = np.reshape(turned, (-1, 9))[:, [0, 4, 8, 1, 2, 5]]
+    for name, unit, array, rows, columns in (
+        ("mass", "kg", [[body.mass] for body in bodies], mechanism.body_names[1:], ("",)),
+        ("center of mass", "m", [body.center_of_mass for body in bodies], mechanism.body_names[1:], XYZ),
+        ("inertia in world axes", "kg m^2", tensors, mechanism.body_names[1:], MOMENTS),
+        ("joint point", "m", [joint.point for joint in joints], mechanism.joint_names, XYZ),
+        ("gravity", "m/s^2", [here.scene.gravity], ("",), XYZ),
+    ):
+        allowed = round_off(1.0) * float(np.max(np.abs(array), initial=0.0))
+        yield here.figure(name, unit, array, allowed, rows, columns)
+
+
 def _formulation(here: Measurement) -> Iterator[StoredFigure]:
     formulation, plan = here.group, here.plan
     yield from here.equations(formulate(here.scene, formulation))
@@ -367,6 +386,7 @@ MAIN: GroupName = "relative"
 """The formulation and group whose run is stored over time."""
 
 GROUPS: dict[GroupName, Callable[[Measurement], Iterator[StoredFigure]]] = {
+    "model": _model,
     "relative": _formulation,
     "cartesian": _formulation,
     "integrators": _integrators,

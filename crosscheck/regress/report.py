@@ -8,13 +8,12 @@ from pathlib import Path
 
 from crosscheck.regress.compare import Checked, Comparison
 from crosscheck.report import render
-from crosscheck.report.table import Cell, Lines, Part, Report, Rows, Table, Verdict, figures, texts
+from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, Verdict, figures, texts
 
-MOST_LINES = 15
+MOST_LINES = 12
 """Figures of a scene in tables of what moved; the table of all figures has the rest."""
 
-COLUMNS = [*texts("figure", "where"), *figures("was", "now", "moved by", "tolerances")]
-
+COLUMNS = [Column("figure", brief=True), *texts("where"), *figures("was", "moved by", "tolerances")]
 
 VERDICTS: tuple[Verdict, Verdict] = "holds", "fails"
 
@@ -33,10 +32,10 @@ def _row(figure: Checked, group: str = "") -> list[str | Cell]:
     unit = f", {figure.unit}" if figure.unit else ""
     name, verdict = f"{group}{figure.quantity}{unit}", VERDICTS[figure.moved]
     if figure.was is None or figure.now is None:
-        return [name, Cell(figure.problem or "the same", verdict), "", "", "", ""]
+        return [name, Cell(figure.problem or "the same", verdict), "", "", ""]
     change = f"{figure.now - figure.was:+.2e}"
     tolerances = Cell(f"{figure.share:.3g}", verdict)
-    return [name, figure.where, f"{figure.was:.9g}", f"{figure.now:.9g}", change, tolerances]
+    return [name, figure.where, f"{figure.was:.9g}", change, tolerances]
 
 
 def verdict(found: Sequence[Comparison]) -> str:

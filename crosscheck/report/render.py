@@ -181,8 +181,9 @@ def _rich_table(table: Table, width: int) -> RichTable:
         else:
             cells = [cell if isinstance(cell, Cell) else Cell(cell) for cell in row]
             shown = [Text(cell.text, style=STYLES[cell.verdict]) for cell in cells]
-            for column, text, taken in zip(table.columns, shown, least, strict=False):
+            for number, (column, text) in enumerate(zip(table.columns, shown, strict=False)):
                 if column.brief:
+                    taken = least[number] - (0 if number else INDENT)
                     text.truncate(taken + max(0, room), overflow="ellipsis")
             drawn.add_row(Padding(shown[0], (0, 0, 0, indent)), *shown[1:])
     return drawn
