@@ -312,7 +312,7 @@ def _shares(samples: Samples) -> tuple[float, float]:
 
 
 def _model(here: Measurement) -> Iterator[StoredFigure]:
-    """What the scene is made of, at the pose of its description, by which other changes are explained."""
+    """Measure what the scene is made of, at its initial pose: its changes explain those of other figures."""
     mechanism = here.scene.mechanism
     bodies, joints = mechanism.bodies[1:], mechanism.joints
     turned = [rotation(body.quaternion) @ body.inertia @ rotation(body.quaternion).T for body in bodies]
