@@ -56,10 +56,10 @@ def simulate(
         formulation: "relative" (joint coordinates) or "cartesian" (the paper's equation 21); if None, the one
             whose code is made sooner, see `newton_euler.integrators.compiled.cheaper_formulation`. The
             trajectory's settings say which it is.
-        integrator: "DOP853", "Radau", "RK4" or "Euler" (semi-implicit).
+        integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
         stabilization: "projection", "baumgarte" or "none".
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
-        control: of steps: rtol and atol of the first two integrators, step (s) of the last two, most_steps;
+        control: of steps: rtol and atol of adaptive integrators, step (s) of those with fixed ones, most_steps;
             see `newton_euler.integrators.options.Options`.
 
     Raises:

@@ -26,9 +26,9 @@ def simulate(
 
     Args:
         scene: what to run; its URDF and loop file are made on the way.
-        integrator: "DOP853", "Radau", "RK4" or "Euler" (semi-implicit).
-        rtol, atol: error control of the first two.
-        step: s, of the last two.
+        integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
+        rtol, atol: error control of adaptive integrators.
+        step: s, of those with fixed steps.
         stabilization: "projection" after each step, "baumgarte" (Pinocchio's own corrector gains) or "none".
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
         most_steps: after which an adaptive method gives up; see `newton_euler.integrators.options.Options`.

@@ -42,7 +42,7 @@ BELOW = ("*", "*/*")
 """Where results are looked for below a folder without any: the folders of `crosscheck run --all`, those of
 all scenes that were benchmarked, and the usual folder for output."""
 
-MOST_IN_FULL = 15
+MOST_IN_FULL = 30
 """Folders on one page, a few seconds each; of more there is an index alone. All scenes of the library fit."""
 
 Progress = Callable[[str], None]

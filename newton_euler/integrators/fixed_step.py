@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from newton_euler.codegen.native import Callback, Record, Vector, native
+from newton_euler.integrators.options import FIXED
 from newton_euler.integrators.projection import begin, finish_step, project
 from newton_euler.integrators.singular import (
     CONTRADICTION,
@@ -33,6 +34,8 @@ from newton_euler.integrators.stepper import (
     unwind,
 )
 
+RK4 = FIXED.index("RK4")
+
 RK4_LIMIT = 2.785
 """Largest product of a gain alpha and a step of RK4 that is stable (E. Hairer, G. Wanner, Solving Ordinary
 Differential Equations II, second edition, Springer 1996, section IV.2)."""
@@ -43,7 +46,7 @@ class FixedStep(Record):
     """The method and its state.
 
     Attributes:
-        order: 4 for RK4, 1 for semi-implicit Euler.
+        number: its place in `FIXED`.
         step: s, the largest.
         rate: qdot of a state, for Euler.
         now, at: states with time and parameters: where a step begins, of a stage.
@@ -51,7 +54,7 @@ class FixedStep(Record):
         change: (n,) change of the state in a step of RK4, and where one of Euler began.
     """
 
-    order: int
+    number: int
     step: float
     rate: Callback
     now: Vector
@@ -160,7 +163,7 @@ def integrate_fixed(system: Equations, table: Table, method: FixedStep) -> int:
             if interrupted(system) == 1:
                 return INTERRUPTED
             end = times[due - 1] + (j + 1) * h
-            if method.order == 4:
+            if method.number == RK4:
                 status = step_rk4(system, method, h, end, span)
             else:
                 status = step_euler(system, method, h, end, span)

@@ -11,8 +11,8 @@ ADAPTIVE = ("DOP853", "Radau")
 """Runge-Kutta of order 8 (Hairer, Norsett, Wanner, Solving ODEs I, 1993, section II.5) and the stiff
 Radau IIA of order 5 (Hairer, Wanner, Solving ODEs II, 1996, section IV.8), both as in scipy."""
 
-FIXED = {"RK4": 4, "Euler": 1}
-"""Orders of methods with fixed steps: classical Runge-Kutta of order 4, and semi-implicit Euler, velocities
+FIXED = ("RK4", "Euler")
+"""Methods with fixed steps: classical Runge-Kutta of order 4, and semi-implicit Euler of order 1, velocities
 first, then positions with the new velocities. Euler takes gyroscopic torques t = -omega x I omega
 explicitly: they do no work, but each step h adds h^2/2 t^T I^-1 t to the energy of a freely turning body, a
 share of order (h omega)^2."""

@@ -265,7 +265,7 @@ def _method(code: Code, x: Array, times: Array, options: Options, most: int) -> 
     if options.step is not None:
         euler = options.integrator == "Euler"
         return FixedStep(
-            order=FIXED[options.integrator],
+            number=FIXED.index(options.integrator),
             step=options.step,
             rate=code.function("rate") if euler else None,
             now=x,

@@ -10,11 +10,11 @@ from newton_euler.codegen.compile import NativeFunction
 from newton_euler.codegen.native import Record
 from newton_euler.codegen.native_functions import NativeFunctions
 from newton_euler.integrators.compiled import STABILIZATIONS
-from newton_euler.integrators.options import Options
+from newton_euler.integrators.options import FIXED, Options
 from newton_euler.integrators.run import METHODS, Integrator
 from newton_euler.simulate import CompiledScene
 
-OPTIONS = {name: {"step": 0.01} if name in ("RK4", "Euler") else {"rtol": 1e-4} for name in METHODS}
+OPTIONS = {name: {"step": 0.01} if name in FIXED else {"rtol": 1e-4} for name in METHODS}
 
 
 def plain(argument, pause):
