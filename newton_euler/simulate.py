@@ -59,8 +59,8 @@ def simulate(
         integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
         stabilization: "projection", "baumgarte" or "none".
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
-        control: of steps: rtol and atol of adaptive integrators, step (s) of those with fixed ones, most_steps;
-            see `newton_euler.integrators.options.Options`.
+        control: of steps: rtol and atol of adaptive integrators, step (s) of those with fixed steps,
+            most_steps; see `newton_euler.integrators.options.Options`.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.

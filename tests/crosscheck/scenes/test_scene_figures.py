@@ -17,7 +17,7 @@ from crosscheck.comparison.known_figures import ROUND_OFF, known_of, measure
 from crosscheck.errors import CrosscheckError
 from crosscheck.report.table import Cell
 from crosscheck.run_all import HEADS, Outcome, outcome, outcome_lines, outcomes_table
-from crosscheck.scenes import FIGURES, load
+from crosscheck.scenes import FIGURES, SCENES, load
 from crosscheck.scenes.measure import angle, position, spin, velocity
 from newton_euler.model.trajectory import Trajectory
 
