@@ -373,12 +373,12 @@ def _engine(here: Measurement) -> Iterator[StoredFigure]:
 
 
 def _fixed_run(engine: str, scene: Scene, step: float) -> Trajectory:
-    if engine == "mujoco":
-        import mjcf
-
-        return mjcf.simulate(scene, timestep=step)
+    import mjcf
     import urdf
 
+    if engine == "mujoco":
+        return mjcf.simulate(scene, timestep=step)
+    assert engine == "pinocchio"
     return urdf.simulate(scene, "RK4", step=step)
 
 

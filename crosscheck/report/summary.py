@@ -100,8 +100,8 @@ def engines_table(result: Crosscheck) -> Table:
 def brief_settings(settings: Mapping[str, Any]) -> str:
     """Word an engine's method, its tolerance or step, and what keeps its loops closed."""
     words = [str(settings.get("integrator", ""))]
-    if "timestep" in settings:
-        words[0] += f" {seconds(settings['timestep'])}"
+    if step := settings.get("timestep", settings.get("step")):
+        words[0] += f" {seconds(step)}"
     if "rtol" in settings:
         words[0] += f" rtol {settings['rtol']:g}"
     if "solref" in settings:
