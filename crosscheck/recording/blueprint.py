@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -13,7 +12,8 @@ from crosscheck.recording.plots import Plot
 from crosscheck.recording.shapes import paths
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.scalars import Array
+
+Y, Z = np.eye(3)[1:]
 
 TIME = "time"
 """The timeline of a recording."""
@@ -30,21 +30,8 @@ HALF_ANGLE = np.radians(27.5)
 ASPECT, MARGIN = 1.3, 1.1
 """Width by height of what the camera sees at least, and its distance by the least that shows all."""
 
-UPRIGHT = 0.9
-"""Least share along z of a direction that is looked along with y upwards."""
-
-FRAMES = 50
-"""Outputs, about, that the camera is placed by."""
-
 MOST_COLUMNS = 3
 """Plots side by side in one group."""
-
-
-class Motion(NamedTuple):
-    """Points (n, 3), m, that a mechanism is drawn between, and the normal (3,) if they move in a plane."""
-
-    points: Array
-    normal: Array | None
 
 
 def blueprint(
@@ -61,14 +48,14 @@ def blueprint(
         heading: of the 3-D view.
         hidden: parts of the paths of entities that are not shown at first.
     """
-    motion = _motion(mechanism, run)
+    eye, grid = _sight(mechanism, run)
     scene_view = rrb.Spatial3DView(
         origin="/",
-        contents=[f"+ /{kind}/**" for kind in ("ground", "mechanism", "joints", "reactions", "labels")],
+        contents=["+ /**", "- /plots/**", "- /verdict"],
         name=heading,
         overrides={rr.new_entity_path(path): rrb.EntityBehavior(visible=False) for path in hidden},
-        eye_controls=_eye(motion),
-        line_grid=_grid(motion),
+        eye_controls=eye,
+        line_grid=grid,
     )
     verdict = rrb.TextDocumentView(origin="/verdict", name="Verdict")
     rows = [[plot for plot in plots if plot.judges is judges] for judges in (False, True)]
@@ -86,47 +73,28 @@ def blueprint(
     )
 
 
-def _motion(mechanism: Mechanism, run: Trajectory) -> Motion:
-    points, products = [], np.zeros((3, 3))
-    for k in range(len(mechanism.bodies)):
-        ways = paths(mechanism, k, run)[:: max(1, len(run.time) // FRAMES)]
-        points.append(ways.reshape(-1, 3))
-        moved = (ways - ways[0]).reshape(-1, 3)
-        products += moved.T @ moved
-    (across, along, most), axes = np.linalg.eigh(products)
+def _sight(mechanism: Mechanism, run: Trajectory) -> tuple[rrb.EyeControls3D, rrb.LineGrid3D]:
+    """Place the camera so that all of a run is seen, face on if it is in a plane, and a grid behind it."""
+    ways = [paths(mechanism, k, run) for k in range(len(mechanism.bodies))]
+    points = np.concatenate([way.reshape(-1, 3) for way in ways])
+    moved = np.concatenate([(way - way[0]).reshape(-1, 3) for way in ways])
+    (across, along, most), axes = np.linalg.eigh(moved.T @ moved)
+    direction, floor, up = EYE_DIRECTION / np.linalg.norm(EYE_DIRECTION), Z, Z
     # motion along a line is in many planes
-    planar = along > FLATNESS**2 * most and across <= FLATNESS**2 * along
-    normal = axes[:, 0] * (1.0 if axes[:, 0] @ EYE_DIRECTION > 0.0 else -1.0)
-    return Motion(np.concatenate(points), normal if planar else None)
-
-
-def _eye(motion: Motion) -> rrb.EyeControls3D:
-    """Place the camera so that all points are seen: face on if they move in a plane."""
-    direction = EYE_DIRECTION / np.linalg.norm(EYE_DIRECTION) if motion.normal is None else motion.normal
-    up = np.eye(3)[2 if abs(direction[2]) < UPRIGHT else 1]
-    right = np.cross(up, direction)
-    right /= np.linalg.norm(right)
+    if along > FLATNESS**2 * most and across <= FLATNESS**2 * along:
+        direction = floor = axes[:, 0] * np.sign(axes[:, 0] @ EYE_DIRECTION)
+        up = Y if abs(direction[2]) > abs(direction[1]) else Z
+    right = np.cross(up, direction) / np.linalg.norm(np.cross(up, direction))
     frame = np.array([right, np.cross(direction, right), direction])
-    seen = motion.points @ frame.T
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    x, y, z = (seen - 0.5 * (low + high)).T
+    low, high = (points @ frame.T).min(axis=0), (points @ frame.T).max(axis=0)
+    x, y, z = (points @ frame.T - 0.5 * (low + high)).T
     distance = MARGIN * np.max(z + np.maximum(np.abs(y), np.abs(x) / ASPECT) / np.tan(HALF_ANGLE))
     target = 0.5 * (low + high) @ frame
-    return rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital,
-        position=target + distance * direction,
-        look_target=target,
-        eye_up=up,
+    eye = rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=target + distance * direction, look_target=target, eye_up=up
     )
-
-
-def _grid(motion: Motion) -> rrb.LineGrid3D:
-    """Lines on the floor, or in the plane of the motion, a round length apart."""
-    reach = float(np.max(np.ptp(motion.points, axis=0)))
-    normal = np.array([0.0, 0.0, 1.0]) if motion.normal is None else motion.normal
-    behind = float(np.min(motion.points @ normal))
-    plane = rr.components.Plane3D(normal, behind)
-    return rrb.LineGrid3D(spacing=10.0 ** np.floor(np.log10(reach)), plane=plane)
+    plane = rr.components.Plane3D(floor, float(np.min(points @ floor)))
+    return eye, rrb.LineGrid3D(spacing=10.0 ** np.floor(np.log10(np.max(high - low))), plane=plane)
 
 
 def _row(plots: list[Plot]) -> rrb.Tabs:

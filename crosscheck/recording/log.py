@@ -7,7 +7,8 @@ Entities:
     /mechanism/ENGINE/BODY/mesh_K  its meshes
     /joints/ENGINE/JOINT         joint point on the second body over time
     /reactions/ENGINE/JOINT      constraint force on the second body over time
-    /labels/BODY                 names of the body and of its meshes, with the first engine's pose over time
+    /labels/BODY                 name of the body where the first engine has it
+    /tilt/normal, /tilt/vertical  the axis whose tilt is plotted, on the first engine's body
     /plots/QUANTITY/.../ENGINE   scalars over time, see `crosscheck.recording.plots`; also `target` and
                                  `ENGINE_tolerance`
     /verdict                     the tables, as text
@@ -24,16 +25,14 @@ from __future__ import annotations
 import os
 import uuid
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rerun as rr
 
-from crosscheck.files import write_files
 from crosscheck.palette import palette, rgb
 from crosscheck.recording.blueprint import TIME, blueprint
-from crosscheck.recording.plots import Plot, Tolerances, plots, rotated
+from crosscheck.recording.plots import Plot, Tolerances, platforms, plots, rotated
 from crosscheck.recording.shapes import Style, log_shapes, paths, xyzw
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -45,7 +44,8 @@ GROUND_COLOR = (128, 128, 128)
 PLAIN_COLOR = (220, 220, 220)
 """Of joint points, labels and targets."""
 
-REACTION_COLOR = (240, 228, 66)
+ARROW_COLOR = (240, 228, 66)
+"""Of reactions and of the vertical."""
 
 PIXEL = 0.002
 """Difference that is seen, in multiples of the mechanism's size."""
@@ -109,18 +109,23 @@ def log_run(
     apart = {engine: _apart(mechanism, first, trajectories[engine]) for engine in engines[1:]}
     near = [engine for engine, distance in apart.items() if distance <= PIXEL * mechanism.size]
     hidden = [["mechanism", engine] for engine in near] + [["joints", engine] for engine in engines[1:]]
-    hidden += [["reactions"]] + [["labels"]] * (len(mechanism.bodies) > MOST_LABELS)
+    hidden += [["reactions"]] + [["labels"], ["tilt"]] * (len(mechanism.bodies) > MOST_LABELS)
     layout = blueprint(mechanism, first, shown, _heading(title, engines, apart, near), hidden)
     recording.send_blueprint(layout, make_active=False)
     recording.send_recording_name(title)
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    text = verdict + _hint(arrow_scale)
+    text = f"{verdict}\nHidden engines, labels and reactions: eye icons of the blueprint panel, left.\n"
+    if arrow_scale is not None:
+        text += f"Of reactions 1 N is {arrow_scale:.2g} m long.\n"
     recording.log("/verdict", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
-    _log_ground(recording, mechanism)
+    log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
+    _send_pose(recording, "/ground", first.time[:1], first.position[:1, 0], first.quaternion[:1, 0])
     for engine, run in trajectories.items():
         _log_bodies(recording, mechanism, engine, run, styles[engine])
         _log_joints(recording, mechanism, engine, run, arrow_scale)
     _log_labels(recording, mechanism, first)
+    if any(plot.path[0] == "tilt" for plot in shown):
+        _log_tilt(recording, mechanism, first)
     times = {engine: run.time for engine, run in trajectories.items()}
     for plot in shown:
         _log_plot(recording, plot, times, styles)
@@ -138,27 +143,6 @@ def recorded(
     memory = recording.memory_recording()
     log_run(recording, scene, trajectories, verdict, title, tolerances or {})
     return bytes(memory.drain_as_bytes())
-
-
-def write_recording(
-    path: str | os.PathLike[str],
-    scene: Scene,
-    trajectories: dict[str, Trajectory],
-    verdict: str,
-    title: str | None = None,
-    tolerances: Tolerances | None = None,
-) -> None:
-    """Write an .rrd; the file appears whole or not at all. Arguments as of `log_run`.
-
-    Args:
-        title: the scene's name if None.
-
-    Raises:
-        CrosscheckError: if the file cannot be written to its end.
-    """
-    # in memory first: Rerun's own writer would wait for ever on a disk that is full
-    content = recorded(scene, trajectories, verdict, title or scene.name, tolerances)
-    write_files({Path(path): content})
 
 
 def _styles(engines: list[str]) -> dict[str, Style]:
@@ -200,12 +184,6 @@ def _heading(title: str, engines: list[str], apart: dict[str, float], near: list
     return f"{title}: {'; '.join(parts)}"
 
 
-def _hint(arrow_scale: float | None) -> str:
-    """Say where to find what the viewer hides at first."""
-    reactions = "" if arrow_scale is None else f", reactions (1 N is {arrow_scale:.2g} m long)"
-    return f"\nHidden engines, labels{reactions}: eye icons of the blueprint panel, left.\n"
-
-
 def _send(
     recording: rr.RecordingStream,
     path: str,
@@ -218,12 +196,11 @@ def _send(
     recording.send_columns(path, [rr.TimeColumn(TIME, duration=nanoseconds)], columns(**values))
 
 
-def _log_ground(recording: rr.RecordingStream, mechanism: Mechanism) -> None:
-    body = mechanism.bodies[0]
-    quaternion = rr.Quaternion(xyzw=xyzw(body.quaternion))
-    pose = rr.Transform3D(translation=body.center_of_mass, quaternion=quaternion)
-    recording.log("/ground", pose, static=True)
-    log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
+def _send_pose(
+    recording: rr.RecordingStream, path: str, time: Array, position: Array, quaternion: Array
+) -> None:
+    pose = rr.Transform3D.columns
+    _send(recording, path, time, pose, translation=position, quaternion=xyzw(quaternion))
 
 
 def _log_bodies(
@@ -236,29 +213,32 @@ def _log_bodies(
     for k in range(1, len(mechanism.bodies)):
         path = rr.new_entity_path(["mechanism", engine, mechanism.body_names[k]])
         log_shapes(recording, path, mechanism, k, style)
-        position, quaternion = run.position[:, k], xyzw(run.quaternion[:, k])
-        pose = rr.Transform3D.columns
-        _send(recording, path, run.time, pose, translation=position, quaternion=quaternion)
+        _send_pose(recording, path, run.time, run.position[:, k], run.quaternion[:, k])
 
 
 def _log_labels(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
     """Label bodies at their centers of mass; the ground, which others stand on, at its lowest point."""
     ground = paths(mechanism, 0, run)[0]
-    foot = mechanism.bodies[0].pose.point_to_body(ground[np.argmin(ground[:, 2])])
-    for k, body in enumerate(mechanism.bodies):
-        if not (k or body.shapes or body.meshes):
-            continue
-        drawn = [mesh for mesh in body.meshes if mesh.label]
-        points = [
-            foot if k == 0 else np.zeros(3),
-            *(body.pose.point_to_body(mesh.vertices[0]) for mesh in drawn),
-        ]
-        labels = [body.name, *(mesh.label for mesh in drawn)]
-        path = rr.new_entity_path(["labels", body.name])
-        look = rr.Points3D(points, labels=labels, show_labels=True, colors=PLAIN_COLOR, radii=0.0)
-        recording.log(path, look, static=True)
-        position, quaternion = run.position[:, k], xyzw(run.quaternion[:, k])
-        _send(recording, path, run.time, rr.Transform3D.columns, translation=position, quaternion=quaternion)
+    for k, name in enumerate(mechanism.body_names):
+        path = rr.new_entity_path(["labels", name])
+        label = rr.Points3D(np.zeros(3), labels=name, colors=PLAIN_COLOR, radii=0.0)
+        recording.log(path, label, static=True)
+        position = run.position[:, k] if k else ground[[np.argmin(ground[:, 2])]]
+        _send_pose(recording, path, run.time[: len(position)], position, run.quaternion[: len(position), k])
+
+
+def _log_tilt(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
+    """Draw the axis whose tilt is plotted and the vertical, from the body's center of mass."""
+    body, size = platforms(mechanism)[-1], mechanism.size
+    position, quaternion = run.position[:, body], run.quaternion[:, body]
+    upright = np.broadcast_to([1.0, 0.0, 0.0, 0.0], quaternion.shape)
+    for name, turn, length, color in (
+        ("normal", quaternion, 0.8 * size, PLAIN_COLOR),
+        ("vertical", upright, 1.2 * size, ARROW_COLOR),
+    ):
+        arrow = rr.Arrows3D(vectors=[0.0, 0.0, length], labels=name, colors=color, radii=0.02 * size)
+        recording.log(f"/tilt/{name}", arrow, static=True)
+        _send_pose(recording, f"/tilt/{name}", run.time, position, turn)
 
 
 def _arrow_scale(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> float | None:
@@ -287,7 +267,7 @@ def _log_joints(
         _send(recording, path, run.time, rr.Points3D.columns, positions=points)
         if run.reaction_force is not None and arrow_scale is not None:
             path = rr.new_entity_path(["reactions", engine, joint.name])
-            arrow_look = rr.Arrows3D.from_fields(colors=REACTION_COLOR, radii=0.02 * mechanism.size)
+            arrow_look = rr.Arrows3D.from_fields(colors=ARROW_COLOR, radii=0.02 * mechanism.size)
             recording.log(path, arrow_look, static=True)
             vectors = arrow_scale * run.reaction_force[:, j]
             arrows = rr.Arrows3D.columns

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from crosscheck.comparison.figure import OPEN, POSES
 from crosscheck.comparison.runs import orientations_apart, positions_apart
+from newton_euler.model.constraints import Frame
 from newton_euler.model.control import PD
-from newton_euler.model.euler_parameters import conjugate, product
+from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.joint import Joint, Motion
+from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
+from newton_euler.model.spanning_tree import coordinate_name
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
 
@@ -24,11 +26,8 @@ SMALLEST = 1e-18
 FLAT = 1e-5
 """Share of what is large in its unit that the lines of a plot cover at least."""
 
-MOST_COORDINATES = 6
+MOST_COORDINATES = 5
 """Joint coordinates that are plotted."""
-
-MOST_BESIDE = 3
-"""Joint coordinates, from which on the tilt has a tab of its own."""
 
 Tolerances = Mapping[tuple[str, ...], float]
 """By quantity and the names of one or two engines."""
@@ -67,6 +66,8 @@ class Plot:
 
 def plots(scene: Scene, trajectories: dict[str, Trajectory], tolerances: Tolerances) -> list[Plot]:
     """All plots of a run; what the scene did not ask for and what is flat is left out."""
+    if not trajectories:  # of engines or models none of which came anywhere
+        return []
     candidates = (
         *_motion_plots(scene, trajectories),
         *_control_plots(scene, trajectories),
@@ -83,94 +84,21 @@ def rotated(quaternion: Array, vector: Array) -> Array:
     return np.asarray(vector + e0 * turned + np.cross(e, turned))
 
 
-def slide_position(mechanism: Mechanism, joint: Joint, motion: Motion, run: Trajectory) -> Array:
-    """(n,) m: the second body's center of mass along the axis, which turns with the first body.
-
-    It is measured from the first body's center of mass, or from the world's origin if the first
-    body is the ground.
-    """
-    first, second = mechanism.body_index(joint.first), mechanism.body_index(joint.second)
-    if first == 0:
-        return np.asarray(run.position[:, second] @ motion.axis)
-    axis = rotated(run.quaternion[:, first], mechanism.bodies[first].pose.vector_to_body(motion.axis))
-    return np.sum(axis * (run.position[:, second] - run.position[:, first]), axis=1)
-
-
-def hinge_angle(mechanism: Mechanism, joint: Joint, motion: Motion, run: Trajectory) -> Array:
-    """(n,) rad, from the initial pose: the twist about the axis, continuous over whole turns."""
-    first, second = mechanism.body_index(joint.first), mechanism.body_index(joint.second)
-    back = product(mechanism.bodies[first].quaternion, conjugate(run.quaternion[:, first]).T)
-    turn = product(run.quaternion[:, second].T, conjugate(mechanism.bodies[second].quaternion))
-    relative = product(back, turn)
-    relative = np.where(relative[0] < 0.0, -relative, relative)
-    return np.unwrap(2.0 * np.arctan2(motion.axis @ relative[1:], relative[0]))
+def joint_coordinate(mechanism: Mechanism, joint: str, coordinate: int, run: Trajectory) -> Array:
+    """(n,) m or rad from the initial pose, whole revolutions counted, as control laws take it."""
+    equations = mechanism.joint_equations(joint)
+    first, second, measure = equations.first, equations.second, equations.coordinates[coordinate]
+    values = np.empty(len(run.time))
+    for n, (r, p) in enumerate(zip(run.position, run.quaternion, strict=True)):
+        pair = (Frame(r[k], rotation(p[k]), np.zeros(3), np.zeros(3)) for k in (first, second))
+        with np.errstate(invalid="ignore"):  # hinges in a row do not reach every orientation
+            values[n] = measure.phi(*pair)[0]
+    return values if measure.is_length else np.unwrap(values)
 
 
-def _present(
-    trajectories: dict[str, Trajectory], value: Callable[[Trajectory], Array | None]
-) -> dict[str, Array]:
-    values = {engine: value(run) for engine, run in trajectories.items()}
-    return {engine: line for engine, line in values.items() if line is not None}
-
-
-def _log10(values: Array) -> Array:
-    return np.log10(np.maximum(values, SMALLEST))
-
-
-def _axes(joint: Joint) -> list[tuple[str, Motion]]:
-    """The joint's coordinates by name: the joint's own, numbered from 0 if it has several."""
-    motions = [motion for motion in joint.motions if motion.kind != "ball"]
-    if len(motions) == 1:
-        return [(joint.name, motions[0])]
-    return [(f"{joint.name}:{k}", motion) for k, motion in enumerate(motions)]
-
-
-def _coordinates(scene: Scene) -> list[tuple[Joint, int]]:
-    """Joint coordinates that laws or springs act on; else of actuated joints; else of those on the ground."""
-    mechanism = scene.mechanism
-    acting = (*scene.control, *(force for force in scene.forces if isinstance(force, JointSpring)))
-    ground = mechanism.body_names[0]
-    joints = [joint for joint in mechanism.joints if joint.actuated] or [
-        joint for joint in mechanism.joints if ground in (joint.first, joint.second)
-    ]
-    found = dict.fromkeys((each.joint, each.coordinate) for each in acting)
-    return [(mechanism.joint(name), k) for name, k in found] or [
-        (joint, k) for joint in joints for k in range(len(_axes(joint)))
-    ]
-
-
-def _motion_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
-    """Joint coordinates with their targets, and the tilt of the last of the bodies with most joints."""
-    mechanism = scene.mechanism
-    targets = {(law.joint, law.coordinate): law.target for law in scene.control if isinstance(law, PD)}
-    coordinates = _coordinates(scene)
-    group = "Motion"
-    if len(coordinates) > MOST_COORDINATES:
-        group = f"Motion ({MOST_COORDINATES} of {len(coordinates)} joint coordinates)"
-    for joint, k in coordinates[:MOST_COORDINATES]:
-        name, motion = _axes(joint)[k]
-        target = targets.get((joint.name, k))
-        slides = motion.kind == "slide"
-        measure = slide_position if slides else hinge_angle
-        lines = {engine: measure(mechanism, joint, motion, run) for engine, run in trajectories.items()}
-        if slides and target is not None:
-            target += _reference_position(mechanism, joint, motion)
-        path = ("slider_position" if slides else "joint_angle", name)
-        title = f"{joint.second} along {name} [m]" if slides else f"angle of {name} [rad]"
-        yield Plot(group, path, title, lines, mechanism.size if slides else 1.0, target)
-    body = max(range(1, len(mechanism.bodies)), key=lambda k: (len(mechanism.joints_at[k]), k))
-    name = mechanism.body_names[body]
-    lines = {engine: tilt(run.quaternion[:, body]) for engine, run in trajectories.items()}
-    if len(coordinates) >= MOST_BESIDE:
-        group = "Tilt"
-    yield Plot(group, ("tilt", name), f"tilt of {name} [deg]", lines, 90.0)
-
-
-def _reference_position(mechanism: Mechanism, joint: Joint, motion: Motion) -> float:
-    """The `slide_position`, m, at which the joint coordinate is zero."""
-    first, second = mechanism.body(joint.first), mechanism.body(joint.second)
-    start = 0.0 if joint.first == mechanism.body_names[0] else first.center_of_mass
-    return float((second.center_of_mass - start) @ motion.axis)
+def platforms(mechanism: Mechanism) -> list[int]:
+    """Numbers of the bodies on at least three joints; the tilt of the last is plotted."""
+    return [k for k in range(1, len(mechanism.bodies)) if len(mechanism.joints_at[k]) >= 3]
 
 
 def tilt(quaternion: Array) -> Array:
@@ -179,64 +107,79 @@ def tilt(quaternion: Array) -> Array:
     return np.asarray(np.degrees(np.arctan2(np.hypot(x, y), z)))
 
 
+def _coordinates(scene: Scene) -> list[Key]:
+    """Joint coordinates that laws or springs act on; else of actuated joints; else of those on the ground."""
+    joints, ground = scene.mechanism.joints, scene.mechanism.body_names[0]
+    acting = (*scene.control, *(force for force in scene.forces if isinstance(force, JointSpring)))
+    chosen = [joint for joint in joints if joint.actuated] or [
+        joint for joint in joints if ground in (joint.first, joint.second)
+    ]
+    found = [(joint.name, k) for joint in chosen for k in range(len(joint.coordinate_kinds))]
+    return list(dict.fromkeys((each.joint, each.coordinate) for each in acting)) or found
+
+
+def _motion_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
+    """Joint coordinates with their targets, and the tilt of a platform."""
+    mechanism = scene.mechanism
+    targets = {(law.joint, law.coordinate): law.target for law in scene.control if isinstance(law, PD)}
+    for key in _coordinates(scene)[:MOST_COORDINATES]:
+        name, slides = coordinate_name(mechanism.joint(key[0]), key[1]), mechanism.is_slide(*key)
+        lines = {engine: joint_coordinate(mechanism, *key, run) for engine, run in trajectories.items()}
+        title, large = (f"{name} [m]", mechanism.size) if slides else (f"{name} [rad]", 1.0)
+        yield Plot("Motion", ("coordinate", name), title, lines, large, targets.get(key))
+    for body in platforms(mechanism)[-1:]:
+        name = mechanism.body_names[body]
+        lines = {engine: tilt(run.quaternion[:, body]) for engine, run in trajectories.items()}
+        yield Plot("Motion", ("tilt", name), f"tilt of {name} [deg]", lines, 90.0)
+
+
 def _control_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
-    forces = _present(trajectories, lambda run: run.actuator_force)
-    largest = _largest(forces.values())
+    forces = _present(trajectories, "actuator_force")
     for k, law in enumerate(scene.control):
-        joint = scene.mechanism.joint(law.joint)
-        name, motion = _axes(joint)[law.coordinate]
-        quantity = "force [N]" if motion.kind == "slide" else "torque [N m]"
+        name = coordinate_name(scene.mechanism.joint(law.joint), law.coordinate)
+        unit = "N" if scene.mechanism.is_slide(law.joint, law.coordinate) else "N m"
         lines = {engine: force[:, k] for engine, force in forces.items()}
-        yield Plot("Control", ("control", name), f"{name} {quantity}", lines, largest)
+        yield Plot("Control", ("control", name), f"{name} [{unit}]", lines, _largest(forces))
 
 
 def _energy_plots(trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
-    kinetic = _present(trajectories, lambda run: run.kinetic_energy)
-    potential = _present(trajectories, lambda run: run.potential_energy)
-    largest = _largest([*kinetic.values(), *potential.values()])
-    yield Plot("Energy", ("energy", "kinetic"), "kinetic energy [J]", kinetic, largest)
-    yield Plot("Energy", ("energy", "potential"), "potential energy [J]", potential, largest)
+    found = {kind: _present(trajectories, f"{kind}_energy") for kind in ("kinetic", "potential")}
+    large = max(map(_largest, found.values()))
+    for kind, lines in found.items():
+        yield Plot("Energy", ("energy", kind), f"{kind} energy [J]", lines, large)
 
 
-def _largest(values: Iterable[Array]) -> float:
-    return max((float(np.max(np.abs(each), initial=0.0)) for each in values), default=0.0)
+def _present(trajectories: dict[str, Trajectory], name: str) -> dict[str, Array]:
+    """An array of those runs that have it."""
+    values = {engine: getattr(run, name) for engine, run in trajectories.items()}
+    return {engine: line for engine, line in values.items() if line is not None}
+
+
+def _largest(lines: dict[str, Array]) -> float:
+    return max((float(np.max(np.abs(line), initial=0.0)) for line in lines.values()), default=0.0)
 
 
 def _agreement_plots(trajectories: dict[str, Trajectory], tolerances: Tolerances) -> Iterator[Plot]:
     """Each engine against the first, largest over the bodies; and how far joints drift apart."""
-    if not trajectories:  # of engines or models none of which came anywhere
-        return
     (reference, first), *others = trajectories.items()
     group = f"Agreement with {reference}; thin lines: tolerances"
-    names = ("position", "angle")
-    for name, quantity, apart in zip(names, POSES, (positions_apart, orientations_apart), strict=True):
-        lines = {engine: _log10(np.max(apart(first, run), axis=1)) for engine, run in others}
-        title = f"{name} difference [log10 {quantity.rpartition(', ')[2]}]"
-        yield Plot(
-            group,
-            ("difference", name),
-            title,
-            lines,
-            tolerances=_of_engines(tolerances, quantity, {engine: (reference, engine) for engine in lines}),
-            judges=True,
-        )
-    drift = _present(
-        trajectories,
-        lambda run: None if run.constraint_violation is None else np.max(run.constraint_violation, axis=1),
-    )
-    yield Plot(
-        group,
-        ("drift",),
-        "joint drift [log10 m, rad]",
-        {engine: _log10(line) for engine, line in drift.items()},
-        tolerances=_of_engines(tolerances, OPEN, {engine: (engine,) for engine in drift}),
-        judges=True,
-    )
-
-
-def _of_engines(
-    tolerances: Tolerances, quantity: str, between: Mapping[str, tuple[str, ...]]
-) -> dict[str, float]:
-    """log10 of those tolerances of a quantity that there are."""
-    found = {engine: tolerances.get((quantity, *names), 0.0) for engine, names in between.items()}
-    return {engine: float(np.log10(value)) for engine, value in found.items() if value > 0.0}
+    for name, quantity, title, values in (
+        (
+            "position",
+            POSES[0],
+            "position difference [log10 m]",
+            {e: positions_apart(first, r) for e, r in others},
+        ),
+        (
+            "angle",
+            POSES[1],
+            "angle difference [log10 rad]",
+            {e: orientations_apart(first, r) for e, r in others},
+        ),
+        ("drift", OPEN, "joint drift [log10 m, rad]", _present(trajectories, "constraint_violation")),
+    ):
+        lines = {engine: np.log10(np.maximum(np.max(x, axis=1), SMALLEST)) for engine, x in values.items()}
+        single = quantity == OPEN
+        found = {e: tolerances.get((quantity, e) if single else (quantity, reference, e), 0.0) for e in lines}
+        bounds = {engine: float(np.log10(bound)) for engine, bound in found.items() if bound > 0.0}
+        yield Plot(group, ("agreement", name), title, lines, tolerances=bounds, judges=True)

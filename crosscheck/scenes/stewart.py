@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from crosscheck.scenes.drawing import disc
 from crosscheck.scenes.measure import Quantity, angular_velocity, components, position, quaternion, velocity
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.geometry import Capsule
+from newton_euler.model.geometry import Box, Capsule
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Cylindrical, Universal
 from newton_euler.model.mechanism import Body, Mechanism
@@ -61,10 +60,10 @@ def stewart() -> Scene:
     mass = DENSITY * np.pi * PLATFORM_RADIUS**2 * PLATFORM_THICKNESS
     across = mass * (3.0 * PLATFORM_RADIUS**2 + PLATFORM_THICKNESS**2) / 12.0
     axial = 0.5 * mass * PLATFORM_RADIUS**2
-    plate = disc(PLATFORM_RADIUS, PLATFORM_THICKNESS, HOME, Z)
+    plate = Box(np.array([PLATFORM_RADIUS, PLATFORM_RADIUS, 0.5 * PLATFORM_THICKNESS]), HOME)
     bodies = [
         Body.ground(),
-        Body("platform", mass, HOME, np.diag([across, across, axial]), meshes=(plate,)),
+        Body("platform", mass, HOME, np.diag([across, across, axial]), shapes=(plate,)),
     ]
     joints: list[Joint] = []
     for k, (low, high) in enumerate(zip(BASE, PLATFORM, strict=True), start=1):

@@ -15,7 +15,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from crosscheck.scenes.drawing import arrow, tiles
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Capsule, Mesh, Shape
@@ -104,12 +103,6 @@ TARGET_HEIGHT = 0.046
 PANEL = (0.07, 0.055)
 """Half sizes of the panel that is drawn, m."""
 
-ARROW_LENGTH = 0.07
-"""Of the panel's normal, m."""
-
-CELL_COLOR, NORMAL_COLOR, TARGET_COLOR = (0.03, 0.05, 0.12, 1.0), (0.9, 0.9, 0.9, 1.0), (0.95, 0.8, 0.1, 1.0)
-"""Red, green, blue and opacity, from 0 to 1."""
-
 STIFFNESS = 50.0
 """K_p of both actuators, N/m (section 5)."""
 
@@ -176,7 +169,7 @@ def _scene(
             tables.scaled_inertia[k],
             tables.euler_parameters[k],
             shapes=shapes,
-            meshes=_meshes(tables) if body == "panel_7" else _target(tables) if body == "base" else (),
+            meshes=(_cells(tables),) if body == "panel_7" else (),
             allow_unrealisable_inertia=body == "panel_7" and literal_panel,
         )
         for k, (body, shapes) in enumerate(zip(BODY_NAMES, _shapes(tables, joints), strict=True))
@@ -227,12 +220,12 @@ def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
         Capsule(foot, point["hinge_14"], 0.006),
     )
     panel_rotation = rotation(tables.euler_parameters[6])
-    eta = panel_rotation[:, 1]
+    eta, normal = panel_rotation[:, 1], panel_rotation[:, 2]
     panel: tuple[Shape, ...] = (
         Box(np.array([*PANEL, 0.002]), centers[6], tables.euler_parameters[6]),
         Capsule(point["ball_67"], point["ball_57"], 0.003),
         *(
-            Capsule(point[joint], _onto(point[joint], centers[6], panel_rotation[:, 2]), 0.003)
+            Capsule(point[joint], point[joint] + (centers[6] - point[joint]) @ normal * normal, 0.003)
             for joint in ("ball_67", "ball_57", "universal_47")
         ),
         Capsule(point["universal_47"] - 0.01 * eta, point["universal_47"] + 0.01 * eta, 0.004),
@@ -253,19 +246,13 @@ def _shapes(tables: Tables, joints: list[Joint]) -> list[tuple[Shape, ...]]:
     ]
 
 
-def _onto(point: Array, center: Array, normal: Array) -> Array:
-    """The foot of a point on a plane."""
-    return np.asarray(point + (center - point) @ normal * normal)
-
-
-def _meshes(tables: Tables) -> tuple[Mesh, ...]:
-    """Solar cells on the panel, and its normal."""
-    center, turn = tables.center_of_mass[6], rotation(tables.euler_parameters[6])
-    cells = tiles(PANEL, (6, 4), center + 0.0025 * turn[:, 2], turn, CELL_COLOR)
-    return cells, arrow(center, turn[:, 2], ARROW_LENGTH, NORMAL_COLOR, "normal")
-
-
-def _target(tables: Tables) -> tuple[Mesh, ...]:
-    """The direction that the control laws turn the normal to, above the published panel."""
-    up = np.array([0.0, 0.0, 1.0])
-    return (arrow(tables.center_of_mass[6], up, 1.4 * ARROW_LENGTH, TARGET_COLOR, "target"),)
+def _cells(tables: Tables) -> Mesh:
+    """Dark cells, six by four with lines between them, a little above the panel."""
+    cells = (6, 4)
+    x, y = ((2.0 * np.arange(n) + 1.0 - n) / n * half for n, half in zip(cells, PANEL, strict=True))
+    centers = np.array([[a, b, 0.0025] for a in x for b in y])
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*np.divide(PANEL, cells), 0.0]
+    vertices = (centers[:, None] + 0.9 * corners).reshape(-1, 3) @ rotation(tables.euler_parameters[6]).T
+    first = 4 * np.arange(len(centers))[:, None]
+    triangles = np.concatenate([first + corner for corner in ([0, 1, 2], [0, 2, 3])])
+    return Mesh(tables.center_of_mass[6] + vertices, triangles, (0.03, 0.05, 0.12, 1.0))

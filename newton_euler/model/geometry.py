@@ -67,7 +67,6 @@ class Mesh:
         vertices: (n, 3).
         triangles: (m, 3) rows of `vertices`, counterclockwise seen from outside.
         color: red, green, blue and opacity, from 0 to 1; None for the viewer's choice.
-        label: shown at the first vertex.
 
     Raises:
         MechanismError: naming the attribute at fault.
@@ -76,7 +75,6 @@ class Mesh:
     vertices: Array
     triangles: NDArray[np.int32]
     color: tuple[float, float, float, float] | None = None
-    label: str = ""
 
     def __post_init__(self) -> None:
         vertices, triangles = np.array(self.vertices, dtype=float), np.array(self.triangles, dtype=np.int32)

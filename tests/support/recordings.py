@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rerun.chunk import RrdReader
 
+from crosscheck.recording.log import recorded
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.geometry import Box, Capsule
@@ -72,6 +73,16 @@ def motion(scene: Scene, seed: int) -> Trajectory:
 
 def lid_runs(scene: Scene) -> dict[str, Trajectory]:
     return {"zeta": motion(scene, 1), "alpha": motion(scene, 2)}
+
+
+def write_recording(
+    path: Path,
+    scene: Scene,
+    runs: dict[str, Trajectory],
+    title: str = "lid_scene",
+    tolerances: dict[tuple[str, ...], float] | None = None,
+) -> None:
+    path.write_bytes(recorded(scene, runs, VERDICT, title, tolerances))
 
 
 class Recording(NamedTuple):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from recordings import read_recording, write_recording
 from rerun.chunk import RrdReader
 
 import newton_euler
 from crosscheck.palette import ENGINE_COLORS, OTHER_COLORS, palette, rgb
 from crosscheck.recording.blueprint import ASPECT, EYE_DIRECTION, HALF_ANGLE
-from crosscheck.recording.log import write_recording
 from crosscheck.recording.plots import plots, tilt
 from crosscheck.recording.shapes import paths
 from crosscheck.scenes import load
@@ -30,7 +32,7 @@ X, Y, Z = np.eye(3)
 def test_all_that_moves_is_seen_and_a_plane_face_on(tmp_path, name, direction, up):
     scene = load(name)
     run = newton_euler.simulate(scene)
-    write_recording(tmp_path / "run.rrd", scene, {"newton_euler": run}, "")
+    write_recording(tmp_path / "run.rrd", scene, {"newton_euler": run})
     reader = RrdReader(tmp_path / "run.rrd")
     (entry,) = reader.blueprints()
     batches = [chunk.to_record_batch() for chunk in reader.stream(store=entry)]
@@ -55,15 +57,24 @@ def test_what_neither_moves_nor_parts_is_not_plotted():
     scene = load("pendulum")
     run = newton_euler.simulate(scene)
     titles = [plot.title for plot in plots(scene, {"newton_euler": run}, {}) if not plot.judges]
-    assert titles == ["angle of pivot [rad]", "kinetic energy [J]", "potential energy [J]"]
+    assert titles == ["pivot [rad]", "kinetic energy [J]", "potential energy [J]"]
 
 
 def test_springs_say_which_coordinates_are_plotted():
     scene = load("stewart")
     run = newton_euler.simulate(scene)
-    found = plots(scene, {"newton_euler": run}, {})
-    assert [plot.path[1] for plot in found if plot.group == "Motion"] == [f"leg_{k + 1}:0" for k in range(6)]
-    assert [plot.title for plot in found if plot.group == "Tilt"] == ["tilt of platform [deg]"]
+    found = [plot.title for plot in plots(scene, {"newton_euler": run}, {}) if plot.group == "Motion"]
+    assert found == [*(f"leg_{k + 1}_1 [m]" for k in range(5)), "tilt of platform [deg]"]
+
+
+def test_tilt_is_drawn_beside_the_vertical(tmp_path):
+    scene = replace(load("tracker"), duration=0.1)
+    run = newton_euler.simulate(scene)
+    write_recording(tmp_path / "run.rrd", scene, {"newton_euler": run})
+    columns = read_recording(tmp_path / "run.rrd").columns
+    for pose in ("Transform3D:translation", "Transform3D:quaternion"):
+        assert columns["/tilt/normal", pose] == columns["/labels/panel_7", pose]
+    assert columns["/tilt/vertical", "Transform3D:quaternion"] == [[[0.0, 0.0, 0.0, 1.0]]] * len(run.time)
 
 
 def test_tilt_is_in_degrees():
