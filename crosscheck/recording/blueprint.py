@@ -76,7 +76,10 @@ def blueprint(
 def _sight(mechanism: Mechanism, run: Trajectory) -> tuple[rrb.EyeControls3D, rrb.LineGrid3D]:
     """Place the camera so that all of a run is seen, face on if it is in a plane, and a grid behind it."""
     ways = [paths(mechanism, k, run) for k in range(len(mechanism.bodies))]
-    points = np.concatenate([way.reshape(-1, 3) for way in ways])
+    moving = np.concatenate([way.reshape(-1, 3) for way in ways[1:]])
+    # of a wide floor what is near
+    near = np.clip(ways[0][0], moving.min(axis=0) - mechanism.size, moving.max(axis=0) + mechanism.size)
+    points = np.concatenate([moving, near])
     moved = np.concatenate([(way - way[0]).reshape(-1, 3) for way in ways])
     (across, along, most), axes = np.linalg.eigh(moved.T @ moved)
     direction, floor, up = EYE_DIRECTION / np.linalg.norm(EYE_DIRECTION), Z, Z
