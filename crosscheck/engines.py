@@ -58,7 +58,7 @@ class Engine:
         name: as in files and options.
         simulate: runs a scene at this engine's default settings.
         refined: runs a scene at half the step or a hundredth of the tolerance, to measure errors that
-            exceed the three above.
+            exceed the three below.
         systems: its rigid equations of motion, for the levels before trajectories.
         trajectory_error: share of the mechanism's reach, and rad, that its own run may be off.
         drift: share of the mechanism's reach, or rad, that its joints may be open during a run.
@@ -215,7 +215,7 @@ ENGINES: dict[str, Engine] = {
             package="mujoco",
             soft_start=_mujoco_soft,
         ),
-        # the same
+        # as newton_euler, from Python
         Engine(
             "pinocchio",
             _pinocchio_run,

@@ -1,4 +1,4 @@
-"""Level 4: constrained accelerations, and joint reactions in one form for all engines.
+"""Level "accelerations and reactions": constrained accelerations, reactions in one form for all engines.
 
 Reactions are force and torque on the second body, at the joint point, in the world frame. Where redundant
 constraints leave them open they are compared as J^T lambda, what they do to bodies, see `reactions`.

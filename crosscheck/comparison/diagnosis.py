@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from crosscheck.comparison.figure import FILE, LEVELS, REFERENCE, Figure
+from crosscheck.comparison.figure import FILE, LEVELS, OF_RUNS, READING, REFERENCE, Figure
 from crosscheck.comparison.known_figures import Measured
 from newton_euler.equations.redundancy import NearlyRedundant
 from newton_euler.integrators.compiled import FORMULATIONS
@@ -20,16 +20,10 @@ from newton_euler.integrators.compiled import FORMULATIONS
 SYSTEMS = tuple(FORMULATIONS)
 """Formulations of `OWNER`; its runs are those of the first."""
 
-READING = LEVELS[0]
-"""The level before those of engines: what a file says."""
-
 ORDER = (*LEVELS, REFERENCE)
 
 OWNER = "newton_euler"
 """The engine of `SYSTEMS`."""
-
-RUNS = ("trajectories", "drift", "energy")
-"""Levels of whole runs; those before are of models."""
 
 MOMENTUM = "momentum balance, rel"
 """The figure of one engine that is about its model, though its level is one of runs."""
@@ -172,7 +166,7 @@ def diagnose(
     found = []
     while (one := _first(names, judged, wrong)) is not None:
         # models agree where runs are the first to part
-        if shown and one.level in RUNS and one.quantity != MOMENTUM and _blames(one, literal):
+        if shown and one.level in OF_RUNS and one.quantity != MOMENTUM and _blames(one, literal):
             one = replace(one, fault="redundancy", nearly=shown)
         found.append(one)
         if not one.odd:
@@ -210,7 +204,7 @@ def _by_system(names: Sequence[str], rows: Iterable[Figure]) -> tuple[list[str],
 
 def _holds_of_systems(row: Figure) -> bool:
     """True unless a figure is one of the worse of the formulations under the name of `OWNER`."""
-    return OWNER not in row.between or row.level in (READING, *RUNS)
+    return OWNER not in row.between or row.level in (READING, *OF_RUNS)
 
 
 def _renamed(row: Figure, others: Mapping[str, str]) -> Figure:
@@ -257,7 +251,7 @@ def _of_reading(names: Sequence[str], rows: Sequence[Figure]) -> Diagnosis | Non
     if len(parted) == 1 and len(compared) > 1:
         others = [name for name in compared if name not in parted]
         return _diagnosis(parted[0], [*parted, FILE], [*others, FILE], failed[0], rows, "others")
-    among = [row for row in rows if set(row.between) <= set(compared) and row.level not in RUNS]
+    among = [row for row in rows if set(row.between) <= set(compared) and row.level not in OF_RUNS]
     if not all(row.agrees for row in among):
         return None
     odd = FILE if parted == compared and len(compared) > 1 else ""
@@ -329,7 +323,7 @@ def _settled(
         if len(row.between) == 1
         and not row.agrees
         and row.between[0] in names
-        and (row.quantity == MOMENTUM) == (level not in RUNS)
+        and (row.quantity == MOMENTUM) == (level not in OF_RUNS)
     }
     if len(failed) == 1:
         return next(iter(failed.items()))
@@ -353,7 +347,7 @@ def _diagnosis(
     if odd == FILE:
         fault = "reading"
     elif odd:
-        fault = "integration" if row.level in RUNS and row.quantity != MOMENTUM else "model"
+        fault = "integration" if row.level in OF_RUNS and row.quantity != MOMENTUM else "model"
     return Diagnosis(
         odd,
         tuple(parting),

@@ -1,4 +1,4 @@
-"""Level 3: what actuators push with, energies, and the inertia and force that independent velocities see."""
+"""Level "dynamics": actuator forces, energies, inertia and force that independent velocities see."""
 
 from __future__ import annotations
 

@@ -10,22 +10,21 @@ import numpy as np
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
-LEVELS = (
-    "reading",
-    "model",
-    "kinematics",
-    "dynamics",
-    "accelerations and reactions",
-    "trajectories",
-    "drift",
-    "energy",
-)
+READING = "reading"
+"""The level before those of engines: what a file says."""
+
+OF_EQUATIONS = ("model", "kinematics", "dynamics", "accelerations and reactions")
+
+OF_RUNS = ("trajectories", "drift", "energy")
+"""Levels of whole runs; those before are of models."""
+
+LEVELS = (READING, *OF_EQUATIONS, *OF_RUNS)
 
 REFERENCE = "reference"
 """The level after all others: figures that are known from elsewhere."""
 
 FILE = "file"
-"""What engines are compared with at the level "reading", see `newton_euler.verification.verify`."""
+"""What engines are compared with at the level `READING`, see `newton_euler.verification.verify`."""
 
 POSES = ("positions, m", "orientations, rad")
 """Quantities of trajectories."""
@@ -137,7 +136,7 @@ def not_judged(rows: Sequence[Figure]) -> str:
 
 def not_compared(rows: Sequence[Figure]) -> Iterator[str]:
     """A line for each pair that parts: at which level, and that those after it were not compared."""
-    levels = (*LEVELS[:2], START, *LEVELS[2:])
+    levels = ("model", START, *OF_EQUATIONS[1:], *OF_RUNS)
     pairs = (row.between for row in rows if len(row.between) == 2 and FILE not in row.between)
     for between in dict.fromkeys(pairs):
         failed = [row for row in rows if row.between == between and not row.agrees]

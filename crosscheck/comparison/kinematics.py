@@ -1,4 +1,4 @@
-"""Level 2: poses, velocities and constraint Jacobians at consistent states."""
+"""Level "kinematics": poses, velocities and constraint Jacobians at consistent states."""
 
 from __future__ import annotations
 

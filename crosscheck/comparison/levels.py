@@ -1,7 +1,7 @@
 """Comparison of engines, level by level, from the model itself to whole runs.
 
 Each `Figure` is one figure for one pair of engines (or one engine), with the tolerance it is held to
-and the body, joint, term or time where it is worst. Levels 1 to 4 use each engine's rigid equations of
+and the body, joint, term or time where it is worst. Levels of equations use each engine's rigid equations of
 motion at consistent states, so that a difference is one of the models; the later levels use runs.
 Relative figures are relative to what the mechanism does at all of the states together, never to what
 may be round-off: a mechanism at rest, in equilibrium or in free fall has nothing else.
@@ -17,7 +17,7 @@ from itertools import combinations, product
 
 from crosscheck.comparison.accelerations import acceleration_rows, softness_row
 from crosscheck.comparison.dynamics import dynamics_rows
-from crosscheck.comparison.figure import FILE, LEVELS, Figure, in_full
+from crosscheck.comparison.figure import FILE, LEVELS, READING, Figure, in_full
 from crosscheck.comparison.kinematics import kinematics_rows
 from crosscheck.comparison.model import model_rows
 from crosscheck.comparison.momentum import momentum_row
@@ -46,7 +46,7 @@ def compare_pair(
     second: Sequence[Samples],
     levels: Sequence[Level] = EQUATION_LEVELS,
 ) -> Iterator[Figure]:
-    """Levels 1 to 4 of two engines, up to the first that disagrees.
+    """Levels of equations of two engines, up to the first that disagrees.
 
     An engine with several rigid systems (formulations) enters with the one that is worst for
     its tolerance.
@@ -64,7 +64,7 @@ def compare_pair(
 
 
 def compare_equations(engines: Sequence[Engine], samples: EngineSamples) -> Iterator[Figure]:
-    """Levels 1 to 4 of every pair of engines and of the systems of each engine.
+    """Levels of equations of every pair of engines and of the systems of each engine.
 
     Systems of one engine that part are compared with every other engine too, and have momentum balances of
     their own, which tells the one that is wrong. An engine with soft constraints has a row for what they do
@@ -162,7 +162,7 @@ def reading_rows(engines: Sequence[Engine], report: ImportReport | None) -> Iter
         found: dict[str, Figure] = {}
         for original, scene in report.originals:
             for quantity, value, tolerance, where in verify(original, engine.systems(scene)[0]):
-                row = Figure(LEVELS[0], quantity, (engine.name, FILE), value, tolerance, where)
+                row = Figure(READING, quantity, (engine.name, FILE), value, tolerance, where)
                 known = found.setdefault(quantity, row)
                 if not row.share <= known.share:
                     found[quantity] = row

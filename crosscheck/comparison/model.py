@@ -1,4 +1,4 @@
-"""Level 1: the engines' own models, body by body and joint by joint."""
+"""Level "model": the engines' own models, body by body and joint by joint."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Level 7, momentum: whether accelerations and reactions satisfy Newton's and Euler's equations of each body.
+"""Momentum balance, a figure at the level "energy": Newton's and Euler's equations of each body.
 
 Masses, inertias and what acts on the bodies are the scene's, by its numbers. Everything else is an engine's
 own answer, so that neither another engine nor its own equations of motion are asked.

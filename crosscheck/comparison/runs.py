@@ -1,4 +1,4 @@
-"""Levels 5 to 7: trajectories of each pair of engines, drift and energy balance of each engine.
+"""Levels of runs: trajectories of each pair of engines, drift and energy balance of each engine.
 
 What an engine's run may be off is measured by refining its step or tolerance.
 """
@@ -133,7 +133,7 @@ def compare_runs(
     energy: float,
     parted: Collection[tuple[str, ...]] = (),
 ) -> Iterator[Figure]:
-    """Levels 5 to 7, those of pairs that part at an earlier level or have `parted` left out.
+    """Levels of runs, those of pairs that part at an earlier level or have `parted` left out.
 
     Runs that stopped are compared as far as they came, with finer ones as far as those come.
 

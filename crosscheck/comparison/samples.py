@@ -68,7 +68,7 @@ class States:
 
     @property
     def bases(self) -> list[Array]:
-        """(6 b, d) for each state, see `admissible_basis`: the independent velocities of level 3."""
+        """(6 b, d) for each state: the independent velocities of "dynamics", see `admissible_basis`."""
         return [basis for basis, _ in self._admissible]
 
     @property

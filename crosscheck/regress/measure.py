@@ -186,7 +186,7 @@ class Measurement:
 
     @cached_property
     def share(self) -> dict[str, float]:
-        """Round-off of accelerations at both states: the tolerance of level 4, and of all short runs.
+        """Round-off of accelerations at both states: the tolerance of their level, and of all short runs.
 
         A few dozen steps add up velocities from accelerations, and lengths from velocities.
         """
@@ -246,8 +246,8 @@ class Measurement:
     def open_joints(self, formulation: str) -> StoredFigure:
         """Accelerations where joints are open and opening, under Baumgarte's gains.
 
-        The tolerance is that of level 4 with the condition there: rows that are redundant where joints are
-        closed are nearly so.
+        The tolerance is that of accelerations with the condition there: rows that are redundant where joints
+        are closed are nearly so.
         """
         system = at_time(formulate(self.scene, formulation, PAPER_ALPHA), self.plan.time)
         q, v = system.coordinates(self.plan.state.state())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from crosscheck.comparison.figure import FILE, LEVELS, REFERENCE, START, Figure
+from crosscheck.comparison.figure import FILE, OF_EQUATIONS, OF_RUNS, READING, REFERENCE, START, Figure
 from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figures, seconds
 from crosscheck.run import Crosscheck
 
@@ -46,7 +46,7 @@ def levels_table(result: Crosscheck) -> Table:
             Figure(REFERENCE, each.known.quantity, (each.engine,), each.value, each.tolerance, place)
         )
     rows: Rows = []
-    for level in (*LEVELS[:2], START, *LEVELS[2:], REFERENCE):
+    for level in (READING, "model", START, *OF_EQUATIONS[1:], *OF_RUNS, REFERENCE):
         at_level = [row for row in found if row.level == level]
         if not at_level:
             continue

@@ -13,7 +13,7 @@ import pytest
 from command_line import check_refused, command, run, scene_file, verdict_of
 from urdf_files import CHAIN
 
-from crosscheck.comparison.figure import LEVELS, Figure
+from crosscheck.comparison.figure import LEVELS, READING, Figure
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from newton_euler.model.trajectory import load_arrays
@@ -28,7 +28,7 @@ def test_run_writes_everything_and_agrees(capsys, tmp_path, good):
     assert names == {"newton_euler.npz", "mujoco.npz", "pinocchio.npz", "summary.json", "scene.rrd"}
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["agrees"] is True
-    assert {figure["level"] for figure in summary["figures"]} == set(LEVELS[1:])
+    assert {figure["level"] for figure in summary["figures"]} == {*LEVELS} - {READING}
     assert set(summary["engines"]) == {"newton_euler", "mujoco", "pinocchio"}
     assert summary["versions"]["mujoco"].split(".")[0].isdigit()
     arrays = load_arrays(tmp_path / "out" / "mujoco.npz")

@@ -77,8 +77,8 @@ class Found:
 
     Attributes:
         fault, engine: what was planted where.
-        seen: its first sighting at levels 1 to 4; None if all agree.
-        moves: the same at levels 2 to 4, by motion alone.
+        seen: its first sighting at the levels of equations; None if all agree.
+        moves: the same at those after the model, by motion alone.
         alone: whether too few engines express the scene for any to be the odd one out.
         lost: for one that is not seen, where newton_euler with the same fault parts from the engine's model:
             the engine does not hold it.

@@ -33,14 +33,14 @@ class Count(NamedTuple):
 
 
 def in_all(faults: Iterable[Found]) -> Count:
-    """By levels 1 to 4, or by the verification."""
+    """By the levels of equations, or by the verification."""
     counted = [found for found in faults if found.counts]
     seen = sum(found.seen is not None for found in counted)
     return Count(len(counted), seen, sum(found.blamed for found in counted))
 
 
 def by_motion(faults: Iterable[Found]) -> Count:
-    """By levels 2 to 4, of those that do something."""
+    """By those after the model, of faults that do something."""
     counted = [found for found in faults if found.observable]
     seen = sum(found.moves is not None for found in counted)
     return Count(len(counted), seen, sum(found.blamed_by_motion for found in counted))

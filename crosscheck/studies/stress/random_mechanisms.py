@@ -1,8 +1,8 @@
 """(j) Random mechanisms through all engines: their equations of motion at a random consistent state.
 
 Each engine's rigid equations are compared with newton_euler's joint coordinates as `crosscheck run` compares
-engines: levels 1 to 4, at tolerances of round-off times the condition of each mechanism. Now and then native
-code is compared with its float form.
+engines: the levels of equations, at tolerances of round-off times the condition of each mechanism. Now and
+then native code is compared with its float form.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from crosscheck.against import compare
 from crosscheck.against.align import alignments
 from crosscheck.against.compare import Against, Model, against
 from crosscheck.against.levels import functions_apart
-from crosscheck.comparison.figure import LEVELS, START
+from crosscheck.comparison.figure import OF_EQUATIONS, OF_RUNS, START
 from crosscheck.comparison.reactions import undetermined, undetermined_in_both
 from crosscheck.scenes.scene_file import write_scene
 from crosscheck.studies.faults import plant
@@ -88,11 +88,11 @@ def first_failing(result: Against) -> tuple[str, str, str]:
 def test_one_mechanism_cut_in_two_ways_is_the_same(tmp_path: Path, one: str, other: str) -> None:
     result = compared(read_mjcf(tmp_path, written_mjcf(one, sites=False)), read_urdf(tmp_path, other))
     assert result.verdict.startswith("SAME: a and b agree in all ")
-    assert {row.level for row in result.figures} == {*LEVELS[1:], START} - {"drift"}
+    assert {row.level for row in result.figures} == {*OF_EQUATIONS, *OF_RUNS, START} - {"drift"}
     reactions = [row for row in result.figures if row.quantity.startswith("reaction")]
     assert len(reactions) == 2
     judged = [row for row in result.figures if not row.informs]
-    assert all(row.value < ROUND_OFF for row in judged if row.level in LEVELS[1:5])
+    assert all(row.value < ROUND_OFF for row in judged if row.level in OF_EQUATIONS)
 
 
 def test_notes_tell_what_is_not_the_same_by_name(tmp_path: Path) -> None:
@@ -312,7 +312,7 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["agrees"] is True
     assert [part["source"] for part in summary["models"]] == [str(model), str(converted)]
-    assert {figure["level"] for figure in summary["figures"]} == {*LEVELS[1:], START} - {"drift"}
+    assert {figure["level"] for figure in summary["figures"]} == {*OF_EQUATIONS, *OF_RUNS, START} - {"drift"}
 
 
 @pytest.mark.parametrize(

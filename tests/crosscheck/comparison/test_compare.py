@@ -13,7 +13,7 @@ from verdicts import ALL, figure, verdicts
 
 import mjcf
 import mjcf.read
-from crosscheck.comparison.figure import LEVELS, Figure, not_compared
+from crosscheck.comparison.figure import OF_EQUATIONS, Figure, not_compared
 from crosscheck.comparison.levels import compare, compare_equations, sampled
 from crosscheck.comparison.momentum import momentum_row
 from crosscheck.comparison.runs import compare_runs
@@ -104,7 +104,7 @@ def test_tracker_is_held_to_what_it_can_meet(tracker, tracker_run):
     rows = compare(tracker, engines, {"newton_euler": tracker_run(), "mujoco": mjcf.simulate(tracker)}, 5)
     assert_agrees(rows)
     for row in rows:
-        if row.level in LEVELS[1:5] and not row.informs:
+        if row.level in OF_EQUATIONS and not row.informs:
             assert row.value < 1e-13, row  # round-off at condition 1e4, relative to the mechanism's motion
     # errors of order 2 in a step of 1 ms: 7.3e-9 m, and a bound three times that
     assert 1e-8 < figure(rows, "trajectories", "positions, m", "newton_euler", "mujoco").tolerance < 5e-8

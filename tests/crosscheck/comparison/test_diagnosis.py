@@ -15,7 +15,7 @@ import mjcf.read
 import newton_euler
 import urdf
 from crosscheck.comparison.diagnosis import FILE, READING, diagnose
-from crosscheck.comparison.figure import LEVELS, Figure
+from crosscheck.comparison.figure import OF_EQUATIONS, OF_RUNS, Figure
 from crosscheck.comparison.levels import compare_equations
 from crosscheck.comparison.momentum import momentum_row
 from crosscheck.comparison.samples import Samples, States
@@ -76,7 +76,7 @@ def test_who_parts_from_two_that_agree_is_odd(values, odd, agree):
 
 @pytest.mark.parametrize(
     ("level", "fault"),
-    [*zip(LEVELS[-7:], ["model"] * 4 + ["integration"] * 3, strict=True)],
+    [*((level, "model") for level in OF_EQUATIONS), *((level, "integration") for level in OF_RUNS)],
 )
 def test_models_and_integrations_are_told_apart(level, fault):
     (found,) = diagnose(NAMES, pairs(level, 5.0, 0.5, 5.0))
