@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from newton_euler.errors import choices
 from newton_euler.model.source_file import SourceError
 from newton_euler.model.xml_source import LARGEST
 from newton_euler.model.yaml_source import parse_yaml
@@ -72,7 +73,7 @@ def parse_loops(text: str, source: str) -> Loops:
         raise LoopFileError(source, "document", "not a mapping from keys to lists")
     for key in document:
         if key not in KEYS:
-            raise LoopFileError(source, f"{key!s:.100}", f"unknown key; choose from: {', '.join(KEYS)}")
+            raise LoopFileError(source, f"{key!s:.100}", f"unknown key; {choices(key, KEYS)}")
     if "joint_name" not in document and "joint_type" not in document:
         document |= {"joint_name": [], "joint_type": []}
     document.setdefault("coupled", [])
@@ -96,7 +97,7 @@ def parse_loops(text: str, source: str) -> Loops:
             raise LoopFileError(source, key, problem)
         for kind in document[key]:
             if kind not in valid:
-                raise LoopFileError(source, key, f"unknown {kind!r:.200}; choose from: {', '.join(valid)}")
+                raise LoopFileError(source, key, f"unknown {kind!r:.200}; {choices(kind, valid)}")
     if len(set(document["joint_name"])) < len(document["joint_name"]):
         raise LoopFileError(source, "joint_name", "names a joint twice")
     document["coupled"] = [_coupling(entry, source) for entry in document["coupled"]]
