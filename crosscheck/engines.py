@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -34,7 +34,7 @@ RK4_STEPS = 100_000
 """In MuJoCo, as few as the stability of its RK4 alone asks for, in which stiff dampers are explicit: with
 more `IMPLICIT` is taken instead. They take some seconds."""
 
-IMPLICIT = "implicitfast"
+IMPLICIT: Final = "implicitfast"
 
 NATIVE_STEPS, PYTHON_STEPS = 100_000, 5_000
 """Of DOP853, as few as stability alone asks for: with more Radau runs instead, see `crosscheck.stiffness`.

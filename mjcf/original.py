@@ -55,7 +55,7 @@ class MjcfOriginal(Original):
 
         Args:
             model: as MuJoCo compiled it.
-            key: as of `mjcf.read.read`.
+            key: as of `mjcf.read`.
             report: of the reading.
             scene: what was read; its initial pose says which of the closed ones is the start.
             controls: (nu,) controls and (na,) activations; those of the key if None.

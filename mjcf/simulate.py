@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from numbers import Real
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -29,14 +29,16 @@ if TYPE_CHECKING:
 LEAST_TIMESTEP = 1e-6
 """s, below which no step is made for the sake of periods that hardly divide each other."""
 
-INTEGRATORS = ("RK4", "Euler", "implicit", "implicitfast")
+IntegratorName = Literal["RK4", "Euler", "implicit", "implicitfast"]
 """MuJoCo's integrators by the names that MJCF gives them."""
+
+INTEGRATORS: tuple[IntegratorName, ...] = get_args(IntegratorName)
 
 
 def simulate(
     scene: Scene,
     timestep: float | None = None,
-    integrator: str = "RK4",
+    integrator: IntegratorName = "RK4",
     solref: Sequence[float] | None = None,
 ) -> Trajectory:
     """Run a scene in MuJoCo, with soft constraints and native actuators, springs and tendons.

@@ -3,9 +3,24 @@
 from newton_euler.assemble import assemble, initial_state
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
+from newton_euler.model.compound_joint import Compound
 from newton_euler.model.control import PD, Sampled
 from newton_euler.model.couplings import Gear, LinearCoupling
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.joint_kinds import (
+    Cylindrical,
+    Fixed,
+    Free,
+    Planar,
+    PointOnLine,
+    Prismatic,
+    Revolute,
+    Rod,
+    Screw,
+    Spherical,
+    Translational,
+    Universal,
+)
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum
 from newton_euler.model.scene import Scene
@@ -19,21 +34,34 @@ __all__ = [
     "BallArmature",
     "BallSpring",
     "Body",
+    "Compound",
+    "Cylindrical",
+    "Fixed",
+    "Free",
     "Gear",
     "JointSpring",
     "LinearCoupling",
     "Mechanism",
     "NearlyRedundantWarning",
     "NewtonEulerError",
+    "Planar",
+    "PointOnLine",
     "PointSpring",
     "Polynomial",
     "PrescribedMotion",
+    "Prismatic",
+    "Revolute",
+    "Rod",
     "Sampled",
     "Scene",
+    "Screw",
     "Sine",
+    "Spherical",
     "State",
     "Sum",
     "Trajectory",
+    "Translational",
+    "Universal",
     "Wrench",
     "assemble",
     "compile_scene",

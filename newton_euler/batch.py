@@ -16,7 +16,13 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.parameters import checked
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError, check_type, is_count
 from newton_euler.integrators.compiled import PAPER_ALPHA
-from newton_euler.integrators.options import Options, StepControl
+from newton_euler.integrators.options import (
+    FormulationName,
+    IntegratorName,
+    Options,
+    StabilizationName,
+    StepControl,
+)
 from newton_euler.integrators.outputs import named
 from newton_euler.integrators.run import Integrator, load
 from newton_euler.model.scene import Scene
@@ -83,9 +89,9 @@ def simulate_batch(
     states: Sequence[State] | None = None,
     parameters: Mapping[str, Sequence[Any]] | None = None,
     threads: int | None = None,
-    formulation: str | None = None,
-    integrator: str = "DOP853",
-    stabilization: str = "projection",
+    formulation: FormulationName | None = None,
+    integrator: IntegratorName = "DOP853",
+    stabilization: StabilizationName = "projection",
     alpha: float = PAPER_ALPHA,
     **control: Unpack[StepControl],
 ) -> Batch:

@@ -24,7 +24,13 @@ from newton_euler.errors import (
 )
 from newton_euler.integrators.compiled import PAPER_ALPHA, Code, baumgarte_alpha, check_formulation
 from newton_euler.integrators.interpreted import integrate
-from newton_euler.integrators.options import Options, StepControl
+from newton_euler.integrators.options import (
+    FormulationName,
+    IntegratorName,
+    Options,
+    StabilizationName,
+    StepControl,
+)
 from newton_euler.integrators.run import load
 from newton_euler.integrators.sampling import holding, integrate_sampled, intervals, sample
 from newton_euler.model.euler_parameters import continuous
@@ -42,10 +48,10 @@ ROW_CHOICES = 3
 
 def simulate(
     scene: Scene,
-    formulation: str | None = None,
-    integrator: str = "DOP853",
+    formulation: FormulationName | None = None,
+    integrator: IntegratorName = "DOP853",
     *,
-    stabilization: str = "projection",
+    stabilization: StabilizationName = "projection",
     alpha: float = PAPER_ALPHA,
     **control: Unpack[StepControl],
 ) -> Trajectory:
@@ -80,8 +86,8 @@ def _compiled(scene: Scene, formulation: str | None, stabilization: str, alpha: 
 
 def compile_scene(
     scene: Scene,
-    formulation: str | None = None,
-    stabilization: str = "projection",
+    formulation: FormulationName | None = None,
+    stabilization: StabilizationName = "projection",
     alpha: float = PAPER_ALPHA,
     parameters: Sequence[str] = (),
 ) -> CompiledScene:
@@ -131,7 +137,7 @@ class CompiledScene(Code):
 
     def simulate(
         self,
-        integrator: str = "DOP853",
+        integrator: IntegratorName = "DOP853",
         **control: Unpack[StepControl],
     ) -> Trajectory:
         """Run the scene; arguments and errors as of `newton_euler.simulate`."""

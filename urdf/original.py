@@ -41,7 +41,7 @@ class UrdfOriginal(Original):
         Args:
             text: of the URDF.
             loops: text of the loop file; None if there is none.
-            base, gravity: as of `urdf.read.read`.
+            base, gravity: as of `urdf.read`.
             report: of the reading.
             scene: what was read; its initial pose says which of the closed ones is the start.
         """

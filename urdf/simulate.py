@@ -6,7 +6,7 @@ from typing import Any
 
 from newton_euler.errors import check_type
 from newton_euler.integrators.compiled import PAPER_ALPHA, baumgarte_alpha
-from newton_euler.integrators.options import Options
+from newton_euler.integrators.options import IntegratorName, Options, StabilizationName
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.simulate import run
@@ -14,11 +14,11 @@ from newton_euler.simulate import run
 
 def simulate(
     scene: Scene,
-    integrator: str = "DOP853",
+    integrator: IntegratorName = "DOP853",
     rtol: float = 1e-10,
     atol: float = 1e-12,
     step: float | None = None,
-    stabilization: str = "projection",
+    stabilization: StabilizationName = "projection",
     alpha: float = PAPER_ALPHA,
     most_steps: int | None = None,
 ) -> Trajectory:

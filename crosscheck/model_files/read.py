@@ -109,11 +109,11 @@ def read_model(
         except ValueError as error:
             raise CrosscheckError(f"{name} is {text!r}; needed: {known[name].needed}") from error
     if is_urdf(path):
-        from urdf.read import read as read_urdf
+        from urdf import read as read_urdf
 
         found = read_urdf(path, **given, verified=verified)
         return found.scene, found.report
-    from mjcf.read import read as read_mjcf
+    from mjcf import read as read_mjcf
 
     reading = read_mjcf(path, **given, verified=verified)
     return reading.scene, reading.report

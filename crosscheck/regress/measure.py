@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +31,7 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.system import Evaluation, System, at_time
 from newton_euler.errors import NewtonEulerError
 from newton_euler.integrators.compiled import FORMULATIONS, PAPER_ALPHA, formulate
+from newton_euler.integrators.options import FormulationName, IntegratorName
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.state import State
@@ -51,8 +53,11 @@ MOST_OPERATIONS = 1500
 """Of a right-hand side whose traced derivatives, for Radau, and whose Cartesian form with gains are compiled
 too. They take longer than all else in a scene of more, and show no code that smaller ones do not."""
 
-RADAU, RADAU_RTOL = "Radau", 1e-10
-"""The method of order 5, and its tolerance: a few hundred steps for as long as the others' short runs."""
+RADAU: Final = "Radau"
+"""The method of order 5."""
+
+RADAU_RTOL = 1e-10
+"""Its tolerance: a few hundred steps for as long as the others' short runs."""
 
 COUNT_RTOL, COUNT_SHARE = 1e-6, 0.02
 """Of the runs whose steps are counted: at the tolerances of the others steps follow round-off, which differs
@@ -141,7 +146,7 @@ def make_plan(scene: Scene) -> Plan:
     return Plan(rtol=rtol, step=step, time=float(run.time[n]), state=StoredState.of(state))
 
 
-def _tolerance(scene: Scene, formulation: str) -> float:
+def _tolerance(scene: Scene, formulation: FormulationName) -> float:
     """The first of the `RTOLS` that works, also a tenth as large."""
     compiled = compile_scene(scene, formulation)
     for rtol in RTOLS:
@@ -292,7 +297,7 @@ class Measurement:
         drift = np.max(run.constraint_violation, initial=0.0)
         yield self.figure(f"{label}: drift", "m or rad", drift, share * max(size, 1.0))
 
-    def counts(self, compiled: CompiledScene, integrator: str) -> Iterator[StoredFigure]:
+    def counts(self, compiled: CompiledScene, integrator: IntegratorName) -> Iterator[StoredFigure]:
         """Steps and evaluations of a run at `COUNT_RTOL`."""
         run = compiled.simulate(integrator, rtol=COUNT_RTOL, atol=0.01 * COUNT_RTOL)
         for name in ("steps", "evaluations"):
@@ -329,7 +334,7 @@ def _model(here: Measurement) -> Iterator[StoredFigure]:
 
 
 def _formulation(here: Measurement) -> Iterator[StoredFigure]:
-    formulation, plan = here.group, here.plan
+    formulation, plan = cast(FormulationName, here.group), here.plan
     yield from here.equations(formulate(here.scene, formulation))
     yield here.open_joints(formulation)
     compiled = compile_scene(part(here.scene, formulation, plan.step), formulation)
@@ -382,7 +387,7 @@ def _fixed_run(engine: str, scene: Scene, step: float) -> Trajectory:
     return urdf.simulate(scene, "RK4", step=step)
 
 
-MAIN: GroupName = "relative"
+MAIN: FormulationName = "relative"
 """The formulation and group whose run is stored over time."""
 
 GROUPS: dict[GroupName, Callable[[Measurement], Iterator[StoredFigure]]] = {

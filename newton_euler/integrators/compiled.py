@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache, cached_property
 from itertools import accumulate
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import RowsInUse, least_squares
 from newton_euler.equations.system import at_time
 from newton_euler.errors import OptionError, UnknownNameError, check_choice, is_finite_number
+from newton_euler.integrators.options import FormulationName, StabilizationName
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
@@ -39,7 +40,7 @@ SIDE_BY_SIDE = (("output",), ("position", "velocity"))
 OF_POSITIONS = frozenset({"violation"})
 """Outputs that depend on q alone, as poses do."""
 
-FORMULATIONS: dict[str, Callable[[Scene, float], Formulation]] = {
+FORMULATIONS: dict[FormulationName, Callable[[Scene, float], Formulation]] = {
     "relative": Relative,
     "cartesian": Cartesian,
 }
@@ -50,7 +51,7 @@ NEUTRAL = frozenset({"description", "duration", "output_period", "controller", "
 KINEMATIC = ("position", "velocity")
 """Programs that no parameter enters; coverage takes those of the run."""
 
-STABILIZATIONS = ("projection", "baumgarte", "none")
+STABILIZATIONS: tuple[StabilizationName, ...] = get_args(StabilizationName)
 
 PAPER_ALPHA = 10.0
 """The paper's choice for K_D = 2 alpha, K_P = alpha^2 (Appendix B), 1/s."""

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypedDict
+from typing import Any, Literal, TypedDict, get_args
 
 from newton_euler.errors import OptionError, check_choice, is_count, is_finite_number
 
-ADAPTIVE = ("DOP853", "Radau")
+IntegratorName = Literal["DOP853", "Radau", "RK4", "Euler"]
+
+INTEGRATORS: tuple[IntegratorName, ...] = get_args(IntegratorName)
+
+ADAPTIVE: tuple[IntegratorName, ...] = ("DOP853", "Radau")
 """Runge-Kutta of order 8 (Hairer, Norsett, Wanner, Solving ODEs I, 1993, section II.5) and the stiff
 Radau IIA of order 5 (Hairer, Wanner, Solving ODEs II, 1996, section IV.8), both as in scipy."""
 
-FIXED = ("RK4", "Euler")
+FIXED: tuple[IntegratorName, ...] = ("RK4", "Euler")
 """Methods with fixed steps: classical Runge-Kutta of order 4, and semi-implicit Euler of order 1, velocities
 first, then positions with the new velocities. Euler takes gyroscopic torques t = -omega x I omega
 explicitly: they do no work, but each step h adds h^2/2 t^T I^-1 t to the energy of a freely turning body, a
 share of order (h omega)^2."""
 
-INTEGRATORS = (*ADAPTIVE, *FIXED)
+FormulationName = Literal["relative", "cartesian"]
+"""The equations' unknowns: joint coordinates, or those of the bodies."""
 
+StabilizationName = Literal["projection", "baumgarte", "none"]
+"""What keeps loops closed."""
 
 MOST_FIXED_STEPS = 20_000_000
 """Of a run, if it does not say; seconds of native code for a pendulum, minutes for the largest mechanisms."""

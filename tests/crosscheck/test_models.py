@@ -17,11 +17,11 @@ from mjcf_models import ELEMENTS, FOUR_BARS
 from urdf_files import CHAIN, joint, link, robot
 
 import mjcf
-import urdf.read
+import urdf
 from crosscheck.model_files.read import MJCF_OPTIONS, URDF_OPTIONS, read_model
 from crosscheck.scenes import load
 from crosscheck.scenes.scene_file import write_scene
-from mjcf.read import read as read_mjcf
+from mjcf import read as read_mjcf
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation
@@ -205,14 +205,12 @@ def test_a_urdf_keeps_the_damping_of_joints_there_and_back(capsys, tmp_path):
     assert status == 0
     assert "joint 'p', joint 'q', joint 'r': its stiffness 0 and damping 2 as a spring" in out
     assert "a URDF has no forces" not in out
-    assert dampings(own) == dampings(urdf.read.read(target).scene)
+    assert dampings(own) == dampings(urdf.read(target).scene)
     assert set(dampings(own).values()) == {2.0}
-    assert_same_scene(
-        replace(own, gravity=GRAVITY), urdf.read.read(target, tmp_path / "model.loops.yaml").scene
-    )
+    assert_same_scene(replace(own, gravity=GRAVITY), urdf.read(target, tmp_path / "model.loops.yaml").scene)
     status, out, _ = run(capsys, "convert", target, again)
     assert (status, "a URDF has no forces" in out) == (0, False)
-    assert dampings(urdf.read.read(again).scene) == dampings(own)
+    assert dampings(urdf.read(again).scene) == dampings(own)
 
 
 def test_a_urdf_keeps_the_damping_of_springs_and_says_that_they_are_left_out(capsys, tmp_path):
@@ -221,7 +219,7 @@ def test_a_urdf_keeps_the_damping_of_springs_and_says_that_they_are_left_out(cap
     _, out, _ = run(capsys, "convert", model, target)
     left_out = out[out.index("\nleft out:") :]
     assert "its stiffness 20 and damping 2 as a spring: a URDF has no forces but damping along h" in left_out
-    assert dampings(urdf.read.read(target).scene) == dampings(read_mjcf(model).scene)
+    assert dampings(urdf.read(target).scene) == dampings(read_mjcf(model).scene)
 
 
 @pytest.mark.parametrize("suffix", [".xml", ".urdf"])
@@ -248,7 +246,7 @@ def test_gravity_of_a_urdf(capsys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "reader"), [(MJCF_OPTIONS, read_mjcf), (URDF_OPTIONS, urdf.read.read)], ids=["mjcf", "urdf"]
+    ("options", "reader"), [(MJCF_OPTIONS, read_mjcf), (URDF_OPTIONS, urdf.read)], ids=["mjcf", "urdf"]
 )
 def test_options_of_models_are_listed_with_their_defaults(capsys, options, reader):
     _, out, _ = run(capsys, "list")

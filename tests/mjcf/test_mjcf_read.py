@@ -10,7 +10,7 @@ from mjcf_models import ELEMENTS, FLOATING, FOUR_BARS, PAIR, arm, model, reading
 
 from mjcf.errors import MjcfError
 from mjcf.model import CompiledScene
-from mjcf.read import Reading
+from mjcf.reader import Reading
 from mjcf.reading.joints import Ties
 from newton_euler.assemble import initial_state
 from newton_euler.integrators.compiled import FORMULATIONS, formulate

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from mjcf_models import PAIR, model
 
-import mjcf.read
+import mjcf
 import mjcf.reading.source as source
-import urdf.read
+import urdf
 from mjcf.reading.source import compiled
 from newton_euler.limits import VARIABLE
 from newton_euler.model.source_file import SourceError
@@ -59,7 +59,7 @@ def test_a_file_with_assets_may_take_longer(
 
 
 @pytest.mark.parametrize("path", [None, 3, b"model.xml", "a\0b.xml"])
-@pytest.mark.parametrize("read", [mjcf.read.read, urdf.read.read])
+@pytest.mark.parametrize("read", [mjcf.read, urdf.read])
 def test_what_is_no_path_is_refused(path: Any, read: Any) -> None:
     with pytest.raises(SourceError, match=r"cannot be read; needed: a path of a file$"):
         read(path)

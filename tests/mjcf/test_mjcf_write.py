@@ -18,9 +18,9 @@ from mechanisms import at_rest
 import mjcf
 import urdf
 from crosscheck.scenes.tracker import tracker as make_tracker
+from mjcf import read as read_mjcf
 from mjcf.errors import ModelError
 from mjcf.model import CompiledScene
-from mjcf.read import read as read_mjcf
 from newton_euler.equations.system import MassProperties
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
@@ -30,7 +30,7 @@ from newton_euler.model.joint_kinds import Free, Revolute, Universal
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import unweld_loops, weld_loops
-from urdf.read import read as read_urdf
+from urdf import read as read_urdf
 from urdf.write import loops_path
 
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")

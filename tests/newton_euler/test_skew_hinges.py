@@ -10,13 +10,13 @@ import urdf
 from crosscheck.against.compare import Model, against
 from crosscheck.model_files.read import read_model
 from crosscheck.scenes.scene_file import read_scene, write_scene
-from mjcf.read import read
+from mjcf import read
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
 from newton_euler.exercise import random_states
 from newton_euler.model.compound_joint import Compound
-from urdf.read import read as read_urdf
+from urdf import read as read_urdf
 
 PAIR = """
 <joint name="{0}_a" axis="1 0.2 0" pos="0.05 0.1 -0.02" stiffness="3" damping="0.2" armature="0.03"/>

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mjcf.read import Reading, read
+from mjcf import read
+from mjcf.reader import Reading
 
 BAR = '<geom type="capsule" fromto="0 0 0 {0}" size="0.02"/>'
 

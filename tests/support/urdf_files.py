@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from urdf.read import Reading, read
+from urdf import read
+from urdf.reader import Reading
 
 LOOPS = "closed_loop: {pairs}\ntype: {types}\nname_mot: {motors}\njoint_name: []\njoint_type: []\n"
 

@@ -16,7 +16,7 @@ from newton_euler.model.joint_kinds import Fixed, Free, Revolute, Spherical, Uni
 from newton_euler.model.scene import Scene
 from urdf.dynamics import PinocchioSystem
 from urdf.errors import LoopFileError
-from urdf.read import Reading
+from urdf.reader import Reading
 
 ENDS = (
     link("a"), link("b"), link("ball"), link("end"),

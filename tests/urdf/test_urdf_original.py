@@ -11,8 +11,9 @@ from urdf_files import joint, link, robot
 
 import urdf
 from crosscheck.studies.faults.find import find_in_reading
+from urdf import read
 from urdf.errors import UrdfError
-from urdf.read import _scene, read
+from urdf.reader import _scene
 from urdf.reading.source import read_loops
 from urdf.reading.start import Mimic, Start
 
@@ -57,12 +58,12 @@ def shifted(self: Any, joint: Any, mimic: Any, init: Any = Mimic.__init__) -> No
     ("where", "fault", "named"),
     [
         (
-            "urdf.read._springs",
+            "urdf.reader._springs",
             lambda *_: iter(()),
             "is not what the file says: dampers, rel: 1 > ",
         ),
         ("urdf.reading.start.Start._mimicked", started, "joint 'three': .*start, sizes or rad"),
-        ("urdf.read.Mimic.__init__", shifted, "mimic of joint 'two': .*loops open at the start"),
+        ("urdf.reader.Mimic.__init__", shifted, "mimic of joint 'two': .*loops open at the start"),
     ],
     ids=["no dampers", "a joint elsewhere", "another offset"],
 )
@@ -88,8 +89,8 @@ def lighter(*args: Any) -> Any:
 @pytest.mark.parametrize(
     ("where", "fault", "named"),
     [
-        ("urdf.read.read_loops", fewer, "closed_loop .*: elements unaccounted for"),
-        ("urdf.read._scene", lighter, "gravity: .*gravity, rel"),
+        ("urdf.reader.read_loops", fewer, "closed_loop .*: elements unaccounted for"),
+        ("urdf.reader._scene", lighter, "gravity: .*gravity, rel"),
     ],
     ids=["one loop fewer", "half of gravity"],
 )

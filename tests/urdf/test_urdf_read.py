@@ -15,8 +15,8 @@ from urdf_files import CHAIN, LOOPS, TIPS, joint, link, reading, robot
 import urdf
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.joint_kinds import Fixed, Free, Prismatic, Revolute, Spherical
+from urdf import read
 from urdf.errors import UrdfError
-from urdf.read import read
 
 
 def test_links_and_joints_become_bodies_and_joints(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 from crosscheck.errors import CrosscheckError
 from newton_euler import compile_scene
 from newton_euler.integrators.compiled import FORMULATIONS, STABILIZATIONS
+from newton_euler.integrators.options import FormulationName, StabilizationName
 from newton_euler.integrators.run import load
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
@@ -147,7 +148,7 @@ def _newton_euler(scene: Scene) -> Models:
     return {", ".join(how): partial(_load_own, scene, *how) for how in product(FORMULATIONS, STABILIZATIONS)}
 
 
-def _load_own(scene: Scene, formulation: str, stabilization: str) -> Model:
+def _load_own(scene: Scene, formulation: FormulationName, stabilization: StabilizationName) -> Model:
     compiled = compile_scene(scene, formulation=formulation, stabilization=stabilization)
     load(compiled, "Euler")
     if (formulation, stabilization) == STIFF:

@@ -25,6 +25,7 @@ from crosscheck.studies.benchmark.timing import Progress, Timed, in_turns
 from crosscheck.workers import LostError, in_processes
 from newton_euler import compile_scene
 from newton_euler.codegen.cache import CACHE_VARIABLE
+from newton_euler.integrators.options import FormulationName
 from newton_euler.integrators.outputs import time_function
 from newton_euler.model.scene import Scene
 
@@ -80,7 +81,7 @@ class Timing(Timed):
         return self.way.startswith(JUDGED)
 
 
-def _newton_euler(scene: Scene, formulation: str) -> RightHandSide:
+def _newton_euler(scene: Scene, formulation: FormulationName) -> RightHandSide:
     compiled = compile_scene(scene, formulation=formulation, stabilization="none")
     call = partial(time_function, compiled.function("derivative"), compiled.start)
     return RightHandSide(call, compiled.operations["derivative"])

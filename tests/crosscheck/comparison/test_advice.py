@@ -14,7 +14,6 @@ import pytest
 from mechanisms import GRAVITY, ball_loop, pendulum, planar_four_bar
 
 import mjcf
-import mjcf.read
 import newton_euler
 from crosscheck.advice import WANTED, Advice, distance, fitting, redundancy_advice, soft_advice
 from crosscheck.comparison.figure import Figure
@@ -113,7 +112,7 @@ def plain_mujoco(text: str, scene: Scene) -> np.ndarray:
 
 def test_the_advice_holds_in_the_file_that_it_is_given_for(tmp_path: Path) -> None:
     (tmp_path / "own.xml").write_text(OWN_FILE)
-    scene = mjcf.read.read(tmp_path / "own.xml", duration=1.0, output_period=0.05).scene
+    scene = mjcf.read(tmp_path / "own.xml", duration=1.0, output_period=0.05).scene
     runs = {engine.name: engine.simulate(scene) for engine in choose(["newton_euler", "mujoco"])}
     integrator, step, *solref, solimp = followed_by_hand(only(softness(scene, runs)))
     stepped = OWN_FILE.replace("<option", f'<option timestep="{step}" integrator="{integrator}"')
@@ -195,7 +194,7 @@ def test_a_redundant_closure_is_left_out_and_a_driven_joint_slides(tmp_path: Pat
     closure = '<connect name="loop" site1="coupler_end" site2="rocker_end"/>'
     twice = LINKAGE.read_text().replace(closure, closure + closure.replace("loop", "spare"))
     (tmp_path / "twice.xml").write_text(twice)
-    scene = mjcf.read.read(tmp_path / "twice.xml").scene
+    scene = mjcf.read(tmp_path / "twice.xml").scene
     assert undetermined_joints(scene, initial_state(scene))[0] == 4
     advice = only(redundancy_advice(scene))
     assert advice.text == (
@@ -206,7 +205,7 @@ def test_a_redundant_closure_is_left_out_and_a_driven_joint_slides(tmp_path: Pat
     sliding = once.replace('<joint name="elbow"/>', '<joint name="elbow"/><joint type="slide" damping="0"/>')
     for text, rows in ((once, 1), (sliding, 0)):
         (tmp_path / "changed.xml").write_text(text)
-        changed = mjcf.read.read(tmp_path / "changed.xml").scene
+        changed = mjcf.read(tmp_path / "changed.xml").scene
         assert undetermined_joints(changed, initial_state(changed))[0] == rows
         one, two = (
             system.evaluate(*system.coordinates(initial_state(s))).linear_acceleration

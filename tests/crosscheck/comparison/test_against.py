@@ -13,8 +13,8 @@ from command_line import run, verdict_of
 from mechanisms import GRAVITY, bar, pendulum
 from test_two_ways import DURATION, PERIOD, whole, written_mjcf, written_urdf
 
-import mjcf.read
-import urdf.read
+import mjcf
+import urdf
 from crosscheck.against import compare
 from crosscheck.against.align import alignments
 from crosscheck.against.compare import Against, Model, against
@@ -50,14 +50,14 @@ def compared(first: Scene, second: Scene) -> Against:
 
 def read_mjcf(folder: Path, text: str) -> Scene:
     (folder / "model.xml").write_text(text)
-    return mjcf.read.read(folder / "model.xml", duration=DURATION, output_period=PERIOD).scene
+    return mjcf.read(folder / "model.xml", duration=DURATION, output_period=PERIOD).scene
 
 
 def read_urdf(folder: Path, cut: str) -> Scene:
     text, loops = written_urdf(cut)
     (folder / "model.urdf").write_text(text)
     (folder / "model.yaml").write_text(loops)
-    return urdf.read.read(
+    return urdf.read(
         folder / "model.urdf", folder / "model.yaml", duration=DURATION, output_period=PERIOD
     ).scene
 

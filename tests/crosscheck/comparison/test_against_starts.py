@@ -11,7 +11,7 @@ import pytest
 from test_against import FAULT, ROUND_OFF, compared, first_failing
 from test_two_ways import states_of, whole
 
-import mjcf.read
+import mjcf
 from crosscheck.comparison.figure import START
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
@@ -72,7 +72,7 @@ def test_another_keyframe_of_one_file_is_another_start(tmp_path: Path, kind: str
     joints = re.findall("<joint[^>]*>", STACKS[kind])
     model = tmp_path / "model.xml"
     model.write_text(stacked(joints[::-1] if backwards else joints))
-    first, second = (mjcf.read.read(model, key).scene for key in ("k0", "k1"))
+    first, second = (mjcf.read(model, key).scene for key in ("k0", "k1"))
     result = compared(first, second)
     assert first_failing(result)[0] == START
     figures = [row for row in result.figures if row.level == "model" and not row.informs]

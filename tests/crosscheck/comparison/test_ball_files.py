@@ -82,7 +82,7 @@ def test_a_file_with_soft_balls_in_a_loop(capsys, key: str, tmp_path: Path) -> N
     text = LOOP if key == "bent" else LOOP.replace("bent", "also")
     path = tmp_path / "model.xml"
     path.write_text(text)
-    found = mjcf.read.read(path) if key == "bent" else mjcf.read.read(path, key="qpos0")
+    found = mjcf.read(path) if key == "bent" else mjcf.read(path, key="qpos0")
     assert verified(found)
     assert not [entry for entry in found.report.entries if entry.element in ("joint 'b'", "joint 'd'")
                 and entry.fate != "exactly"]  # fmt: skip
@@ -97,7 +97,7 @@ def test_a_file_with_soft_balls_in_a_loop(capsys, key: str, tmp_path: Path) -> N
         options = ("--set", f"key={key}") if name == "scene.yaml" else ()
         status, out, _ = run(capsys, "convert", source, tmp_path / name, *options)
         assert (status, "left out: joint" in out) == (0, False)
-    again = mjcf.read.read(tmp_path / "again.xml")
+    again = mjcf.read(tmp_path / "again.xml")
     assert verified(again)
 
 
@@ -161,7 +161,7 @@ def test_there_and_back(name: str, tmp_path: Path) -> None:
     scene = replace(scene, initial_state=state)
     write_scene(scene, tmp_path / "scene.yaml")
     mjcf.write(scene, tmp_path / "model.xml")
-    for back in (load(str(tmp_path / "scene.yaml")), mjcf.read.read(tmp_path / "model.xml").scene):
+    for back in (load(str(tmp_path / "scene.yaml")), mjcf.read(tmp_path / "model.xml").scene):
         found, wanted = (
             system.evaluate(*system.coordinates(initial_state(system.scene)))
             for system in (Relative(back), Relative(scene))

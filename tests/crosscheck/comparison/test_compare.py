@@ -12,7 +12,6 @@ from mechanisms import GRAVITY, REGULAR, bar, pendulum, planar_four_bar, scaled,
 from verdicts import ALL, figure, verdicts
 
 import mjcf
-import mjcf.read
 from crosscheck.comparison.figure import OF_EQUATIONS, Figure, not_compared
 from crosscheck.comparison.levels import compare, compare_equations, sampled
 from crosscheck.comparison.momentum import momentum_row
@@ -119,7 +118,7 @@ def test_a_ball_on_the_axis_of_a_hinge_is_a_joint_of_both_models(tmp_path):
         '<geom size="0.1" pos="1 0 0"/></body></worldbody>'
         '<equality><connect name="ball" body1="arm" body2="world" anchor="0 0.3 0"/></equality></mujoco>'
     )
-    scene = mjcf.read.read(tmp_path / "held.xml", duration=0.1, output_period=0.05).scene
+    scene = mjcf.read(tmp_path / "held.xml", duration=0.1, output_period=0.05).scene
     system = RigidMuJoCo(scene)
     ball = system.joint_geometry()["ball"]
     assert ball.kinds == ("ball",)

@@ -11,7 +11,6 @@ from command_line import EXAMPLE
 from verdicts import verdicts
 
 import mjcf
-import mjcf.read
 import newton_euler
 import urdf
 from crosscheck.comparison.diagnosis import FILE, READING, diagnose
@@ -271,7 +270,7 @@ def test_a_law_that_newton_euler_gets_wrong_is_blamed_on_it(law, force, tmp_path
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))  # others would get the wrong law from theirs
     path = tmp_path / "driven.xml"
     path.write_text(DRIVEN)
-    found = mjcf.read.read(path, duration=0.02, exercise=True, verified=False)
+    found = mjcf.read(path, duration=0.02, exercise=True, verified=False)
     monkeypatch.setattr(law, "force", force)
     result = crosscheck(found.scene, list(ENGINES.values()), lambda _: None, "driven", {}, found.report)
     (first,) = result.diagnosis
@@ -310,7 +309,7 @@ def misread(fault, found):
 
 @pytest.mark.slow
 def test_thirty_faults_in_the_reading_are_blamed_on_it():
-    found = mjcf.read.read(LINKAGE, duration=0.05, output_period=0.01, exercise=True, verified=False)
+    found = mjcf.read(LINKAGE, duration=0.05, output_period=0.01, exercise=True, verified=False)
     faults = list(misreadings(found.report.originals[-1][1]))
     blamed = 0
     for k in np.linspace(0, len(faults) - 1, 40).round().astype(int):

@@ -12,11 +12,11 @@ from mjcf_models import PAIR, model, reading, verified
 from urdf_files import CHAIN
 
 import newton_euler
-import urdf.read
+import urdf
 from crosscheck.cli import main
 from crosscheck.comparison.coverage import covered_by
 from crosscheck.studies.benchmark.run import Wanted
-from mjcf.read import Reading
+from mjcf.reader import Reading
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import constraint_rate
@@ -200,7 +200,7 @@ def test_a_watched_limit_sees_a_force_that_swings() -> None:
 def test_a_urdf_moves_at_the_start(tmp_path: Path) -> None:
     path = tmp_path / "chain.urdf"
     path.write_text(CHAIN)
-    still, moved = (urdf.read.read(path, exercise=exercise) for exercise in (False, True))
+    still, moved = (urdf.read(path, exercise=exercise) for exercise in (False, True))
     assert not np.any(initial_state(still.scene).angular_velocity)
     assert np.all(np.any(initial_state(moved.scene).angular_velocity[1:], axis=1))
     assert any(line.startswith("exercised: start velocities up to ") for line in moved.report.start)

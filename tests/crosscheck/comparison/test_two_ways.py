@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-import mjcf.read
+import mjcf
 import newton_euler
-import urdf.read
+import urdf
 from crosscheck.comparison.reactions import determined, undetermined
 from mjcf.rigid import RigidMuJoCo
 from newton_euler import Body, Mechanism, Scene
@@ -185,9 +185,9 @@ def read(folder: Path, way: str) -> Scene:
         (folder / "four_bar.urdf").write_text(urdf_text)
         (folder / "four_bar.yaml").write_text(loops)
         asked = {"duration": DURATION, "output_period": PERIOD}
-        return urdf.read.read(folder / "four_bar.urdf", folder / "four_bar.yaml", **asked).scene
+        return urdf.read(folder / "four_bar.urdf", folder / "four_bar.yaml", **asked).scene
     (folder / "four_bar.xml").write_text(written_mjcf(cut, written == "sites"))
-    return mjcf.read.read(folder / "four_bar.xml", duration=DURATION, output_period=PERIOD).scene
+    return mjcf.read(folder / "four_bar.xml", duration=DURATION, output_period=PERIOD).scene
 
 
 def run(scene: Scene) -> Trajectory:
@@ -298,6 +298,6 @@ def test_the_comparison_notices_another_mechanism(tmp_path: Path) -> None:
     (tmp_path / "four_bar.xml").write_text(
         written_mjcf("c", False).replace('pos="1 0 0"', 'pos="1.000001 0 0"')
     )
-    scene = mjcf.read.read(tmp_path / "four_bar.xml", duration=DURATION, output_period=PERIOD).scene
+    scene = mjcf.read(tmp_path / "four_bar.xml", duration=DURATION, output_period=PERIOD).scene
     body = scene.mechanism.body_index("crank")
     assert np.max(np.abs(run(scene).position[:, body] - whole()[1].position[:, 1])) > 100.0 * SAME

@@ -10,8 +10,8 @@ import pytest
 from command_line import run
 from recordings import lid_runs, lid_scene, read_recording, write_recording
 
-import mjcf.read
-import urdf.read
+import mjcf
+import urdf
 from crosscheck.recording.shapes import GHOST_OPACITY
 from newton_euler.errors import MechanismError
 from newton_euler.model.euler_parameters import rotation
@@ -69,7 +69,7 @@ def folder(tmp_path):
 def of_urdf(folder: Path, *visuals: str):
     path = folder / "robot.urdf"
     path.write_text(URDF.replace("{visuals}", "".join(visuals)))
-    return urdf.read.read(path)
+    return urdf.read(path)
 
 
 def corners(vertices):
@@ -86,7 +86,7 @@ def volume(mesh: Mesh) -> float:
 
 def test_meshes_of_an_mjcf_are_where_mujoco_has_them(folder):
     (folder / "m.xml").write_text(MJCF)
-    ground, arm = mjcf.read.read(folder / "m.xml").scene.mechanism.bodies
+    ground, arm = mjcf.read(folder / "m.xml").scene.mechanism.bodies
     turned = CORNERS @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     for body, expected, color in (
         (ground, CORNERS - Z, (0.0, 1.0, 0.0, 1.0)),

@@ -8,15 +8,15 @@ import pytest
 import mjcf
 import urdf
 from crosscheck.scenes.scene_file import read_scene, write_scene
-from mjcf.read import read
+from mjcf import read
 from mjcf.rigid import RigidMuJoCo
 from newton_euler import LinearCoupling, simulate
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import MechanismError
+from urdf import read as read_urdf
 from urdf.dynamics import PinocchioSystem
-from urdf.read import read as read_urdf
 
 LINK = """<body name="{0}" pos="{1}"><joint name="{0}" axis="0 1 0" {2}/>
 <geom type="box" size="0.2 0.05 0.1" pos="0.2 0 0"/>"""

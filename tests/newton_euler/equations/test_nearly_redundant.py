@@ -16,7 +16,7 @@ from crosscheck.engines import ENGINES
 from crosscheck.report.run import redundancy_lines
 from crosscheck.run import crosscheck
 from crosscheck.studies.stress.noise import MECHANISMS, SENSITIVITY, flat_four_bar
-from mjcf.read import read
+from mjcf import read
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.assemble import assemble, initial_state
 from newton_euler.equations import redundancy
@@ -31,8 +31,8 @@ from newton_euler.model.couplings import Gear
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from urdf import read as read_urdf
 from urdf.dynamics import PinocchioSystem
-from urdf.read import read as read_urdf
 
 FREEDOMS = {"flat_four_bar": 1, "sarrus": 1, "double_wishbone": 2, "bricard": 1}
 FORMS = list(product(["relative", "cartesian"], ["projection", "baumgarte", "none"]))

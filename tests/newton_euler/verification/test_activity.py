@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mjcf.read import read
+from mjcf import read
 from newton_euler import simulate
 from newton_euler.verification.activity import Course
 from newton_euler.verification.import_report import ImportReport
-from urdf.read import read as read_urdf
+from urdf import read as read_urdf
 
 FALL = """<mujoco><option gravity="0 0 -10"/><worldbody>
 <geom name="floor" type="plane" size="9 9 1"/>{above}
