@@ -330,5 +330,6 @@ def _trajectory(
         time=scene.times[: len(arrays["position"])],
         body_names=scene.mechanism.body_names,
         joint_names=scene.mechanism.joint_names,
+        mechanism=scene.mechanism,
         **arrays,
     )

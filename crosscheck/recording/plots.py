@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from crosscheck.comparison.figure import OPEN, POSES
 from crosscheck.comparison.runs import orientations_apart, positions_apart
-from newton_euler.model.constraints import Frame
 from newton_euler.model.control import PD
-from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
@@ -84,18 +82,6 @@ def rotated(quaternion: Array, vector: Array) -> Array:
     return np.asarray(vector + e0 * turned + np.cross(e, turned))
 
 
-def joint_coordinate(mechanism: Mechanism, joint: str, coordinate: int, run: Trajectory) -> Array:
-    """(n,) m or rad from the initial pose, whole revolutions counted, as control laws take it."""
-    equations = mechanism.joint_equations(joint)
-    first, second, measure = equations.first, equations.second, equations.coordinates[coordinate]
-    values = np.empty(len(run.time))
-    for n, (r, p) in enumerate(zip(run.position, run.quaternion, strict=True)):
-        pair = (Frame(r[k], rotation(p[k]), np.zeros(3), np.zeros(3)) for k in (first, second))
-        with np.errstate(invalid="ignore"):  # hinges in a row do not reach every orientation
-            values[n] = measure.phi(*pair)[0]
-    return values if measure.is_length else np.unwrap(values)
-
-
 def platforms(mechanism: Mechanism) -> list[int]:
     """Numbers of the bodies on at least three joints; the tilt of the last is plotted."""
     return [k for k in range(1, len(mechanism.bodies)) if len(mechanism.joints_at[k]) >= 3]
@@ -124,7 +110,8 @@ def _motion_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator
     targets = {(law.joint, law.coordinate): law.target for law in scene.control if isinstance(law, PD)}
     for key in _coordinates(scene)[:MOST_COORDINATES]:
         name, slides = coordinate_name(mechanism.joint(key[0]), key[1]), mechanism.is_slide(*key)
-        lines = {engine: joint_coordinate(mechanism, *key, run) for engine, run in trajectories.items()}
+        moved = {e: replace(run, mechanism=mechanism).joint(key[0]) for e, run in trajectories.items()}
+        lines = {engine: motion.coordinates[:, key[1]] for engine, motion in moved.items()}
         title, large = (f"{name} [m]", mechanism.size) if slides else (f"{name} [rad]", 1.0)
         yield Plot("Motion", ("coordinate", name), title, lines, large, targets.get(key))
     for body in platforms(mechanism)[-1:]:

@@ -171,6 +171,11 @@ class Mechanism:
             raise AttributeError(f"{name} of a mechanism cannot be changed; make another mechanism")
         super().__setattr__(name, value)
 
+    def __repr__(self) -> str:
+        kinds = Counter(joint.kind for joint in self.joints)
+        joints = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+        return f"<Mechanism: bodies: {len(self.bodies)}; joints: {joints}; couplings: {len(self.couplings)}>"
+
     def _check_joints(self) -> None:
         for joint in self.joints:
             where = f"joint {joint.name!r}"

@@ -120,6 +120,10 @@ class Scene:
         if self.initial_state is not None:
             self._check_state(self.initial_state)
 
+    def __repr__(self) -> str:
+        size = f"bodies: {len(self.mechanism.bodies)}, joints: {len(self.mechanism.joints)}"
+        return f"<Scene {self.name!r}: {len(self.times)} outputs to {self.duration:g} s, {size}>"
+
     def _check_texts(self) -> None:
         name, description = self.name, self.description
         if not isinstance(name, str) or not _NAME.fullmatch(name) or name in (".", ".."):

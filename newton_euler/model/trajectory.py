@@ -5,17 +5,22 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, replace
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from zipfile import BadZipFile, ZipFile
 from zlib import error as ZlibError
 
 import numpy as np
 
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import MechanismError, NewtonEulerError
 from newton_euler.limits import MB, exceeded
+from newton_euler.model.constraints import Frame
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.joint import Joint
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.source_file import SourceError, read_content
 from newton_euler.scalars import Array
 
@@ -40,8 +45,25 @@ SHAPES = {
 UNREADABLE = (OSError, EOFError, KeyError, RuntimeError, MemoryError, BadZipFile, ZlibError)
 """What broken archives raise, beside ValueError."""
 
+COMPONENTS = {"3": "xyz", "4": "wxyz"}
+"""Names of the components of vectors and quaternions."""
+
+DATA_FRAMES = ("pandas", "polars")
+"""Libraries that make tables of trajectories, the first that is installed."""
+
 NEEDED = ("time", "body_names", "joint_names", "position", "quaternion")
 """Arrays that every run has."""
+
+
+class JointMotion(NamedTuple):
+    """The k coordinates of a joint over n output times, as control laws and springs measure them."""
+
+    names: tuple[str, ...]
+    """(k,) "angle" or "position", numbered from 1 where a joint has several of a kind."""
+    coordinates: Array
+    """(n, k) rad or m from the initial pose, revolutions counted."""
+    rates: Array | None
+    """(n, k) rad/s or m/s; None where the scene did not ask for velocities."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +76,7 @@ class Trajectory:
         engine: name of the engine that made it.
         settings: the options it ran with and what it counted (steps, evaluations).
         wall_time: s, of the run itself, without building the model.
+        mechanism: what moved; None of a run that was made of arrays alone. Files do not hold it.
     """
 
     engine: str
@@ -86,10 +109,78 @@ class Trajectory:
     """(n,) of gravity, zero at the world origin, and of springs, zero at rest, J."""
     work: Array | None = None
     """(n,) done since the start by control, dampers, wrenches and prescribed motions, J."""
+    mechanism: Mechanism | None = None
+
+    def __repr__(self) -> str:
+        made = f"of {self.engine}" if self.engine else "of no engine"
+        size = f"bodies: {len(self.body_names)}, joints: {len(self.joint_names)}"
+        return f"<Trajectory {made}: {len(self.time)} outputs to {self.time[-1]:g} s, {size}>"
+
+    def joint(self, name: str) -> JointMotion:
+        """Compute the coordinates of a joint, and their rates, at all output times.
+
+        Angles begin within half a revolution of the initial pose. From one output to the next they follow
+        their rates; without these they must move by less than half a revolution.
+
+        Raises:
+            UnknownNameError: for an unknown joint.
+            MechanismError: if the trajectory has no mechanism.
+
+        Example:
+            >>> from crosscheck.scenes import load
+            >>> from newton_euler import simulate
+            >>> motion = simulate(load("pendulum")).joint("pivot")
+            >>> motion.names, motion.coordinates.shape, motion.rates.shape
+            (('angle',), (501, 1), (501, 1))
+        """
+        if self.mechanism is None:
+            needed = "one: dataclasses.replace(trajectory, mechanism=scene.mechanism)"
+            raise MechanismError("trajectory", "has no mechanism", needed)
+        equations = self.mechanism.joint_equations(name)
+        bodies, measures = (equations.first, equations.second), equations.coordinates
+        linear, angular = self.linear_velocity, self.angular_velocity
+        has_rates = linear is not None and angular is not None
+        if linear is None or angular is None:
+            linear = angular = np.zeros_like(self.position)
+        x, rates = np.empty((2, len(self.time), len(measures)))
+        for n, (r, p, v, w) in enumerate(zip(self.position, self.quaternion, linear, angular, strict=True)):
+            first, second = (Frame(r[k], rotation(p[k]), v[k], w[k]) for k in bodies)
+            with np.errstate(invalid="ignore", divide="ignore"):  # hinges in a row do not reach all
+                for k, measure in enumerate(measures):
+                    x[n, k] = measure.phi(first, second)[0]
+                    rates[n, k] = measure.jacobian(first, second).rate(first, second)[0]
+        for k, measure in enumerate(measures):
+            if not measure.is_length:
+                expected = np.diff(self.time) * 0.5 * (rates[1:, k] + rates[:-1, k])
+                revolutions = np.round((expected - np.diff(x[:, k])) / (2.0 * np.pi))
+                x[1:, k] += 2.0 * np.pi * np.cumsum(np.nan_to_num(revolutions))
+        return JointMotion(_coordinate_names(equations.joint), x, rates if has_rates else None)
+
+    def to_dataframe(self) -> Any:
+        """Return a table with a row per output time, of pandas, or of polars if that alone is installed.
+
+        Its columns are `time` and the components of the arrays, `position.rod.x` and `reaction_force.pivot.z`
+        for example; actuators go by number.
+
+        Raises:
+            NewtonEulerError: if neither is installed.
+        """
+        named = {"b": self.body_names, "j": self.joint_names} | COMPONENTS
+        columns: dict[str, Array] = {}
+        for name, array in self.arrays().items():
+            if array.dtype.kind == "f":
+                for place in np.ndindex(array.shape[1:]):
+                    ends = zip(SHAPES[name][1:], place, strict=True)
+                    parts = (named[letter][k] if letter in named else str(k) for letter, k in ends)
+                    columns[".".join((name, *parts))] = array[:, *place]
+        for library in DATA_FRAMES:
+            with suppress(ImportError):
+                return import_module(library).DataFrame(columns)
+        raise NewtonEulerError("tables of trajectories need pandas or polars; install one of them")
 
     def arrays(self) -> dict[str, Array]:
         """The arrays of the run by name, names as arrays of text."""
-        skipped = ("engine", "settings", "wall_time")
+        skipped = ("engine", "settings", "wall_time", "mechanism")
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in skipped}
         return {name: np.asarray(value) for name, value in values.items() if value is not None}
 
@@ -114,6 +205,14 @@ class Trajectory:
         arrays: dict[str, Any] = dict(self.arrays())
         np.savez_compressed(content, **arrays)
         return content.getvalue()
+
+
+def _coordinate_names(joint: Joint) -> tuple[str, ...]:
+    kinds = ["position" if kind == "slide" else "angle" for kind in joint.coordinate_kinds]
+    return tuple(
+        kind if kinds.count(kind) == 1 else f"{kind}_{kinds[:k].count(kind) + 1}"
+        for k, kind in enumerate(kinds)
+    )
 
 
 class StoppedError(NewtonEulerError):
