@@ -1,9 +1,9 @@
-# `make run` and `make test` set up .venv on their own; nothing but Python, pip and make is needed.
+# `make run`, `make test` and `make docs` set up .venv on their own; nothing but Python, pip and make is needed.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test test-slow lint figures clean
+.PHONY: run test test-slow lint figures docs clean
 
 run: $(VENV)/installed
 	$(BIN)/crosscheck run tracker
@@ -22,9 +22,16 @@ lint: $(VENV)/installed
 figures: $(VENV)/installed
 	$(BIN)/crosscheck figures
 
+docs: $(VENV)/docs-installed
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	touch $@
+
+$(VENV)/docs-installed: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[docs]"
 	touch $@
 
 clean:

@@ -104,7 +104,8 @@ def simulate_batch(
         states: initial states, one per run; the scene's own for all if not given.
         parameters: values, one per run, by name; see `newton_euler.equations.parameters`.
         threads: their number; that of the processors if not given.
-        formulation, integrator, stabilization, alpha, control: as of `simulate`.
+
+    The other arguments are those of `simulate`.
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, state or value; a run that

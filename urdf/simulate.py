@@ -27,7 +27,8 @@ def simulate(
     Args:
         scene: what to run; its URDF and loop file are made on the way.
         integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
-        rtol, atol: error control of adaptive integrators.
+        rtol: relative error control of adaptive integrators.
+        atol: absolute error control, see `newton_euler.integrators.options.Options`.
         step: s, of those with fixed steps.
         stabilization: "projection" after each step, "baumgarte" (Pinocchio's own corrector gains) or "none".
         alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.

@@ -86,7 +86,7 @@ class Tables:
 
 
 def corrected_tables(*, literal_panel: bool = False) -> Tables:
-    """The tables with the errata of docs/errata.md applied; `literal_panel` leaves J7 as printed."""
+    """The tables with the errata of docs/explanation/errata.md; `literal_panel` leaves J7 as printed."""
     tables = Tables.as_printed()
     tables.inertia[0, 2, 0] = -1.0  # erratum 5: symmetric
     tables.inertia[1, 0, 2] = tables.inertia[1, 2, 0] = -0.0102  # erratum 6: the mirror image of J3

@@ -1,6 +1,6 @@
-"""Runs public model files one by one and writes the table of docs/models.md.
+"""Runs public model files one by one and writes the table of docs/results/models.md.
 
-    python -m crosscheck.studies.models docs/models.yaml FOLDER --write docs/models.md
+    python -m crosscheck.studies.models docs/results/models.yaml FOLDER --write docs/results/models.md
 
 FOLDER holds the repositories as OWNER/NAME. Each file is run by `crosscheck run` in a process of its own,
 which has a limit of time. What it found is kept in a JSON file beside the results; with `--only TEXT`, files

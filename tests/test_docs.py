@@ -1,0 +1,114 @@
+"""Code of README and docs: Python runs, commands exist, and what they print is what the page says."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from crosscheck.cli.shared import cli
+from crosscheck.verdict import Verdict
+
+ROOT = Path(__file__).parents[1]
+
+PAGES = sorted(str(page.relative_to(ROOT)) for page in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")))
+
+FENCE = re.compile(r'^```(\w*)(?: title="(.+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+
+VERDICT = re.compile(r"^(AGREE|DISAGREE|SAME|DIFFERENT|QUIET|MOVED)\b", re.MULTILINE)
+
+FAILS = {"DISAGREE", "DIFFERENT", "MOVED"}
+"""Verdicts with status 1."""
+
+
+class Block(NamedTuple):
+    """A fenced block of a page: its language, the file that its title names, and its text."""
+
+    language: str
+    title: str
+    text: str
+
+
+def blocks(page: str, language: str) -> list[Block]:
+    """All blocks of a page in a language."""
+    found = (Block(*groups) for groups in FENCE.findall((ROOT / page).read_text()))
+    return [block for block in found if block.language == language]
+
+
+def having(*languages: str) -> list[str]:
+    """Pages with a block in one of some languages."""
+    return [page for page in PAGES if any(blocks(page, language) for language in languages)]
+
+
+def commands(page: str) -> Iterator[tuple[str, str]]:
+    """Each command of a page's console blocks, without the environment's path, and what is shown below it."""
+    for block in blocks(page, "console"):
+        for part in re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]:
+            command, _, shown = part.partition("\n")
+            yield command.replace(".venv/bin/", "").replace("make run", "crosscheck run tracker"), shown
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The working folder of a test, with the files that pages name; no window opens."""
+    for name in ("examples", "mjcf"):
+        shutil.copytree(ROOT / name, tmp_path / name)
+    shutil.copy(ROOT / "examples" / "linkage.xml", tmp_path / "robot.xml")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Verdict, "show", lambda verdict: None)
+    return tmp_path
+
+
+def execute(page: str, folder: Path) -> None:
+    """Write the files of a page into a folder, and execute its Python blocks, in one namespace."""
+    for _, title, text in (block for language in ("xml", "yaml") for block in blocks(page, language)):
+        if title:
+            (folder / title).write_text(text)
+    names: dict[str, object] = {}
+    for block in blocks(page, "python"):
+        exec(compile(block.text, page, "exec"), names)
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
+def test_links_to_files_lead_to_files(page):
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)", (ROOT / page).read_text())
+    assert [target for target in targets if not (ROOT / target).exists()] == []
+
+
+@pytest.mark.parametrize("page", having("python"))
+def test_python_runs(page, folder):
+    execute(page, folder)
+
+
+@pytest.mark.parametrize("page", having("console"))
+def test_commands_and_their_options_exist(page):
+    for command, _ in commands(page):
+        program, name, *rest = shlex.split(command)
+        if program == "crosscheck":
+            with cli.commands[name].make_context(name, rest):
+                pass
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", having("console"))
+def test_commands_come_to_the_verdict_that_the_page_shows(page, folder):
+    execute(page, folder)
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    for command, shown in commands(page):
+        program, name, *_ = shlex.split(command)
+        if program not in ("crosscheck", "sed") or name == "view":
+            continue
+        done = subprocess.run(
+            command, shell=True, env=os.environ | {"PATH": path}, capture_output=True, text=True, check=False
+        )
+        said, wanted = f"{command}\n{done.stdout}{done.stderr}", set(VERDICT.findall(shown))
+        assert wanted <= set(VERDICT.findall(done.stdout)), said
+        assert done.returncode == bool(wanted & FAILS), said
