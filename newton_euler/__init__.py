@@ -1,6 +1,6 @@
 """Newton-Euler dynamics of any mechanism with closed loops, written by hand."""
 
-from newton_euler.assemble import assemble, initial_state
+from newton_euler.assemble import assemble, initial_state, start
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.compound_joint import Compound
@@ -68,4 +68,5 @@ __all__ = [
     "initial_state",
     "simulate",
     "simulate_batch",
+    "start",
 ]
