@@ -8,10 +8,13 @@ from crosscheck.scenes.size import check_scene
 from newton_euler.model.scene import Scene
 from newton_euler.verification.import_report import ImportReport
 
+EXERCISED = {"exercise": "on"}
+"""Options of models of other tools that crosschecks take unless told otherwise."""
+
 
 def exercised(source: str, options: dict[str, str]) -> dict[str, str]:
     """Return the options with which model files are exercised unless the options say otherwise."""
-    return {"exercise": "on"} | options if is_model(source) else options
+    return EXERCISED | options if is_model(source) else options
 
 
 def load_scene(

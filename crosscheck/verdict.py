@@ -7,20 +7,26 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from crosscheck.comparison.diagnosis import Diagnosis
 from crosscheck.comparison.figure import Figure
 from crosscheck.engines import ENGINES, choose
 from crosscheck.files import check_writable
-from crosscheck.load import exercised, load_scene
+from crosscheck.load import EXERCISED, exercised, load_scene
+from crosscheck.model_files.read import read_model
 from crosscheck.report.output import own_name, to_record, write
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal
 from crosscheck.report.run import report
 from crosscheck.report.table import Report
 from crosscheck.run import Crosscheck, crosscheck
+from crosscheck.scenes.size import check_scene
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from mjcf.reader import MujocoModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +107,7 @@ class Verdict:
 
 
 def check(
-    model: str | os.PathLike[str] | Scene,
+    model: str | os.PathLike[str] | Scene | MujocoModel,
     engines: Sequence[str] = tuple(ENGINES),
     *,
     advice: bool = False,
@@ -111,7 +117,8 @@ def check(
     """Run a model through the engines and compare them.
 
     Args:
-        model: a scene of the library by name, a scene file, an MJCF, a URDF, or a `Scene`.
+        model: a scene of the library by name, a scene file, an MJCF, a URDF, a `Scene`, or an `MjSpec` or an
+            `MjModel` of MuJoCo, read as its file would be.
         engines: by name.
         advice: whether to work out what to do about what is found, by more runs.
         progress: is told each stage.
@@ -130,6 +137,10 @@ def check(
         if texts:
             raise TypeError(f"options are of names and files, not of a Scene: {', '.join(texts)}")
         scene, source, mapping = model, "", None
+    elif not isinstance(model, str | os.PathLike):
+        source = ""
+        scene, mapping = read_model(model, EXERCISED | texts, verified=False)
+        check_scene(scene)
     else:
         source = os.fspath(model)
         scene, mapping = load_scene(source, exercised(source, texts), verified=False)

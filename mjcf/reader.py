@@ -20,7 +20,7 @@ from collections.abc import Sized
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Unpack
+from typing import Any, TypeAlias, Unpack
 
 import mujoco
 import numpy as np
@@ -35,7 +35,7 @@ from mjcf.reading.laws import Drive
 from mjcf.reading.laws import exercise as exercised
 from mjcf.reading.leftovers import report_leftovers
 from mjcf.reading.loops import Loops
-from mjcf.reading.source import SourceError, compiled
+from mjcf.reading.source import UNNAMED, SourceError, compiled, given, model_name
 from mjcf.reading.start import Start
 from newton_euler.assemble import assemble
 from newton_euler.errors import NewtonEulerError
@@ -58,8 +58,9 @@ MOST_NAMES = 5
 AT_REST = 1e-12
 """m/s and rad/s, below which velocities are round-off."""
 
-UNNAMED = "MuJoCo Model"
-"""MuJoCo's name for a model without one."""
+
+MujocoModel: TypeAlias = mujoco.MjSpec | mujoco.MjModel
+"""A model that is not in a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,32 +81,36 @@ class Reading:
 
 
 def read(
-    path: str | os.PathLike[str],
+    model: str | os.PathLike[str] | MujocoModel,
     key: str | None = None,
     root: str | None = None,
     **options: Unpack[ReadOptions],
 ) -> Reading:
-    """Read an MJCF file.
+    """Read an MJCF file, or a model that MuJoCo has in memory.
 
     Args:
-        path: of the file.
+        model: path of the file, or an `MjSpec` or an `MjModel`, with what was changed since it was compiled.
         key: name of the keyframe to start from, or "qpos0"; the first keyframe if None, if there is one.
-        root: folder that all files have to be in that it refers to, see `mjcf.reading.source`.
+        root: folder that all files have to be in that a file refers to, see `mjcf.reading.source`.
         options: see `newton_euler.model.source_file.Request`.
 
     Raises:
-        MjcfError: naming the file and the element at fault, one that was not read right among them.
+        MjcfError: naming the file or model and the element at fault, one that was not read right among them.
     """
-    where, request = path_text(path, SourceError), Request(**options)
+    request = Request(**options)
     with heard_warnings() as warnings:
-        model = compiled(where, root)
-        found = _reading(where, copy.copy(model), key, request)
+        if isinstance(model, str | os.PathLike):
+            where = path_text(model, SourceError)
+            made = compiled(where, root)
+        else:
+            where, made = given(model)
+        found = _reading(where, copy.copy(made), key, request)
         try:
-            originals = [_original(copy.copy(model), key, found)]
-            if model.nu:
-                originals.append(_driven(where, model, key, request))
+            originals = [_original(copy.copy(made), key, found)]
+            if made.nu:
+                originals.append(_driven(where, made, key, request))
             if request.exercise:
-                found = _exercised(where, model, key, request, found)
+                found = _exercised(where, made, key, request, found)
             report = found.report
             report.originals.extend(originals)
             if request.verified:
@@ -231,11 +236,6 @@ def _scene(
         redundancy_tolerance=request.redundancy_tolerance,
     )
     return _moving(scene, start, bodies, report), actuators.drives
-
-
-def model_name(model: Any) -> str:
-    """The name in the root element of a compiled model."""
-    return str(bytes(model.names).split(b"\0", 1)[0].decode(errors="replace"))
 
 
 def _moving(scene: Scene, start: Start, bodies: Bodies, report: ImportReport) -> Scene:

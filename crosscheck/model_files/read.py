@@ -6,13 +6,16 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from crosscheck.errors import CrosscheckError
 from newton_euler.errors import choices, plain_number
 from newton_euler.model.scene import Scene
 from newton_euler.model.xml_source import LARGEST
 from newton_euler.verification.import_report import FATES, ImportedElement, ImportReport
+
+if TYPE_CHECKING:
+    from mjcf.reader import MujocoModel
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 
@@ -64,6 +67,9 @@ MJCF_OPTIONS = COMMON | {
     "key": Option("KEYFRAME to start from, or qpos0", "the first keyframe if there is one"),
     "root": Option("FOLDER that holds all files that it refers to", "its own folder"),
 }
+MUJOCO_OPTIONS = {name: option for name, option in MJCF_OPTIONS.items() if name != "root"}
+"""Of models in memory, that refer to no files."""
+
 URDF_OPTIONS = COMMON | {
     "loops": Option("FILE, its loop file", "none"),
     "base": Option("fixed|free", "fixed"),
@@ -85,12 +91,12 @@ def is_urdf(name: str) -> bool:
 
 
 def read_model(
-    path: str, options: Mapping[str, str | int], verified: bool = True
+    model: str | MujocoModel, options: Mapping[str, str | int], verified: bool = True
 ) -> tuple[Scene, ImportReport]:
-    """Read a model file.
+    """Read a model file, or a model of MuJoCo's.
 
     Args:
-        path: ends in one of `SUFFIXES`.
+        model: a path that ends in one of `SUFFIXES`, or an `MjSpec` or `MjModel`.
         options: those of `MJCF_OPTIONS` or `URDF_OPTIONS`, as people give them.
         verified: whether to refuse a scene that is not what the file says.
 
@@ -98,7 +104,8 @@ def read_model(
         CrosscheckError: for an unknown option or one that cannot be read.
         newton_euler.NewtonEulerError: naming the file and the element at fault.
     """
-    known = URDF_OPTIONS if is_urdf(path) else MJCF_OPTIONS
+    path = model if isinstance(model, str) else type(model).__name__
+    known = URDF_OPTIONS if is_urdf(path) else MJCF_OPTIONS if isinstance(model, str) else MUJOCO_OPTIONS
     given: dict[str, Any] = {}
     for name, value in options.items():
         if name not in known:
@@ -115,7 +122,7 @@ def read_model(
         return found.scene, found.report
     from mjcf import read as read_mjcf
 
-    reading = read_mjcf(path, **given, verified=verified)
+    reading = read_mjcf(model, **given, verified=verified)
     return reading.scene, reading.report
 
 

@@ -9,9 +9,17 @@ from __future__ import annotations
 
 import sys
 from contextlib import suppress
+from typing import Any
 
 ARENA = 50_000_000
 """Bytes that MuJoCo sets aside for constraints."""
+
+
+def compile_spec(spec: Any) -> Any:
+    """Compile an `MjSpec`, whose memory is set, to an `MjModel`."""
+    spec.memory = ARENA  # room for contacts, which are not looked at
+    spec.njmax = spec.nconmax = spec.nstack = -1
+    return spec.compile()
 
 
 def main() -> int:
@@ -27,10 +35,7 @@ def main() -> int:
 
     mujoco.set_mju_user_warning(lambda message: None)
     try:
-        spec = mujoco.MjSpec.from_file(path)
-        spec.memory = ARENA  # room for contacts, which are not looked at
-        spec.njmax = spec.nconmax = spec.nstack = -1
-        model = spec.compile()
+        model = compile_spec(mujoco.MjSpec.from_file(path))
     except (ValueError, MemoryError, mujoco.FatalError) as error:
         print(" ".join(str(error).split()) or type(error).__name__, file=sys.stderr)
         return 1

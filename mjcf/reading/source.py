@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import signal
 import subprocess
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from mjcf.errors import MjcfError
+from mjcf.reading.compile import compile_spec
 from newton_euler.limits import MB, exceeded, limit, size_in_bytes, too_small
 from newton_euler.model import source_file
 from newton_euler.model.source_file import read_text
@@ -34,6 +36,9 @@ OUT_OF_MEMORY = ("MemoryError", "llocate", "bad_alloc")
 
 UNKNOWN = "unknown exception"
 """Words of MuJoCo for an error of which it says nothing."""
+
+UNNAMED = "MuJoCo Model"
+"""MuJoCo's name for a model without one."""
 
 FOLDERS = ("meshdir", "texturedir", "assetdir")
 """Attributes of compiler elements that say where assets are."""
@@ -81,6 +86,41 @@ def compiled(path: str, root: str | None = None) -> Any:
     model = _compiled(path, scan.asset_bytes)
     _check_counts(path, model)
     return model
+
+
+def given(model: object) -> tuple[str, Any]:
+    """A name for messages, and the `MjModel`, of a model that is given as an `MjSpec` or an `MjModel`.
+
+    Neither is changed by what becomes of the result.
+
+    Raises:
+        SourceError: for anything else, and for models that MuJoCo or a limit refuses.
+    """
+    import mujoco
+
+    if isinstance(model, mujoco.MjSpec):
+        where, made = _named("MjSpec", model.modelname), None
+        try:
+            made = compile_spec(model.copy())
+        except (ValueError, MemoryError, mujoco.FatalError) as error:
+            raise SourceError(where, f"MuJoCo refuses it: {' '.join(str(error).split()):.500}") from error
+    elif isinstance(model, mujoco.MjModel):
+        where, made = _named("MjModel", model_name(model)), copy.copy(model)
+    else:
+        needed = "a path of a file, a mujoco.MjSpec or a mujoco.MjModel"
+        raise SourceError(f"{model!r:.200}", f"cannot be read; needed: {needed}")
+    _check_numbers(where, made)
+    _check_counts(where, made)
+    return where, made
+
+
+def _named(kind: str, name: str) -> str:
+    return kind if name in ("", UNNAMED) else f"{kind} {name!r:.100}"
+
+
+def model_name(model: Any) -> str:
+    """The name in the root element of a compiled model."""
+    return str(bytes(model.names).split(b"\0", 1)[0].decode(errors="replace"))
 
 
 def _compiled(path: str, asset_bytes: int) -> Any:

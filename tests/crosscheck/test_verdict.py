@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 
 import crosscheck
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
+from newton_euler import NewtonEulerError
 
 LINKAGE = Path(__file__).parents[2] / "examples" / "linkage.xml"
 
@@ -48,6 +51,22 @@ def test_a_file_is_checked_with_its_options():
     assert found.trajectories["newton_euler"].time[-1] == 0.05
     with pytest.raises(CrosscheckError, match="has no option 'duratoin'; did you mean 'duration'"):
         crosscheck.check(LINKAGE, duratoin=1)
+
+
+def test_models_of_mujoco_are_checked_as_they_are_in_memory():
+    spec = mujoco.MjSpec.from_file(str(LINKAGE))
+    options = {"key": "go", "duration": 0.05}
+    first, second = (
+        crosscheck.check(each, ["newton_euler"], **options) for each in (LINKAGE, spec.compile())
+    )
+    assert second.crosscheck.source == ""
+    assert second.crosscheck.mapping is not None
+    runs = [found.trajectories["newton_euler"].position for found in (first, second)]
+    np.testing.assert_array_equal(*runs)
+    with pytest.raises(CrosscheckError, match="MjSpec has no option 'root'"):
+        crosscheck.check(spec, root=".")
+    with pytest.raises(NewtonEulerError, match=r"a path of a file, a mujoco.MjSpec or a mujoco.MjModel"):
+        crosscheck.check(3)
 
 
 def test_options_are_not_of_scenes():

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 from mjcf_models import ELEMENTS, FLOATING, FOUR_BARS, PAIR, arm, model, reading, verified
 
+from mjcf import read
 from mjcf.errors import MjcfError
 from mjcf.model import CompiledScene
 from mjcf.reader import Reading
@@ -295,3 +297,58 @@ def test_a_keyframe_without_a_name(tmp_path: Path) -> None:
 def test_an_unknown_keyframe(tmp_path: Path) -> None:
     with pytest.raises(MjcfError, match="no keyframe 'up'; choose from: qpos0, go"):
         reading(tmp_path, ELEMENTS["actuators"], key="up")
+
+
+TWO_BARS = """
+<mujoco model="two_bars"><worldbody><body name="a"><joint name="first" axis="0 1 0"/>
+  <geom type="capsule" size="0.02" fromto="0 0 0 0.1234567890123 0 -0.7654321098765"/>
+  <body name="b" pos="0.1234567890123 0 -0.7654321098765"><joint name="second" axis="0 1 0"/>
+    <geom type="capsule" size="0.02" fromto="0 0 0 0.5 0 0"/></body></body></worldbody></mujoco>
+"""
+
+
+def test_models_in_memory_are_read_as_their_file_is(tmp_path):
+    path = tmp_path / "two_bars.xml"
+    path.write_text(TWO_BARS)
+    spec = mujoco.MjSpec.from_string(TWO_BARS)
+    scenes = [read(each).scene for each in (path, spec, mujoco.MjModel.from_xml_string(TWO_BARS))]
+    assert [scene.description for scene in scenes] == [
+        "two_bars.xml from qpos0",
+        "MjSpec 'two_bars' from qpos0",
+        "MjModel 'two_bars' from qpos0",
+    ]
+    for scene in scenes:
+        assert scene.name == "two_bars"
+        for body, other in zip(scene.mechanism.bodies, scenes[0].mechanism.bodies, strict=True):
+            assert body.mass == other.mass
+            np.testing.assert_array_equal(body.center_of_mass, other.center_of_mass)
+            np.testing.assert_array_equal(body.inertia, other.inertia)
+        points = [joint.point for joint in scene.mechanism.joints]
+        np.testing.assert_array_equal(points, [joint.point for joint in scenes[0].mechanism.joints])
+
+
+def test_models_in_memory_are_read_with_their_changes_and_stay_as_they_are():
+    spec = mujoco.MjSpec.from_string(TWO_BARS)
+    spec.body("b").pos[2] = -0.5
+    text = spec.to_xml()
+    assert read(spec).scene.mechanism.joint("second").point[2] == -0.5
+    assert spec.to_xml() == text
+    compiled = mujoco.MjModel.from_xml_string(TWO_BARS)
+    compiled.body_mass[1] = 3.0
+    size = mujoco.mj_sizeModel(compiled)
+    before, after = np.empty((2, size), np.uint8)
+    mujoco.mj_saveModel(compiled, None, before)
+    assert read(compiled, exercise=True).scene.mechanism.body("a").mass == 3.0
+    mujoco.mj_saveModel(compiled, None, after)
+    np.testing.assert_array_equal(after, before)
+
+
+def test_models_in_memory_that_cannot_be_read_are_named():
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_body(name="bare").add_joint()
+    with pytest.raises(MjcfError, match=r"^MjSpec: MuJoCo refuses it: .*mass and inertia"):
+        read(spec)
+    with pytest.raises(MjcfError, match=r"^MjSpec 'two_bars': no keyframe 'home'"):
+        read(mujoco.MjSpec.from_string(TWO_BARS), "home")
+    with pytest.raises(MjcfError, match=r"needed: a path of a file, a mujoco.MjSpec or a mujoco.MjModel"):
+        read(5)

@@ -61,5 +61,8 @@ def test_a_file_with_assets_may_take_longer(
 @pytest.mark.parametrize("path", [None, 3, b"model.xml", "a\0b.xml"])
 @pytest.mark.parametrize("read", [mjcf.read, urdf.read])
 def test_what_is_no_path_is_refused(path: Any, read: Any) -> None:
-    with pytest.raises(SourceError, match=r"cannot be read; needed: a path of a file$"):
+    with pytest.raises(
+        SourceError,
+        match=r"cannot be read; needed: a path of a file(, a mujoco.MjSpec or a mujoco.MjModel)?$",
+    ):
         read(path)
