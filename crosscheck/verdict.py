@@ -36,7 +36,7 @@ class Verdict:
     Attributes:
         crosscheck: all of it.
 
-    Example:
+    Examples:
         >>> verdict = check("pendulum")
         >>> verdict.agrees
         True
@@ -127,7 +127,7 @@ def check(
     Raises:
         CrosscheckError, NewtonEulerError: for a model, engine or option that does not exist or cannot be run.
 
-    Example:
+    Examples:
         >>> check("four_bar", engines=["newton_euler", "pinocchio"], N=3).agrees
         True
     """

@@ -126,7 +126,7 @@ class Trajectory:
             UnknownNameError: for an unknown joint.
             MechanismError: if the trajectory has no mechanism.
 
-        Example:
+        Examples:
             >>> from crosscheck.scenes import load
             >>> from newton_euler import simulate
             >>> motion = simulate(load("pendulum")).joint("pivot")
