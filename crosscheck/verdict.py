@@ -41,7 +41,7 @@ class Verdict:
         >>> verdict.agrees
         True
         >>> verdict.trajectories["mujoco"].position.shape
-        (501, 2, 3)
+        (1001, 2, 3)
     """
 
     crosscheck: Crosscheck

@@ -12,7 +12,15 @@ from newton_euler.model.trajectory import StoppedError
 
 
 class MjcfError(NewtonEulerError):
-    """Base of the errors of models, files and runs of MuJoCo; reads as one line."""
+    """Base of the errors of models, files and runs of MuJoCo; reads as one line.
+
+    Examples:
+        >>> try:
+        ...     mjcf.read("nowhere.xml")
+        ... except mjcf.MjcfError as error:
+        ...     print(error)
+        nowhere.xml: cannot be read: No such file or directory
+    """
 
 
 class ModelError(MjcfError):

@@ -96,6 +96,11 @@ def read(
 
     Raises:
         MjcfError: naming the file or model and the element at fault, one that was not read right among them.
+
+    Examples:
+        >>> found = mjcf.read("examples/linkage.xml", key="go", duration=2.0)
+        >>> found.scene.duration, len(found.report.of("exactly")) > 0
+        (2.0, True)
     """
     request = Request(**options)
     with heard_warnings() as warnings:

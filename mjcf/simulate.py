@@ -59,6 +59,10 @@ def simulate(
     Raises:
         NewtonEulerError: for an unknown name, an impossible option or a controller that fails;
             `MjcfError` for a scene that MuJoCo refuses, or a run that diverges.
+
+    Examples:
+        >>> mjcf.simulate(load("pendulum"), timestep=0.001)
+        <Trajectory of mujoco: 1001 outputs to 10 s, bodies: 2, joints: 1>
     """
     check_type("scene", scene, Scene)
     wanted = _step(scene, timestep)

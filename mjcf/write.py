@@ -84,7 +84,11 @@ GROUND_COLOR = "0.6 0.6 0.6 1"
 
 
 def write(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write the scene's MJCF; the file appears whole or not at all. Raises `MjcfError`."""
+    """Write the scene's MJCF; the file appears whole or not at all. Raises `MjcfError`.
+
+    Examples:
+        >>> mjcf.write(load("four_bar"), "output/four_bar.xml")
+    """
     text = to_xml(scene)
     try:
         with atomic_file(path) as temporary:
@@ -94,7 +98,12 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
 
 
 def to_xml(scene: Scene) -> str:
-    """The scene as an MJCF document; numbers keep all their digits. Raises `MjcfError`."""
+    """The scene as an MJCF document; numbers keep all their digits. Raises `MjcfError`.
+
+    Examples:
+        >>> mjcf.to_xml(load("pendulum"))[:7]
+        '<mujoco'
+    """
     check_type("scene", scene, Scene)
     return welded_to_xml(scene, weld_loops(scene.mechanism, keep_bodies=True, loaded=scene.loaded_balls))
 

@@ -1,4 +1,9 @@
-"""Newton-Euler dynamics of any mechanism with closed loops, written by hand."""
+"""Newton-Euler dynamics of any mechanism with closed loops, written by hand.
+
+Examples in docstrings, here and in the other packages, follow `from newton_euler import *`,
+`from crosscheck.scenes import load`, `from crosscheck import check`, `from dataclasses import replace`,
+`import numpy as np` and `import mjcf, urdf`.
+"""
 
 from newton_euler.assemble import assemble, initial_state, start
 from newton_euler.batch import simulate_batch

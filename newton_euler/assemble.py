@@ -44,6 +44,13 @@ def assemble(scene: Scene, guess: State) -> State:
     Raises:
         AssemblyError: with the joint that stays open.
         MechanismError: for a guess that is no state of the scene's bodies.
+
+    Examples:
+        >>> scene = load("four_bar")
+        >>> guess = replace(State.initial(scene.mechanism), linear_velocity=np.ones((6, 3)))
+        >>> state = assemble(scene, guess)
+        >>> initial_state(replace(scene, initial_state=state)) is state
+        True
     """
     check_type("scene", scene, Scene)
     scene.check_numbers(guess, f"guess for scene {scene.name!r}")
@@ -60,6 +67,10 @@ def initial_state(scene: Scene) -> State:
     Raises:
         MechanismError: naming the joint, gear, motion or force that the given state does not meet.
         AssemblyError: for prescribed motions that no state near the initial pose follows.
+
+    Examples:
+        >>> initial_state(load("four_bar")).quaternion.shape
+        (6, 4)
     """
     check_type("scene", scene, Scene)
     if scene not in CHECKED:
@@ -95,9 +106,7 @@ def start(scene: Scene, /, **joints: Any) -> Scene:
         MechanismError: naming the joint that has no coordinate, follows a prescribed motion, or is not let
             there by loops and couplings.
 
-    Example:
-        >>> from crosscheck.scenes import load
-        >>> from newton_euler import simulate, start
+    Examples:
         >>> scene = start(load("pendulum"), pivot=(0.5, -2.0))
         >>> motion = simulate(scene).joint("pivot")
         >>> print(motion.coordinates[0].round(9), motion.rates[0].round(9))

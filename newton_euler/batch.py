@@ -110,6 +110,11 @@ def simulate_batch(
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, state or value; a run that
             cannot go on is in `Batch.errors`.
+
+    Examples:
+        >>> batch = simulate_batch(load("pendulum"), parameters={"dumbbell.mass": [1.0, 2.0]})
+        >>> len(batch), batch.stacked("position").shape
+        (2, (2, 1001, 2, 3))
     """
     check_type("scene", scene, Scene)
     options = Options(integrator, **control)

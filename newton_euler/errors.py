@@ -24,7 +24,15 @@ DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
 
 class NewtonEulerError(Exception):
-    """Base of every error that `newton_euler` raises on purpose; reads as one line."""
+    """Base of every error that `newton_euler` raises on purpose; reads as one line.
+
+    Examples:
+        >>> try:
+        ...     Polynomial(())
+        ... except NewtonEulerError as error:
+        ...     print(error)
+        polynomial: coefficients is (); needed: one finite number or more, lowest power first
+    """
 
     def __init__(self, message: str) -> None:
         super().__init__(" ".join(message.split()))
@@ -176,7 +184,12 @@ class AssemblyError(NewtonEulerError):
 
 
 class NearlyRedundantWarning(UserWarning):
-    """Constraints that noise in the numbers of a mechanism keeps from being redundant."""
+    """Constraints that noise in the numbers of a mechanism keeps from being redundant.
+
+    Examples:
+        >>> import warnings
+        >>> warnings.simplefilter("error", NearlyRedundantWarning)  # to stop at such scenes
+    """
 
 
 class SingularityError(NewtonEulerError):

@@ -70,6 +70,11 @@ def simulate(
 
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
+
+    Examples:
+        >>> run = simulate(load("pendulum"), "cartesian", stabilization="baumgarte")
+        >>> run.settings["formulation"], run.position.shape
+        ('cartesian', (1001, 2, 3))
     """
     check_type("scene", scene, Scene)
     options = Options(integrator, **control)
@@ -98,6 +103,11 @@ def compile_scene(
 
     Raises:
         NewtonEulerError: for an unknown name or an impossible option.
+
+    Examples:
+        >>> compiled = compile_scene(load("pendulum"))
+        >>> compiled.simulate("RK4", step=0.001).settings["steps"]
+        10000
     """
     check_type("scene", scene, Scene)
     check_formulation(formulation)

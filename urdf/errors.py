@@ -7,7 +7,15 @@ from newton_euler.model.source_file import shortened
 
 
 class UrdfError(NewtonEulerError):
-    """Base of the errors of URDF models and files; reads as one line."""
+    """Base of the errors of URDF models and files; reads as one line.
+
+    Examples:
+        >>> try:
+        ...     urdf.read("nowhere.urdf")
+        ... except urdf.UrdfError as error:
+        ...     print(error)
+        nowhere.urdf: cannot be read: No such file or directory
+    """
 
 
 class NameClashError(UrdfError):

@@ -92,6 +92,12 @@ def read(
     Raises:
         UrdfError: naming the file and the element at fault, one that was not read right among them.
         UnknownNameError: for another base.
+
+    Examples:
+        >>> urdf.write(load("four_bar"), "output/four_bar.urdf")
+        >>> found = urdf.read("output/four_bar.urdf", "output/four_bar.loops.yaml")
+        >>> len(found.scene.mechanism.bodies)
+        6
     """
     check_choice("base", base, tuple(BASES))
     where, report, request = path_text(path, SourceError), ImportReport(), Request(**options)

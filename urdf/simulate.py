@@ -37,6 +37,10 @@ def simulate(
     Raises:
         NewtonEulerError: for an unknown name, an impossible option, or a run that cannot go on.
         UrdfError: for a mechanism that a URDF cannot hold.
+
+    Examples:
+        >>> urdf.simulate(load("pendulum"), rtol=1e-8)
+        <Trajectory of pinocchio: 1001 outputs to 10 s, bodies: 2, joints: 1>
     """
     check_type("scene", scene, Scene)
     from urdf.dynamics import PinocchioSystem

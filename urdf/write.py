@@ -77,6 +77,10 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
 
     Raises:
         NameClashError: if the parts of a joint are named as another joint or body is.
+
+    Examples:
+        >>> '<robot name="pendulum">' in urdf.to_urdf(load("pendulum"))
+        True
     """
     check_type("scene", scene, Scene)
     welded = weld_loops(scene.mechanism, keep_bodies, scene.loaded_balls)
@@ -114,7 +118,12 @@ def to_urdf(scene: Scene, keep_bodies: bool = False) -> str:
 
 
 def to_loops(scene: Scene, keep_bodies: bool = False) -> str:
-    """The loop file (YAML text) that belongs to `to_urdf(scene, keep_bodies)`."""
+    """The loop file (YAML text) that belongs to `to_urdf(scene, keep_bodies)`.
+
+    Examples:
+        >>> "closed_loop" in urdf.to_loops(load("four_bar"))
+        True
+    """
     check_type("scene", scene, Scene)
     welded = weld_loops(scene.mechanism, keep_bodies, scene.loaded_balls)
     joints = welded.mechanism.joints
@@ -154,6 +163,9 @@ def write(scene: Scene, path: str | os.PathLike[str]) -> None:
 
     Raises:
         UrdfError: for another suffix, a path that cannot be written, or names that clash.
+
+    Examples:
+        >>> urdf.write(load("four_bar"), "output/four_bar.urdf")
     """
     if Path(path).suffix != ".urdf":
         raise UrdfError(f"cannot write {os.fspath(path)!r}; needed: a name that ends in .urdf")

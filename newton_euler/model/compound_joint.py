@@ -43,6 +43,12 @@ class Compound(Joint):
 
     Raises:
         MechanismError: also for axes that are not independent.
+
+    Examples:
+        >>> axes = np.eye(3)
+        >>> joint = Compound("joint", "ground", "body", [0.0, 0.0, 0.0], slides=axes[:1], hinges=axes[1:])
+        >>> joint.coordinate_kinds
+        ('slide', 'hinge', 'hinge')
     """
 
     slides: Array = field(default_factory=lambda: np.zeros((0, 3)), kw_only=True)

@@ -41,6 +41,11 @@ class PD(ControlLaw):
 
     Raises:
         MechanismError: naming the joint and the value at fault.
+
+    Examples:
+        >>> law = PD("hinge", stiffness=10.0, damping=1.0, target=1.0)
+        >>> law.force(x=0.5, x_rate=0.0, time=0.0)  # N m towards the target
+        5.0
     """
 
     joint: str
@@ -94,6 +99,11 @@ class Sampled(ControlLaw):
 
     Raises:
         MechanismError: naming the joint and the value at fault.
+
+    Examples:
+        >>> law = Sampled("hinge", lambda time, x, x_rate: -2.0 * x[0], period=0.01)
+        >>> law.period
+        0.01
     """
 
     joint: str

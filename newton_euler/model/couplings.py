@@ -39,6 +39,10 @@ class Gear(JointCoupling):
 
     Raises:
         MechanismError: naming the gear and the value at fault.
+
+    Examples:
+        >>> Gear("pair", "pinion", "wheel", ratio=-0.5).factors()
+        {('wheel', 0): 1.0, ('pinion', 0): 0.5}
     """
 
     name: str
@@ -75,6 +79,11 @@ class LinearCoupling(JointCoupling):
 
     Raises:
         MechanismError: naming the coupling and the value at fault.
+
+    Examples:
+        >>> terms = ("left", 0, 1.0), ("right", 0, 1.0), ("case", 0, -2.0)
+        >>> len(LinearCoupling("differential", terms).factors())
+        3
     """
 
     name: str

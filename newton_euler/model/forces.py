@@ -56,6 +56,10 @@ class JointSpring(CoordinateForce):
 
     Raises:
         MechanismError: naming the joint and the value at fault.
+
+    Examples:
+        >>> JointSpring("hinge", damping=0.1)  # viscous friction
+        JointSpring(joint='hinge', stiffness=0.0, damping=0.1, rest=0.0, coordinate=0)
     """
 
     joint: str
@@ -104,6 +108,10 @@ class BallSpring(OnBall, AppliedForce):
 
     Raises:
         MechanismError: naming the joint and the value at fault.
+
+    Examples:
+        >>> BallSpring("shoulder", stiffness=5.0, damping=0.1).stiffness
+        5.0
     """
 
     joint: str
@@ -177,6 +185,12 @@ class PointSpring(OnBodies, AppliedForce):
 
     Raises:
         MechanismError: naming the spring and the value at fault.
+
+    Examples:
+        >>> ends = [0.0, 0.0, 1.0], [0.0, 0.0, 0.2]
+        >>> spring = PointSpring("cord", "ground", "rod", *ends, stiffness=100.0, rest_length=0.5)
+        >>> spring.stiffness
+        100.0
     """
 
     name: str
@@ -267,6 +281,11 @@ class Wrench(OnBodies, AppliedForce):
 
     Raises:
         MechanismError: naming the wrench and the value at fault.
+
+    Examples:
+        >>> wind = Wrench("wind", "rod", point=[0.0, 0.0, -1.0], force=[2.0, 0.0, 0.0])
+        >>> wind.frame
+        'world'
     """
 
     name: str
@@ -337,6 +356,10 @@ class Armature(OnCoordinate):
 
     Raises:
         MechanismError: naming the joint and the value at fault.
+
+    Examples:
+        >>> Armature("hinge", inertia=0.02).key
+        ('hinge', 0)
     """
 
     joint: str
@@ -376,6 +399,10 @@ class BallArmature(OnBall):
 
     Raises:
         MechanismError: naming the joint and the value at fault.
+
+    Examples:
+        >>> BallArmature("shoulder", inertia=0.02).inertia
+        0.02
     """
 
     joint: str

@@ -30,7 +30,13 @@ LEAST_LENGTH = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Spherical(Joint):
-    """Ball joint, eq. (25): three equations."""
+    """Ball joint, eq. (25): three equations.
+
+    Examples:
+        >>> joint = Spherical("joint", "ground", "body", [0.0, 0.0, 0.0])
+        >>> joint.coordinate_kinds
+        ()
+    """
 
     kind: ClassVar[str] = "spherical"
 
@@ -47,6 +53,11 @@ class Universal(Joint):
     """Cardan joint, eq. (26): four equations; `axis_on_first` stays perpendicular to `axis_on_second`.
 
     Its coordinates are the angle about the first body's axis, then that about the second's.
+
+    Examples:
+        >>> axes = dict(axis_on_first=[1.0, 0.0, 0.0], axis_on_second=[0.0, 1.0, 0.0])
+        >>> Universal("joint", "ground", "body", [0.0, 0.0, 0.0], **axes).coordinate_kinds
+        ('hinge', 'hinge')
     """
 
     axis_on_first: Array = field(kw_only=True)
@@ -89,7 +100,13 @@ class _AxisJoint(Joint):
 
 @dataclass(frozen=True, eq=False)
 class Revolute(_AxisJoint):
-    """Hinge, eq. (27): five equations."""
+    """Hinge, eq. (27): five equations.
+
+    Examples:
+        >>> joint = Revolute("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
+        >>> joint.coordinate_kinds
+        ('hinge',)
+    """
 
     kind: ClassVar[str] = "revolute"
 
@@ -109,6 +126,11 @@ class Cylindrical(_AxisJoint):
     """Slide along and hinge about one axis: four equations, Phi^(p1,2) and Phi^(p2,2).
 
     Its coordinates are the displacement, then the angle.
+
+    Examples:
+        >>> joint = Cylindrical("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
+        >>> joint.coordinate_kinds
+        ('slide', 'hinge')
     """
 
     kind: ClassVar[str] = "cylindrical"
@@ -127,7 +149,13 @@ class Cylindrical(_AxisJoint):
 
 @dataclass(frozen=True, eq=False)
 class Translational(_AxisJoint):
-    """Slide without rotation, eq. (28): five equations, h_i and h_j across the axis."""
+    """Slide without rotation, eq. (28): five equations, h_i and h_j across the axis.
+
+    Examples:
+        >>> joint = Translational("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
+        >>> joint.coordinate_kinds
+        ('slide',)
+    """
 
     kind: ClassVar[str] = "translational"
 
@@ -149,7 +177,13 @@ class Translational(_AxisJoint):
 
 @dataclass(frozen=True, eq=False)
 class Prismatic(Translational):
-    """The paper's translational joint under the name that robot models give it."""
+    """The paper's translational joint under the name that robot models give it.
+
+    Examples:
+        >>> joint = Prismatic("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
+        >>> joint.coordinate_kinds
+        ('slide',)
+    """
 
     kind: ClassVar[str] = "prismatic"
 
@@ -163,6 +197,11 @@ class Screw(Cylindrical):
 
     Attributes:
         pitch: meters per radian; positive for a right-handed thread.
+
+    Examples:
+        >>> joint = Screw("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0], pitch=0.002)
+        >>> joint.coordinate_kinds
+        ('slide', 'hinge')
     """
 
     pitch: float = field(kw_only=True)
@@ -182,6 +221,11 @@ class Planar(_AxisJoint):
 
     Its coordinates are the displacements along `perpendicular_pair(axis)`, vectors of the first
     body, then the angle about the axis.
+
+    Examples:
+        >>> joint = Planar("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
+        >>> joint.coordinate_kinds
+        ('slide', 'slide', 'hinge')
     """
 
     kind: ClassVar[str] = "planar"
@@ -205,6 +249,11 @@ class PointOnLine(_AxisJoint):
     """The second body's point stays on a line of the first, along `axis`: two equations.
 
     Its coordinate is the displacement along the line.
+
+    Examples:
+        >>> joint = PointOnLine("joint", "ground", "body", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0])
+        >>> joint.coordinate_kinds
+        ('slide',)
     """
 
     kind: ClassVar[str] = "point_on_line"
@@ -225,6 +274,11 @@ class Rod(Joint):
     """A massless rod on balls: one equation, the distance from `point` to `point_on_second` stays.
 
     Its reaction is the force along it; tension pulls the second body towards the first.
+
+    Examples:
+        >>> joint = Rod("joint", "ground", "body", [0.0, 0.0, 0.0], point_on_second=[0.0, 0.0, 0.5])
+        >>> joint.only_closes
+        True
     """
 
     kind: ClassVar[str] = "rod"
@@ -249,7 +303,13 @@ class Rod(Joint):
 
 @dataclass(frozen=True, eq=False)
 class Fixed(Joint):
-    """No motion at all: six equations."""
+    """No motion at all: six equations.
+
+    Examples:
+        >>> joint = Fixed("joint", "ground", "body", [0.0, 0.0, 0.0])
+        >>> joint.coordinate_kinds
+        ()
+    """
 
     kind: ClassVar[str] = "fixed"
 
@@ -266,7 +326,13 @@ class Fixed(Joint):
 
 @dataclass(frozen=True, eq=False)
 class Free(Joint):
-    """All motion: no equation. It marks a body that floats on purpose."""
+    """All motion: no equation. It marks a body that floats on purpose.
+
+    Examples:
+        >>> joint = Free("joint", "ground", "body", [0.0, 0.0, 0.0])
+        >>> joint.coordinate_kinds
+        ('slide', 'slide', 'slide')
+    """
 
     kind: ClassVar[str] = "free"
 

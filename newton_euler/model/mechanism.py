@@ -71,6 +71,11 @@ class Body:
         allow_unrealisable_inertia: accept principal moments that break A + B >= C, which no mass
             distribution has, so that a published table can be run as printed.
         meshes: what it looks like in more detail, for viewers; model files get the shapes.
+
+    Examples:
+        >>> rod = Body("rod", 1.0, [0.5, 0.0, 0.0], np.diag([0.001, 0.1, 0.1]))
+        >>> rod.mass
+        1.0
     """
 
     name: str
@@ -131,6 +136,12 @@ class Mechanism:
         bodies: `bodies[0]` is the ground; it never moves.
         joints: in the order in which constraint rows and reactions are listed.
         couplings: gears between joint coordinates, and sums of several that stay 0.
+
+    Examples:
+        >>> rod = Body("rod", 1.0, [0.5, 0.0, 0.0], np.diag([0.001, 0.1, 0.1]))
+        >>> hinge = Revolute("hinge", "ground", "rod", [0.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0])
+        >>> Mechanism([Body.ground(), rod], [hinge])
+        <Mechanism: bodies: 2; joints: 1 revolute; couplings: 0>
     """
 
     DEFINED_BY = ("bodies", "joints", "couplings")

@@ -23,6 +23,10 @@ class Polynomial:
 
     Raises:
         MechanismError: for coefficients that are no finite numbers.
+
+    Examples:
+        >>> Polynomial((0.1, 2.0)).value(3.0)
+        6.1
     """
 
     coefficients: tuple[float, ...]
@@ -74,6 +78,10 @@ class Sine:
 
     Raises:
         MechanismError: for a value that is no finite number.
+
+    Examples:
+        >>> float(Sine(amplitude=0.5, angular_frequency=2.0).rate(0.0))
+        1.0
     """
 
     amplitude: float
@@ -112,6 +120,10 @@ class Sum:
 
     Raises:
         MechanismError: for a term that is none.
+
+    Examples:
+        >>> float(Sum((Polynomial((1.0,)), Sine(0.5, 2.0))).value(0.0))
+        1.0
     """
 
     terms: tuple[TimeFunction, ...]
@@ -151,6 +163,11 @@ class PrescribedMotion(OnCoordinate):
 
     Raises:
         MechanismError: naming the joint and the value at fault.
+
+    Examples:
+        >>> motion = PrescribedMotion("hinge", Polynomial((0.0, 2.0)))  # 2 rad/s
+        >>> motion.function.rate(1.0)
+        2.0
     """
 
     joint: str

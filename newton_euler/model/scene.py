@@ -67,6 +67,12 @@ class Scene:
     Raises:
         MechanismError: naming the field, body or joint at fault.
         UnknownNameError: for an unknown output.
+
+    Examples:
+        >>> rod = Body("rod", 1.0, [0.5, 0.0, 0.0], np.diag([0.001, 0.1, 0.1]))
+        >>> hinge = Revolute("hinge", "ground", "rod", [0.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0])
+        >>> Scene("swing", Mechanism([Body.ground(), rod], [hinge]), 1.0, 0.1, (0.0, 0.0, -9.81))
+        <Scene 'swing': 11 outputs to 1 s, bodies: 2, joints: 1>
     """
 
     name: str

@@ -21,6 +21,10 @@ class State:
         quaternion: (b, 4) w-x-y-z.
         linear_velocity: (b, 3) of the centers of mass, m/s.
         angular_velocity: (b, 3) rad/s.
+
+    Examples:
+        >>> State.initial(load("pendulum").mechanism).position.shape
+        (2, 3)
     """
 
     position: Array

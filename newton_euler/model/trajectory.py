@@ -77,6 +77,13 @@ class Trajectory:
         settings: the options it ran with and what it counted (steps, evaluations).
         wall_time: s, of the run itself, without building the model.
         mechanism: what moved; None of a run that was made of arrays alone. Files do not hold it.
+
+    Examples:
+        >>> run = simulate(load("pendulum"))
+        >>> run
+        <Trajectory of newton_euler: 1001 outputs to 10 s, bodies: 2, joints: 1>
+        >>> run.reaction_force.shape
+        (1001, 1, 3)
     """
 
     engine: str
@@ -127,11 +134,9 @@ class Trajectory:
             MechanismError: if the trajectory has no mechanism.
 
         Examples:
-            >>> from crosscheck.scenes import load
-            >>> from newton_euler import simulate
             >>> motion = simulate(load("pendulum")).joint("pivot")
             >>> motion.names, motion.coordinates.shape, motion.rates.shape
-            (('angle',), (501, 1), (501, 1))
+            (('angle',), (1001, 1), (1001, 1))
         """
         if self.mechanism is None:
             needed = "one: dataclasses.replace(trajectory, mechanism=scene.mechanism)"
