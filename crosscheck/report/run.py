@@ -65,7 +65,7 @@ def report(result: Crosscheck) -> Report:
     parts.append(
         entries("scene and versions", {name: found[name] for name in named if name in found}, folded=True)
     )
-    title = f"{result.title}: {result.scene.description}"
+    title = ": ".join(filter(None, [result.title, result.scene.description]))
     return Report(title, result.verdict, judged_word(result), parts, result.wall_time, summary(result, said))
 
 
