@@ -8,9 +8,10 @@ def test_arm(crosscheck):
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -48,7 +49,9 @@ class Checked:
     def assert_unchanged(self) -> None:
         """Fail, naming what moved, unless the figures of newton_euler are those of the stored baseline."""
         from crosscheck.regress.compare import compare
+        from crosscheck.regress.report import tables
         from crosscheck.regress.run import guard, update
+        from crosscheck.report.render import terminal
 
         __tracebackhide__ = True
         found = self.verdict.crosscheck
@@ -60,13 +63,22 @@ class Checked:
         else:
             comparison = compare(guarded.scene, guarded.baseline(), lambda stage: None, guarded.mapping)
             if comparison.moved:
-                pytest.fail(comparison.verdict, pytrace=False)
+                pytest.fail(f"{terminal(tables([comparison]))}{comparison.verdict}", pytrace=False)
 
 
 @pytest.fixture
 def crosscheck(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., Checked]:
-    """Crosscheck a model: `crosscheck("arm.xml", key="home")`, arguments as of `crosscheck.check`."""
+    """Crosscheck a model: `crosscheck("arm.xml", key="home")`, arguments as of `crosscheck.check`.
+
+    A file is looked for beside the test first.
+    """
     from crosscheck.verdict import check
 
     reason = request.config.getoption(UPDATE)
-    return lambda *model, **options: Checked(check(*model, **options), tmp_path / "crosscheck", reason)
+
+    def checked(model: Any, *engines: Any, **options: Any) -> Checked:
+        if isinstance(model, str | os.PathLike) and (beside := request.path.parent / model).is_file():
+            model = beside
+        return Checked(check(model, *engines, **options), tmp_path / "crosscheck", reason)
+
+    return checked

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -209,10 +210,18 @@ def _carry_out(
     if not isinstance(result, Against):
         settings = [word for key, value in result.options.items() for word in ("--set", f"{key}={value}")]
         more.append(join(["crosscheck", "bench", result.source, *settings]))
-    show(found, f"look  crosscheck view {quote(str(recording))}", f"more  {'; '.join(more)}")
+    show(found, f"look  {_called()} view {quote(str(recording))}", f"more  {'; '.join(more)}")
     if result.unfinished and not (isinstance(result, Against) and result.differs):
         return UNFINISHED  # whatever was found until then; models that differ do so anyway
     return AGREE if result.agrees else DISAGREE
+
+
+def _called() -> str:
+    """Return the command as it was called, where the shell does not find it by its name."""
+    called = Path(sys.argv[0])
+    if called.name != "crosscheck" or shutil.which("crosscheck") == str(called.absolute()):
+        return "crosscheck"
+    return quote(os.path.relpath(called))
 
 
 @cli.command("list")

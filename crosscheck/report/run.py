@@ -193,7 +193,7 @@ def notes(result: Crosscheck) -> Iterator[str]:
         yield f"untested by the motion, 10 % more would not show: {_named(names)}{listed}"
     for title, read in _mappings(result):
         yield f"{title}: {fates_line(read)}"
-        yield from read.start
+        yield from sorted(read.start, key=lambda line: not line.startswith("exercised"))
     count, joints = undetermined_joints(scene, initial_state(scene))
     if count:
         rows = "1 redundant constraint" if count == 1 else f"{count} redundant constraints"

@@ -116,7 +116,7 @@ def test_an_mjcf_is_run_with_its_report(capsys, tmp_path):
 def test_a_urdf_is_run_with_its_loops(capsys, tmp_path):
     assert run(capsys, "convert", "tracker_aligned", tmp_path / "tracker.urdf")[0] == 0
     status, out, _ = run(
-        capsys, "run", tmp_path / "tracker.urdf", "--set", f"loops={tmp_path / 'tracker.loops.yaml'}",
+        capsys, "run", "-v", tmp_path / "tracker.urdf", "--set", f"loops={tmp_path / 'tracker.loops.yaml'}",
         "--set", "duration=0.05", "--output", tmp_path / "out",
     )  # fmt: skip
     assert status == 0

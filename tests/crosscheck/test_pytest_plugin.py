@@ -57,7 +57,7 @@ def test_models_that_agree_pass_and_others_name_the_engine_and_keep_the_recordin
 def test_a_baseline_is_stored_on_demand_and_compared_with(suite):
     done = suite.runpytest_subprocess("-k", "guarded")
     done.assert_outcomes(failed=1)
-    assert "no baseline arm.baseline.json; pytest --crosscheck-update REASON stores it" in done.stdout.str()
+    assert "arm.baseline.json; pytest --crosscheck-update REASON stores it" in done.stdout.str()
     stored = suite.runpytest_subprocess("-k", "guarded", "--crosscheck-update", "as delivered")
     stored.assert_outcomes(passed=1)
     suite.runpytest_subprocess("-k", "guarded").assert_outcomes(passed=1)
@@ -65,4 +65,6 @@ def test_a_baseline_is_stored_on_demand_and_compared_with(suite):
     model.write_text(model.read_text().replace("0.3 0 0.15", "0.3003 0 0.15"))
     done = suite.runpytest_subprocess("-k", "guarded")
     done.assert_outcomes(failed=1)
-    assert "linkage: MOVED: " in done.stdout.str()
+    text = done.stdout.str()
+    assert re.search(r"model: mass, kg +coupler +0\.2958", text)
+    assert "linkage: MOVED: " in text
