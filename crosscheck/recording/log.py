@@ -111,7 +111,7 @@ def log_run(
     hidden = [["mechanism", engine] for engine in near] + [["joints", engine] for engine in engines[1:]]
     hidden += [["reactions"]] + [["labels"], ["tilt"]] * (len(mechanism.bodies) > MOST_LABELS)
     layout = blueprint(mechanism, first, shown, _heading(title, engines, apart, near), hidden)
-    recording.send_blueprint(layout, make_active=False)
+    recording.send_blueprint(layout)  # active, or a viewer in a browser would lay it out by itself
     recording.send_recording_name(title)
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     text = f"{verdict}\nHidden engines, labels and reactions: eye icons of the blueprint panel, left.\n"
