@@ -67,14 +67,15 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def execute(page: str, folder: Path) -> None:
-    """Write the files of a page into a folder, and execute its Python blocks, in one namespace."""
+def execute(page: str, folder: Path) -> dict[str, object]:
+    """Write the files of a page into a folder and execute its Python blocks; returns their namespace."""
     for _, title, text in (block for language in ("xml", "yaml") for block in blocks(page, language)):
         if title:
             (folder / title).write_text(text)
     names: dict[str, object] = {}
     for block in blocks(page, "python"):
         exec(compile(block.text, page, "exec"), names)
+    return names
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
@@ -85,7 +86,7 @@ def test_links_to_files_lead_to_files(page):
 
 @pytest.mark.parametrize("page", having("python"))
 def test_python_runs(page, folder):
-    execute(page, folder)
+    assert execute(page, folder).keys() - {"__builtins__"}, "no block of the page defines anything"
 
 
 @pytest.mark.parametrize("page", having("console"))

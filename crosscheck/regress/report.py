@@ -65,7 +65,9 @@ def report(found: Sequence[Comparison], recordings: Mapping[str, Path]) -> Repor
     return Report("crosscheck regress", verdict(found), word, parts, sum(each.wall_time for each in found))
 
 
-def as_json(found: Sequence[Comparison], recordings: Mapping[str, Path], files: Mapping[str, str]) -> bytes:
+def as_json(
+    found: Sequence[Comparison], recordings: Mapping[str, Path], files: Mapping[Path, bytes]
+) -> bytes:
     """Everything that was compared, with SHA-256 of the files beside it."""
     scenes = [
         each.summary() | {"recording": str(recordings[each.scene]) if each.scene in recordings else None}

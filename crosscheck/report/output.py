@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -47,13 +46,12 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path, nam
     made = {folder / f"{name}.npz": run.archive() for name, run in result.trajectories.items()}
     made[recording] = recorded(*to_record(result, report))
     beside = {path: content for path, content in made.items() if path.parent == folder}
-    digests = {path.name: hashlib.sha256(content).hexdigest() for path, content in beside.items()}
     summary = folder / "summary.json"
     others = {*ENGINES, *(engine.name for engine in result.engines)} - result.trajectories.keys()
     stale = [summary, *(folder / f"{name}.npz" for name in others)]
     if recording != (usual := folder / f"{name}.rrd"):
         stale.append(usual)
-    write_files({summary: as_json(result.summary(), report, digests), **made}, stale)
+    write_files({summary: as_json(result.summary(), report, beside), **made}, stale)
     runs = [path for path in made if path != recording]
     return [*runs, summary, recording]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import takewhile
+from pathlib import Path
 from typing import Any, TextIO
 from xml.etree import ElementTree
 
@@ -234,9 +236,10 @@ def _escaped(text: str) -> str:
     return MARKED.sub(r"\\\g<0>", text).replace("\n", ", ")
 
 
-def as_json(content: Mapping[str, Any], report: Report, files: Mapping[str, str] | None = None) -> bytes:
+def as_json(content: Mapping[str, Any], report: Report, files: Mapping[Path, bytes] | None = None) -> bytes:
     """Results as JSON: their data, the report on them, and SHA-256 of files beside them that pages show."""
-    whole = {**content, "report": asdict(report), "files": dict(files or {})}
+    digests = {path.name: hashlib.sha256(held).hexdigest() for path, held in (files or {}).items()}
+    whole = {**content, "report": asdict(report), "files": digests}
     return (json.dumps(_finite(whole), indent=1, allow_nan=False) + "\n").encode()
 
 

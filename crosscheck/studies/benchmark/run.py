@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -77,9 +76,8 @@ def bench(wanted: Wanted, kind: str, output: Path | None, progress: Progress) ->
     head = f"{where['processor']}, {where['cores']} cores, load {where['load']:g} by others"
     whole = Report(f"bench {wanted.title}", "", Cell(""), [Lines("", [head]), *found.parts])
     beside = {paths[1]: found.picture} if found.picture else {}
-    digests = {path.name: hashlib.sha256(content).hexdigest() for path, content in beside.items()}
     data = {"source": wanted.source, "options": dict(wanted.options), "machine": where, **found.data}
-    write_files({paths[0]: as_json(data, whole, digests), **beside})
+    write_files({paths[0]: as_json(data, whole, beside), **beside})
     return whole, paths
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
@@ -88,10 +89,10 @@ def test_markdown():
 
 
 def test_json_holds_data_report_and_files():
-    content = json.loads(
-        as_json({"worst": float("nan")}, REPORT, {"a.npz": "00"}), parse_constant=pytest.fail
-    )
-    assert (content["worst"], content["files"]) == ("nan", {"a.npz": "00"})
+    files = {Path("folder") / "a.npz": b"abc"}
+    content = json.loads(as_json({"worst": float("nan")}, REPORT, files), parse_constant=pytest.fail)
+    digest = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # FIPS 180-2, appendix B.1
+    assert (content["worst"], content["files"]) == ("nan", {"a.npz": digest})
     cell = {"text": "1.0e-03 > 1e-06", "verdict": "fails", "about": "crank"}
     assert content["report"]["parts"][0]["rows"][:2] == ["model", ["mass", cell]]
 
