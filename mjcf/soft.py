@@ -28,7 +28,7 @@ from scipy.integrate import simpson
 from mjcf.evaluate import evaluation
 from mjcf.model import CompiledScene
 from newton_euler.equations.system import Evaluation
-from newton_euler.model.control import PD, Feedforwards
+from newton_euler.model.control import DrivenLaws
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
@@ -57,9 +57,7 @@ class SoftMuJoCo(CompiledScene):
         first = self.model.neq - len(self.couplings.couplings)
         self._motions = np.arange(first, first + len(scene.motions))  # the first of the couplings
         self.moved = self.model.jnt_dofadr[self.model.eq_obj1id[self._motions]]
-        self.driven = Feedforwards(scene.control)
-        laws = [scene.control[k] for k in self.driven.places]
-        self._of_targets = np.array([law.stiffness * law.target for law in laws if isinstance(law, PD)])
+        self.driven = DrivenLaws(scene.control)
         # of the evaluations in a step; shared by copies of this object, one of which MuJoCo calls
         self._asked: list[tuple[Array, Array]] = []
         self._stages: list[Array] = []
@@ -110,7 +108,7 @@ class SoftMuJoCo(CompiledScene):
     def _act(self, model: Any, data: Any) -> None:
         """Callback of MuJoCo in each evaluation."""
         if len(self.driven.places):  # of the others those that are sampled have changed since
-            data.ctrl[self.driven.places] = self.driven.at(data.time) + self._of_targets
+            data.ctrl[self.driven.places] = self.driven.at(data.time)
         if len(self.moved):
             self._follow(data)
 

@@ -358,7 +358,8 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
             raise ModelError(scene.name, reason)
         element = ET.SubElement(actuator, "position", name=name, joint=name)
         gains = {"kp": number(law.stiffness), "kv": number(law.damping)}
-        if law.feedforward:  # what a position actuator is made of, and a constant or the control
+        if law.feedforward or law.is_driven:
+            # what a position actuator is made of, and a constant or the control
             element.tag = "general"
             gain, constant = (1.0, 0.0) if law.is_driven else (law.stiffness, law.feedforward_at(0.0))
             bias = numbers([constant, -law.stiffness, -law.damping])
@@ -379,8 +380,8 @@ def _control(law: Law, time: float) -> float:
     if isinstance(law, Sampled):
         return law.held
     if law.is_driven:
-        return float(law.feedforward_at(time) + law.stiffness * law.target)
-    return law.target
+        return float(law.force(0.0, 0.0, time))
+    return float(law.target_at(time)[0])
 
 
 def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:

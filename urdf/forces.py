@@ -14,9 +14,8 @@ import pinocchio as pin
 
 from newton_euler.model.balls import ends, spin_rate
 from newton_euler.model.constraints import Frame
-from newton_euler.model.control import PD, Feedforwards, Law, Sampled
+from newton_euler.model.control import DrivenLaws, Law, Sampled
 from newton_euler.model.forces import BallArmature, BallSpring, JointSpring, PointSpring, Wrench
-from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
@@ -28,21 +27,23 @@ class JointLaws:
     """Springs and control laws on joint coordinates, in the order of `Scene.joint_forces`.
 
     All are f = u_0 - (K_p (x - x_0) + K_d dx/dt), eq. (23) with the sign that makes it stable, and are
-    evaluated together; u_0 of a spring is 0, and a sampled controller has u_0 alone.
+    evaluated together; u_0 of a spring is 0, and a sampled controller has u_0 alone. Of laws that depend on
+    time, u_0 has all that no gain makes, and x_0 is 0.
     """
 
     def __init__(self, laws: Sequence[Law | JointSpring]) -> None:
         self._stiffness, self._damping, self._rest, self._constant = np.zeros((4, len(laws)))
         self._is_spring = np.array([isinstance(law, JointSpring) for law in laws], dtype=bool)
-        self._driven = Feedforwards(laws)
+        self._driven = DrivenLaws(laws)
         self._sampled = [k for k, law in enumerate(laws) if isinstance(law, Sampled)]
         for k, law in enumerate(laws):
             if isinstance(law, Sampled):
                 continue
             self._stiffness[k], self._damping[k] = law.stiffness, law.damping
-            self._rest[k] = law.rest if isinstance(law, JointSpring) else law.target
-            if isinstance(law, PD) and not isinstance(law.feedforward, TimeFunction):
-                self._constant[k] = law.feedforward
+            if isinstance(law, JointSpring):
+                self._rest[k] = law.rest
+            elif not law.is_driven:
+                self._rest[k], self._constant[k] = law.target_at(0.0)[0], law.feedforward_at(0.0)
 
     def force(self, laws: Sequence[Law | JointSpring], x: Array, rate: Array, time: float) -> Array:
         """Compute forces (a,), N or N m.

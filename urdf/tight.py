@@ -156,7 +156,7 @@ def _laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
         gains[row, order_q.index(place[0])] -= law.stiffness
         gains[row, tree.nq + row] -= law.damping
         if isinstance(law, PD):
-            constant[row] += law.feedforward_at(0.0) + law.stiffness * law.target
+            constant[row] += law.force(0.0, 0.0, 0.0)
         else:
             constant[row] += law.stiffness * law.rest
     return gains, constant

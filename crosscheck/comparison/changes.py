@@ -26,7 +26,7 @@ from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint import Joint, JointEquations
 from newton_euler.model.joint_kinds import Fixed, Screw
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
+from newton_euler.model.motions import Polynomial, PrescribedMotion, Sum, scaled
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
@@ -187,7 +187,7 @@ def _of_coupling(scene: Scene, number: int, other: JointCoupling) -> Element:
 
 def _of_motion(scene: Scene, number: int, motion: PrescribedMotion) -> Element:
     start = float(motion.function.value(0.0))
-    farther = Sum((_times(motion.function, MORE), Polynomial((-CHANGE * start,))))
+    farther = Sum((scaled(motion.function, MORE), Polynomial((-CHANGE * start,))))
     motions = list(scene.motions)
     motions[number] = replace(motion, function=farther)
 
@@ -219,14 +219,6 @@ def _uncoupled(
         phi, _ = residuals(mechanism, coupled, frames, time)
         found = max(found, abs(float(phi[index])) / allowed)
     return found
-
-
-def _times(function: TimeFunction, factor: float) -> TimeFunction:
-    if isinstance(function, Sum):
-        return Sum(tuple(_times(term, factor) for term in function.terms))
-    if isinstance(function, Sine):
-        return replace(function, amplitude=factor * function.amplitude, offset=factor * function.offset)
-    return Polynomial(tuple(factor * c for c in function.coefficients))
 
 
 def _begun(scene: Scene, mechanism: Mechanism, motions: tuple[PrescribedMotion, ...] | None = None) -> Scene:

@@ -35,6 +35,7 @@ from crosscheck.recording.blueprint import TIME, blueprint
 from crosscheck.recording.plots import Plot, Tolerances, platforms, plots, rotated
 from crosscheck.recording.shapes import Style, log_shapes, paths, xyzw
 from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
@@ -298,4 +299,7 @@ def _log_plot(
     if plot.target is not None:
         time = max(times.values(), key=len)
         look = rr.SeriesLines(colors=PLAIN_COLOR, names="target", widths=0.5 * LINE_WIDTH)
-        log("target", look, time[[0, -1]], np.full(2, plot.target))
+        if isinstance(plot.target, TimeFunction):
+            log("target", look, time, np.array([plot.target.value(float(t)) for t in time]))
+        else:
+            log("target", look, time[[0, -1]], np.full(2, plot.target))

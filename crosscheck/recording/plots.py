@@ -13,6 +13,7 @@ from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name
 from newton_euler.model.trajectory import Trajectory
@@ -41,7 +42,7 @@ class Plot:
         title: the quantity and its unit.
         lines: (n,) values by engine.
         large: what is large in its unit; lines that cover much less are flat.
-        target: the value that a control law aims at.
+        target: what a control law aims at.
         tolerances: by engine, in the unit of the plot.
         judges: whether engines are judged by it; else those that agree draw one line over the other.
     """
@@ -51,7 +52,7 @@ class Plot:
     title: str
     lines: dict[str, Array]
     large: float = 0.0
-    target: float | None = None
+    target: float | TimeFunction | None = None
     tolerances: dict[str, float] = field(default_factory=dict)
     judges: bool = False
 

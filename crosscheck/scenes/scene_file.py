@@ -157,7 +157,8 @@ FORCE = _one_of(_entry(made, kind) for kind, made in (SPRINGS | {"wrench": Wrenc
 SUM = _entry(Sum, "sum", terms=_several(ForwardRef("FUNCTION")))
 FUNCTION = _one_of([_entry(Polynomial, "polynomial"), _entry(Sine, "sine"), SUM])
 SUM.model_rebuild(_types_namespace={"FUNCTION": FUNCTION})
-CONTROL = _entry(PD, feedforward=Union[Number, FUNCTION])  # noqa: UP007
+VALUE: Any = Union[Number, FUNCTION]  # noqa: UP007
+CONTROL = _entry(PD, target=VALUE, feedforward=VALUE)
 MOTION = _entry(PrescribedMotion, function=FUNCTION)
 
 

@@ -71,9 +71,10 @@ def check_functions(
         terms += _terms(motion.function)
         cycles = float(np.maximum(cycles, _cycles(motion.function, duration, per_cycle)))
     for law in control:
-        if isinstance(law, PD) and isinstance(law.feedforward, TimeFunction):
-            terms += _terms(law.feedforward)
-            cycles = float(np.maximum(cycles, _cycles(law.feedforward, duration, math.inf)))
+        for function in (law.target, law.feedforward) if isinstance(law, PD) else ():
+            if isinstance(function, TimeFunction):
+                terms += _terms(function)
+                cycles = float(np.maximum(cycles, _cycles(function, duration, math.inf)))
     check_counts(where, {"terms": terms, "cycles": cycles})
 
 

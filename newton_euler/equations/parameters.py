@@ -4,8 +4,8 @@ A parameter has a name and a value of the shape that the scene has there:
 
 - `gravity`, `BODY.mass`, `BODY.inertia`;
 - `JOINT.stiffness`, `JOINT.damping`, `JOINT.target`, `JOINT.feedforward` of the control law at a joint,
-  `JOINT.1.target` for its second coordinate; of a feedforward that is a function of time, all that it is
-  linear in: coefficients of polynomials, amplitude and offset of sines, one after the other;
+  `JOINT.1.target` for its second coordinate; of a target or a feedforward that is a function of time, all
+  that it is linear in: coefficients of polynomials, amplitude and offset of sines, one after the other;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
   `JOINT.1.spring.rest` for its second coordinate;
 - `JOINT.ball.stiffness`, `JOINT.ball.damping`, `JOINT.ball.rest` of the spring of a joint's ball;

@@ -11,8 +11,11 @@ import numpy as np
 from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
 from newton_euler.model.elements import CoordinateForce
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.motions import Sine, TimeFunction
+from newton_euler.model.motions import Polynomial, Sine, TimeFunction, terms
 from newton_euler.scalars import Array, Scalar
+
+DRIVEN = ("target", "feedforward")
+"""Attributes of laws that may be functions of time."""
 
 
 class ControlLaw(CoordinateForce):
@@ -29,13 +32,14 @@ class ControlLaw(CoordinateForce):
 
 @dataclass(frozen=True)
 class PD(ControlLaw):
-    """u = u_0 - (K_p e + K_d de/dt) with e = x - target, eq. (23) with the sign that makes it stable.
+    """u = u_0 - (K_p e + K_d de/dt) with e = x - r, eq. (23) with the sign that makes it stable.
 
     Attributes:
         joint: name of the joint it drives.
         stiffness: K_p in N/m or N m/rad.
         damping: K_d in N s/m or N m s/rad.
-        target: wanted joint coordinate, m or rad from the initial pose.
+        target: r, the wanted joint coordinate, m or rad from the initial pose, or a function of time for
+            that.
         coordinate: which of the joint's coordinates, from 0.
         feedforward: u_0 in N or N m, a number or a function of time.
 
@@ -51,7 +55,7 @@ class PD(ControlLaw):
     joint: str
     stiffness: float
     damping: float
-    target: float
+    target: float | TimeFunction
     coordinate: int = 0
     feedforward: float | TimeFunction = 0.0
 
@@ -60,21 +64,28 @@ class PD(ControlLaw):
 
     def __post_init__(self) -> None:
         where = self.element
-        set_numbers(self, where, self.parameters[: 3 if self.is_driven else 4])
+        functions = [name for name in DRIVEN if isinstance(getattr(self, name), TimeFunction)]
+        set_numbers(self, where, [name for name in self.parameters if name not in functions])
         check_key(where, self.joint, self.coordinate)
 
     @property
     def is_driven(self) -> bool:
         """True if the law depends on time."""
-        return isinstance(self.feedforward, TimeFunction)
+        return any(isinstance(getattr(self, name), TimeFunction) for name in DRIVEN)
+
+    def target_at(self, time: Scalar) -> tuple[Scalar, Scalar]:
+        """Return r (m or rad) and its rate at a time in s."""
+        r = self.target
+        return (r.value(time), r.rate(time)) if isinstance(r, TimeFunction) else (r, 0.0)
 
     def feedforward_at(self, time: Scalar) -> Scalar:
-        """u_0 (N or N m) at a time in s."""
+        """Return u_0 (N or N m) at a time in s."""
         u_0 = self.feedforward
         return u_0.value(time) if isinstance(u_0, TimeFunction) else u_0
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        return self.feedforward_at(time) - (self.stiffness * (x - self.target) + self.damping * x_rate)
+        r, r_rate = self.target_at(time)
+        return self.feedforward_at(time) - (self.stiffness * (x - r) + self.damping * (x_rate - r_rate))
 
 
 Controller = Callable[[float, Array, Array], float]
@@ -133,31 +144,48 @@ class Sampled(ControlLaw):
 Law = PD | Sampled
 
 
-class Feedforwards:
-    """u_0 of those laws that depend on time, all sines at once, for engines that Python evaluates.
+class DrivenLaws:
+    """The laws that depend on time among others, all sines at once, for engines that Python evaluates.
+
+    Without feedback, at x = 0 and dx/dt = 0, their force is w = u_0 + K_p r + K_d dr/dt.
 
     Attributes:
         places: (n,) numbers of these laws among all.
     """
 
     def __init__(self, laws: Sequence[object]) -> None:
-        driven = [
-            (k, law.feedforward)
-            for k, law in enumerate(laws)
-            if isinstance(law, PD) and isinstance(law.feedforward, TimeFunction)
-        ]
+        driven = [(k, law) for k, law in enumerate(laws) if isinstance(law, PD) and law.is_driven]
         self.places = np.array([k for k, _ in driven], dtype=int)
-        sines = [(n, u_0) for n, (_, u_0) in enumerate(driven) if isinstance(u_0, Sine)]
-        self._others = [(n, u_0) for n, (_, u_0) in enumerate(driven) if not isinstance(u_0, Sine)]
-        self._on_sines = np.array([n for n, _ in sines], dtype=int)
-        numbers = [(u_0.offset, u_0.amplitude, u_0.angular_frequency, u_0.phase) for _, u_0 in sines]
-        self._offset, self._amplitude, self._angular_frequency, self._phase = np.reshape(numbers, (-1, 4)).T
+        self._constant = np.zeros(len(driven))
+        sines: list[tuple[int, float, float, Sine]] = []
+        self._polynomials: list[tuple[int, float, float, Polynomial]] = []
+        for n, (_, law) in enumerate(driven):
+            for given, gain, rate_gain in (
+                (law.feedforward, 1.0, 0.0),
+                (law.target, law.stiffness, law.damping),
+            ):
+                if not isinstance(given, TimeFunction):
+                    self._constant[n] += gain * given
+                    continue
+                for term in terms(given):
+                    if isinstance(term, Sine):
+                        sines.append((n, gain, rate_gain, term))
+                    else:
+                        self._polynomials.append((n, gain, rate_gain, term))
+        self._on_sines = np.array([n for n, *_ in sines], dtype=int)
+        numbers = [
+            (gain, rate_gain, sine.offset, sine.amplitude, sine.angular_frequency, sine.phase)
+            for _, gain, rate_gain, sine in sines
+        ]
+        self._sines = np.reshape(numbers, (-1, 6)).T
 
     def at(self, time: float) -> Array:
-        """Compute u_0 (n,), N or N m, at a time in s."""
-        found = np.empty(len(self.places))
-        angle = self._angular_frequency * time + self._phase
-        found[self._on_sines] = self._offset + self._amplitude * np.sin(angle)
-        for n, u_0 in self._others:
-            found[n] = u_0.value(time)
+        """Compute w (n,), N or N m, at a time in s."""
+        found = self._constant.copy()
+        gain, rate_gain, offset, amplitude, w, phase = self._sines
+        angle = w * time + phase
+        value, rate = offset + amplitude * np.sin(angle), amplitude * w * np.cos(angle)
+        np.add.at(found, self._on_sines, gain * value + rate_gain * rate)
+        for n, k_p, k_d, polynomial in self._polynomials:
+            found[n] += k_p * polynomial.value(time) + k_d * polynomial.rate(time)
         return found

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
@@ -150,6 +150,24 @@ class Sum:
 
 
 TimeFunction = Polynomial | Sine | Sum
+
+
+def terms(function: TimeFunction) -> Iterator[Polynomial | Sine]:
+    """Yield the terms of sums, of sums within them, too."""
+    if isinstance(function, Sum):
+        for term in function.terms:
+            yield from terms(term)
+    else:
+        yield function
+
+
+def scaled(function: TimeFunction, factor: float) -> TimeFunction:
+    """Return a multiple of a function of time."""
+    if isinstance(function, Sum):
+        return Sum(tuple(scaled(term, factor) for term in function.terms))
+    if isinstance(function, Sine):
+        return replace(function, amplitude=factor * function.amplitude, offset=factor * function.offset)
+    return Polynomial(tuple(factor * c for c in function.coefficients))
 
 
 @dataclass(frozen=True)

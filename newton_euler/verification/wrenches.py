@@ -125,5 +125,6 @@ def _law(law: Law | JointSpring, x: float, rate: float) -> float:
     if isinstance(law, JointSpring):
         return law.stiffness * (law.rest - x) - law.damping * rate
     if isinstance(law, PD):
-        return float(law.feedforward_at(0.0)) + law.stiffness * (law.target - x) - law.damping * rate
+        r, r_rate = law.target_at(0.0)
+        return float(law.feedforward_at(0.0) + law.stiffness * (r - x) + law.damping * (r_rate - rate))
     return law.held

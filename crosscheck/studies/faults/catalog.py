@@ -14,6 +14,7 @@ from newton_euler.equations.couplings import couplings
 from newton_euler.model.control import PD, Sampled
 from newton_euler.model.elements import OnBodies
 from newton_euler.model.joint import Joint, perpendicular_pair
+from newton_euler.model.motions import TimeFunction, scaled
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
@@ -147,8 +148,11 @@ def _of_forces(scene: Scene, size: float) -> Iterator[Fault]:
             for name, kind in VALUES.items():
                 value = getattr(force, name, None)
                 if value or (name == "target" and value is not None):
-                    other = (1.0 + size) * value if value else size * _unit(scene, force)
-                    changed = plant.entry(field, index, **{name: other})
+                    if isinstance(value, TimeFunction):
+                        value = scaled(value, 1.0 + size)
+                    else:
+                        value = (1.0 + size) * value if value else size * _unit(scene, force)
+                    changed = plant.entry(field, index, **{name: value})
                     yield Fault(kind, force.joint, detail, size, changed, frozenset({force.joint}))
     for index, rotor in enumerate(scene.armatures):
         other = plant.entry("armatures", index, inertia=(1.0 + size) * rotor.inertia)

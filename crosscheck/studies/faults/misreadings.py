@@ -25,6 +25,7 @@ from newton_euler.model.elements import OnBodies, OnCoordinate
 from newton_euler.model.forces import Force, Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Fixed
+from newton_euler.model.motions import TimeFunction, scaled
 from newton_euler.model.scene import Scene
 
 FACTORS = {"doubled": 2.0, "halved": 0.5, "dropped": 0.0, "negated": -1.0, "times 1 + 1e-6": 1.0 + 1e-6}
@@ -147,13 +148,16 @@ def _of_force(scene: Scene, field: str, index: int, force: Law | Force) -> Itera
             continue
         for what, factor in FACTORS.items() if np.any(value) else ():
             if factor >= 0.0 or isinstance(force, PD | Wrench):
-                yield _of_value(field, index, force, name, what, factor * value)
+                other = scaled(value, factor) if isinstance(value, TimeFunction) else factor * value
+                yield _of_value(field, index, force, name, what, other)
         if isinstance(value, np.ndarray) and np.ptp(value):
             yield _of_value(field, index, force, name, "permuted", value[ORDER])
     if not _is_slack(force):
         for name in PLACES:
             for angle in (SMALL, LARGE) if hasattr(force, name) else ():
                 value = getattr(force, name)
+                if isinstance(value, TimeFunction):
+                    continue  # files have none
                 unit = scene.mechanism.size if _is_length(scene, force) else 1.0
                 moved = value + angle * unit * (SKEW if isinstance(value, np.ndarray) else 1.0)
                 yield _of_value(field, index, force, name, f"moved by {angle:g}", moved)

@@ -112,6 +112,7 @@ def torque_of_hinge(scene: Scene, run: Trajectory) -> float:
     assert run.actuator_force is not None
     (law,) = scene.control
     assert isinstance(law, PD)
+    assert isinstance(law.target, float)
     t = scene.times
     torque = law.target * np.exp(-10.0 * t) * (STIFFNESS * (1.0 + 10.0 * t) - DAMPING * 100.0 * t)
     return float(np.max(np.abs(run.actuator_force[:, 0] - torque))) / (STIFFNESS * law.target)

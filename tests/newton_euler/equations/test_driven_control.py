@@ -20,6 +20,7 @@ from crosscheck.scenes.scene_file import write_scene
 from mjcf.rigid import RigidMuJoCo
 from mjcf.tight import Rollout, Stepper, compiled
 from newton_euler.assemble import initial_state
+from newton_euler.equations.parameters import parameter_values, with_values
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError
@@ -36,9 +37,31 @@ CONSTANT, SLOPE, AMPLITUDE, FREQUENCY = 1.5, -0.8, 6.0, 7.0
 PUSH = Sum((Polynomial((CONSTANT, SLOPE)), Sine(AMPLITUDE, FREQUENCY)))
 
 
-def driven(duration=2.0):
-    law = PD("rail", STIFFNESS, DAMPING, TARGET, feedforward=PUSH)
-    return replace(mass_on_rail(duration=duration, control=(law,)), output_period=0.05)
+REFERENCE = Sum(
+    (
+        Polynomial((TARGET + (CONSTANT - DAMPING * SLOPE / STIFFNESS) / STIFFNESS, SLOPE / STIFFNESS)),
+        Sine(
+            AMPLITUDE / np.hypot(STIFFNESS, DAMPING * FREQUENCY),
+            FREQUENCY,
+            -np.arctan2(DAMPING * FREQUENCY, STIFFNESS),
+        ),
+    )
+)
+"""m, the target r with K_p r + K_d dr/dt = K_p TARGET + PUSH."""
+
+LAWS = {
+    "feedforward": PD("rail", STIFFNESS, DAMPING, TARGET, feedforward=PUSH),
+    "target": PD("rail", STIFFNESS, DAMPING, REFERENCE),
+}
+
+
+@pytest.fixture(params=LAWS)
+def scene(request):
+    return driven(LAWS[request.param])
+
+
+def driven(law):
+    return replace(mass_on_rail(duration=2.0, control=(law,)), output_period=0.05)
 
 
 def expected(time):
@@ -66,9 +89,8 @@ def share(scene, run):
 
 
 @pytest.mark.parametrize("formulation", ["relative", "cartesian"])
-def test_newton_euler(formulation):
+def test_newton_euler(scene, formulation):
     """1e-9 m: the tolerance of 1e-10 a step."""
-    scene = driven()
     run = newton_euler.simulate(scene, formulation)
     assert gap(run) < 1e-9
     assert share(scene, run) < 1e-9
@@ -77,32 +99,28 @@ def test_newton_euler(formulation):
     assert run.actuator_force[:, 0] == pytest.approx(u, abs=1e-9)
 
 
-def test_pinocchio():
-    scene = driven()
+def test_pinocchio(scene):
     run = urdf.simulate(scene)
     assert gap(run) < 1e-8  # m, at rtol 1e-10
     assert share(scene, run) < 1e-8
 
 
-def test_mujocos_rk4_is_of_order_four():
+def test_mujocos_rk4_is_of_order_four(scene):
     """Each stage has the controls of its own time."""
-    scene = driven()
     runs = [mjcf.simulate(scene, timestep=step) for step in (0.05, 0.025)]
     assert 14.0 < gap(runs[0]) / gap(runs[1]) < 20.0
     assert share(scene, mjcf.simulate(scene)) < 1e-9  # Simpson's rule at 1 ms
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicit"])
-def test_mujocos_other_integrators_are_of_order_one(integrator):
-    scene = driven()
+def test_mujocos_other_integrators_are_of_order_one(scene, integrator):
     runs = [mjcf.simulate(scene, timestep=step, integrator=integrator) for step in (1e-3, 5e-4)]
     assert 1.9 < gap(runs[0]) / gap(runs[1]) < 2.1
     assert max(share(scene, run) for run in runs) < 1e-12  # of the forces that were applied
 
 
-def test_the_controls_are_those_of_the_time():
+def test_the_controls_are_those_of_the_time(scene):
     """At a single state, in all systems."""
-    scene = driven()
     for system in (RigidMuJoCo(scene), PinocchioSystem(scene), Relative(scene)):
         now = at_time(system, 0.3)
         q, v = now.coordinates(initial_state(scene))
@@ -110,9 +128,8 @@ def test_the_controls_are_those_of_the_time():
         assert now.acceleration(q, v)[0] == pytest.approx(wanted, rel=1e-14)
 
 
-def test_mujocos_tight_loops():
+def test_mujocos_tight_loops(scene):
     """A whole run is that of `simulate`; of many at once the controls of a step are those of its middle."""
-    scene = driven()
     intervals, errors = [(40, 0.05)], []
     stepper = Stepper(compiled(scene), "RK4", intervals, 2, 1.0)
     stepper.reset()
@@ -129,15 +146,15 @@ def gap_of(position, scene):
     return np.abs(position[:, 1, 2] - expected(scene.times)).max()
 
 
-def test_scene_files_hold_the_function(tmp_path):
+def test_scene_files_hold_the_function(scene, tmp_path):
     path = tmp_path / "driven.yaml"
-    write_scene(driven(), path)
-    assert load(str(path)).control == driven().control
+    write_scene(scene, path)
+    assert load(str(path)).control == scene.control
 
 
-def test_an_mjcf_holds_the_control_of_the_start(tmp_path):
-    path, report = tmp_path / "driven.xml", scene_report(driven())
-    write_as(driven(), path, report)
+def test_an_mjcf_holds_the_control_of_the_start(scene, tmp_path):
+    path, report = tmp_path / "driven.xml", scene_report(scene)
+    write_as(scene, path, report)
     assert any("rail" in entry.element for entry in report.of("left out"))
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
@@ -146,9 +163,18 @@ def test_an_mjcf_holds_the_control_of_the_start(tmp_path):
     assert data.actuator_force == pytest.approx([CONSTANT + STIFFNESS * TARGET])
 
 
-def test_only_numbers_and_functions_are_taken():
-    with pytest.raises(MechanismError, match="feedforward"):
-        PD("rail", 0.0, 0.0, 0.0, feedforward="sin(t)")
+@pytest.mark.parametrize("name", ["target", "feedforward"])
+def test_only_numbers_and_functions_are_taken(name):
+    with pytest.raises(MechanismError, match=name):
+        PD(**{"joint": "rail", "stiffness": 0.0, "damping": 0.0, "target": 0.0, name: "sin(t)"})
+
+
+def test_parameters_of_a_target_are_what_it_is_linear_in():
+    scene = driven(LAWS["target"])
+    values = parameter_values(scene, ["rail.target"])
+    assert len(values["rail.target"]) == 4
+    run = newton_euler.simulate(with_values(scene, {"rail.target": 2.0 * values["rail.target"]}))
+    assert run.position[:, 1, 2] == pytest.approx(2.0 * expected(run.time), abs=1e-9)  # rtol 1e-10 a step
 
 
 def test_coverage_sees_a_law_that_begins_at_zero():
