@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
 
 from crosscheck.errors import CrosscheckError
+from crosscheck.scenes import FIGURES
 from newton_euler.assemble import initial_state
 from newton_euler.equations.system import Evaluation, System
 from newton_euler.errors import NewtonEulerError, choices
@@ -153,7 +154,15 @@ def _mujoco_refined(scene: Scene) -> Trajectory:
     import mjcf
 
     settings = _mujoco_run(scene).settings
-    return mjcf.simulate(scene, timestep=0.5 * settings["timestep"], integrator=settings["integrator"])
+    step, integrator = 0.5 * settings["timestep"], settings["integrator"]
+    return mjcf.simulate(_motion_of(scene), timestep=step, integrator=integrator)
+
+
+def _motion_of(scene: Scene) -> Scene:
+    """The scene without the outputs that finer runs are asked for only where figures of a scene are known."""
+    if scene.name in FIGURES:
+        return scene
+    return replace(scene, outputs=scene.outputs - {"reactions", "actuation"})
 
 
 def _mujoco_systems(scene: Scene) -> tuple[System, ...]:
@@ -178,7 +187,7 @@ def _pinocchio_run(scene: Scene) -> Trajectory:
 def _pinocchio_refined(scene: Scene) -> Trajectory:
     import urdf
 
-    return urdf.simulate(scene, **adaptive(scene, PYTHON_STEPS, refined=True))
+    return urdf.simulate(_motion_of(scene), **adaptive(scene, PYTHON_STEPS, refined=True))
 
 
 def _pinocchio_systems(scene: Scene) -> tuple[System, ...]:

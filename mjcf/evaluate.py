@@ -41,16 +41,13 @@ def evaluation(compiled: CompiledScene, acceleration: Array, multipliers: Array)
     data.xfrc_applied[:] = 0.0
     linear, angular = body_accelerations(compiled)
     force, torque = reactions(compiled)
-    kinetic, potential = energies(compiled)
     return Evaluation(
-        compiled.read_state(),
-        linear,
-        angular,
-        force,
-        torque,
-        np.array(data.actuator_force[: len(compiled.scene.control)]),
-        kinetic,
-        potential,
+        **vars(compiled.observation()),
+        linear_acceleration=linear,
+        angular_acceleration=angular,
+        reaction_force=force,
+        reaction_torque=torque,
+        actuator_force=np.array(data.actuator_force[: len(compiled.scene.control)]),
     )
 
 
@@ -161,14 +158,6 @@ def motor_wrenches(compiled: CompiledScene) -> Array:
         arm = data.site_xpos[site] - data.xipos[body]
         wrenches[body] += np.concatenate([force, torque + cross(arm, force)])
     return wrenches
-
-
-def energies(compiled: CompiledScene) -> tuple[float, float]:
-    """Kinetic energy, and potential energy of springs and of gravity (zero at the world origin), J."""
-    mujoco.mj_energyPos(compiled.model, compiled.data)
-    mujoco.mj_energyVel(compiled.model, compiled.data)
-    potential, kinetic = compiled.data.energy
-    return float(kinetic), float(potential)
 
 
 class Loop:

@@ -11,8 +11,7 @@ from mjcf.errors import ModelError
 from mjcf.layout import Layout
 from mjcf.write import controls, welded_to_xml
 from newton_euler.equations.couplings import TreeCouplings
-from newton_euler.equations.system import MassProperties
-from newton_euler.integrators.projection import joint_residuals
+from newton_euler.equations.system import MassProperties, Observation
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import weld_loops
@@ -123,10 +122,23 @@ class CompiledScene:
         mujoco.mj_fwdVelocity(self.model, self.data)
         return self.read_state()
 
-    def joint_phi(self, q: Array) -> Array:
-        """Residuals of all joints' equations, then of the couplings, m or rad."""
-        joints = joint_residuals(self.mechanism, self.state(q, np.zeros(self.nv)))
-        return np.concatenate([joints, self.couplings.phi(q, self.time)])
+    def coupling_phi(self, q: Array) -> Array:
+        """Residuals (c,) of the couplings, m or rad."""
+        return self.couplings.phi(q, self.time)
+
+    def observe(self, q: Array, v: Array) -> Observation:
+        """Poses, velocities and energies by MuJoCo's kinematics."""
+        self.state(q, v)
+        return self.observation()
+
+    def observation(self) -> Observation:
+        """The same at the state that MuJoCo has worked out last."""
+        mujoco.mj_energyPos(self.model, self.data)
+        mujoco.mj_energyVel(self.model, self.data)
+        potential, kinetic = self.data.energy
+        return Observation(
+            state=self.read_state(), kinetic_energy=float(kinetic), potential_energy=float(potential)
+        )
 
     def read_state(self) -> State:
         """Body poses and velocities that MuJoCo has worked out last."""

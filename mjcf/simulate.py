@@ -93,13 +93,14 @@ def simulate(
     }
     if steps[-1].size != largest:
         settings["last_timestep"] = steps[-1].size
-    evaluations, phi = [], []
+    evaluations, coupled = [], []
     for (system, q, v, size, work), now in zip(states, scene.times, strict=stopped is None):
         system.use_step(size, stiffness)
         system.time = float(now)
-        evaluations.append(replace(system.evaluate(q, v), work=work))
-        phi.append(system.joint_phi(q))
-    return trajectory_from(scene, "mujoco", settings, wall_time, evaluations, phi, stopped)
+        seen = system.evaluate(q, v) if scene.needs_accelerations else system.observe(q, v)
+        evaluations.append(replace(seen, work=work))
+        coupled.append(system.coupling_phi(q))
+    return trajectory_from(scene, "mujoco", settings, wall_time, evaluations, coupled, stopped)
 
 
 class Steps(NamedTuple):

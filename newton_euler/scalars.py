@@ -25,6 +25,62 @@ NUMBERS = (float, int)
 """Classes of plain numbers; `isinstance` takes a tuple of them in a third of the time of their union."""
 
 
+class Stack:
+    """Numbers (n,) of one quantity at n times, as one generic scalar."""
+
+    __slots__ = ("numbers",)
+
+    def __init__(self, numbers: Any) -> None:
+        self.numbers = np.asarray(numbers, dtype=float)
+
+    def __add__(self, other: Any) -> Stack:
+        return Stack(self.numbers + _numbers(other))
+
+    def __sub__(self, other: Any) -> Stack:
+        return Stack(self.numbers - _numbers(other))
+
+    def __rsub__(self, other: Any) -> Stack:
+        return Stack(other - self.numbers)
+
+    def __mul__(self, other: Any) -> Stack:
+        return Stack(self.numbers * _numbers(other))
+
+    def __truediv__(self, other: Any) -> Stack:
+        return Stack(self.numbers / _numbers(other))
+
+    def __rtruediv__(self, other: Any) -> Stack:
+        return Stack(other / self.numbers)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __neg__(self) -> Stack:
+        return Stack(-self.numbers)
+
+    def sin(self) -> Stack:
+        return Stack(np.sin(self.numbers))
+
+    def cos(self) -> Stack:
+        return Stack(np.cos(self.numbers))
+
+    def sqrt(self) -> Stack:
+        return Stack(np.sqrt(self.numbers))
+
+    def arctan2(self, x: Any) -> Stack:
+        return Stack(np.arctan2(self.numbers, _numbers(x)))
+
+
+def _numbers(scalar: Any) -> Any:
+    return scalar.numbers if isinstance(scalar, Stack) else scalar
+
+
+def unstacked(scalars: Sequence[Any] | Array, count: int) -> Array:
+    """Collect k scalars, stacks or numbers, as an array (count, k)."""
+    found = np.empty((count, len(scalars)))
+    for column, scalar in zip(found.T, scalars, strict=True):
+        column[:] = _numbers(scalar)
+    return found
+
+
 def objects(scalars: Sequence[Any]) -> Array:
     """Make an object array of scalars, which NumPy must not look into."""
     array = np.empty(len(scalars), dtype=object)

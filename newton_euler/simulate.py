@@ -15,7 +15,7 @@ import numpy as np
 from newton_euler.assemble import inherit_initial_state, initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.redundancy import inherit_mobility, mobility, other_rows
-from newton_euler.equations.system import Evaluation, System, at_time
+from newton_euler.equations.system import Observation, System, at_time
 from newton_euler.errors import (
     NearlyRedundantWarning,
     NewtonEulerError,
@@ -34,10 +34,11 @@ from newton_euler.integrators.options import (
 from newton_euler.integrators.run import load
 from newton_euler.integrators.sampling import holding, integrate_sampled, intervals, sample
 from newton_euler.model.euler_parameters import continuous
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
-from newton_euler.model.state import State
+from newton_euler.model.state import State, stacked_frames
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory, check_finite
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, unstacked
 
 KEPT = 8
 """Scenes, most recently simulated, whose code stays in memory."""
@@ -227,6 +228,14 @@ def _by_joint(scene: Scene, phi: Array) -> Array:
     return violation.T.copy()
 
 
+def _residuals(mechanism: Mechanism, states: Sequence[State], coupled: Sequence[Array]) -> Array:
+    """Evaluate the residuals (n, k) of all joints in n states, then those given of couplings, m or rad."""
+    motion = ("position", "quaternion", "linear_velocity", "angular_velocity")
+    frames = stacked_frames(*(np.array([getattr(state, name) for state in states]) for name in motion))
+    phis = [e.phi(frames[e.first], frames[e.second]) for e in mechanism.equations]
+    return np.hstack([unstacked(np.concatenate([np.zeros(0), *phis]), len(states)), np.array(coupled)])
+
+
 def run(system: System, engine: str, options: Options, settings: dict[str, Any]) -> Trajectory:
     """Integrate any system of equations over its scene, in floats.
 
@@ -256,19 +265,19 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
         if stopped:
             break
     wall_time = time.perf_counter() - start
-    evaluations: list[Evaluation] = []
-    phi: list[Array] = []
+    evaluations: list[Observation] = []
+    coupled: list[Array] = []
     for now, t, q, v in rows:
         now = at_time(now, t)
         try:
             with np.errstate(all="ignore"):  # numbers are checked
-                evaluations.append(now.evaluate(q, v))
-                phi.append(np.array(now.joint_phi(q), dtype=float))
+                evaluations.append(now.evaluate(q, v) if scene.needs_accelerations else now.observe(q, v))
+                coupled.append(now.coupling_phi(q))
         except NewtonEulerError as error:
             stopped = stopped or IntegrationError(t, str(error))
             break
     settings = settings | options.chosen() | dict(counts)
-    return trajectory_from(scene, engine, settings, wall_time, evaluations, phi, stopped)
+    return trajectory_from(scene, engine, settings, wall_time, evaluations, coupled, stopped)
 
 
 def trajectory_from(
@@ -276,45 +285,35 @@ def trajectory_from(
     engine: str,
     settings: dict[str, Any],
     wall_time: float,
-    evaluations: list[Evaluation],
-    phi: list[Array],
+    evaluations: Sequence[Observation],
+    coupled: list[Array],
     stopped: StoppedError | None = None,
 ) -> Trajectory:
     """Build the trajectory of a scene from an engine's evaluations at the output times.
 
     Args:
-        phi: residuals (k,) of all joints and then all couplings at each of them, m or rad.
+        coupled: residuals (c,) of the couplings at each of them, m or rad.
 
     Raises:
         IntegrationError: for numbers that are not finite, with the trajectory before them.
         `stopped`: the error that ended the run after these evaluations, if one did, with their trajectory.
     """
     states = [evaluation.state for evaluation in evaluations]
-    optional: dict[str, dict[str, Any]] = {
-        "velocities": {
-            "linear_velocity": [s.linear_velocity for s in states],
-            "angular_velocity": [s.angular_velocity for s in states],
-        },
-        "reactions": {
-            "reaction_force": [e.reaction_force for e in evaluations],
-            "reaction_torque": [e.reaction_torque for e in evaluations],
-        },
-        "actuation": {"actuator_force": [e.actuator_force for e in evaluations]},
-        "energy": {
-            "kinetic_energy": [e.kinetic_energy for e in evaluations],
-            "potential_energy": [e.potential_energy for e in evaluations],
-        },
-    }
     arrays = {
-        name: np.array(rows)
-        for output, columns in optional.items()
+        name: np.array([getattr(each, name) for each in rows])
+        for output, names, rows in (
+            ("velocities", ("linear_velocity", "angular_velocity"), states),
+            ("reactions", ("reaction_force", "reaction_torque"), evaluations),
+            ("actuation", ("actuator_force",), evaluations),
+            ("energy", ("kinetic_energy", "potential_energy"), evaluations),
+        )
         if output in scene.outputs
-        for name, rows in columns.items()
+        for name in names
     }
     if scene.tracks_work and all(e.work is not None for e in evaluations):
         arrays["work"] = np.array([e.work for e in evaluations])
-    if "violation" in scene.outputs:
-        arrays["constraint_violation"] = _by_joint(scene, np.array(phi))
+    if "violation" in scene.outputs and states:
+        arrays["constraint_violation"] = _by_joint(scene, _residuals(scene.mechanism, states, coupled))
     arrays["position"] = np.array([s.position for s in states])
     arrays["quaternion"] = np.array([s.quaternion for s in states])
     try:

@@ -18,9 +18,8 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without
-from newton_euler.equations.system import Evaluation, MassProperties
+from newton_euler.equations.system import Evaluation, MassProperties, Observation
 from newton_euler.errors import SingularityError
-from newton_euler.integrators.projection import joint_residuals
 from newton_euler.model.euler_parameters import from_rotation
 from newton_euler.model.joint_geometry import NOWHERE, JointGeometry, closing, in_tree
 from newton_euler.model.joint_kinds import Rod
@@ -254,10 +253,9 @@ class PinocchioSystem:
         """The same where frames are placed."""
         return np.concatenate([self._closures.phi(self._data), self._rows.phi(self._data, q, self.time)])
 
-    def joint_phi(self, q: Array) -> Array:
-        """Residuals of all joints' equations, then of the couplings, m or rad."""
-        joints = joint_residuals(self.mechanism, self.state(q, np.zeros(self.nv)))
-        return np.concatenate([joints, self._couplings.phi(q, self.time)])
+    def coupling_phi(self, q: Array) -> Array:
+        """Residuals (c,) of the couplings, m or rad."""
+        return self._couplings.phi(q, self.time)
 
     def phi_t(self) -> Array:
         """Partial derivative (k,) of `phi` by time."""
@@ -398,21 +396,31 @@ class PinocchioSystem:
         forces, torques = reactions(wrenches, points, driven(self._tree, columns, points, forces_on))
         for joint, torque in self._rotors.torques(state.frames(), accelerations[:, 3:]):
             torques[joint] -= torque
+        return Evaluation(
+            **vars(self._observation(state, q, v)),
+            linear_acceleration=accelerations[:, :3],
+            angular_acceleration=accelerations[:, 3:],
+            reaction_force=forces,
+            reaction_torque=torques,
+            actuator_force=actuation[: len(self.scene.control)],
+        )
+
+    def observe(self, q: Array, v: Array) -> Observation:
+        """Poses, velocities and energies by Pinocchio's forward kinematics."""
+        return self._observation(self.state(q, v), q, v)
+
+    def _observation(self, state: State, q: Array, v: Array) -> Observation:
+        """The same where frames are placed."""
         kinetic = float(0.5 * v @ self.mass_matrix(q) @ v)  # pin.computeKineticEnergy has rotors in part
-        potential = pin.computePotentialEnergy(self._model, self._data, pin_q)
+        potential = pin.computePotentialEnergy(self._model, self._data, self.map.q_to_pinocchio(q))
         root, (x, _) = self._model.inertias[0], self._measured(q, v)
         fixed = -root.mass * float(self.scene.gravity @ root.lever)  # of bodies that Pinocchio leaves out
         springs = self._laws.energy(x) + self._balls.energy(q) + self._forces.energy(self._data)
-        return Evaluation(
-            state,
-            accelerations[:, :3],
-            accelerations[:, 3:],
-            forces,
-            torques,
-            actuation[: len(self.scene.control)],
-            kinetic,
-            potential + fixed + springs,
-            q[self._work][0] if self.scene.tracks_work else None,
+        return Observation(
+            state=state,
+            kinetic_energy=kinetic,
+            potential_energy=potential + fixed + springs,
+            work=q[self._work][0] if self.scene.tracks_work else None,
         )
 
     def _applied(self, q: Array, v: Array) -> list[Any]:

@@ -397,10 +397,6 @@ class Cartesian(Formulation):
             moved.extend([r, p / sqrt(p @ p)])
         return np.concatenate(moved)
 
-    def joint_phi(self, q: Array) -> Array:
-        """Compute the residuals of all joints, then of all couplings."""
-        return self.Phi(q, np.zeros(self.nv))
-
     def phi_and_jacobian(self, q: Array) -> tuple[Array, Rows]:
         """Compute Phi(q) and 1/2 (p^T p - 1), and the nonzeros of their Jacobian."""
         rest = np.zeros(self.nv)

@@ -21,7 +21,7 @@ from newton_euler.equations.joint_coordinates import (
     coordinates,
 )
 from newton_euler.equations.sparse import Rows, RowsInUse, Solution, to_array
-from newton_euler.equations.system import Evaluation, MassProperties, System
+from newton_euler.equations.system import Evaluation, MassProperties, Observation, System
 from newton_euler.model.constraints import Frame
 from newton_euler.model.elements import Surroundings
 from newton_euler.model.joint import JointEquations, Key, Pose
@@ -256,6 +256,17 @@ class Formulation(System):
         before, after = self.rows - len(prescribed), len(self.phi_units) - self.rows
         return np.concatenate([np.zeros(before), prescribed, np.zeros(after)])
 
+    def joint_phi(self, q: Array) -> Array:
+        """Compute the residuals of all joints, then of all couplings, m or rad."""
+        frames = self.frames(q, np.zeros(self.nv))
+        phis = [e.phi(frames[e.first], frames[e.second]) for e in self.equations]
+        return np.concatenate([*phis, self.coupling_phi(q)])
+
+    def coupling_phi(self, q: Array) -> Array:
+        """Compute the residuals (c,) of the couplings, m or rad."""
+        measured = self.measured(q, np.zeros(self.nv))
+        return np.concatenate([np.zeros(0), [c.phi(measured, self.time) for c in self.couplings]])
+
     def phi_rate(self, q: Array, v: Array) -> Array:
         """Compute Phi_q qdot + Phi_t (rows,), eqs (5) and (7): joints with multipliers, then couplings."""
         frames, measured, rates = self.frames(q, v), self.measured(q, v), [np.zeros(0)]
@@ -307,6 +318,16 @@ class Formulation(System):
         solution = self.sparse_solution(q, v, rows)
         return self.sparse_vdot(q, v, solution), solution.pivot_ratio
 
+    def observe(self, q: Array, v: Array) -> Observation:
+        """Compute poses, velocities and energies."""
+        kinetic, potential = self.energies(self.seen(q, v))
+        return Observation(
+            state=self.state(q, v),
+            kinetic_energy=kinetic,
+            potential_energy=potential,
+            work=q[self.work][0] if self.scene.tracks_work else None,
+        )
+
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Compute accelerations, reactions and energies."""
         return self._evaluation(q, v, *self.solve(q, v))
@@ -323,11 +344,10 @@ class Formulation(System):
         bodies = self.body_accelerations(q, v, vdot)
         forces, torques = self.reactions(q, v, vdot, bodies, multipliers)
         return Evaluation(
-            self.state(q, v),
-            *bodies,
-            forces,
-            torques,
-            np.array(list(self.joint_forces(at.measured))[: len(self.scene.control)]),
-            *self.energies(at),
-            q[self.work][0] if self.scene.tracks_work else None,
+            **vars(self.observe(q, v)),
+            linear_acceleration=bodies[0],
+            angular_acceleration=bodies[1],
+            reaction_force=forces,
+            reaction_torque=torques,
+            actuator_force=np.array(list(self.joint_forces(at.measured))[: len(self.scene.control)]),
         )

@@ -262,13 +262,6 @@ class TreeKinematics(Formulation):
                 add(row, k, factor * entry)
         return row
 
-    def joint_phi(self, q: Array) -> Array:
-        """Compute the residuals of all joints, kept ones included, and of the couplings."""
-        frames, measured = self.frames(q, np.zeros(self.nv)), self.measured(q, np.zeros(self.nv))
-        phis = [e.phi(frames[e.first], frames[e.second]) for e in self.equations]
-        coupled = [coupling.phi(measured, self.time) for coupling in self.couplings]
-        return np.concatenate([np.zeros(0), *phis, coupled])
-
     def rows_of(self, relative: Collection[int]) -> list[int]:
         """Select rows of `phi`: these."""
         return sorted(relative)

@@ -20,30 +20,39 @@ from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluation:
-    """Solution of the equations of motion at one state; world frame, SI; b bodies, j joints.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Observation:
+    """One state as an engine sees it, without its accelerations; SI.
 
     Attributes:
         state: poses and velocities as this engine's own kinematics give them.
-        linear_acceleration, angular_acceleration: (b, 3) of the bodies.
-        reaction_force, reaction_torque: (j, 3) on the second body, at its joint point. Not unique where
-            constraints are redundant, see `newton_euler.equations.reactions`.
-        actuator_force: (a,) N or N m along the actuated coordinates.
         kinetic_energy, potential_energy: J; potential energy is that of gravity, zero at the origin, and
             of springs, zero at rest.
         work: J, done since the start by forces without potential energy; None if it is not tracked.
     """
 
     state: State
+    kinetic_energy: float
+    potential_energy: float
+    work: float | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evaluation(Observation):
+    """Solution of the equations of motion at one state; world frame, SI; b bodies, j joints.
+
+    Attributes:
+        linear_acceleration, angular_acceleration: (b, 3) of the bodies.
+        reaction_force, reaction_torque: (j, 3) on the second body, at its joint point. Not unique where
+            constraints are redundant, see `newton_euler.equations.reactions`.
+        actuator_force: (a,) N or N m along the actuated coordinates.
+    """
+
     linear_acceleration: Array
     angular_acceleration: Array
     reaction_force: Array
     reaction_torque: Array
     actuator_force: Array
-    kinetic_energy: float
-    potential_energy: float
-    work: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,14 +127,17 @@ class System(Protocol):
     def phi(self, q: Array) -> Array:
         """Compute the constraint residuals (k,) that projection removes."""
 
-    def joint_phi(self, q: Array) -> Array:
-        """Compute residuals of all joints' equations, then of all couplings, m or rad."""
+    def coupling_phi(self, q: Array) -> Array:
+        """Compute residuals (c,) of all couplings, m or rad."""
 
     def phi_jacobian(self, q: Array) -> Array:
         """Compute the derivative (k, nv) of `phi` along `retract`, and of its rate by v."""
 
     def retract(self, q: Array, step: Array) -> Array:
         """Move q by a small step (nv,)."""
+
+    def observe(self, q: Array, v: Array) -> Observation:
+        """Compute poses, velocities and energies."""
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         """Compute accelerations, reactions and energies."""

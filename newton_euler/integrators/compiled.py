@@ -26,7 +26,7 @@ from newton_euler.equations.parameters import parameter_values, with_values
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import RowsInUse, least_squares
-from newton_euler.equations.system import at_time
+from newton_euler.equations.system import Observation, at_time
 from newton_euler.errors import OptionError, UnknownNameError, check_choice, is_finite_number
 from newton_euler.integrators.options import FormulationName, StabilizationName
 from newton_euler.model.mechanism import Mechanism
@@ -389,11 +389,12 @@ class Code:
     def _trace_output(self, system: Formulation, q: Array, v: Array) -> list[Scalar]:
         """Trace the arrays that the scene asks for; the layout has their places and shapes."""
         wanted = self.scene.outputs
-        if wanted.isdisjoint(("reactions", "actuation")):  # nothing has to be solved for
-            state, found = system.state(q, v), system.energies(system.seen(q, v))
-        else:
+        if self.scene.needs_accelerations:
             e, pivot_ratio = system.sparse_evaluation(q, v, self.rows)
-            state, found = e.state, (e.kinetic_energy, e.potential_energy)
+            seen: Observation = e
+        else:
+            seen = system.observe(q, v)
+        state = seen.state
         arrays: dict[str, Any] = {"position": state.position, "quaternion": state.quaternion}
         if "velocities" in wanted:
             arrays["linear_velocity"] = state.linear_velocity
@@ -403,7 +404,8 @@ class Code:
         if "actuation" in wanted:
             arrays["actuator_force"] = e.actuator_force
         if "energy" in wanted:
-            arrays["kinetic_energy"], arrays["potential_energy"] = map(np.array, found)
+            arrays["kinetic_energy"] = np.array(seen.kinetic_energy)
+            arrays["potential_energy"] = np.array(seen.potential_energy)
         if self.scene.tracks_work:
             arrays["work"] = np.array(q[system.work][0])
         if "violation" in wanted or self.stabilization != "projection":

@@ -362,14 +362,6 @@ def _correction(system: System, found: Surface) -> Callable[[Array], Array]:
     return correct
 
 
-def joint_residuals(mechanism: Mechanism, state: State) -> Array:
-    """Evaluate the residuals (k,) of all joints' equations in a state, m or rad."""
-    frames = state.frames()
-    return np.concatenate(
-        [np.zeros(0), *(e.phi(frames[e.first], frames[e.second]) for e in mechanism.equations)]
-    )
-
-
 def joint_violations(mechanism: Mechanism, state: State) -> Array:
     """Evaluate the largest residual (j,) of each joint's equations in a state, m or rad."""
     frames = state.frames()

@@ -219,6 +219,11 @@ class Scene:
         return frozenset(each.joint for each in (*self.forces, *self.armatures) if isinstance(each, OnBall))
 
     @property
+    def needs_accelerations(self) -> bool:
+        """True if outputs need the equations of motion solved."""
+        return not self.outputs.isdisjoint(("reactions", "actuation"))
+
+    @property
     def tracks_work(self) -> bool:
         """True if runs carry the work of what is not in the potential energy as one more state."""
         return "energy" in self.outputs and len(self.control) + len(self.forces) + len(self.motions) > 0

@@ -9,7 +9,7 @@ import numpy as np
 from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, Stack, objects
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,3 +54,25 @@ class State:
                 strict=True,
             )
         ]
+
+
+def stacked_frames(
+    position: Array, quaternion: Array, linear_velocity: Array, angular_velocity: Array
+) -> list[Frame]:
+    """One `Frame` for each of b bodies at n times at once: its numbers are stacks of n.
+
+    Arguments are as in a `State`, (n, b, 3) and quaternions (n, b, 4).
+    """
+
+    def stacks(array: Array) -> Array:
+        return objects([Stack(component) for component in array.T])
+
+    return [
+        Frame(
+            stacks(position[:, k]),
+            rotation(stacks(quaternion[:, k])),
+            stacks(linear_velocity[:, k]),
+            stacks(angular_velocity[:, k]),
+        )
+        for k in range(position.shape[1])
+    ]

@@ -17,12 +17,11 @@ import numpy as np
 
 from newton_euler.errors import MechanismError, NewtonEulerError
 from newton_euler.limits import MB, exceeded
-from newton_euler.model.constraints import Frame
-from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.joint import Joint
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.source_file import SourceError, read_content
-from newton_euler.scalars import Array
+from newton_euler.model.state import stacked_frames
+from newton_euler.scalars import Array, unstacked
 
 SHAPES = {
     "time": "n",
@@ -147,13 +146,12 @@ class Trajectory:
         has_rates = linear is not None and angular is not None
         if linear is None or angular is None:
             linear = angular = np.zeros_like(self.position)
-        x, rates = np.empty((2, len(self.time), len(measures)))
-        for n, (r, p, v, w) in enumerate(zip(self.position, self.quaternion, linear, angular, strict=True)):
-            first, second = (Frame(r[k], rotation(p[k]), v[k], w[k]) for k in bodies)
-            with np.errstate(invalid="ignore", divide="ignore"):  # hinges in a row do not reach all
-                for k, measure in enumerate(measures):
-                    x[n, k] = measure.phi(first, second)[0]
-                    rates[n, k] = measure.jacobian(first, second).rate(first, second)[0]
+        motion = (self.position, self.quaternion, linear, angular)
+        first, second = stacked_frames(*(array[:, bodies] for array in motion))
+        with np.errstate(invalid="ignore", divide="ignore"):  # hinges in a row do not reach all
+            found = [measure.phi(first, second)[0] for measure in measures]
+            slopes = [measure.jacobian(first, second).rate(first, second)[0] for measure in measures]
+        x, rates = (unstacked(scalars, len(self.time)) for scalars in (found, slopes))
         for k, measure in enumerate(measures):
             if not measure.is_length:
                 expected = np.diff(self.time) * 0.5 * (rates[1:, k] + rates[:-1, k])
