@@ -30,6 +30,9 @@ HALF_ANGLE = np.radians(27.5)
 ASPECT, MARGIN = 1.3, 1.1
 """Width by height of what the camera sees at least, and its distance by the least that shows all."""
 
+VERDICT_SHARE = 1.4
+"""Height of the verdict by that of the mechanism."""
+
 MOST_COLUMNS = 3
 """Plots side by side in one group."""
 
@@ -40,6 +43,7 @@ def blueprint(
     plots: list[Plot],
     heading: str,
     hidden: Sequence[Sequence[str]],
+    moments: bool,
 ) -> rrb.Blueprint:
     """The mechanism and the verdict at the left, two rows of plots over a timeline at the right.
 
@@ -47,21 +51,26 @@ def blueprint(
         run: what the camera is placed by.
         heading: of the 3-D view.
         hidden: parts of the paths of entities that are not shown at first.
+        moments: whether there is a log of the worst ones, in a tab behind the verdict: its times can be
+            clicked, and links to times, beside those to entities, do not exist in text.
     """
     eye, grid = _sight(mechanism, run)
     scene_view = rrb.Spatial3DView(
         origin="/",
-        contents=["+ /**", "- /plots/**", "- /verdict"],
+        contents=["+ /**", "- /plots/**", "- /verdict", "- /worst"],
         name=heading,
         overrides={rr.new_entity_path(path): rrb.EntityBehavior(visible=False) for path in hidden},
         eye_controls=eye,
         line_grid=grid,
     )
-    verdict = rrb.TextDocumentView(origin="/verdict", name="Verdict")
+    told: list[rrb.View] = [rrb.TextDocumentView(origin="/verdict", name="Verdict")]
+    if moments:
+        columns = rrb.TextLogColumns(timeline_columns=[TIME], text_log_columns=["body"])
+        told.append(rrb.TextLogView(origin="/worst", name="Worst moments: click a time", columns=columns))
     rows = [[plot for plot in plots if plot.judges is judges] for judges in (False, True)]
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(scene_view, verdict, row_shares=[1.0, 1.2]),
+            rrb.Vertical(scene_view, rrb.Tabs(*told, active_tab=0), row_shares=[1.0, VERDICT_SHARE]),
             rrb.Vertical(*(_row(row) for row in rows if row)),
             column_shares=[1.0, 1.2],
         ),

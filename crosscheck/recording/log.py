@@ -12,6 +12,7 @@ Entities:
     /plots/QUANTITY/.../ENGINE   scalars over time, see `crosscheck.recording.plots`; also `target` and
                                  `ENGINE_tolerance`
     /verdict                     the tables, as text
+    /worst                       a line at each time at which a level of the runs is worst
 
 Poses and arrows are for the eye and hold single precision; the scalars hold double precision.
 Rerun's quaternions are x-y-z-w; `crosscheck.recording.shapes.xyzw` turns them round.
@@ -24,7 +25,7 @@ from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -87,6 +88,7 @@ def log_run(
     verdict: str,
     title: str,
     tolerances: Tolerances,
+    moments: Sequence[tuple[float, str]] = (),
 ) -> None:
     """Log all there is to see of a run, and how the viewer lays it out.
 
@@ -100,6 +102,7 @@ def log_run(
         verdict: Markdown.
         title: of the recording, to tell it from others of the scene.
         tolerances: of differences and of drift, drawn beside them.
+        moments: times, s, and what is worst there.
     """
     mechanism = scene.mechanism
     engines = list(trajectories)
@@ -111,14 +114,19 @@ def log_run(
     near = [engine for engine, distance in apart.items() if distance <= PIXEL * mechanism.size]
     hidden = [["mechanism", engine] for engine in near] + [["joints", engine] for engine in engines[1:]]
     hidden += [["reactions"]] + [["labels"], ["tilt"]] * (len(mechanism.bodies) > MOST_LABELS)
-    layout = blueprint(mechanism, first, shown, _heading(title, engines, apart, near), hidden)
+    layout = blueprint(mechanism, first, shown, _heading(title, engines, apart, near), hidden, bool(moments))
     recording.send_blueprint(layout)  # active, or a viewer in a browser would lay it out by itself
     recording.send_recording_name(title)
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     text = f"{verdict}\nHidden engines, labels and reactions: eye icons of the blueprint panel, left.\n"
+    if moments:
+        text += "Bodies and joints in the table are links; times to click are behind the other tab.\n"
     if arrow_scale is not None:
         text += f"Of reactions 1 N is {arrow_scale:.2g} m long.\n"
     recording.log("/verdict", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+    if moments:
+        times, lines = zip(*moments, strict=True)
+        _send(recording, "/worst", np.array(times), rr.TextLog.columns, text=lines)
     log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
     _send_pose(recording, "/ground", first.time[:1], first.position[:1, 0], first.quaternion[:1, 0])
     for engine, run in trajectories.items():
@@ -127,9 +135,9 @@ def log_run(
     _log_labels(recording, mechanism, first)
     if any(plot.path[0] == "tilt" for plot in shown):
         _log_tilt(recording, mechanism, first)
-    times = {engine: run.time for engine, run in trajectories.items()}
+    outputs = {engine: run.time for engine, run in trajectories.items()}
     for plot in shown:
-        _log_plot(recording, plot, times, styles)
+        _log_plot(recording, plot, outputs, styles)
 
 
 def recorded(
@@ -138,11 +146,12 @@ def recorded(
     verdict: str,
     title: str,
     tolerances: Tolerances | None = None,
+    moments: Sequence[tuple[float, str]] = (),
 ) -> bytes:
     """The content of an .rrd; arguments as of `log_run`."""
     recording = new_recording(scene)
     memory = recording.memory_recording()
-    log_run(recording, scene, trajectories, verdict, title, tolerances or {})
+    log_run(recording, scene, trajectories, verdict, title, tolerances or {}, moments)
     return bytes(memory.drain_as_bytes())
 
 
@@ -181,7 +190,7 @@ def _heading(title: str, engines: list[str], apart: dict[str, float], near: list
     parts += [f"{engine} ghost, up to {apart[engine]:.2g} m away" for engine in apart if engine not in near]
     if near:
         within = max(apart[engine] for engine in near)
-        parts.append(f"{', '.join(near)} within {within:.0e} m, hidden (blueprint panel)")
+        parts.append(f"{', '.join(near)} hidden, within {within:.0e} m")
     return f"{title}: {'; '.join(parts)}"
 
 
@@ -190,7 +199,7 @@ def _send(
     path: str,
     time: Array,
     columns: Callable[..., Any],
-    **values: Array,
+    **values: Array | Sequence[str],
 ) -> None:
     """Log values, (n, ...) each, at times (n,), s."""
     nanoseconds = np.round(time * 1e9).astype("timedelta64[ns]")
@@ -234,8 +243,8 @@ def _log_tilt(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajecto
     position, quaternion = run.position[:, body], run.quaternion[:, body]
     upright = np.broadcast_to([1.0, 0.0, 0.0, 0.0], quaternion.shape)
     for name, turn, length, color in (
-        ("normal", quaternion, 0.8 * size, PLAIN_COLOR),
-        ("vertical", upright, 1.2 * size, ARROW_COLOR),
+        ("normal", quaternion, 0.6 * size, PLAIN_COLOR),
+        ("vertical", upright, 0.9 * size, ARROW_COLOR),
     ):
         arrow = rr.Arrows3D(vectors=[0.0, 0.0, length], labels=name, colors=color, radii=0.02 * size)
         recording.log(f"/tilt/{name}", arrow, static=True)

@@ -150,21 +150,11 @@ def _largest(lines: dict[str, Array]) -> float:
 def _agreement_plots(trajectories: dict[str, Trajectory], tolerances: Tolerances) -> Iterator[Plot]:
     """Each engine against the first, largest over the bodies; and how far joints drift apart."""
     (reference, first), *others = trajectories.items()
-    group = f"Agreement with {reference}; thin lines: tolerances"
+    group = f"log10 of differences from {reference}; thin lines: tolerances"
     for name, quantity, title, values in (
-        (
-            "position",
-            POSES[0],
-            "position difference [log10 m]",
-            {e: positions_apart(first, r) for e, r in others},
-        ),
-        (
-            "angle",
-            POSES[1],
-            "angle difference [log10 rad]",
-            {e: orientations_apart(first, r) for e, r in others},
-        ),
-        ("drift", OPEN, "joint drift [log10 m, rad]", _present(trajectories, "constraint_violation")),
+        ("position", POSES[0], "position [m]", {e: positions_apart(first, r) for e, r in others}),
+        ("angle", POSES[1], "angle [rad]", {e: orientations_apart(first, r) for e, r in others}),
+        ("drift", OPEN, "drift [m, rad]", _present(trajectories, "constraint_violation")),
     ):
         lines = {engine: np.log10(np.maximum(np.max(x, axis=1), SMALLEST)) for engine, x in values.items()}
         single = quantity == OPEN

@@ -1,4 +1,4 @@
-"""A picture of a recording, taken without a display."""
+"""Pictures of a recording, taken without a display."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -25,7 +25,7 @@ LOOPBACK = "127.0.0.1"
 PATIENCE = 30.0
 """s that the viewer may take to start, and again to load a recording."""
 
-WINDOW = "1600x900"
+WINDOW = "1280x900"
 SETTLE = 2.0
 """s until the notices that a starting viewer shows over its views are gone."""
 
@@ -33,8 +33,17 @@ POLL = 0.1
 """s between questions to the viewer."""
 
 
-def screenshot(rrd: str | os.PathLike[str], moment: float) -> bytes:
-    """Take a PNG of what the viewer shows of a recording at a time, s, on its timeline `time`.
+MECHANISM = "3D"
+"""Class of the view of the mechanism."""
+
+
+def screenshots(
+    rrd: str | os.PathLike[str], moments: Sequence[float], view_class: str | None = None
+) -> list[bytes]:
+    """Take PNGs of what the viewer shows of a recording at times, s, on its timeline `time`.
+
+    Args:
+        view_class: of the view that is wanted alone; all that the viewer shows if None.
 
     Raises:
         CrosscheckError: if the viewer does not start or does not get as far as a picture.
@@ -47,10 +56,13 @@ def screenshot(rrd: str | os.PathLike[str], moment: float) -> bytes:
             _wait_until_loaded(viewer, rrd)
             viewer.run_command("ui.toggle_top_panel")
             time.sleep(SETTLE)
-            viewer.set_time("time", duration=moment, play_state="paused")
-            picture = Path(folder) / "picture.png"
-            viewer.save_screenshot(str(picture))
-            return picture.read_bytes()
+            views = [view.view_id for view in viewer.get_state().views if view.view_class == view_class]
+            picture, taken = Path(folder) / "picture.png", []
+            for moment in moments:
+                viewer.set_time("time", duration=moment, play_state="paused")
+                viewer.save_screenshot(str(picture), next(iter(views), None))
+                taken.append(picture.read_bytes())
+            return taken
     except (RuntimeError, OSError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise CrosscheckError(f"no picture of {os.fspath(rrd)}: {reason}") from error
@@ -125,7 +137,8 @@ def main() -> None:
     parser.add_argument("--time", type=float, default=0.0, help="s on the recording's timeline")
     arguments = parser.parse_args()
     try:
-        write_files({Path(arguments.png): screenshot(arguments.rrd, arguments.time)})
+        (picture,) = screenshots(arguments.rrd, [arguments.time])
+        write_files({Path(arguments.png): picture})
     except CrosscheckError as error:
         sys.exit(f"crosscheck.recording.screenshot: {error}")
 

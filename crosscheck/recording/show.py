@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
 from crosscheck.errors import CrosscheckError
 from crosscheck.recording.log import log_run, new_recording
@@ -12,7 +13,12 @@ from newton_euler.model.trajectory import Trajectory
 
 
 def show(
-    scene: Scene, trajectories: dict[str, Trajectory], verdict: str, title: str, tolerances: Tolerances
+    scene: Scene,
+    trajectories: dict[str, Trajectory],
+    verdict: str,
+    title: str,
+    tolerances: Tolerances,
+    moments: Sequence[tuple[float, str]],
 ) -> None:
     """Show a recording; arguments as of `log_run`.
 
@@ -22,11 +28,11 @@ def show(
     recording = new_recording(scene)
     try:
         if in_notebook():
-            log_run(recording, scene, trajectories, verdict, title, tolerances)
+            log_run(recording, scene, trajectories, verdict, title, tolerances, moments)
             recording.notebook_show()
         else:
             recording.spawn()
-            log_run(recording, scene, trajectories, verdict, title, tolerances)
+            log_run(recording, scene, trajectories, verdict, title, tolerances, moments)
     except (ImportError, RuntimeError) as error:
         raise CrosscheckError(f"no viewer: {' '.join(str(error).split())}") from error
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from pydantic import BaseModel
 
+from crosscheck.comparison.figure import OF_RUNS, Figure
 from crosscheck.engines import ENGINES
 from crosscheck.errors import CrosscheckError
 from crosscheck.files import write_files
@@ -18,6 +20,12 @@ from crosscheck.results import read_json
 from crosscheck.run import Crosscheck
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+
+PLAIN = re.compile(r"[\w:/.-]+", re.ASCII)
+"""Addresses of entities whose names need no escapes."""
+
+MOMENT = re.compile(r"(?:(.*) at )?(\S+) s")
+"""Where a figure of runs is worst."""
 
 TOLD = {
     "crosscheck": ("summary.json",),
@@ -58,11 +66,31 @@ def write(result: Crosscheck, report: Report, folder: Path, recording: Path, nam
 
 def to_record(
     result: Crosscheck, report: Report
-) -> tuple[Scene, dict[str, Trajectory], str, str, dict[tuple[str, ...], float]]:
-    """The arguments of `crosscheck.recording.log.log_run` for a crosscheck and the report on it."""
-    text = markdown(replace(report, title="", parts=report.summary))
+) -> tuple[Scene, dict[str, Trajectory], str, str, dict[tuple[str, ...], float], list[tuple[float, str]]]:
+    """The arguments of `crosscheck.recording.log.log_run` for a crosscheck and the report on it.
+
+    Bodies and joints that tables name are links to what is drawn of the first engine.
+    """
+    mechanism, first = result.scene.mechanism, next(iter(result.trajectories), "")
+    links = {name: f"recording://joints/{first}/{name}" for name in mechanism.joint_names}
+    links |= {name: f"recording://mechanism/{first}/{name}" for name in mechanism.body_names[1:]}
+    links = {name: address for name, address in links.items() if PLAIN.fullmatch(address)}
+    word, found = report.headline
+    text = f"# {word}\n\n" if word else ""
+    text += markdown(replace(report, title="", verdict=found, parts=report.summary), links=links)
     tolerances = {(row.quantity, *row.between): row.tolerance for row in result.figures}
-    return result.scene, result.trajectories, text, result.title, tolerances
+    return result.scene, result.trajectories, text, result.title, tolerances, list(_moments(result.figures))
+
+
+def _moments(rows: Sequence[Figure]) -> Iterator[tuple[float, str]]:
+    """Times, s, at which levels of the runs are worst, and what is worst there."""
+    for level in OF_RUNS:
+        at_level = [row for row in rows if row.level == level and not row.informs]
+        worst = max(at_level, key=lambda row: row.share, default=None)
+        if worst and (found := MOMENT.fullmatch(worst.where)):
+            place = ", ".join(filter(None, [found[1], worst.quantity]))
+            text = f"{level}: {place}: {worst.value:.1e}, allowed {worst.tolerance:.0e}"
+            yield float(found[2]), text
 
 
 def own_name(source: str) -> str:

@@ -6,10 +6,11 @@ import base64
 import math
 import os
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from pydantic import BaseModel, field_validator
 
@@ -34,9 +35,6 @@ RESULTS = (
     "batch.json",
 )
 """Files of results, each with a report."""
-
-SHOWN = 0.5
-"""Share of the duration at which a recording is shown."""
 
 BELOW = ("*", "*/*")
 """Where results are looked for below a folder without any: the folders of `crosscheck run --all`, those of
@@ -120,6 +118,8 @@ class Entry:
 
     report: Report
     anchor: str = ""
+    views: list[Picture] = field(default_factory=list)
+    speed: list[Picture] = field(default_factory=list)
     pictures: list[Picture] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
@@ -222,11 +222,11 @@ def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Ent
         if results.files[path.name] != digest(path):
             raise CrosscheckError(f"{path}: is not the file that {file.name} beside it was written with")
     runs = _runs(path for path in beside if path.suffix == ".npz")
-    duration = max((float(run["time"][-1]) for run in runs.values()), default=0.0)
+    first = next(iter(runs.values()), None)
     for path in (path for path in beside if path.suffix == ".rrd"):
         progress(f"{path.stem}: pictures of the recording")
         try:
-            entry.pictures.append(_view(path, SHOWN * duration))
+            entry.views.extend(_views(path, [0.0] if first is None else telling(first)))
         except CrosscheckError as error:
             entry.remarks.append(f"No picture of {path.stem}: {error}")
     if runs:
@@ -235,8 +235,8 @@ def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Ent
         if isinstance(results, Compared):
             costs = {name: (cost.wall_time, cost.off_by) for name, cost in results.engines.items()}
             bounds = {(each.quantity, *each.between): each.tolerance for each in results.figures}
-        drawn = [*plots.speed(costs), *plots.pictures(runs, bounds)]
-        entry.pictures.extend(Picture(*each) for each in drawn)
+        entry.speed.extend(Picture(*each) for each in plots.speed(costs))
+        entry.pictures.extend(Picture(*each) for each in plots.pictures(runs, bounds))
     for path in (path for path in beside if path.suffix == ".png"):
         try:
             content = read_content(path, "result_size")
@@ -246,17 +246,27 @@ def _entry(file: Path, results: Results, anchor: str, progress: Progress) -> Ent
     return entry
 
 
-def _view(recording: Path, moment: float) -> Picture:
-    """A picture of a recording at a time, s, by the Rerun viewer.
+def telling(run: Mapping[str, Array]) -> list[float]:
+    """Three times, s, that tell a motion: its start, its end, and when it is farthest from both."""
+    time, position = run["time"], run["position"]
+    far = [np.linalg.norm(position - end, axis=2).max(axis=1) for end in (position[0], position[-1])]
+    apart = np.minimum(*far)
+    middle = int(np.argmax(apart)) if apart.any() else len(time) // 2
+    return [float(time[0]), float(time[middle]), float(time[-1])]
+
+
+def _views(recording: Path, moments: Sequence[float]) -> Iterator[Picture]:
+    """Pictures of the mechanism in a recording at times, s, by the Rerun viewer.
 
     Raises:
         CrosscheckError: where the viewer does not run or shows nothing.
     """
-    from crosscheck.recording.screenshot import screenshot
+    from crosscheck.recording.screenshot import MECHANISM, screenshots
 
     if not recording.is_file():  # a pipe would keep its reader waiting
         raise CrosscheckError(f"{recording}: not a regular file")
-    return Picture(screenshot(recording, moment), f"{recording.stem}: the recording at {moment:.4g} s")
+    for moment, content in zip(moments, screenshots(recording, moments, MECHANISM), strict=True):
+        yield Picture(content, f"{recording.stem} at {moment:.4g} s")
 
 
 def _runs(paths: Iterator[Path]) -> dict[str, dict[str, Array]]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from crosscheck.comparison.figure import OPEN, POSES
 from crosscheck.palette import palette
+from crosscheck.report.table import seconds
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.scalars import Array
 
@@ -22,6 +23,11 @@ DASHES = {"newton_euler": ("-", 2.6), "mujoco": ("--", 1.6), "pinocchio": (":", 
 
 SMALLEST = 1e-18
 """Where logarithms are cut off, so that zero can be drawn."""
+
+SHORTEST_BAR, ROOM = 3.0, 60.0
+"""Run time at the left of the shortest bar, and right of the longest one, by these: decades are alike."""
+
+SPEED = "Run time of each engine at its defaults, less is faster; at equal errors: crosscheck bench"
 
 OTHER_DASH = ("-.", 1.6)
 """Of curves that `DASHES` does not know."""
@@ -37,23 +43,26 @@ Line = tuple[str, str, Array, Array]
 
 
 def speed(costs: Mapping[str, tuple[float | None, float | None]]) -> Iterator[tuple[bytes, str]]:
-    """Draw error, m and rad, over run time, s, of each engine that has both."""
+    """Draw bars of the run time, s, of each engine that has one, beside its error, m and rad."""
     from matplotlib.figure import Figure
 
-    known = {name: (time, error) for name, (time, error) in costs.items() if time and error}
-    if not known:
+    names = [name for name, (time, _) in costs.items() if time]
+    if not names:
         return
-    figure = Figure(figsize=(4.6, 3.2), layout="constrained")
+    times, errors = zip(*(costs[name] for name in names), strict=True)
+    labels = [
+        seconds(time) + (f", off by {error:.0e}" if error else "")
+        for time, error in zip(times, errors, strict=True)
+    ]
+    figure = Figure(figsize=(4.8, 0.9 + 0.45 * len(names)), layout="constrained")
     ax = figure.add_subplot()
-    colors = palette(list(costs))
-    for name, (time, error) in known.items():
-        ax.loglog(time, error, "o", color=colors[name], markersize=10, label=name)
-    ax.set_xlabel("run time, s")
-    ax.set_ylabel("error, m or rad")
-    ax.grid(alpha=0.3)
-    ax.margins(0.3)
-    ax.legend(loc="best", fontsize="small")
-    yield png(figure), "Run time and error of each engine at its defaults; best is at the lower left"
+    bars = ax.barh(names, times, color=[palette(list(costs))[name] for name in names], height=0.6)
+    ax.bar_label(bars, labels, padding=4)
+    # a logarithmic axis has no zero that bars could begin at
+    ax.set(xscale="log", xlim=(min(times) / SHORTEST_BAR, max(times) * ROOM), xlabel="run time, s")
+    ax.invert_yaxis()
+    ax.spines[["top", "right"]].set_visible(False)
+    yield png(figure), SPEED
 
 
 def pictures(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
@@ -70,19 +79,6 @@ def png(figure: Figure, dpi: int = 100) -> bytes:
     return content.getvalue()
 
 
-def _axes(labels: list[str]) -> tuple[Figure, list[Axes]]:
-    """Panels side by side, over time."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.6 * max(len(labels), 2), 3.2), layout="constrained")
-    axes = [figure.add_subplot(1, len(labels), k + 1) for k in range(len(labels))]
-    for ax, label in zip(axes, labels, strict=True):
-        ax.set_title(label, fontsize="medium")
-        ax.set_xlabel("time, s")
-        ax.grid(alpha=0.3)
-    return figure, axes
-
-
 def curve(ax: Axes, engine: str, color: str, time: Array, values: Array) -> None:
     """Draw a quantity over time in the engine's style."""
     dash, width = DASHES.get(engine, OTHER_DASH)
@@ -90,9 +86,10 @@ def curve(ax: Axes, engine: str, color: str, time: Array, values: Array) -> None
 
 
 def _over_time(runs: Runs, name: str, label: str) -> Iterator[Line]:
-    """Of those runs that have an array."""
-    for engine, run in runs.items():
-        if name in run:
+    """Of those runs that have an array, unless all are zero."""
+    having = [(engine, run) for engine, run in runs.items() if name in run]
+    if any(np.any(run[name]) for _, run in having):
+        for engine, run in having:
             yield label, engine, run["time"], run[name]
 
 
@@ -103,20 +100,22 @@ def _drawn(
     logarithmic: bool = False,
     tolerances: Mapping[tuple[str, str], float | None] | None = None,
 ) -> Iterator[tuple[bytes, str]]:
-    """One picture, a panel for each label, with tolerances by label and engine; none without lines."""
-    labels = list(dict.fromkeys(label for label, *_ in lines))
-    if not labels:
-        return
-    figure, axes = _axes(labels)
-    for label, engine, time, values in lines:
-        curve(axes[labels.index(label)], engine, colors[engine], time, values)
-        if bound := (tolerances or {}).get((label, engine)):
-            axes[labels.index(label)].axhline(bound, color=colors[engine], linewidth=0.8)
-    for ax in axes:
+    """A picture over time for each label, with tolerances by label and engine; none without lines."""
+    from matplotlib.figure import Figure
+
+    for label in dict.fromkeys(label for label, *_ in lines):
+        figure = Figure(figsize=(4.8, 3.2), layout="constrained")
+        ax = figure.add_subplot()
+        for _, engine, time, values in (line for line in lines if line[0] == label):
+            curve(ax, engine, colors[engine], time, values)
+            if bound := (tolerances or {}).get((label, engine)):
+                ax.axhline(bound, color=colors[engine], linewidth=0.8)
         if logarithmic:
             ax.set_yscale("log")
-    axes[0].legend(loc="best", fontsize="small")
-    yield png(figure), caption
+        ax.set(xlabel="time, s", ylabel=label)
+        ax.grid(alpha=0.3)
+        ax.legend(loc="best", fontsize="small")
+        yield png(figure), f"{label}: {caption}"
 
 
 def _differences(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
@@ -130,7 +129,7 @@ def _differences(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
         for quantity, values in zip(POSES, (distance, angle), strict=True):
             lines.append((quantity, engine, time, np.maximum(values, SMALLEST)))
             tolerances[quantity, engine] = bounds.get((quantity, reference[0], engine))
-    caption = f"Difference from {reference[0]}, largest over the bodies; thin lines are tolerances"
+    caption = f"difference from {reference[0]}, largest over the bodies; thin lines are tolerances"
     yield from _drawn(lines, palette(list(runs)), caption, True, tolerances)
 
 
@@ -140,7 +139,7 @@ def _drift(runs: Runs, bounds: Bounds) -> Iterator[tuple[bytes, str]]:
         for label, engine, time, violation in _over_time(runs, "constraint_violation", OPEN)
     ]
     tolerances = {(OPEN, engine): bounds.get((OPEN, engine)) for engine in runs}
-    caption = "Drift: how far joints are open, largest over the joints; thin lines are tolerances"
+    caption = "drift, largest over the joints; thin lines are tolerances"
     yield from _drawn(lines, palette(list(runs)), caption, True, tolerances)
 
 
@@ -148,4 +147,4 @@ def _energy(runs: Runs) -> Iterator[tuple[bytes, str]]:
     lines = [*_over_time(runs, "kinetic_energy", "kinetic, J")]
     lines += _over_time(runs, "potential_energy", "potential, J")
     lines += _over_time(runs, "work", "work done by what has no potential, J")
-    yield from _drawn(lines, palette(list(runs)), "Energy")
+    yield from _drawn(lines, palette(list(runs)), "energy")

@@ -191,43 +191,50 @@ def _rich_table(table: Table, width: int) -> RichTable:
     return drawn
 
 
-def markdown(report: Report, folded: bool = False) -> str:
-    """A document; its folded parts only if they are asked for, its heading if the report has a title."""
+def markdown(report: Report, folded: bool = False, links: Mapping[str, str] | None = None) -> str:
+    """A document; its folded parts only if they are asked for, its heading if the report has a title.
+
+    Args:
+        links: addresses of bodies and joints by name, for cells that are about one.
+    """
     lines = [f"# {_escaped(report.title)}", ""] if report.title else []
     if report.verdict:
         lines += [f"**{_escaped(report.verdict)}**", ""]
     for part in report.parts:
         if folded or not part.folded:
-            lines += [*_markdown(part), ""]
+            lines += [*_markdown(part, links), ""]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _markdown(part: Part) -> Iterator[str]:
+def _markdown(part: Part, links: Mapping[str, str] | None) -> Iterator[str]:
     if part.title:
         yield from (f"## {_escaped(part.title)}", "")
     if isinstance(part, Lines):
         yield from (f"- {_escaped(line.strip())}" for line in part.lines)
     else:
-        yield from markdown_table(part)
+        yield from markdown_table(part, links)
 
 
-def markdown_table(table: Table) -> Iterator[str]:
+def markdown_table(table: Table, links: Mapping[str, str] | None = None) -> Iterator[str]:
     """The lines of a table alone; what fails is bold."""
-    yield _markdown_row(column.heading for column in table.columns)
+    links = links or {}
+    yield _markdown_row([column.heading for column in table.columns], links)
     yield "|" + "".join("---:|" if column.numeric else "---|" for column in table.columns)
     for row in table.rows:
         if isinstance(row, str):
             yield f"| **{_escaped(row)}** |" + " |" * (len(table.columns) - 1)
         else:
-            yield _markdown_row(row)
+            yield _markdown_row(row, links)
 
 
-def _markdown_row(cells: Iterable[str | Cell]) -> str:
+def _markdown_row(cells: Iterable[str | Cell], links: Mapping[str, str]) -> str:
     texts = []
-    for cell in cells:
-        fails = isinstance(cell, Cell) and cell.verdict in ("fails", "doubtful")
-        text = _escaped(cell.text if isinstance(cell, Cell) else cell)
-        texts.append(f"**{text}**" if fails else text)
+    for cell in (cell if isinstance(cell, Cell) else Cell(cell) for cell in cells):
+        text = _escaped(cell.text)
+        if cell.about in links:
+            name = _escaped(cell.about)
+            text = text.replace(name, f"[{name}]({links[cell.about]})", 1)
+        texts.append(f"**{text}**" if cell.verdict in ("fails", "doubtful") else text)
     return f"| {' | '.join(texts)} |"
 
 

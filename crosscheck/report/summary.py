@@ -78,7 +78,8 @@ def _nearest(rows: Sequence[Figure]) -> Cell:
     if share > 1.0:
         text = f"{share:.0f} x" if MANY > share >= FEW else f"{share:.2g} x"
     place = ", ".join(filter(None, [worst.where, quantity or unit]))
-    return Cell(f"{text:>4}  {place}", "" if worst.agrees else "fails")
+    about = worst.where.partition(" at ")[0]
+    return Cell(f"{text:>4}  {place}", "" if worst.agrees else "fails", about)
 
 
 def engines_table(result: Crosscheck) -> Table:

@@ -113,6 +113,12 @@ class Report:
     wall_time: float | None = None
     summary: list[Part] = field(default_factory=list)
 
+    @property
+    def headline(self) -> tuple[str, str]:
+        """The word in capitals that the verdict begins with, empty if there is none, and what follows it."""
+        word, _, found = self.verdict.partition(": ")
+        return (word, found) if word.isupper() else ("", self.verdict)
+
 
 def texts(*names: str) -> list[Column]:
     """Columns of text."""

@@ -11,6 +11,7 @@ import pytest
 
 import crosscheck
 from crosscheck.errors import CrosscheckError
+from crosscheck.report.output import to_record
 from crosscheck.scenes import load
 from newton_euler import NewtonEulerError
 
@@ -84,6 +85,16 @@ def test_a_disagreement_is_an_assertion(verdict):
     level = r"(?s)DISAGREE: .* level 'model': mass, rel: 1 > .*\nmodel +1/\d+ FAIL"
     with pytest.raises(AssertionError, match=level):
         found.assert_agrees()
+
+
+def test_its_recording_names_the_verdict_and_leads_to_what_is_worst(verdict):
+    *_, text, title, _, moments = to_record(verdict.crosscheck, verdict.report)
+    assert title == "pendulum"
+    assert text.startswith("# AGREE\n\n**newton_euler, pinocchio agree")
+    assert "[dumbbell](recording://mechanism/newton_euler/dumbbell)" in text
+    times = verdict.trajectories["newton_euler"].time
+    assert [line.partition(":")[0] for _, line in moments][:2] == ["trajectories", "drift"]
+    assert all(times[0] <= time <= times[-1] for time, _ in moments)
 
 
 def test_it_opens_a_viewer(verdict, monkeypatch):

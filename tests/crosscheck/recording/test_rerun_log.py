@@ -28,6 +28,7 @@ from crosscheck.recording.log import (
     LONGEST_ARROW,
     PIXEL,
     application_id,
+    recorded,
 )
 from crosscheck.recording.plots import SMALLEST, plots
 from newton_euler.model.euler_parameters import angle_between, rotation
@@ -186,7 +187,7 @@ def test_a_ghost_is_shown_if_it_parts_from_the_first(
         <= {"mechanism/alpha", "joints/alpha", "reactions"}
     )
     distance = share * PIXEL * scene.mechanism.size
-    how = f"alpha ghost, up to {distance:.2g} m" if seen else f"alpha within {distance:.0e} m, hidden"
+    how = f"alpha ghost, up to {distance:.2g} m" if seen else f"alpha hidden, within {distance:.0e} m"
     assert any(
         name.startswith(f"lid_scene: zeta solid; {how}") for name in found["ViewBlueprint:display_name"]
     )
@@ -230,6 +231,17 @@ def test_joint_points_and_reactions_follow_the_second_body(
         np.testing.assert_array_equal(origins, points)
         vectors = np.array(recording.columns[path, "Arrows3D:vectors"])[:, 0]
         np.testing.assert_allclose(vectors, scale * run.reaction_force[:, 1], rtol=1e-5)
+
+
+def test_worst_moments_are_lines_at_their_times(
+    scene: Scene, runs: dict[str, Trajectory], tmp_path: Path
+) -> None:
+    path = tmp_path / "moments.rrd"
+    path.write_bytes(recorded(scene, runs, "", "lid_scene", None, [(0.3, "drift: hinge"), (1.2, "energy")]))
+    found = read_recording(path)
+    assert found.times["/worst"] == [300_000_000, 1_200_000_000]
+    assert found.columns["/worst", "TextLog:text"] == [["drift: hinge"], ["energy"]]
+    assert "/worst" in layout(path)["ViewBlueprint:space_origin"]
 
 
 def test_verdict_is_markdown(recording: Recording) -> None:

@@ -10,14 +10,14 @@ import pytest
 from recordings import write_recording
 
 from crosscheck.errors import CrosscheckError
-from crosscheck.recording.screenshot import screenshot
+from crosscheck.recording.screenshot import MECHANISM, WINDOW, screenshots
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
 
 
 def test_screenshot_of_no_recording(tmp_path: Path) -> None:
     with pytest.raises(CrosscheckError, match=r"absent\.rrd"):
-        screenshot(tmp_path / "absent.rrd", 0.0)
+        screenshots(tmp_path / "absent.rrd", [0.0])
 
 
 def test_screenshot_without_a_working_viewer(
@@ -29,12 +29,15 @@ def test_screenshot_without_a_working_viewer(
     viewer.chmod(0o755)
     monkeypatch.setattr(sys, "executable", str(viewer))
     with pytest.raises(CrosscheckError, match=r"mesa-vulkan-drivers and libvulkan1 \(panicked for"):
-        screenshot(tmp_path / "lid.rrd", 0.0)
+        screenshots(tmp_path / "lid.rrd", [0.0])
 
 
 @pytest.mark.skipif(not list(Path("/usr/share/vulkan/icd.d").glob("*.json")), reason="needs a Vulkan driver")
-def test_screenshot(scene: Scene, runs: dict[str, Trajectory], tmp_path: Path) -> None:
+def test_screenshots(scene: Scene, runs: dict[str, Trajectory], tmp_path: Path) -> None:
     write_recording(tmp_path / "lid.rrd", scene, runs)
-    png = screenshot(tmp_path / "lid.rrd", 0.6)
-    assert png.startswith(b"\x89PNG")
-    assert struct.unpack(">II", png[16:24]) == (1600, 900)
+    pictures = screenshots(tmp_path / "lid.rrd", [0.0, 0.6])
+    assert len({*pictures}) == 2
+    (part,) = screenshots(tmp_path / "lid.rrd", [0.6], MECHANISM)
+    sizes = [struct.unpack(">II", png[16:24]) for png in (*pictures, part)]
+    assert sizes[:2] == [tuple(map(int, WINDOW.split("x")))] * 2
+    assert all(whole > less for whole, less in zip(sizes[0], sizes[2], strict=True))

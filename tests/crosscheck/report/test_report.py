@@ -15,8 +15,10 @@ import pytest
 from command_line import run, scene_file, short_example
 
 from crosscheck.cli import main
+from crosscheck.comparison.figure import OPEN, POSES
 from crosscheck.errors import CrosscheckError
-from crosscheck.report.page import MOST_IN_FULL, PAGE, write_report
+from crosscheck.report.page import MOST_IN_FULL, PAGE, telling, write_report
+from crosscheck.report.plots import SPEED, pictures
 from crosscheck.report.table import Column, Table, judged
 from crosscheck.results import digest
 from crosscheck.scenes import SCENES
@@ -28,9 +30,10 @@ PNG = b"\x89PNG\r\n\x1a\n"
 EVIL = "</table><script>alert('1')</script>\"&"
 
 
-SPEED = "Run time and error of each engine at its defaults; best is at the lower left"
-DIFFERENCE = "Difference from newton_euler, largest over the bodies; thin lines are tolerances"
-DRIFT = "Drift: how far joints are open, largest over the joints; thin lines are tolerances"
+DIFFERENCE = "difference from newton_euler, largest over the bodies; thin lines are tolerances"
+DIFFERENCES = [f"{quantity}: {DIFFERENCE}" for quantity in POSES]
+DRIFT = f"{OPEN}: drift, largest over the joints; thin lines are tolerances"
+ENERGIES = [f"{name}, J: energy" for name in ("kinetic", "potential", "work done by what has no potential")]
 
 
 class Page(HTMLParser):
@@ -95,7 +98,7 @@ def folder(finished, tmp_path, monkeypatch) -> Path:
     def no_driver(*_):
         raise CrosscheckError("no Vulkan driver")
 
-    monkeypatch.setattr("crosscheck.recording.screenshot.screenshot", no_driver)
+    monkeypatch.setattr("crosscheck.recording.screenshot.screenshots", no_driver)
     return Path(shutil.copytree(finished, tmp_path / "four_bar"))
 
 
@@ -137,7 +140,9 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
     status, out, err = run(capsys, "report", folder)
     assert (status, out, err) == (0, f"wrote {folder / PAGE}\n", "")
     found, summary = Page(folder / PAGE), json.loads((folder / "summary.json").read_text())
-    assert summary["verdict"] in found.words
+    word, _, rest = summary["verdict"].partition(": ")
+    assert {word, *found.text} == {*found.text}
+    assert rest in found.words
     for figure in summary["figures"]:
         assert figure["level"] in found.words
         assert figure["quantity"] in found.words
@@ -146,7 +151,7 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
         assert package in found.words
         assert version in found.words
     assert "DOP853" in found.words
-    assert list(found.images) == [SPEED, DIFFERENCE, DRIFT, "Energy"]
+    assert list(found.images) == [SPEED, *DIFFERENCES, DRIFT, *ENERGIES]
     assert all(content.startswith(PNG) and len(content) > 5000 for content in found.images.values())
     assert {path.name for path in folder.iterdir()} == {
         *(f"{engine}.npz" for engine in ENGINES),
@@ -158,9 +163,25 @@ def test_a_page_holds_what_a_run_found(folder, capsys):
 
 def test_pictures_by_the_viewer_where_it_runs(folder, monkeypatch):
     assert "No picture of four_bar: no Vulkan driver" in report(folder).words
-    taken = lambda rrd, moment: PNG + str(moment).encode()  # noqa: E731
-    monkeypatch.setattr("crosscheck.recording.screenshot.screenshot", taken)
-    assert next(iter(report(folder).images)) == "four_bar: the recording at 0.025 s"
+    taken = lambda rrd, moments, view: [PNG + str(moment).encode() for moment in moments]  # noqa: E731
+    monkeypatch.setattr("crosscheck.recording.screenshot.screenshots", taken)
+    _, first, middle, last, *_ = report(folder).images
+    assert (first, last) == ("four_bar at 0 s", "four_bar at 0.05 s")
+    assert middle not in (first, last)
+
+
+def test_a_motion_is_told_by_its_start_its_end_and_what_is_farthest_from_both():
+    time, along = np.arange(5.0), np.array([0.0, 3.0, 2.0, 1.0, 1.0])
+    position = along[:, None, None] * [[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]]
+    assert telling({"time": time, "position": position}) == [0.0, 1.0, 4.0]
+    assert telling({"time": time, "position": 0.0 * position}) == [0.0, 2.0, 4.0]
+
+
+def test_what_is_zero_throughout_is_not_drawn():
+    time, poses = np.arange(2.0), {"position": np.zeros((2, 1, 3)), "quaternion": np.ones((2, 1, 4))}
+    energies = {"kinetic_energy": time, "potential_energy": 0.0 * time}
+    drawn = pictures({"one": {"time": time, **poses, **energies}}, {})
+    assert [caption for _, caption in drawn] == ["kinetic, J: energy"]
 
 
 def test_texts_are_texts(tmp_path):
@@ -187,9 +208,9 @@ def test_a_disagreement_is_found_at_a_glance(tmp_path):
     word = {"text": "FAILS", "verdict": "fails"}
     write(tmp_path / "summary.json", verdict="DISAGREE: somewhere", judged=word, parts=[asdict(table)])
     text = (tmp_path / PAGE).read_text() if report(tmp_path) else ""
-    assert '<p class="verdict fails">DISAGREE: somewhere</p>' in text
-    assert "<th>mass, kg</th>" in text
-    assert '<td class="figure fails" title="worst at the crank">1.2e-01 &gt; 1e-12</td>' in text
+    assert '<p class="verdict fails"><b>DISAGREE</b><span>somewhere</span></p>' in text
+    assert '<th class="number">mass, kg</th>' in text
+    assert '<td class="number fails" title="worst at the crank">1.2e-01 &gt; 1e-12</td>' in text
 
 
 @pytest.mark.parametrize("name", ["pinocchio.npz", "four_bar.rrd"])
@@ -227,7 +248,7 @@ def test_a_recording_that_is_none(folder):
     found = report(folder)
     assert "No picture of four_bar: " in found.words
     assert DRIFT in found.images
-    assert DIFFERENCE not in found.images
+    assert not {*DIFFERENCES} & found.images.keys()
 
 
 def test_the_library_on_one_page(bare, tmp_path):
@@ -240,7 +261,7 @@ def test_the_library_on_one_page(bare, tmp_path):
     found = report(library)
     assert found.links == {"folder-one", "folder-two"} <= found.anchors
     assert {"AGREE", "FAILS"} <= set(found.text)
-    assert found.words.count("DISAGREE: as it were") == 2  # in the index and below
+    assert found.words.count("as it were") == 2  # in the index and below
     assert [path.name for path in library.rglob(PAGE)] == [PAGE]
 
 

@@ -16,7 +16,9 @@ from crosscheck.scenes.scene_file import write_scene
 def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     """A page of scenes that are quiet; of one that moved also its figures and its recording."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("crosscheck.recording.screenshot.screenshot", lambda *_: b"\x89PNG")
+    monkeypatch.setattr(
+        "crosscheck.recording.screenshot.screenshots", lambda _, moments, __: [b"\x89PNG"] * len(moments)
+    )
     swing, model = replace(load("pendulum"), duration=0.5), tmp_path / "pendulum.yaml"
     write_scene(swing, model)
     assert run(capsys, "regress", model, "--update", "as delivered")[0] == 0
@@ -24,14 +26,14 @@ def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     assert status == 0
     assert "wrote out/regress.json" in text
     quiet = report(tmp_path / "out")
-    assert "QUIET: all " in quiet.words
+    assert "QUIET\nall " in quiet.words
     assert "(as delivered)" in quiet.words
     assert quiet.images == {}
     write_scene(replace(swing, gravity=1.1 * swing.gravity), model)
     assert run(capsys, "regress", model, "--output", "out")[0] == 1
     moved = report(tmp_path / "out")
-    assert "MOVED: 1 of 1 scenes: pendulum" in moved.words
-    assert list(moved.images) == ["pendulum: the recording at 0 s"]
+    assert "MOVED\n1 of 1 scenes: pendulum" in moved.words
+    assert list(moved.images) == ["pendulum at 0 s"]
     (tmp_path / "out" / "pendulum.rrd").unlink()
     with pytest.raises(CrosscheckError, match=r"pendulum\.rrd: missing, regress\.json beside it"):
         report(tmp_path / "out")
