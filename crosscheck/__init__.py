@@ -4,17 +4,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from crosscheck.verdict import Verdict, check
+else:
+
+    def __getattr__(name: str) -> Any:
+        """Import what is exported when it is asked for.
+
+        The command line sets the threads of BLAS before it imports NumPy.
+        """
+        if name not in __all__:
+            raise AttributeError(f"module 'crosscheck' has no attribute {name!r}")
+        from crosscheck import verdict
+
+        return getattr(verdict, name)
+
 
 __all__ = ["Verdict", "check"]
-
-
-def __getattr__(name: str) -> Any:
-    """Import what is exported when it is asked for.
-
-    The command line sets the threads of BLAS before it imports NumPy.
-    """
-    if name not in __all__:
-        raise AttributeError(f"module 'crosscheck' has no attribute {name!r}")
-    from crosscheck import verdict
-
-    return getattr(verdict, name)

@@ -37,9 +37,11 @@ class Verdict:
         crosscheck: all of it.
 
     Examples:
+        >>> def worst(of: Verdict) -> float:
+        ...     return max(each.value / each.tolerance for each in of.figures if not each.informs)
         >>> verdict = check("pendulum")
-        >>> verdict.agrees
-        True
+        >>> verdict.agrees, worst(verdict) <= 1.0
+        (True, True)
         >>> verdict.trajectories["mujoco"].position.shape
         (1001, 2, 3)
     """

@@ -8,14 +8,15 @@ from mjcf.write import to_xml, write
 
 if TYPE_CHECKING:
     from mjcf.reader import read
+else:
+
+    def __getattr__(name: str) -> Any:
+        """Import the reader when it is asked for: it needs MuJoCo."""
+        if name != "read":
+            raise AttributeError(f"module 'mjcf' has no attribute {name!r}")
+        from mjcf.reader import read
+
+        return read
+
 
 __all__ = ["MjcfError", "read", "simulate", "to_xml", "write"]
-
-
-def __getattr__(name: str) -> Any:
-    """Import the reader when it is asked for: it needs MuJoCo."""
-    if name != "read":
-        raise AttributeError(f"module 'mjcf' has no attribute {name!r}")
-    from mjcf.reader import read
-
-    return read

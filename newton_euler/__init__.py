@@ -1,7 +1,7 @@
 """Newton-Euler dynamics of any mechanism with closed loops, written by hand.
 
 Examples in docstrings, here and in the other packages, follow `from newton_euler import *`,
-`from crosscheck.scenes import load`, `from crosscheck import check`, `from dataclasses import replace`,
+`from crosscheck.scenes import load`, `from crosscheck import *`, `from dataclasses import replace`,
 `import numpy as np` and `import mjcf, urdf`.
 """
 

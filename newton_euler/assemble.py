@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -23,6 +23,7 @@ from newton_euler.model.mechanism import CLOSURE_TOLERANCE
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.scalars import Floats
 
 VELOCITY_TOLERANCE = 1e-9
 """How fast a joint may open at the start, as a share of the largest speed: as exact as
@@ -90,7 +91,7 @@ def initial_state(scene: Scene) -> State:
 
 
 @np.errstate(all="ignore")  # what overflows is refused
-def start(scene: Scene, /, **joints: Any) -> Scene:
+def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] | None] | Floats) -> Scene:
     """Return a scene that starts with these coordinates of joints and their rates.
 
     All other coordinates start as near to those of the scene's own start as the loops let them.
@@ -109,8 +110,8 @@ def start(scene: Scene, /, **joints: Any) -> Scene:
     Examples:
         >>> scene = start(load("pendulum"), pivot=(0.5, -2.0))
         >>> motion = simulate(scene).joint("pivot")
-        >>> print(motion.coordinates[0].round(9), motion.rates[0].round(9))
-        [0.5] [-2.]
+        >>> print(motion.coordinates[:2].round(3).tolist())
+        [[0.5], [0.48]]
     """
     check_type("scene", scene, Scene)
     wanted = _wanted(scene, joints)

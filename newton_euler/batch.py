@@ -8,9 +8,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Unpack
+from typing import Any, Unpack, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from newton_euler.assemble import initial_state
 from newton_euler.equations.parameters import checked
@@ -28,7 +29,7 @@ from newton_euler.integrators.run import Integrator, load
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError, Trajectory
-from newton_euler.scalars import Array
+from newton_euler.scalars import Array, Floats
 from newton_euler.simulate import CompiledScene, native_trajectory
 
 PIECES = 8
@@ -55,7 +56,11 @@ class Batch(Sequence[Trajectory]):
     def __len__(self) -> int:
         return len(self._results)
 
-    def __getitem__(self, run: Any) -> Any:
+    @overload
+    def __getitem__(self, run: int) -> Trajectory: ...
+    @overload
+    def __getitem__(self, run: slice) -> list[Trajectory]: ...
+    def __getitem__(self, run: int | slice) -> Trajectory | list[Trajectory]:
         if isinstance(run, slice):
             return [self[k] for k in range(len(self))[run]]
         number = range(len(self))[run]
@@ -65,7 +70,7 @@ class Batch(Sequence[Trajectory]):
         settings = self.settings | self._counts[number]
         return native_trajectory(self.scene, settings, self.wall_time / len(self), arrays)
 
-    def stacked(self, name: str) -> Array:
+    def stacked(self, name: str) -> Floats:
         """Return an array of all runs at all times, without a copy: `position` is (runs, n, b, 3).
 
         Not a number in runs that could not go on. Quaternions are as they were computed, whose sign may
@@ -87,7 +92,7 @@ class Batch(Sequence[Trajectory]):
 def simulate_batch(
     scene: Scene,
     states: Sequence[State] | None = None,
-    parameters: Mapping[str, Sequence[Any]] | None = None,
+    parameters: Mapping[str, Sequence[ArrayLike] | Floats] | None = None,
     threads: int | None = None,
     formulation: FormulationName | None = None,
     integrator: IntegratorName = "DOP853",
@@ -182,7 +187,7 @@ def _threads(threads: int | None) -> int:
     return int(threads)
 
 
-def _count(states: Sequence[State] | None, parameters: Mapping[str, Sequence[Any]]) -> int:
+def _count(states: Sequence[State] | None, parameters: Mapping[str, Any]) -> int:
     """Return the number of runs."""
     series = dict(parameters) if states is None else {**parameters, "states": states}
     for name, each in series.items():
@@ -198,7 +203,7 @@ def _set(
     starts: Array,
     compiled: CompiledScene,
     states: Sequence[State] | None,
-    parameters: Mapping[str, Sequence[Any]],
+    parameters: Mapping[str, Any],
 ) -> None:
     """Set the states and parameters of all runs in their x (runs, inputs)."""
     scene = compiled.scene

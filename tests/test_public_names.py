@@ -1,31 +1,83 @@
-"""Public names of the four packages: what they are, and the examples in their docstrings."""
+"""Public names of the four packages: what they are, the examples in their docstrings, and types of these."""
 
 from __future__ import annotations
 
 import doctest
 import importlib
+import os
+import re
 import shutil
+import subprocess
+import sys
+import textwrap
 import warnings
-from dataclasses import replace
+from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
-import numpy as np
 import pytest
 
-import crosscheck
 import newton_euler
-from crosscheck.scenes import load
 from newton_euler.model.joint_kinds import JOINT_KINDS
 
-PACKAGES = ("newton_euler", "mjcf", "urdf", "crosscheck")
+PACKAGES = {name: importlib.import_module(name) for name in ("newton_euler", "mjcf", "urdf", "crosscheck")}
+
+NAMES = [(package, name) for package, module in PACKAGES.items() for name in module.__all__]
+
+IMPORTS = """
+from dataclasses import replace
+import numpy as np
+import crosscheck, mjcf, newton_euler, urdf
+from crosscheck import *
+from crosscheck.scenes import load
+from newton_euler import *
+"""
+"""What examples follow."""
+
+TYPED = """
+from typing import assert_type
+from numpy.typing import NDArray
+
+def known(run: Trajectory, body: Body, hinge: Revolute) -> None:
+    assert_type(run.position, NDArray[np.float64])
+    assert_type(run.joint("pivot").coordinates, NDArray[np.float64])
+    assert_type(body.inertia, NDArray[np.float64])
+    assert_type(hinge.point, NDArray[np.float64])
+    assert_type(simulate_batch(load("pendulum"))[0], Trajectory)
+    assert_type(mjcf.read("arm.xml").scene, Scene)
+    assert_type(urdf.read("arm.urdf").scene, Scene)
+    assert_type(check("pendulum").trajectories["mujoco"], Trajectory)
+
+def refused(scene: Scene) -> None:
+    newton_euler.simulat(scene)  # type: ignore[attr-defined]
+    mjcf.reed("arm.xml")  # type: ignore[attr-defined]
+    urdf.reed("arm.urdf")  # type: ignore[attr-defined]
+    crosscheck.chek(scene)  # type: ignore[attr-defined]
+    simulate(scene, "relativ")  # type: ignore[arg-type]
+    simulate(scene, integrator="RK5")  # type: ignore[arg-type]
+    simulate(scene, stabilization="glue")  # type: ignore[arg-type]
+    simulate(scene, rtoll=1e-6)  # type: ignore[call-arg]
+    mjcf.simulate(scene, integrator="RK5")  # type: ignore[arg-type]
+    urdf.read("arm.urdf", base="floating")  # type: ignore[arg-type]
+    replace(scene, outputs={"velocity"})  # type: ignore[arg-type]
+    Revolute("hinge", "ground", "rod", 1.0j, axis=None)  # type: ignore[arg-type]
+"""
+"""Types that are known, and mistakes that are seen; an ignored error that is none would be one."""
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_packages_are_typed_and_have_what_they_list(package):
-    module = importlib.import_module(package)
+def examples(package: str, name: str, names: dict[str, Any]) -> Iterator[doctest.DocTest]:
+    """Those of a public name and of its methods that have some, in a namespace."""
+    for found in doctest.DocTestFinder().find(getattr(PACKAGES[package], name), name, extraglobs=names):
+        if found.examples:
+            yield found
+
+
+@pytest.mark.parametrize("module", PACKAGES.values(), ids=PACKAGES)
+def test_packages_are_typed_and_have_what_they_list(module: ModuleType):
     assert Path(str(module.__file__)).with_name("py.typed").exists()
     for name in module.__all__:
-        assert getattr(module, name).__module__ != package
+        assert getattr(module, name).__module__ != module.__name__
     with pytest.raises(AttributeError, match="nothing_like_it"):
         _ = module.nothing_like_it
 
@@ -34,20 +86,30 @@ def test_all_joint_kinds_are_public():
     assert {kind.__name__ for kind in JOINT_KINDS.values()} <= set(newton_euler.__all__)
 
 
-@pytest.mark.parametrize(
-    ("package", "name"),
-    [(package, name) for package in PACKAGES for name in importlib.import_module(package).__all__],
-)
+@pytest.mark.parametrize(("package", "name"), NAMES)
 def test_docstrings_have_examples_that_run(package, name, tmp_path, monkeypatch):
-    """Each in the namespace that a reader of it has: all public names, NumPy, `load` and `replace`."""
     shutil.copytree(Path(__file__).parents[1] / "examples", tmp_path / "examples")
     monkeypatch.chdir(tmp_path)
-    packages = {each: importlib.import_module(each) for each in PACKAGES}
-    names = {each: getattr(newton_euler, each) for each in newton_euler.__all__}
-    names |= packages | {"np": np, "load": load, "replace": replace, "check": crosscheck.check}
-    own, *of_methods = doctest.DocTestFinder().find(getattr(packages[package], name), name, extraglobs=names)
-    assert own.examples, "no example"
+    names: dict[str, Any] = {}
+    exec(IMPORTS, names)
+    own, *of_methods = examples(package, name, names)
+    assert own.name == name, "no example"
+    assert any(re.search(rf"\b{name}\b", each.source) for each in own.examples), "of something else"
     said: list[str] = []
     with warnings.catch_warnings():
         failed = [doctest.DocTestRunner().run(each, out=said.append).failed for each in (own, *of_methods)]
     assert sum(failed) == 0, "".join(said)
+
+
+def test_examples_pass_strict_type_checks_where_the_packages_are_installed(tmp_path):
+    """Each in a function of a script outside of the repository, from which mypy follows the installation."""
+    script = IMPORTS + TYPED
+    for package, name in NAMES:
+        for found in examples(package, name, {}):
+            body = textwrap.indent("".join(each.source for each in found.examples), "    ")
+            script += f"\n\ndef {package}_{found.name.replace('.', '_')}() -> None:\n{body}"
+    (tmp_path / "user_script.py").write_text(script)
+    command = [sys.executable, "-m", "mypy", "--strict", "--config-file=", "user_script.py"]
+    environment = os.environ | {"MYPYPATH": ""}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr

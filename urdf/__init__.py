@@ -8,14 +8,15 @@ from urdf.write import to_loops, to_urdf, write
 
 if TYPE_CHECKING:
     from urdf.reader import read
+else:
+
+    def __getattr__(name: str) -> Any:
+        """Import the reader when it is asked for: it needs Pinocchio."""
+        if name != "read":
+            raise AttributeError(f"module 'urdf' has no attribute {name!r}")
+        from urdf.reader import read
+
+        return read
+
 
 __all__ = ["UrdfError", "read", "simulate", "to_loops", "to_urdf", "write"]
-
-
-def __getattr__(name: str) -> Any:
-    """Import the reader when it is asked for: it needs Pinocchio."""
-    if name != "read":
-        raise AttributeError(f"module 'urdf' has no attribute {name!r}")
-    from urdf.reader import read
-
-    return read

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -20,8 +20,10 @@ from urdf.loops import UNIVERSAL, Loops
 
 HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 
-BASES = ("fixed", "free")
-"""What the root link of a URDF may be."""
+BaseName = Literal["fixed", "free"]
+"""What the root link of a URDF may be: the ground, or floating."""
+
+BASES: tuple[BaseName, ...] = get_args(BaseName)
 
 GROUND = "universe"
 """Pinocchio's name of the joint that everything hangs on."""
@@ -53,7 +55,7 @@ def build(
     urdf: str,
     loops: Loops,
     alpha: float = 0.0,
-    base: str = "fixed",
+    base: BaseName = "fixed",
 ) -> ClosedLoopModel:
     """Build the model of a URDF text and its loops.
 

@@ -44,7 +44,7 @@ from newton_euler.verification.import_report import (
 from newton_euler.verification.verify import check
 from urdf.errors import UrdfError
 from urdf.loops import NO_LOOPS
-from urdf.model import BASES, build
+from urdf.model import BASES, BaseName, build
 from urdf.original import UrdfOriginal
 from urdf.reading.bodies import Tree
 from urdf.reading.source import SourceError, check_inertias, parsed, read_loops
@@ -76,7 +76,7 @@ class Reading:
 def read(
     path: str | os.PathLike[str],
     loops: str | os.PathLike[str] | None = None,
-    base: str = "fixed",
+    base: BaseName = "fixed",
     gravity: Sequence[float] = GRAVITY,
     **options: Unpack[ReadOptions],
 ) -> Reading:
@@ -99,7 +99,7 @@ def read(
         >>> len(found.scene.mechanism.bodies)
         6
     """
-    check_choice("base", base, tuple(BASES))
+    check_choice("base", base, BASES)
     where, report, request = path_text(path, SourceError), ImportReport(), Request(**options)
     text = read_text(where, "file_size", SourceError)
     root = parsed(where, text)

@@ -81,8 +81,8 @@ FORMS: dict[str, Any] = {
     "bool": bool,
     "int": Index,
     "float": Number,
-    "Array": Vector,
-    "Array | None": Vector | None,
+    "ArrayField": Vector,
+    "DefaultArrayField": Vector | None,
     "tuple[float, ...]": list[Number],
     "tuple[tuple[str, int, float], ...]": list[tuple[str, Index, Number]],
     "Literal['world', 'body']": Literal["world", "body"],
@@ -129,9 +129,8 @@ def _entry(made: type, kind: str = "", **forms: Any) -> Any:
     declared: dict[str, Any] = {"kind": (Literal[kind], ...)} if kind else {}
     for field in fields(made):
         form = forms[field.name] if field.name in forms else FORMS[str(field.type)]
-        default = field.default if field.default_factory is MISSING else ()
         if form is not None:
-            declared[field.name] = form, ... if default is MISSING else default
+            declared[field.name] = form, ... if field.default is MISSING else field.default
     ENTRIES[made] = create_model(made.__name__, __base__=Entry, **declared)
     ENTRIES[made].made, ENTRIES[made].named = made, kind
     return ENTRIES[made]

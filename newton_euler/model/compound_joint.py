@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import ClassVar
 
 import numpy as np
 
 from newton_euler.errors import MechanismError, finite_array
 from newton_euler.model.constraints import Constraint, Displacement, Perpendicular
+from newton_euler.model.description import ArrayField, DefaultArrayField, description
 from newton_euler.model.hinge_angles import (
     ClosedRow,
     HingeAngle,
@@ -25,7 +26,7 @@ INDEPENDENT = 1e-3
 """Least volume (area, length) that the unit axes of independent slides or hinges span."""
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Compound(Joint):
     """Slides along axes of the first body, then hinges in a row.
 
@@ -51,9 +52,9 @@ class Compound(Joint):
         ('slide', 'hinge', 'hinge')
     """
 
-    slides: Array = field(default_factory=lambda: np.zeros((0, 3)), kw_only=True)
-    hinges: Array = field(default_factory=lambda: np.zeros((0, 3)), kw_only=True)
-    offsets: Array | None = field(default=None, kw_only=True)
+    slides: ArrayField = field(default=(), kw_only=True)  # type: ignore[assignment]
+    hinges: ArrayField = field(default=(), kw_only=True)  # type: ignore[assignment]
+    offsets: DefaultArrayField = field(default=None, kw_only=True)  # type: ignore[assignment]
     ball: bool = field(default=False, kw_only=True)
     kind: ClassVar[str] = "compound"
 
@@ -101,14 +102,8 @@ class Compound(Joint):
     @property
     def motion_points(self) -> tuple[Array, ...]:
         last = self.reaction_point
-        hinges = [last - self._between[k:].sum(axis=0) for k in range(len(self.hinges))]
+        hinges = [last - self.offsets[k:].sum(axis=0) for k in range(len(self.hinges))]
         return (*[hinges[0] if hinges else last] * len(self.slides), *hinges, *[last] * self.ball)
-
-    @property
-    def _between(self) -> Array:
-        """(m - 1, 3)"""
-        assert self.offsets is not None
-        return self.offsets
 
     def constraints(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
         return (*self._placed(first, second), *self._oriented(first, second))
@@ -117,7 +112,7 @@ class Compound(Joint):
         """Return the equations of a common point that the slides leave."""
         normals: tuple[Array, ...] = ()
         match len(self.slides):
-            case 0 if np.any(self._between):
+            case 0 if np.any(self.offsets):
                 return (ClosedRow(self._separation(first, second)),)
             case 0:
                 return self._coincident(first, second)
@@ -145,7 +140,7 @@ class Compound(Joint):
         )
 
     def coordinates(self, first: Pose, second: Pose) -> tuple[Constraint, ...]:
-        beyond = self.reaction_point - self.point - self._between.sum(axis=0)
+        beyond = self.reaction_point - self.point - self.offsets.sum(axis=0)
         slides = []
         for dual in dual_axes(self.slides):
             slide = self._displacement(dual, float(dual @ beyond), first, second)
@@ -159,14 +154,14 @@ class Compound(Joint):
     ) -> Displacement | RowDisplacement:
         """Compute the second body's displacement along an axis of the first, less an offset, m."""
         a = first.vector_to_body(axis)
-        if np.any(self._between):
+        if np.any(self.offsets):
             return RowDisplacement(a, self._separation(first, second), offset)
         ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
         return Displacement(a, *ends, offset=offset)
 
     def _separation(self, first: Pose, second: Pose) -> Separation:
         offsets = []
-        for offset, a, b in zip(self._between, self.hinges[:-1], self.hinges[1:], strict=True):
+        for offset, a, b in zip(self.offsets, self.hinges[:-1], self.hinges[1:], strict=True):
             offsets.append(np.linalg.solve(np.column_stack([a, b, cross(a, b)]), offset))
         ends = first.point_to_body(self.point), second.point_to_body(self.reaction_point)
         return Separation(self._row(first, second), *ends, np.array(offsets))

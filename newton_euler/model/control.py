@@ -12,7 +12,7 @@ from newton_euler.errors import MechanismError, check_key, is_finite_number, set
 from newton_euler.model.elements import CoordinateForce
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Polynomial, Sine, TimeFunction, terms
-from newton_euler.scalars import Array, Scalar
+from newton_euler.scalars import Array, Floats, Scalar
 
 DRIVEN = ("target", "feedforward")
 """Attributes of laws that may be functions of time."""
@@ -88,7 +88,7 @@ class PD(ControlLaw):
         return self.feedforward_at(time) - (self.stiffness * (x - r) + self.damping * (x_rate - r_rate))
 
 
-Controller = Callable[[float, Array, Array], float]
+Controller = Callable[[float, Floats, Floats], float]
 """time (s), coordinates (a,) and their rates (a,) of all laws of the scene, in order -> force, N or N m."""
 
 

@@ -24,6 +24,7 @@ from newton_euler.errors import (
 )
 from newton_euler.model import balls
 from newton_euler.model.constraints import Span
+from newton_euler.model.description import ArrayField, description
 from newton_euler.model.elements import (
     AppliedForce,
     CoordinateForce,
@@ -91,7 +92,7 @@ class JointSpring(CoordinateForce):
         yield -self.damping * (rate * rate)
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class BallSpring(OnBall, AppliedForce):
     """A torsion spring and damper on a joint's ball, the same about all axes: -(k theta + d omega), N m.
 
@@ -117,7 +118,7 @@ class BallSpring(OnBall, AppliedForce):
     joint: str
     stiffness: float = 0.0
     damping: float = 0.0
-    rest: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    rest: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
 
     noun = "spring"
     parameters = ("stiffness", "damping", "rest")
@@ -171,7 +172,7 @@ class Line(NamedTuple):
     """(3,) of d, m/s."""
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class PointSpring(OnBodies, AppliedForce):
     """A spring and damper between points of two bodies; tension k (l - l0) + d dl/dt along their line.
 
@@ -196,8 +197,8 @@ class PointSpring(OnBodies, AppliedForce):
     name: str
     first: str
     second: str
-    point_on_first: Array
-    point_on_second: Array
+    point_on_first: ArrayField
+    point_on_second: ArrayField
     stiffness: float = field(kw_only=True)
     rest_length: float = field(kw_only=True)
     damping: float = field(default=0.0, kw_only=True)
@@ -267,7 +268,7 @@ class PointSpring(OnBodies, AppliedForce):
         return float(np.max(np.abs(self.pull(self.line(at)))))
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Wrench(OnBodies, AppliedForce):
     """A constant force at a point of a body and a constant torque, constant in the world or the body.
 
@@ -290,9 +291,9 @@ class Wrench(OnBodies, AppliedForce):
 
     name: str
     body: str
-    point: Array
-    force: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
-    torque: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    point: ArrayField
+    force: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    torque: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     frame: Literal["world", "body"] = "world"
 
     noun = "wrench"

@@ -5,19 +5,17 @@ All coordinates are in the world at the mechanism's initial pose, meters, like t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from newton_euler.errors import MechanismError, set_arrays
-from newton_euler.scalars import Array
+from newton_euler.model.description import ArrayField, description
 
 UNIT_TOLERANCE = 1e-9
 """How far from 1 the norm of a quaternion may be."""
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Box:
     """A box of half sizes (3,) along the axes of a frame with the given center and quaternion w-x-y-z.
 
@@ -25,9 +23,9 @@ class Box:
         MechanismError: naming the attribute at fault.
     """
 
-    half_sizes: Array
-    center: Array
-    quaternion: Array = (1.0, 0.0, 0.0, 0.0)  # type: ignore[assignment]
+    half_sizes: ArrayField
+    center: ArrayField
+    quaternion: ArrayField = (1.0, 0.0, 0.0, 0.0)  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         set_arrays(self, "box", half_sizes=(3,), center=(3,), quaternion=(4,))
@@ -38,7 +36,7 @@ class Box:
             raise MechanismError("box", f"quaternion has norm {norm:.9g}", "a unit quaternion, w-x-y-z")
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Capsule:
     """A round bar of the given radius from `start` to `end`, (3,) each.
 
@@ -46,8 +44,8 @@ class Capsule:
         MechanismError: naming the attribute at fault.
     """
 
-    start: Array
-    end: Array
+    start: ArrayField
+    end: ArrayField
     radius: float
 
     def __post_init__(self) -> None:
@@ -59,7 +57,7 @@ class Capsule:
 Shape = Box | Capsule
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Mesh:
     """Triangles between points.
 
@@ -72,7 +70,7 @@ class Mesh:
         MechanismError: naming the attribute at fault.
     """
 
-    vertices: Array
+    vertices: ArrayField
     triangles: NDArray[np.int32]
     color: tuple[float, float, float, float] | None = None
 

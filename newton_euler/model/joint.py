@@ -26,6 +26,7 @@ from newton_euler.model.constraints import (
     Jacobian,
     Perpendicular,
 )
+from newton_euler.model.description import ArrayField, DefaultArrayField, description
 from newton_euler.scalars import Array, cross
 
 Key = tuple[str, int]
@@ -117,7 +118,7 @@ def unit_vector(joint: str, name: str, value: object) -> Array:
     return vector
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Joint:
     """A joint: what all kinds have in common.
 
@@ -133,8 +134,8 @@ class Joint:
     name: str
     first: str
     second: str
-    point: Array
-    point_on_second: Array | None = field(default=None, kw_only=True)
+    point: ArrayField
+    point_on_second: DefaultArrayField = field(default=None, kw_only=True)  # type: ignore[assignment]
     actuated: bool = field(default=False, kw_only=True)
 
     kind: ClassVar[str]
@@ -157,7 +158,6 @@ class Joint:
     @property
     def reaction_point(self) -> Array:
         """(3,) the joint point fixed in the second body, in the world at the initial pose."""
-        assert self.point_on_second is not None
         return self.point_on_second
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from newton_euler.errors import MechanismError, is_finite_number
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Constraint, Distance, Perpendicular, Reversed
+from newton_euler.model.description import ArrayField, description
 from newton_euler.model.joint import Joint, Motion, Pose, perpendicular_pair
 from newton_euler.scalars import Array
 
@@ -28,7 +29,7 @@ LEAST_LENGTH = 1e-6
 """m; a shorter rod is a ball joint, and one of length 0 has no direction."""
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Spherical(Joint):
     """Ball joint, eq. (25): three equations.
 
@@ -48,20 +49,21 @@ class Spherical(Joint):
         return self._coincident(first, second)
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Universal(Joint):
     """Cardan joint, eq. (26): four equations; `axis_on_first` stays perpendicular to `axis_on_second`.
 
     Its coordinates are the angle about the first body's axis, then that about the second's.
 
     Examples:
-        >>> axes = dict(axis_on_first=[1.0, 0.0, 0.0], axis_on_second=[0.0, 1.0, 0.0])
-        >>> Universal("joint", "ground", "body", [0.0, 0.0, 0.0], **axes).coordinate_kinds
+        >>> x, y, _ = np.eye(3)
+        >>> joint = Universal("joint", "ground", "body", np.zeros(3), axis_on_first=x, axis_on_second=y)
+        >>> joint.coordinate_kinds
         ('hinge', 'hinge')
     """
 
-    axis_on_first: Array = field(kw_only=True)
-    axis_on_second: Array = field(kw_only=True)
+    axis_on_first: ArrayField = field(kw_only=True)
+    axis_on_second: ArrayField = field(kw_only=True)
     kind: ClassVar[str] = "universal"
     axis_names: ClassVar[tuple[str, ...]] = ("axis_on_first", "axis_on_second")
 
@@ -90,15 +92,15 @@ class Universal(Joint):
         return self._turn(a, b, first, second), Reversed(self._turn(b, a, second, first))
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class _AxisJoint(Joint):
     """A joint with one axis that is common to both bodies."""
 
-    axis: Array = field(kw_only=True)
+    axis: ArrayField = field(kw_only=True)
     axis_names: ClassVar[tuple[str, ...]] = ("axis",)
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Revolute(_AxisJoint):
     """Hinge, eq. (27): five equations.
 
@@ -121,7 +123,7 @@ class Revolute(_AxisJoint):
         return (self._turn(self.axis, perpendicular_pair(self.axis)[0], first, second),)
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Cylindrical(_AxisJoint):
     """Slide along and hinge about one axis: four equations, Phi^(p1,2) and Phi^(p2,2).
 
@@ -147,7 +149,7 @@ class Cylindrical(_AxisJoint):
         return self._slide(self.axis, first, second), turn
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Translational(_AxisJoint):
     """Slide without rotation, eq. (28): five equations, h_i and h_j across the axis.
 
@@ -175,7 +177,7 @@ class Translational(_AxisJoint):
         return (self._slide(self.axis, first, second),)
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Prismatic(Translational):
     """The paper's translational joint under the name that robot models give it.
 
@@ -188,7 +190,7 @@ class Prismatic(Translational):
     kind: ClassVar[str] = "prismatic"
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Screw(Cylindrical):
     """A nut on a spindle: five equations, those of `Cylindrical` and slide - pitch * angle = 0.
 
@@ -215,7 +217,7 @@ class Screw(Cylindrical):
         object.__setattr__(self, "pitch", float(self.pitch))
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Planar(_AxisJoint):
     """A plane face on another: three equations; `axis` is the normal of both.
 
@@ -244,7 +246,7 @@ class Planar(_AxisJoint):
         return self._slide(u, first, second), self._slide(w, first, second), turn
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class PointOnLine(_AxisJoint):
     """The second body's point stays on a line of the first, along `axis`: two equations.
 
@@ -269,7 +271,7 @@ class PointOnLine(_AxisJoint):
         return (self._slide(self.axis, first, second),)
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Rod(Joint):
     """A massless rod on balls: one equation, the distance from `point` to `point_on_second` stays.
 
@@ -301,7 +303,7 @@ class Rod(Joint):
         return (Distance(s_i, s_j, self.length),)
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Fixed(Joint):
     """No motion at all: six equations.
 
@@ -324,7 +326,7 @@ class Fixed(Joint):
         )
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Free(Joint):
     """All motion: no equation. It marks a body that floats on purpose.
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +16,7 @@ import numpy as np
 from newton_euler.errors import MechanismError, check_choice, elements_of, set_arrays
 from newton_euler.model.constraints import Frame
 from newton_euler.model.couplings import JointCoupling
+from newton_euler.model.description import ArrayField, description
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import UNIT_TOLERANCE, Capsule, Mesh, Shape
 from newton_euler.model.joint import Joint, JointEquations, Pose
@@ -57,7 +57,7 @@ def check_coordinate(element: str, joint: Joint, coordinate: int) -> None:
         raise MechanismError(element, f"coordinate is {coordinate}", needed)
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Body:
     """A rigid body.
 
@@ -80,9 +80,9 @@ class Body:
 
     name: str
     mass: float
-    center_of_mass: Array
-    inertia: Array
-    quaternion: Array = (1.0, 0.0, 0.0, 0.0)  # type: ignore[assignment]
+    center_of_mass: ArrayField
+    inertia: ArrayField
+    quaternion: ArrayField = (1.0, 0.0, 0.0, 0.0)  # type: ignore[assignment]
     shapes: tuple[Shape, ...] = ()
     allow_unrealisable_inertia: bool = False
     meshes: tuple[Mesh, ...] = ()

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Set
 from functools import cached_property
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
 
 from newton_euler.errors import MechanismError, check_choice, elements_of, is_finite_number, set_arrays
 from newton_euler.model.control import Law, Sampled
+from newton_euler.model.description import ArrayField, description
 from newton_euler.model.elements import CoordinateForce, OnBall, check_elements
 from newton_euler.model.forces import Armature, BallArmature, Force, JointSpring
 from newton_euler.model.geometry import UNIT_TOLERANCE
@@ -20,8 +20,10 @@ from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
-OUTPUTS = ("velocities", "reactions", "actuation", "violation", "energy")
+OutputName = Literal["velocities", "reactions", "actuation", "violation", "energy"]
 """What may be asked for beside the poses."""
+
+OUTPUTS: tuple[OutputName, ...] = get_args(OutputName)
 
 PARTS: dict[str, tuple[type, ...]] = {
     "control": get_args(Law),
@@ -42,7 +44,7 @@ REDUNDANCY_TOLERANCE = 1e-4
 _NAME = re.compile(r"[A-Za-z0-9_.\-]{1,100}")
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Scene:
     """A mechanism, its surroundings, its start and what is wanted of the run.
 
@@ -79,10 +81,10 @@ class Scene:
     mechanism: Mechanism
     duration: float
     output_period: float
-    gravity: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]
+    gravity: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
     control: tuple[Law, ...] = ()
     initial_state: State | None = None
-    outputs: frozenset[str] = frozenset(OUTPUTS)
+    outputs: Set[OutputName] = frozenset(OUTPUTS)
     forces: tuple[Force, ...] = ()
     motions: tuple[PrescribedMotion, ...] = ()
     armatures: tuple[Armature | BallArmature, ...] = ()

@@ -9,7 +9,7 @@ import numpy as np
 from newton_euler.model.constraints import Frame
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.scalars import Array, Stack, objects
+from newton_euler.scalars import Array, Floats, Stack, objects
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +27,10 @@ class State:
         (2, 3)
     """
 
-    position: Array
-    quaternion: Array
-    linear_velocity: Array
-    angular_velocity: Array
+    position: Floats
+    quaternion: Floats
+    linear_velocity: Floats
+    angular_velocity: Floats
 
     @classmethod
     def initial(cls, mechanism: Mechanism) -> State:

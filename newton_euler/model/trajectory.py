@@ -21,7 +21,7 @@ from newton_euler.model.joint import Joint
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.source_file import SourceError, read_content
 from newton_euler.model.state import stacked_frames
-from newton_euler.scalars import Array, unstacked
+from newton_euler.scalars import Array, Floats, unstacked
 
 SHAPES = {
     "time": "n",
@@ -59,9 +59,9 @@ class JointMotion(NamedTuple):
 
     names: tuple[str, ...]
     """(k,) "angle" or "position", numbered from 1 where a joint has several of a kind."""
-    coordinates: Array
+    coordinates: Floats
     """(n, k) rad or m from the initial pose, revolutions counted."""
-    rates: Array | None
+    rates: Floats | None
     """(n, k) rad/s or m/s; None where the scene did not ask for velocities."""
 
 
@@ -81,39 +81,41 @@ class Trajectory:
         >>> run = simulate(load("pendulum"))
         >>> run
         <Trajectory of newton_euler: 1001 outputs to 10 s, bodies: 2, joints: 1>
-        >>> run.reaction_force.shape
-        (1001, 1, 3)
+        >>> def shape(run: Trajectory) -> tuple[int, ...]:
+        ...     return run.position.shape
+        >>> shape(run)
+        (1001, 2, 3)
     """
 
     engine: str
     settings: dict[str, Any]
     wall_time: float
-    time: Array
+    time: Floats
     """(n,) s."""
     body_names: tuple[str, ...]
     joint_names: tuple[str, ...]
-    position: Array
+    position: Floats
     """(n, b, 3) centers of mass, m."""
-    quaternion: Array
+    quaternion: Floats
     """(n, b, 4) w-x-y-z, continuous in sign."""
-    linear_velocity: Array | None = None
+    linear_velocity: Floats | None = None
     """(n, b, 3) of the centers of mass, m/s."""
-    angular_velocity: Array | None = None
+    angular_velocity: Floats | None = None
     """(n, b, 3) rad/s."""
-    reaction_force: Array | None = None
+    reaction_force: Floats | None = None
     """(n, j, 3) constraint force on the second body, N; not unique where constraints are redundant, see
     `newton_euler.equations.reactions`."""
-    reaction_torque: Array | None = None
+    reaction_torque: Floats | None = None
     """(n, j, 3) constraint torque on the second body about the joint point, N m; as unique as the force."""
-    actuator_force: Array | None = None
+    actuator_force: Floats | None = None
     """(n, a) along the actuated coordinates, N or N m."""
-    constraint_violation: Array | None = None
+    constraint_violation: Floats | None = None
     """(n, j) largest residual of each joint's equations, m or rad."""
-    kinetic_energy: Array | None = None
+    kinetic_energy: Floats | None = None
     """(n,) J."""
-    potential_energy: Array | None = None
+    potential_energy: Floats | None = None
     """(n,) of gravity, zero at the world origin, and of springs, zero at rest, J."""
-    work: Array | None = None
+    work: Floats | None = None
     """(n,) done since the start by control, dampers, wrenches and prescribed motions, J."""
     mechanism: Mechanism | None = None
 
@@ -134,8 +136,8 @@ class Trajectory:
 
         Examples:
             >>> motion = simulate(load("pendulum")).joint("pivot")
-            >>> motion.names, motion.coordinates.shape, motion.rates.shape
-            (('angle',), (1001, 1), (1001, 1))
+            >>> motion.names, motion.coordinates.shape
+            (('angle',), (1001, 1))
         """
         if self.mechanism is None:
             needed = "one: dataclasses.replace(trajectory, mechanism=scene.mechanism)"

@@ -31,7 +31,7 @@ from newton_euler.model.euler_parameters import from_rotation_vector, product
 from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical, Universal
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion
-from newton_euler.model.scene import Scene
+from newton_euler.model.scene import OutputName, Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 
@@ -195,7 +195,7 @@ def centered_slider_crank() -> Scene:
         Prismatic("guide", "ground", "slider", wrist, axis=x),
     ]
     motion = PrescribedMotion("pivot", Polynomial((0.0, CRANK_SPEED)))
-    outputs = frozenset({"violation"})
+    outputs: frozenset[OutputName] = frozenset({"violation"})
     mechanism = Mechanism(bodies, joints)
     return Scene("slider_crank", mechanism, 2.0, 0.02, -GRAVITY * z, motions=(motion,), outputs=outputs)
 

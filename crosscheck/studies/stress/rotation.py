@@ -25,7 +25,7 @@ from newton_euler.integrators.compiled import FORMULATIONS
 from newton_euler.model.control import PD
 from newton_euler.model.joint_kinds import Revolute
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.scene import Scene
+from newton_euler.model.scene import OutputName, Scene
 from newton_euler.model.trajectory import Trajectory
 
 DIRECTION = np.array([0.3, -0.7, 1.1]) / np.linalg.norm([0.3, -0.7, 1.1])
@@ -101,7 +101,7 @@ def driven_hinge(turns: float) -> Scene:
     wheel = Body("wheel", 1.0, np.zeros(3), np.diag([0.6, 0.6, 1.0]))
     hinge = Revolute("hinge", "ground", "wheel", np.zeros(3), axis=np.array([0.0, 0.0, 1.0]), actuated=True)
     law = PD("hinge", STIFFNESS, DAMPING, 2.0 * np.pi * turns)
-    names = frozenset({"actuation", "velocities"})
+    names: frozenset[OutputName] = frozenset({"actuation", "velocities"})
     return Scene(
         "hinge", Mechanism([Body.ground(), wheel], [hinge]), 3.0, 0.05, control=(law,), outputs=names
     )

@@ -19,7 +19,7 @@ from newton_euler.model.euler_parameters import angle_between, from_rotation_vec
 from newton_euler.model.euler_parameters import product as quaternion_product
 from newton_euler.model.joint_kinds import Free
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.scene import Scene
+from newton_euler.model.scene import OutputName, Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.scalars import Array
@@ -91,7 +91,7 @@ def formulations(**options: Any) -> tuple[Setting, ...]:
     return tuple(newton_euler(formulation, **options) for formulation in FORMULATIONS)
 
 
-def lasting(scene: Scene, duration: float, outputs: int, *names: str) -> Scene:
+def lasting(scene: Scene, duration: float, outputs: int, *names: OutputName) -> Scene:
     """The scene for another time, s, with that many outputs after the first of these names."""
     return replace(scene, duration=duration, output_period=duration / outputs, outputs=frozenset(names))
 
@@ -168,8 +168,8 @@ def symmetric_top(axial: float, transverse: float, spin: Array, duration: float,
     mechanism = Mechanism([Body.ground(), top], [Free("floating", "ground", "top", np.zeros(3))])
     state = State.initial(mechanism)
     state.angular_velocity[1] = spin
-    names = frozenset({"velocities", "energy"})
-    return Scene("top", mechanism, duration, duration / outputs, initial_state=state, outputs=names)
+    wanted: frozenset[OutputName] = frozenset({"velocities", "energy"})
+    return Scene("top", mechanism, duration, duration / outputs, initial_state=state, outputs=wanted)
 
 
 def top_error(scene: Scene, run: Trajectory) -> float:

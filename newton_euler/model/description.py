@@ -1,0 +1,45 @@
+"""Descriptions: frozen dataclasses whose array fields take lists and tuples as well.
+
+Type checkers take the types of an argument and of the attribute from the methods of a descriptor, if the
+class has a decorator that is a `dataclass_transform`; with that of the standard library mypy does not. There
+is no descriptor when a program runs: constructors make the arrays, see `newton_euler.errors.set_arrays`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Self, TypeVar, dataclass_transform, overload
+
+from numpy.typing import ArrayLike
+
+from newton_euler.scalars import Floats
+
+C = TypeVar("C")
+
+if TYPE_CHECKING:
+
+    class ArrayField:
+        """A field that takes whatever NumPy makes an array of, and is an array of floats."""
+
+        @overload
+        def __get__(self, thing: None, owner: type) -> Self: ...
+        @overload
+        def __get__(self, thing: object, owner: type) -> Floats: ...
+        def __get__(self, thing: object | None, owner: type) -> Self | Floats: ...
+        def __set__(self, thing: object, value: ArrayLike) -> None: ...
+
+    class DefaultArrayField(ArrayField):
+        """A field that is made from the others where it is not given, or None."""
+
+        def __set__(self, thing: object, value: ArrayLike | None) -> None: ...
+
+else:
+    ArrayField = DefaultArrayField = Floats
+
+
+@dataclass_transform(
+    eq_default=False, field_specifiers=(field,)
+)  # mypy gives heirs of frozen ones other types
+def description(kind: type[C]) -> type[C]:
+    """Make a class a frozen dataclass whose instances equal nothing else, as they hold arrays."""
+    return dataclass(frozen=True, eq=False)(kind)
