@@ -5,6 +5,7 @@ Examples in docstrings, here and in the other packages, follow `from newton_eule
 `import numpy as np` and `import mjcf, urdf`.
 """
 
+from newton_euler.analysis.inverse_dynamics import Loads, inverse_dynamics, statics
 from newton_euler.assemble import assemble, initial_state, start
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
@@ -46,6 +47,7 @@ __all__ = [
     "Gear",
     "JointSpring",
     "LinearCoupling",
+    "Loads",
     "Mechanism",
     "NearlyRedundantWarning",
     "NewtonEulerError",
@@ -71,7 +73,9 @@ __all__ = [
     "assemble",
     "compile_scene",
     "initial_state",
+    "inverse_dynamics",
     "simulate",
     "simulate_batch",
     "start",
+    "statics",
 ]

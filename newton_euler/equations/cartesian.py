@@ -16,7 +16,7 @@ of their own.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +27,7 @@ from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.joint_coordinates import Measured
 from newton_euler.equations.reactions import at_joint_points, pushes
 from newton_euler.equations.redundancy import rows_left_out, without
-from newton_euler.equations.sparse import Rows, RowsInUse, Solution, add, spread, to_array
+from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add, spread, to_array
 from newton_euler.equations.system import fastest_joint
 from newton_euler.errors import SingularityError
 from newton_euler.model import balls
@@ -301,10 +301,8 @@ class Cartesian(Formulation):
 
     # Equation (21), solved by sparse elimination
 
-    def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution:
-        """Solve for (rddot, omegadot' / p^T p) of each body and lambda, over generic scalars.
-
-        `rows` of `phi` are used; the others must follow from them.
+    def sparse_equations(self, q: Array, v: Array, rows: RowsInUse) -> Equations:
+        """Factorize M over generic scalars; accelerations are (rddot, omegadot' / p^T p) of each body.
 
         With qddot eliminated from equation (21), M is block diagonal and B M^-1 B^T as sparse as the
         joints: omegadot' = 2 L pddot, eq. (11), and Phi_p pddot = Phi_theta R omegadot' / (p^T p).
@@ -333,7 +331,7 @@ class Cartesian(Formulation):
         inertias, _, of_rotors, gammas = self.rotors(q, v)
         soft = dict(enumerate([1.0 / inertia for inertia in inertias], start=self.rows))
         used = RowsInUse([*rows.numbers[:count], *soft], rows.scales and rows.scales[: count + len(soft)])
-        return sparse.solve_constrained(
+        return Equations(
             factor,
             sparse.sparse_vector(force),
             [*B, *of_rotors],
@@ -342,6 +340,14 @@ class Cartesian(Formulation):
             refine=True,
             softness=soft,
         )
+
+    def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
+        """Compute rows and gamma of joint coordinates, for (rddot, omegadot' / p^T p) of each body."""
+        frames, measured, rows = self.frames(q, v), self.measured(q, v), list[dict[int, Scalar]]()
+        for key in keys:
+            first, second = self.between[key].first, self.between[key].second
+            rows.extend(self._rows(q, frames, first, second, measured[key].jacobian)[1])
+        return rows, np.array([measured[key].gamma for key in keys])
 
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
         """Compute qddot (7 n,) from a sparse solution: 2 L pddot = omegadot' and p^T pddot = -c, eq. (2)."""

@@ -8,7 +8,7 @@ Extensions of the paper, the same in both forms: couplings and prescribed motion
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,7 +20,17 @@ from newton_euler.equations.joint_coordinates import (
     carried_rates,
     coordinates,
 )
-from newton_euler.equations.sparse import Rows, RowsInUse, Solution, to_array
+from newton_euler.equations.sparse import (
+    Equations,
+    Rows,
+    RowsInUse,
+    Solution,
+    dot,
+    least_squares,
+    solve_constrained,
+    sparse_vector,
+    to_array,
+)
 from newton_euler.equations.system import Evaluation, MassProperties, Observation, System
 from newton_euler.model.constraints import Frame
 from newton_euler.model.elements import Surroundings
@@ -28,9 +38,20 @@ from newton_euler.model.joint import JointEquations, Key, Pose
 from newton_euler.model.joint_geometry import JointGeometry, stated
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
-from newton_euler.scalars import Array, Scalar
+from newton_euler.scalars import Array, Scalar, minimum
 
 T = TypeVar("T")
+
+
+class Servos(NamedTuple):
+    """Actuators and the joint coordinates whose accelerations they are to make."""
+
+    coordinates: tuple[Key, ...]
+    """(d,) independent of each other."""
+    actuators: tuple[Key, ...]
+    """(a,) on the same coordinates, or as many at least where z determines the whole motion."""
+    rows: RowsInUse
+    """Of the constraints."""
 
 
 class Formulation(System):
@@ -96,7 +117,7 @@ class Formulation(System):
         for key in counted:
             place = self.places[key]
             on_q = self.between[key].carried if place is None else place[0]
-            if on_q is not None and not self._is_length(key):
+            if on_q is not None and not self.mechanism.is_slide(*key):
                 self.angles[key] = on_q
         carried = sum(coordinate.carried is not None for coordinate in self.between.values())
         self.carried = slice(nq, nq + carried)
@@ -104,8 +125,9 @@ class Formulation(System):
         self.nq, self.nv = self.work.stop, nv
         self._last: tuple[Any, tuple[Array, Array], Any] | None = None
 
-    def _is_length(self, key: Key) -> bool:
-        return self.equations[self.mechanism.joint_index(key[0])].coordinates[key[1]].is_length
+    def unit(self, key: Key) -> float:
+        """Return the unit of a joint coordinate: the mechanism's size, m, for a slide, 1 for an angle."""
+        return self.mechanism.size if self.mechanism.is_slide(*key) else 1.0
 
     @property
     def uncounted_angles(self) -> list[int]:
@@ -162,8 +184,15 @@ class Formulation(System):
         """Solve for vdot (nv,) and lambda (rows,) with dense matrices."""
         raise NotImplementedError
 
-    def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution:
-        """Solve by sparse elimination; `rows` of `phi` are used, the others must follow from them."""
+    def sparse_equations(self, q: Array, v: Array, rows: RowsInUse) -> Equations:
+        """Compute all that `sparse_solution` solves for the accelerations that the form has there."""
+        raise NotImplementedError
+
+    def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
+        """Compute rows and gamma (k,) of d2x/dt2 = rows @ accelerations - gamma for joint coordinates.
+
+        The accelerations are those of `sparse_equations`; something has to act on each coordinate.
+        """
         raise NotImplementedError
 
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
@@ -205,6 +234,15 @@ class Formulation(System):
         for key, angle in revolutions(self.couplings, x, self.angles, self.time).items():
             q[self.angles[key]] += angle
         return q, v
+
+    def coordinates_from(self, other: Formulation, q: Array) -> Array:
+        """Return q (nq,) at the configuration that another scene of the mechanism has in the same form.
+
+        Angles that the other scene does not count are within half a revolution; no work is done.
+        """
+        counted = [key for key, coordinate in self.between.items() if coordinate.carried is not None]
+        angles = [q[other.angles[key]] if key in other.angles else 0.0 for key in counted]
+        return np.concatenate([q[: self.carried.start], angles, np.zeros(self.nq - self.work.start)])
 
     def rate(self, q: Array, v: Array) -> Array:
         """Compute qdot (nq,): the own coordinates' rates, those of the carried angles, and the power."""
@@ -308,6 +346,56 @@ class Formulation(System):
         return total - sum(rate * multipliers.get(k, 0.0) for k, rate in enumerate(self.phi_t()))
 
     # Solutions
+
+    def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution:
+        """Solve by sparse elimination; `rows` of `phi` are used, the others must follow from them."""
+        return solve_constrained(self.sparse_equations(q, v, rows))
+
+    def servo_forces(
+        self, q: Array, v: Array, servos: Servos, accelerations: Sequence[Scalar]
+    ) -> tuple[Array, Scalar]:
+        """Compute forces of actuators for wanted accelerations of joint coordinates, over generic scalars.
+
+        Further constraints J_z vdot = zddot + gamma_z give the accelerations the wanted values. Their
+        multipliers tau are the forces on z that this takes: those of the actuators, if these act on z. Else
+        the actuators' forces u are to do the same work, (dx/dz)^T u = tau, with dx/dz from
+        J T = 0, J_z T = I, dx/dz = J_x T. If that leaves a choice, u is the shortest one in N m, forces on
+        slides times the mechanism's size.
+
+        Args:
+            q, v: (nq,) and (nv,).
+            servos: of a scene whose control laws leave `servos.coordinates` and `servos.actuators` alone.
+            accelerations: (d,) zddot, m/s^2 or rad/s^2.
+
+        Returns:
+            Forces (a,), N or N m, and the pivot ratio of the elimination: not positive where the coordinates
+            do not determine the motion, or the actuators cannot make it.
+        """
+        coordinates, actuators, rows = servos
+        equations = self.sparse_equations(q, v, rows)
+        wanted, gamma = self.sparse_coordinates(q, v, coordinates)
+        first = len(equations.jacobian)
+        places = range(first, first + len(wanted))
+        equations = equations._replace(
+            jacobian=[*equations.jacobian, *wanted],
+            gamma=np.concatenate([equations.gamma, gamma + np.array(accelerations)]),
+            rows=RowsInUse([*equations.rows.numbers, *places]),
+        )
+        solution = solve_constrained(equations)
+        forces = np.array([solution.multipliers.get(place, 0.0) for place in places])
+        if actuators == coordinates:
+            return forces, solution.pivot_ratio
+        acting, _ = self.sparse_coordinates(q, v, actuators)
+        units, on = (np.array([self.unit(key) for key in keys]) for keys in (coordinates, actuators))
+        shares: Rows = []
+        for place, unit in zip(places, units, strict=True):
+            only = np.zeros(len(equations.gamma))
+            only[place] = unit
+            tangent = solve_constrained(equations._replace(force={}, gamma=only)).acceleration
+            shares.append(sparse_vector([dot(row, tangent) / on[k] for k, row in enumerate(acting)]))
+        found, pivot_ratio = least_squares(shares, forces * units)
+        forces = np.array([found.get(k, 0.0) / unit for k, unit in enumerate(on)])
+        return forces, minimum(solution.pivot_ratio, pivot_ratio)
 
     def acceleration(self, q: Array, v: Array) -> Array:
         """Compute vdot (nv,)."""

@@ -31,6 +31,7 @@ import numpy as np
 
 from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.model.control import Law
 from newton_euler.model.mechanism import Body
 from newton_euler.model.motions import Polynomial, Sine, Sum, TimeFunction
 from newton_euler.model.scene import Scene
@@ -135,6 +136,14 @@ def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
 def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """The scene with other values of some parameters, scalars of any kind, which are not checked."""
     changed = _substitute(scene, values, _altered)
+    inherit_mobility(changed, scene)
+    return changed
+
+
+def with_laws(scene: Scene, laws: Iterable[Law]) -> Scene:
+    """The scene with other control laws, which are not checked, for equations alone: nothing is output."""
+    changed = _altered(scene, control=tuple(laws), outputs=frozenset())
+    vars(changed).pop("joint_forces", None)  # kept of the laws that have changed
     inherit_mobility(changed, scene)
     return changed
 

@@ -20,7 +20,7 @@ Beyond that: couplings and prescribed motions are further rows of J, rotors furt
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -29,9 +29,10 @@ from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.equations.kinematics import Link, TreeKinematics, drift
 from newton_euler.equations.reactions import tree_reactions
 from newton_euler.equations.redundancy import rows_left_out, without
-from newton_euler.equations.sparse import Block, Rows, RowsInUse, Solution
+from newton_euler.equations.sparse import Block, Equations, Rows, RowsInUse, Solution
 from newton_euler.errors import SingularityError
 from newton_euler.model import balls
+from newton_euler.model.joint import Key
 from newton_euler.scalars import Array, Scalar, cross, zeros
 
 
@@ -177,17 +178,17 @@ class Relative(TreeKinematics):
         (kept,) = (kept for kept in self.tree.joints if kept.v.start <= velocity < kept.v.stop)
         return self.tree.joint(kept.joint).name
 
-    def sparse_solution(self, q: Array, v: Array, rows: RowsInUse) -> Solution:
-        """Solve by sparse elimination, leaves first, over generic scalars.
-
-        `rows` of `phi` are used; the others must follow from them.
-        """
+    def sparse_equations(self, q: Array, v: Array, rows: RowsInUse) -> Equations:
+        """Factorize M, leaves first, over generic scalars; accelerations are qddot."""
         mass, force = self.sparse_mass_and_force(q, v)
         jacobian, right = self.constraints(q, v)
         factor = sparse.factorize(mass, range(self.nv - 1, -1, -1), rows.mass_scales)
-        return sparse.solve_constrained(
-            factor, sparse.sparse_vector(force), jacobian, right, rows, refine=False
-        )
+        return Equations(factor, sparse.sparse_vector(force), jacobian, right, rows, refine=False)
+
+    def sparse_coordinates(self, q: Array, v: Array, keys: Sequence[Key]) -> tuple[Rows, Array]:
+        """Compute rows and gamma of joint coordinates, for qddot."""
+        measured = self.measured(q, v)
+        return [measured[key].jacobian for key in keys], np.array([measured[key].gamma for key in keys])
 
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
         """Compute qddot (nv,) from a sparse solution."""

@@ -38,7 +38,7 @@ def to_array(rows: Rows, columns: int) -> Array:
     return matrix
 
 
-def sparse_vector(vector: Array) -> dict[int, Any]:
+def sparse_vector(vector: Array | Sequence[Scalar]) -> dict[int, Any]:
     """Return the nonzeros of a vector."""
     return {k: x for k, x in enumerate(vector) if not is_zero(x)}
 
@@ -228,6 +228,29 @@ class RowsInUse(NamedTuple):
     mass_scales: list[float] | None = None
 
 
+class Equations(NamedTuple):
+    """M a = f + J^T lambda, J a + softness * lambda = gamma: arguments of `solve_constrained`.
+
+    Attributes:
+        factor: of M.
+        force: f.
+        jacobian: J.
+        gamma: (k,).
+        rows: of both to use; the others must follow from them.
+        refine: True to solve once more for the remaining J a - gamma, which regains the digits
+            that a badly conditioned complement loses.
+        softness: of compliant rows.
+    """
+
+    factor: Factor
+    force: dict[int, Any]
+    jacobian: Rows
+    gamma: Array
+    rows: RowsInUse
+    refine: bool
+    softness: Mapping[int, Scalar] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """Acceleration and multipliers of `solve_constrained`.
@@ -246,27 +269,9 @@ class Solution:
     mass_pivots: list[Any]
 
 
-def solve_constrained(
-    factor: Factor,
-    force: dict[int, Any],
-    jacobian: Rows,
-    gamma: Array,
-    rows: RowsInUse,
-    refine: bool,
-    softness: Mapping[int, Scalar] | None = None,
-) -> Solution:
-    """Solve M a = f + J^T lambda, J a = gamma with M factorized, by the Schur complement J M^-1 J^T.
-
-    Args:
-        factor: of M.
-        force: f.
-        jacobian: J.
-        gamma: (k,).
-        rows: of both to use; the others must follow from them.
-        refine: True to solve once more for the remaining J a - gamma, which regains the digits
-            that a badly conditioned complement loses.
-        softness: of compliant rows, J a + softness * lambda = gamma.
-    """
+def solve_constrained(equations: Equations) -> Solution:
+    """Solve for accelerations a and multipliers lambda by the Schur complement J M^-1 J^T."""
+    factor, force, jacobian, gamma, rows, refine, softness = equations
     kept, soft = rows.numbers, softness or {}
     total = factor.lower(force)
     acceleration = factor.upper(factor.scaled(total)) if not kept else {}

@@ -89,6 +89,26 @@ def loops() -> NativeFunctions:
     return NativeFunctions([map_rows, repeat])
 
 
+def at_rows(function: NativeFunction, x: Array) -> Array:
+    """Evaluate a function of each row of x (n, inputs), by native loops: (n, outputs)."""
+    results = np.empty((len(x), function.outputs))
+    rows = Rows(
+        count=len(x),
+        n=function.inputs - 1,
+        inputs=function.inputs,
+        m=function.outputs,
+        lanes=function.lanes,
+        function=function,
+        x=np.zeros(function.inputs),
+        times=np.ascontiguousarray(x[:, -1]),
+        states=np.ascontiguousarray(x[:, :-1]),
+        given=np.empty((function.inputs, function.lanes)),
+        found=np.empty((function.outputs, function.lanes)),
+    )
+    loops().bind(map_rows, rows)(results)
+    return results
+
+
 class Outputs:
     """The arrays that a scene asks for at the output times, for as many runs as one likes.
 

@@ -19,7 +19,7 @@ from newton_euler.model.couplings import JointCoupling
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import UNIT_TOLERANCE, Capsule, Mesh, Shape
-from newton_euler.model.joint import Joint, JointEquations, Pose
+from newton_euler.model.joint import Joint, JointEquations, Key, Pose
 from newton_euler.scalars import Array
 
 CLOSURE_TOLERANCE = 1e-9
@@ -297,6 +297,17 @@ class Mechanism:
     def is_slide(self, joint: str, coordinate: int) -> bool:
         """Return True if the coordinate of a joint is a slide, in m, False for a hinge, in rad."""
         return self.joint(joint).coordinate_kinds[coordinate] == "slide"
+
+    def coordinate(self, name: str) -> Key:
+        """Return a joint coordinate by name: `JOINT`, or `JOINT.1` for its second one.
+
+        Raises `UnknownNameError` for an unknown joint, `MechanismError` for a coordinate that it has not.
+        """
+        joint, _, number = name.rpartition(".") if isinstance(name, str) else ("", "", "")
+        numbered = name not in self.joint_names and joint in self.joint_names and number.isdecimal()
+        key = (joint, int(number)) if numbered else (name, 0)
+        check_coordinate(f"joint {key[0]!r}", self.joint(key[0]), key[1])
+        return key
 
     def joint_equations(self, name: str) -> JointEquations:
         """Return the equations of a joint by its name; raises `UnknownNameError`."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from newton_euler.equations.sparse import (
+    Equations,
     RowsInUse,
     factorize,
     minimum_degree,
@@ -62,7 +63,7 @@ def test_constrained_solution_is_the_saddle_points():
     force, gamma = rng.standard_normal(8), rng.standard_normal(3)
     factor = factorize(rows_of(mass), range(7, -1, -1))
     solution = solve_constrained(
-        factor, sparse_vector(force), rows_of(jacobian), gamma, RowsInUse([0, 1, 2]), refine=False
+        Equations(factor, sparse_vector(force), rows_of(jacobian), gamma, RowsInUse([0, 1, 2]), refine=False)
     )
     saddle = np.block([[mass, -jacobian.T], [jacobian, np.zeros((3, 3))]])
     expected = np.linalg.solve(saddle, np.concatenate([force, gamma]))
@@ -79,7 +80,7 @@ def test_health_sees_dependent_constraints():
     for size, healthy in ((1e-3, True), (1e-8, False), (0.0, False)):
         jacobian = np.array([row, 2.0 * row + size * rng.standard_normal(8)])
         solution = solve_constrained(
-            factor, {}, rows_of(jacobian), np.ones(2), RowsInUse([0, 1]), refine=False
+            Equations(factor, {}, rows_of(jacobian), np.ones(2), RowsInUse([0, 1]), refine=False)
         )
         assert (solution.pivot_ratio > 0.0) == healthy
 
@@ -94,7 +95,8 @@ def test_refinement_regains_the_digits_of_a_badly_conditioned_complement():
     errors = []
     for refine in (False, True):
         rows = RowsInUse([0, 1, 2])
-        solution = solve_constrained(factor, sparse_vector(force), rows_of(jacobian), gamma, rows, refine)
+        equations = Equations(factor, sparse_vector(force), rows_of(jacobian), gamma, rows, refine)
+        solution = solve_constrained(equations)
         acceleration = np.array([solution.acceleration[k] for k in range(8)])
         errors.append(np.abs(jacobian @ acceleration - gamma).max() / np.abs(acceleration).max())
     assert errors[1] < 1e-15  # a few roundings of the product J a itself

@@ -1,0 +1,1 @@
+"""Analyses of a mechanism that need no run."""

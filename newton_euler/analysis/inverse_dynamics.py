@@ -1,0 +1,342 @@
+"""Inverse dynamics and statics: forces of actuators and reactions of joints for wanted accelerations.
+
+The equations of motion are solved with the wanted accelerations as further constraints
+(`newton_euler.equations.formulation.Formulation.servo_forces`), so that closed loops, freedoms that no
+actuator holds and redundant actuators are all one case. Both programs are compiled once for a scene, and take
+thousands of states at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from newton_euler.assemble import initial_state
+from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
+from newton_euler.codegen.expression import Graph
+from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.equations.parameters import numbered, with_values
+from newton_euler.equations.redundancy import mobility, rows_in_use
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.servos import (
+    called,
+    fault,
+    independent_rows,
+    measuring,
+    servos_of,
+    tangent_rows,
+)
+from newton_euler.equations.system import Evaluation, at_time
+from newton_euler.errors import MechanismError, SingularityError, check_type, finite_array
+from newton_euler.integrators.compiled import NEUTRAL
+from newton_euler.integrators.outputs import at_rows
+from newton_euler.integrators.projection import worst_joint
+from newton_euler.model.joint import Key
+from newton_euler.model.motions import Polynomial
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.scalars import Array, Scalar, minimum
+
+NEAR = 1e-4
+"""Dimensionless singular value, of the rows of which one is named, where the elimination has failed."""
+
+KEPT = 8
+"""Scenes, most recently used, whose code stays in memory."""
+
+AT_REST = 1e-7
+"""Share of the largest force that may be left to accelerate a body in statics: round-off of what is held."""
+
+OPEN = 1e-6
+"""Sizes of the mechanism, or rad, that loops of a state may be open by: more than engines leave."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """Forces of actuators and reactions of joints at n states; b bodies, j joints, a actuators; SI.
+
+    Of a single state arrays are without their first axis.
+
+    Attributes:
+        actuators: names of the coordinates that the actuators act on, `JOINT` or `JOINT.1`.
+        joint_names: of the reactions.
+        actuator_force: (n, a) N or N m.
+        reaction_force, reaction_torque: (n, j, 3) on the second body, about its joint point, world frame; not
+            unique where constraints are redundant, see `newton_euler.equations.reactions`.
+
+    Examples:
+        >>> statics(load("tracker_gravity")).actuator_force.shape
+        (2,)
+    """
+
+    actuators: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    actuator_force: Array
+    reaction_force: Array
+    reaction_torque: Array
+
+
+def inverse_dynamics(
+    scene: Scene,
+    states: State | Trajectory,
+    accelerations: Mapping[str, Any],
+    actuators: Sequence[str] | None = None,
+    time: Any = 0.0,
+) -> Loads:
+    """Compute the forces of actuators that give joint coordinates wanted accelerations, and all reactions.
+
+    Gravity, springs, dampers, wrenches, rotors and prescribed motions act as in a run; control laws are left
+    out. Freedoms that nothing is wanted of move freely, if the actuators are on the coordinates themselves.
+    Of more actuators than coordinates the forces are the smallest: least sum of squares in N m, those on
+    slides times the mechanism's size.
+
+    Args:
+        scene: the mechanism with its forces.
+        states: a state, or n of them: a trajectory, or anything with positions (n, b, 3) and quaternions
+            (n, b, 4) of bodies, and their velocities if they move. Loops are closed.
+        accelerations: m/s^2 or rad/s^2, one number or (n,), by names of coordinates, `JOINT` or `JOINT.1`.
+        actuators: coordinates that actuators act on; those of the scene's control laws if None, and if it
+            has none those of `accelerations`.
+        time: s, of prescribed motions, one number or (n,).
+
+    Raises:
+        UnknownNameError: for an unknown joint.
+        MechanismError: naming the coordinate that cannot get any acceleration, a value that is no number, or
+            a state that is none of the scene.
+        SingularityError: naming the coordinate, at a state where its acceleration cannot be chosen.
+
+    Examples:
+        >>> scene = load("tracker")
+        >>> run = simulate(scene)
+        >>> found = inverse_dynamics(scene, run, {"slide_12": 0.0, "slide_13": np.zeros(len(run.time))})
+        >>> found.actuators, found.actuator_force.shape
+        (('slide_12', 'slide_13'), (501, 2))
+    """
+    check_type("scene", scene, Scene)
+    coordinates = tuple(scene.mechanism.coordinate(name) for name in accelerations)
+    if actuators is None:
+        acting = tuple(law.key for law in scene.control) or coordinates
+    else:
+        acting = tuple(scene.mechanism.coordinate(name) for name in actuators)
+    if set(acting) == set(coordinates):
+        acting = coordinates
+    compiled = _compiled(scene, coordinates, acting)
+    given = States.of(scene, states)
+    wanted = [given.column(f"acceleration of {name!r}", value) for name, value in accelerations.items()]
+    return compiled.loads(given, wanted, given.column("time", time)).loads
+
+
+def statics(scene: Scene, states: Any = None, actuators: Sequence[str] | None = None) -> Loads:
+    """Compute the forces of actuators that hold a mechanism at rest, and all reactions of joints.
+
+    Gravity, springs and wrenches act; prescribed motions hold what they move; control laws are left out.
+
+    Args:
+        scene: the mechanism with its forces.
+        states: as of `inverse_dynamics`, velocities left out; the scene's initial pose if None.
+        actuators: as of `inverse_dynamics`; those of the scene's control laws if None.
+
+    Raises:
+        MechanismError: naming the body that the actuators do not hold.
+        NewtonEulerError: as of `inverse_dynamics`.
+
+    Examples:
+        >>> held = statics(load("tracker_gravity"))
+        >>> held.actuators, held.reaction_force.shape
+        (('slide_12', 'slide_13'), (8, 3))
+    """
+    check_type("scene", scene, Scene)
+    given = States.of(scene, initial_state(scene) if states is None else states).at_rest()
+    if scene.motions:
+        still = tuple(replace(motion, function=Polynomial((0.0,))) for motion in scene.motions)
+        scene = replace(scene, motions=still, initial_state=given.states[0])
+    keys = tuple(law.key for law in scene.control)
+    if actuators is not None:
+        keys = tuple(scene.mechanism.coordinate(name) for name in actuators)
+    compiled = _compiled(scene, _independent(scene, given.states[0], keys), keys)
+    zeros = [np.zeros(len(given.states))] * len(compiled.servos.coordinates)
+    found = compiled.loads(given, zeros, np.zeros(len(given.states)))
+    compiled.check_at_rest(found)
+    return found.loads
+
+
+def _independent(scene: Scene, state: State, keys: tuple[Key, ...]) -> tuple[Key, ...]:
+    """Choose as many of these coordinates as are independent at a state, in their order."""
+    system = Relative(measuring(scene, keys))
+    q, _ = system.coordinates(state)
+    rows = tangent_rows(system, q, keys, rows_in_use(system).numbers)
+    chosen = independent_rows(rows, [], range(len(keys)), mobility(scene).degrees_of_freedom)
+    return tuple(keys[k] for k in sorted(chosen))
+
+
+class States(NamedTuple):
+    """States of a scene, checked."""
+
+    states: list[State]
+    is_single: bool
+
+    @classmethod
+    def of(cls, scene: Scene, given: Any) -> States:
+        """Take states from a state or poses; raises `MechanismError` for anything else."""
+        where = f"states of scene {scene.name!r}"
+        arrays: list[Any] = [getattr(given, name, None) for name in ("position", "quaternion")]
+        if not all(isinstance(array, np.ndarray) and array.ndim in (2, 3) for array in arrays):
+            raise MechanismError(
+                where, f"is {given!r:.100}", "a State, a Trajectory or other poses of bodies"
+            )
+        is_single = arrays[0].ndim == 2
+        for name in ("linear_velocity", "angular_velocity"):
+            array = getattr(given, name, None)
+            arrays.append(np.zeros_like(arrays[0]) if array is None else array)
+        rows = [arrays] if is_single else zip(*arrays, strict=True)
+        states = [State(*row) for row in rows]
+        for state in states:
+            scene.check_numbers(state, where)
+        return cls(states, is_single)
+
+    def at_rest(self) -> States:
+        """Return the same poses without velocities."""
+        still = np.zeros_like(self.states[0].position)
+        rows = [State(state.position, state.quaternion, still, still) for state in self.states]
+        return self._replace(states=rows)
+
+    def column(self, name: str, value: Any) -> Array:
+        """Return a number for each state, (n,); raises `MechanismError`."""
+        shape = (len(self.states),) if np.ndim(value) else ()
+        return np.broadcast_to(finite_array("inverse dynamics", name, value, shape), len(self.states))
+
+
+class Solved(NamedTuple):
+    """Loads, and the accelerations (n, b, 3) of the bodies with them."""
+
+    loads: Loads
+    linear_acceleration: Array
+    angular_acceleration: Array
+
+
+@lru_cache(maxsize=KEPT)
+def _compiled(scene: Scene, coordinates: tuple[Key, ...], actuators: tuple[Key, ...]) -> InverseDynamics:
+    return InverseDynamics(scene, coordinates, actuators)
+
+
+class InverseDynamics:
+    """Inverse dynamics of a scene in native code; see `inverse_dynamics`.
+
+    Attributes:
+        scene: with laws of no force on the coordinates and the actuators for its control.
+        servos: the coordinates and the actuators.
+        system: in joint coordinates.
+    """
+
+    def __init__(self, scene: Scene, coordinates: tuple[Key, ...], actuators: tuple[Key, ...]) -> None:
+        self.scene = measuring(scene, [*actuators, *coordinates])
+        self.servos = servos_of(scene, coordinates, actuators)
+        self.system = Relative(self.scene)
+
+    @cached_property
+    def forces(self) -> NativeFunction:
+        """Of (q, v, wanted accelerations, time): actuator forces (a,), pivot ratio, squared loop residual."""
+        return self._function("forces", self._trace_forces, len(self.servos.coordinates))
+
+    @cached_property
+    def evaluation(self) -> NativeFunction:
+        """Of (q, v, actuator forces, time): `Solved` arrays, one after the other."""
+        return self._function("loads", self._trace_evaluation, len(self.servos.actuators))
+
+    def _function(self, name: str, trace: Callable[..., list[Scalar]], inputs: int) -> NativeFunction:
+        size = self.system.nq + self.system.nv
+
+        def traced() -> Traced:
+            graph = Graph()
+            x = graph.variables(size + inputs + 1)
+            scalars = trace(x[: self.system.nq], x[self.system.nq : size], x[size:-1], x[-1])
+            program = graph.prune(scalars)
+            return Traced(program, many=program.operations < LARGE)
+
+        known = fingerprint(self.scene, self.servos.coordinates, self.servos.actuators, neutral=NEUTRAL)
+        return NativeFunction(traced, known and f"{known} inverse dynamics {name}")
+
+    def _trace_forces(self, q: Array, v: Array, accelerations: Array, time: Scalar) -> list[Scalar]:
+        system = at_time(Relative(self.scene), time)
+        forces, pivot_ratio = system.servo_forces(q, v, self.servos, list(accelerations))
+        loops = system.rows - len(system.couplings)
+        phi = (system.phi(q) / system.phi_units)[:loops]
+        return [*forces, minimum(pivot_ratio, 1.0), phi @ phi]
+
+    def _trace_evaluation(self, q: Array, v: Array, forces: Array, time: Scalar) -> list[Scalar]:
+        found, _ = self._acting(forces, time).sparse_evaluation(q, v, self.servos.rows)
+        return [scalar for array in _arrays(found) for scalar in array.ravel()]
+
+    def _acting(self, forces: Array, time: Scalar) -> Relative:
+        """Return the equations with these forces of actuators (a,)."""
+        values = {numbered("control", k, "feedforward"): u for k, u in enumerate(forces)}
+        return at_time(Relative(with_values(self.scene, values)), time)
+
+    def loads(self, given: States, accelerations: Sequence[Array], time: Array) -> Solved:
+        """Solve for wanted accelerations (n,) of each coordinate at n states and times."""
+        rows = [np.concatenate(self.system.coordinates(state)) for state in given.states]
+        table = np.array(rows).reshape(len(rows), -1)
+        found = at_rows(self.forces, np.column_stack([table, *accelerations, time]))
+        forces, pivot_ratio, opening = found[:, :-2], found[:, -2], found[:, -1]
+        for row in np.flatnonzero(~(opening <= OPEN**2))[:1]:
+            joint, distance = worst_joint(self.system, given.states[row])
+            problem = f"joint {joint!r} is open by {distance:.3g} (m or rad)"
+            raise MechanismError(f"state {row}", problem, f"closed loops, to {OPEN:g} sizes of the mechanism")
+        for row in np.flatnonzero(~(pivot_ratio > 0.0) | ~np.isfinite(forces).all(axis=1))[:1]:
+            at = fault(self.system, table[row, : self.system.nq], self.servos, NEAR)
+            key, problem = at or (self.servos.coordinates[0], "is not determined")
+            raise SingularityError(called(key), f"at state {row} the coordinate {problem}")
+        shapes = [(len(self.scene.mechanism.joints), 3)] * 2 + [(len(self.scene.mechanism.bodies), 3)] * 2
+        ends = np.cumsum([j * k for j, k in shapes])
+        if mobility(self.scene).redundant:  # the float form knows the smallest reactions
+            values = self._dense(table, forces, time)
+        else:
+            values = at_rows(self.evaluation, np.column_stack([table, forces, time]))
+        arrays = [
+            part.reshape(-1, *shape)
+            for part, shape in zip(np.split(values, ends[:-1], 1), shapes, strict=True)
+        ]
+        if given.is_single:
+            forces, arrays = forces[0], [array[0] for array in arrays]
+        names = tuple(map(called, self.servos.actuators))
+        loads = Loads(names, self.scene.mechanism.joint_names, forces, *arrays[:2])
+        return Solved(loads, *arrays[2:])
+
+    def _dense(self, table: Array, forces: Array, time: Array) -> Array:
+        rows = []
+        for x, u, t in zip(table, forces, time, strict=True):
+            system = self._acting(u, float(t))
+            found = system.evaluate(x[: system.nq], x[system.nq :])
+            rows.append(np.concatenate([array.ravel() for array in _arrays(found)]))
+        return np.array(rows)
+
+    def check_at_rest(self, found: Solved) -> None:
+        """Raise `MechanismError` for a body that forces accelerate."""
+        mechanism, size = self.scene.mechanism, self.scene.mechanism.size
+        mass = np.array([body.mass for body in mechanism.bodies])
+        inertia = np.array([np.linalg.norm(body.inertia, 2) for body in mechanism.bodies])
+        linear, angular = (
+            np.linalg.norm(array, axis=-1)
+            for array in (found.linear_acceleration, found.angular_acceleration)
+        )
+        left = np.atleast_2d(mass * linear + inertia * angular / size)
+        weight = float(np.sum(mass) * np.linalg.norm(self.scene.gravity))
+        forces = np.abs(found.loads.reaction_force).max(initial=weight)
+        if np.any(left > AT_REST * forces):
+            row, body = np.unravel_index(np.argmax(left), left.shape)
+            problem = f"is left with a force of {left[row, body]:.3g} N at state {row}"
+            raise MechanismError(f"body {mechanism.body_names[body]!r}", problem, "actuators that hold it")
+
+
+def _arrays(found: Evaluation) -> tuple[Array, ...]:
+    """Return the arrays of `Solved` but the forces, in their order."""
+    return (
+        found.reaction_force,
+        found.reaction_torque,
+        found.linear_acceleration,
+        found.angular_acceleration,
+    )
