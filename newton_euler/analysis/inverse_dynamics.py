@@ -40,7 +40,7 @@ from newton_euler.model.motions import Polynomial
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
-from newton_euler.scalars import Array, Scalar, minimum
+from newton_euler.scalars import Array, Floats, Scalar, minimum
 
 NEAR = 1e-4
 """Dimensionless singular value, of the rows of which one is named, where the elimination has failed."""
@@ -69,15 +69,16 @@ class Loads:
             unique where constraints are redundant, see `newton_euler.equations.reactions`.
 
     Examples:
-        >>> statics(load("tracker_gravity")).actuator_force.shape
-        (2,)
+        >>> held = statics(load("tracker_gravity"))
+        >>> isinstance(held, Loads), held.actuator_force.shape
+        (True, (2,))
     """
 
     actuators: tuple[str, ...]
     joint_names: tuple[str, ...]
-    actuator_force: Array
-    reaction_force: Array
-    reaction_torque: Array
+    actuator_force: Floats
+    reaction_force: Floats
+    reaction_torque: Floats
 
 
 def inverse_dynamics(
