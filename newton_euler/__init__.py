@@ -5,7 +5,9 @@ Examples in docstrings, here and in the other packages, follow `from newton_eule
 `import numpy as np` and `import mjcf, urdf`.
 """
 
+from newton_euler.analysis.configurations import Axis
 from newton_euler.analysis.inverse_dynamics import Loads, inverse_dynamics, statics
+from newton_euler.analysis.poses import Poses, solve_poses
 from newton_euler.assemble import assemble, initial_state, start
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
@@ -37,6 +39,7 @@ from newton_euler.simulate import compile_scene, simulate
 __all__ = [
     "PD",
     "Armature",
+    "Axis",
     "BallArmature",
     "BallSpring",
     "Body",
@@ -55,6 +58,7 @@ __all__ = [
     "PointOnLine",
     "PointSpring",
     "Polynomial",
+    "Poses",
     "PrescribedMotion",
     "Prismatic",
     "Revolute",
@@ -76,6 +80,7 @@ __all__ = [
     "inverse_dynamics",
     "simulate",
     "simulate_batch",
+    "solve_poses",
     "start",
     "statics",
 ]
