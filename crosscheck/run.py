@@ -109,7 +109,8 @@ class Crosscheck:
     @cached_property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
         """Who differs, at the first level at which any engine does, and then without it."""
-        names, soft = [each.name for each in self.engines], [e.name for e in self.engines if e.soft_start]
+        names, stopped = [each.name for each in self.engines], {stop.what for stop in self.unfinished}
+        soft = [each.name for each in self.engines if each.soft_start and each.name not in stopped]
         return diagnose(names, self.figures, self.measured, soft, mobility(self.scene).nearly)
 
     @property
@@ -123,7 +124,12 @@ class Crosscheck:
         """One line: whether the engines agree, or which one does not, where, and what did not end."""
         word, found = self._judgment()
         if self.unfinished:
-            return f"UNFINISHED: {'; '.join(map(str, self.unfinished))}; as far as compared {found}"
+            stopped = {stop.what for stop in self.unfinished}
+            ended = [name for name in self.trajectories if name not in stopped]
+            others = ""
+            if 0 < len(ended) < len(self.engines) and not self.diagnosis:
+                others = f"; {' and '.join(ended)} ran to the end"
+            return f"UNFINISHED: {'; '.join(map(str, self.unfinished))}{others}; as far as compared {found}"
         return f"{word}: {found}" if word else found
 
     def _judgment(self) -> tuple[str, str]:
@@ -138,7 +144,7 @@ class Crosscheck:
             return "", f"{found} {self._own_figures}"
         if self.diagnosis:
             first, *others = self.diagnosis
-            said = [f"{first.who}; on {self.title} {first.place}", first.blame]
+            said = [f"{first.who}; {first.place}", first.blame]
             said += [f"then {other.who}, {other.place}" for other in others]
             return "DISAGREE", f"{'; '.join(filter(None, said))} ({self._failed})"
         return self.agreement, f"{names} agree on {self.title} in all {self._judged} figures{self._beside}"

@@ -68,7 +68,7 @@ def run_all(engines: Sequence[str], folder: Path, progress: Progress) -> list[Ou
         lambda count, name: progress(f"{count} of {len(SCENES)} scenes, last {name}"),
     )
     return [
-        Outcome(name, 0.0, False, f"{name} did not run: {each}") if isinstance(each, LostError) else each
+        Outcome(name, 0.0, False, f"did not run: {each}") if isinstance(each, LostError) else each
         for name, each in zip(SCENES, found, strict=True)
     ]
 
@@ -82,7 +82,7 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
             result = crosscheck(load(name), choose(list(engines)), lambda _: None, name, {})
             write(result, report(result), folder / name, folder / name / f"{name}.rrd", name)
     except Exception as error:  # what goes wrong with one scene is a line, like the others' results
-        return Outcome(name, time.perf_counter() - start, False, f"{name} did not run: {reason_of(error)}")
+        return Outcome(name, time.perf_counter() - start, False, f"did not run: {reason_of(error)}")
     return _outcome(name, result, time.perf_counter() - start)
 
 
@@ -138,7 +138,7 @@ def outcome_lines(outcomes: Sequence[Outcome]) -> Iterator[str]:
             yield f"{found.scene}: {engine} left out: {reason}"
     failing = [found for found in outcomes if not found.agrees]
     for found in failing:
-        yield found.verdict
+        yield f"{found.scene}: {found.verdict}"
     if failing:
         names = ", ".join(found.scene for found in failing)
         yield f"FAILS: {len(failing)} of {len(outcomes)} scenes: {names}"

@@ -241,8 +241,11 @@ def _run(
 
 
 def _divergence(warning: str, time: float, rows: Sequence[Output]) -> DivergenceError:
-    """MuJoCo's warning, with the joint that was fastest and the force that was largest at the last output."""
+    """MuJoCo's warning, with the joint that was fastest and the force that was largest at the last output.
+
+    Its sentences after the first say that this is unstable, and when.
+    """
     system, q, v = rows[-1][:3]
     state = system.state(q, v)
     at = surroundings(system.scene, state, time)
-    return DivergenceError(time, blamed(system.scene, state, warning, at))
+    return DivergenceError(time, blamed(system.scene, state, warning.partition(". ")[0], at))

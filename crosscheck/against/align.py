@@ -216,11 +216,11 @@ def _pair_coordinates(first: Mechanism, second: Mechanism, joints: Mapping[str, 
     for name, other in joints.items():
         a, b = first.joint(name), second.joint(other)
         swapped = -1.0 if a.first == b.second else 1.0
-        free = dict(enumerate(_axes(second, b, a)))
-        for k, (kind, axes) in enumerate(_axes(first, a, a)):
+        free = dict(enumerate(axes(second, b, a)))
+        for k, (kind, own) in enumerate(axes(first, a, a)):
             # in the body in which two axes are nearer to one line
             cosines = {
-                n: max(np.sum(axes * others, axis=1), key=abs)
+                n: max(np.sum(own * others, axis=1), key=abs)
                 for n, (its, others) in free.items()
                 if its == kind
             }
@@ -231,7 +231,7 @@ def _pair_coordinates(first: Mechanism, second: Mechanism, joints: Mapping[str, 
     return found
 
 
-def _axes(mechanism: Mechanism, joint: Joint, like: Joint) -> Iterator[tuple[str, Array]]:
+def axes(mechanism: Mechanism, joint: Joint, like: Joint) -> Iterator[tuple[str, Array]]:
     """Kind of each coordinate of a joint, and its axis (2, 3) in the two bodies of another joint."""
     poses = [mechanism.body(name).pose for name in (like.first, like.second)]
     for motion in joint.motions:

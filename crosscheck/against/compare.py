@@ -130,7 +130,7 @@ class Against(Crosscheck):
         row = failed[0]
         return (
             f"DIFFERENT: {names} part at level '{row.level}': {row.quantity}: {row.value:.3g} > "
-            f"{row.tolerance:.3g}, worst at {row.where} ({len(failed)} of {len(judged)} figures fail){ending}"
+            f"{row.tolerance:.3g}, worst at {row.place} ({len(failed)} of {len(judged)} figures fail){ending}"
         )
 
     def summary(self) -> dict[str, Any]:

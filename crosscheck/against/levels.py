@@ -7,16 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from crosscheck.against.align import Aligned, Partner
+from crosscheck.against.align import Aligned, Partner, axes
 from crosscheck.comparison.accelerations import acceleration_rows
+from crosscheck.comparison.blame import Cause
 from crosscheck.comparison.dynamics import motion_rows
-from crosscheck.comparison.figure import ROUND_OFF, START, Figure, reach, round_off, worst_figure
+from crosscheck.comparison.figure import (
+    ROUND_OFF,
+    START,
+    Figure,
+    both_values,
+    reach,
+    round_off,
+    worst_figure,
+)
 from crosscheck.comparison.kinematics import kinematics_rows
 from crosscheck.comparison.levels import Level
 from crosscheck.comparison.reactions import undetermined_in_both
@@ -31,6 +41,7 @@ from newton_euler.model.elements import OnBall, OnCoordinate
 from newton_euler.model.euler_parameters import angle_between, rotation, rotations
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring
 from newton_euler.model.joint import JointEquations, Key
+from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
@@ -80,6 +91,8 @@ class Difference(NamedTuple):
     """(n,)."""
     tolerance: float
     names: Sequence[str]
+    both: Callable[[int], tuple[ArrayLike, ArrayLike, str] | None] = lambda number: None
+    """What the first and the second model have, and its unit."""
 
     @property
     def larger(self) -> list[int]:
@@ -88,12 +101,20 @@ class Difference(NamedTuple):
 
     def figure(self, level: str, pair: tuple[str, str]) -> Figure:
         """The largest difference, with all that differ named."""
-        found, larger = worst_figure(level, self.quantity, pair, *self[1:]), self.larger
+        larger = self.larger
+        found = worst_figure(level, self.quantity, pair, self.values, self.tolerance, self.names)
+        if larger and (both := self.both(larger[0])):
+            found = replace(found, detail=both_values(pair, *both))
         if len(larger) < 2:
             return found
         named = ", ".join(self.names[k] for k in larger[:MOST_NAMED])
         more = f" and {len(larger) - MOST_NAMED} more" if len(larger) > MOST_NAMED else ""
         return replace(found, where=f"{named}{more}")
+
+    @property
+    def worst(self) -> str:
+        """Name of the largest."""
+        return self.names[int(np.argmax(self.values))]
 
 
 def bodies_row(pair: tuple[str, str], aligned: Aligned) -> Figure:
@@ -110,18 +131,70 @@ def differences(states: SharedStates) -> Iterator[Difference]:
     masses = [abs(two.mass - one.mass) / one.mass for one, two in pairs]
     inertias = [np.max(np.abs(two.inertia - one.inertia)) / np.max(np.abs(one.inertia)) for one, two in pairs]
     length = ROUND_OFF * reach(first, initial_state(first).position)
-    yield Difference("mass, rel", np.array(masses), ROUND_OFF, names)
-    yield Difference("center of mass, m", np.linalg.norm(aligned.centers[1:], axis=1), length, names)
-    yield Difference("inertia, rel", np.array(inertias), ROUND_OFF, names)
+
+    def of_bodies(attribute: str, unit: str) -> Callable[[int], tuple[ArrayLike, ArrayLike, str]]:
+        return lambda k: (*(getattr(body, attribute) for body in pairs[k]), unit)
+
+    apart = np.linalg.norm(aligned.centers[1:], axis=1)
+    yield Difference("mass, rel", np.array(masses), ROUND_OFF, names, of_bodies("mass", "kg"))
+    yield Difference("center of mass, m", apart, length, names, lambda k: _centers(aligned, names[k]))
+    yield Difference("inertia, rel", np.array(inertias), ROUND_OFF, names, of_bodies("inertia", "kg m^2"))
     if joints := [aligned.joint_names.get(name, name) for name in aligned.both[1].mechanism.joint_names]:
         lengths, angles, freedoms = joint_differences(states)
         share = round_off(states.condition, states.noise) + states.condition * states.opening
         far = max(reach(first, state.position) for state in states.all)
-        yield Difference("open joints, rad", angles, share, joints)
-        yield Difference("open joints, m", lengths, share * far, joints)
+        of_axes, of_points = (lambda k: _axes(aligned, joints[k])), (lambda k: _points(aligned, joints[k]))
+        yield Difference("open joints, rad", angles, share, joints, of_axes)
+        yield Difference("open joints, m", lengths, share * far, joints, of_points)
         yield Difference("joint Jacobians, rel", freedoms, share, joints)
     if coupled := dict(_couplings_apart(aligned)):
         yield Difference("couplings, rel", np.array(list(coupled.values())), ROUND_OFF, tuple(coupled))
+
+
+def _arms(aligned: Aligned, body: str) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Points (3,) of joints that both models have on a body, from its centers of mass, in its frame, m."""
+    first, second = (scene.mechanism for scene in aligned.both)
+    found: tuple[dict[str, Array], dict[str, Array]] = {}, {}
+    for name, other in aligned.joints.items():
+        for arms, mechanism, joint in zip(
+            found, (first, second), (first.joint(name), second.joint(other)), strict=True
+        ):
+            if body in (joint.first, joint.second):
+                point = joint.point if joint.first == body else joint.reaction_point
+                arms[name] = mechanism.body(body).pose.point_to_body(point)
+    return found
+
+
+def _centers(aligned: Aligned, body: str) -> tuple[ArrayLike, ArrayLike, str] | None:
+    """Centers of mass of a body of both models, from one of its joints, in the first's body frame."""
+    here, there = _arms(aligned, body)
+    joint = next(iter(here), None)
+    return (-here[joint], -there[joint], f"m from {joint}") if joint else None
+
+
+def _points(aligned: Aligned, name: str) -> tuple[ArrayLike, ArrayLike, str] | None:
+    """Points of a joint of both models, from another joint of one body, in the first's body frame."""
+    found = []
+    joint = aligned.first.mechanism.joint(name) if name in aligned.joints else None
+    for body in (joint.first, joint.second) if joint else ():
+        here, there = _arms(aligned, body)
+        for other in [other for other in here if other != name][:1]:
+            values = here[name] - here[other], there[name] - there[other]
+            found.append((*values, f"m from {other} on {body}"))
+    return max(found, key=lambda both: float(np.linalg.norm(both[1] - both[0])), default=None)
+
+
+def _axes(aligned: Aligned, name: str) -> tuple[ArrayLike, ArrayLike, str] | None:
+    """Axes of a joint of both models, in the first's frame of the body in which they differ more."""
+    found = []
+    for (joint, k), partner in aligned.coordinates.items():
+        if joint == name:
+            one, two = aligned.joint_pair(name)
+            first, second = (scene.mechanism for scene in aligned.both)
+            (_, here), (_, there) = [*axes(first, one, one)][k], [*axes(second, two, one)][partner.key[1]]
+            for body, a, b in zip((one.first, one.second), here, there, strict=True):
+                found.append((a, b if a @ b > 0.0 else -b, f"in {body}"))
+    return max(found, key=lambda both: float(np.linalg.norm(both[1] - both[0])), default=None)
 
 
 def joint_differences(states: SharedStates) -> Array:
@@ -237,17 +310,20 @@ def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterato
     and force after them. Tolerances are round-off times the condition of the constraints."""
     aligned, states = _shared(first).aligned, first.states.all
     share = round_off(max(first.condition, second.condition), first.states.noise)
-    scales, failed = first.scales, list[str]()
+    scales, failed = first.scales, list[Cause]()
 
-    def term(quantity: str, values: Mapping[str, float]) -> Figure:
+    def term(quantity: str, values: Mapping[str, float], of_both: Callable[[str], str]) -> Figure:
         found = Difference(quantity, np.array(list(values.values())), share, tuple(values))
         row = found.figure("dynamics", pair)
-        failed.extend([] if row.agrees else [row.where])
+        if not row.agrees:
+            row = replace(row, detail=of_both(found.worst))
+            failed.append(Cause(row.where, row.detail))
         return row
 
     one, two = (scene.gravity for scene in aligned.both)
     strength = max(float(np.linalg.norm(one)), float(np.linalg.norm(two))) or 1.0
-    yield term("gravity, rel", {"gravity": float(np.linalg.norm(two - one)) / strength})
+    gravity = {"gravity": float(np.linalg.norm(two - one)) / strength}
+    yield term("gravity, rel", gravity, lambda _: both_values(pair, one, two, "m/s^2"))
     for quantity, members in ACTING.items():
         here = _at_joints(aligned.both[0], members, states, scales.size, lambda key: Partner(key, 1.0))
         there = _at_joints(aligned.both[1], members, states, scales.size, aligned.of_first)
@@ -258,13 +334,38 @@ def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterato
             for key in dict.fromkeys([*here, *there]):
                 apart = np.abs(there.get(key, nothing) - here.get(key, nothing))
                 values[key[0]] = max(values.get(key[0], 0.0), float(apart.max()) / unit)
-            yield term(quantity, values)
+            yield term(quantity, values, partial(_elements_apart, pair, aligned, members))
     wrenches = np.array([_on_bodies(scene, states, scales.size) for scene in aligned.both])
     if np.any(wrenches):
         unit = max(scales.force, float(np.max(np.abs(wrenches))))
         apart = np.abs(wrenches[1] - wrenches[0]).max(axis=(0, 2)) / unit
-        yield term("forces on bodies, rel", dict(zip(aligned.first.mechanism.body_names, apart, strict=True)))
+        on_bodies = dict(zip(aligned.first.mechanism.body_names, apart, strict=True))
+        yield term("forces on bodies, rel", on_bodies, lambda _: "")
     yield from motion_rows(pair, first, second, lambda _: failed[0] if failed else None)
+
+
+def _elements_apart(
+    pair: tuple[str, str], aligned: Aligned, members: Callable[[Scene], Iterable[Acting]], joint: str
+) -> str:
+    """Word in which parameters the elements at a joint of the first model and at its partner differ."""
+    first, second = aligned.both
+    here = {element.key: element for element in members(first) if element.joint == joint}
+    others = {aligned.of_first(element.key).key: element for element in members(second)}
+    there = {key: element for key, element in others.items() if key[0] == joint}
+    said = [
+        f"{element.noun} only in {name}"
+        for name, own, other in zip(pair, (here, there), (there, here), strict=True)
+        for key, element in own.items()
+        if key not in other
+    ]
+    for one, two in ((element, there[key]) for key, element in here.items() if key in there):
+        for name in [name for name in one.parameters if name in two.parameters]:
+            values = getattr(one, name), getattr(two, name)
+            if any(isinstance(value, TimeFunction) for value in values):
+                said += [name] if values[0] != values[1] else []
+            elif not np.array_equal(*values):
+                said.append(f"{name} {both_values(pair, *values, '')}")
+    return "; ".join(said)
 
 
 def _at_joints(

@@ -11,7 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from crosscheck.comparison.blame import SHARE, dynamic_cause
+from crosscheck.comparison.blame import SHARE, Cause, dynamic_cause
 from crosscheck.comparison.figure import EPSILON, Figure, round_off
 from crosscheck.comparison.reactions import determined
 from crosscheck.comparison.samples import Samples
@@ -42,14 +42,14 @@ def acceleration_rows(pair: tuple[str, str], first: Samples, second: Samples) ->
     scales, mechanism = first.scales, states.scene.mechanism
 
     @cache
-    def cause() -> str | None:
+    def cause() -> Cause | None:
         return dynamic_cause(first, second)
 
     def row(quantity: str, gap: Array, tolerance: float, names: Sequence[str], moved: bool = False) -> Figure:
-        value, where = float(gap.max()), names[int(np.argmax(gap.max(axis=0)))]
+        value, found = float(gap.max()), Cause(names[int(np.argmax(gap.max(axis=0)))])
         if not value <= tolerance and not moved:
-            where = cause() or where
-        return Figure(LEVEL, quantity, pair, value, tolerance, where)
+            found = cause() or found
+        return Figure(LEVEL, quantity, pair, value, tolerance, found.where, detail=found.detail)
 
     def apart(name: str) -> Array:
         return np.asarray(np.linalg.norm(first.stack(name) - second.stack(name), axis=-1))

@@ -12,23 +12,31 @@ engine ends up; the one thing that is wrong does not:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from crosscheck.comparison.momentum import momentum_residuals
 from crosscheck.comparison.samples import Samples
+from newton_euler.equations.applied_forces import surroundings
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.system import Evaluation
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.projection import project_position
 from newton_euler.model.balls import SPIN, ends
-from newton_euler.model.elements import OnBall, OnCoordinate
+from newton_euler.model.control import Law
+from newton_euler.model.elements import OnBall, OnCoordinate, Surroundings
+from newton_euler.model.forces import BallSpring, JointSpring
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
+
+ForceAtJoint = Law | JointSpring | BallSpring
 
 OPEN = 1e-11
 """Sizes of the mechanism, rad, and as many a second: what is more is not round-off, see `kinematics`."""
@@ -38,7 +46,6 @@ SHARE = 1e-2
 
 EXPLAINED = 1e-4
 """Share of all residuals that a cause may leave over: small errors act in proportion, and this is how far."""
-
 
 UNBALANCED = 1e-10
 """Of the scene's energy over its size, N: residuals of equations of condition 1e2 that hold to round-off."""
@@ -123,53 +130,110 @@ def _open_closure(samples: Samples) -> str | None:
     return name if name and gaps[name] > OPEN * samples.states.scene.mechanism.size else None
 
 
-def dynamic_cause(first: Samples, second: Samples, forces: bool = True) -> str | None:
+class Cause(NamedTuple):
+    """Source of a difference.
+
+    Attributes:
+        where: a body, a joint or "gravity".
+        detail: gravity, or the parameter of a joint's control law or spring, as it is and as it should be.
+    """
+
+    where: str
+    detail: str = ""
+
+
+def dynamic_cause(first: Samples, second: Samples, forces: bool = True) -> Cause | None:
     """The body, joint or "gravity" that one of two systems gets wrong in Newton's and Euler's equations.
 
     A joint if it is what a control law or spring does there. None if the equations hold: then what differs
     is no force on a body. Without `forces` the bodies alone come into question, as where inertia differs.
     """
     scene = first.states.scene
-    equations = Cartesian(scene)
     for samples in (second, first):
         residuals = momentum_residuals(samples)
         largest = np.abs(residuals).max(axis=(0, 2))
         if not largest.max() > UNBALANCED * first.states.energy / scene.mechanism.size:
             continue
-        if forces and _is_gravity(scene, residuals):
-            return "gravity"
-        for law in _at_joints(scene) if forces else ():
-            pushes = np.array([_pushes(equations, law, evaluation) for evaluation in samples.evaluations])
-            if _explains(pushes, residuals):
-                return law.joint
-        return scene.mechanism.body_names[1 + int(np.argmax(largest))]
+        if forces and (other := _other_gravity(scene, residuals)) is not None:
+            return Cause("gravity", _instead(other, scene.gravity, "m/s^2"))
+        if forces and (found := _at_joint(samples, residuals)):
+            return found
+        return Cause(scene.mechanism.body_names[1 + int(np.argmax(largest))])
     return None
 
 
-def _is_gravity(scene: Scene, residuals: Array) -> bool:
-    """True if one change of gravity explains residuals (n, b - 1, 6) of several bodies."""
+def _other_gravity(scene: Scene, residuals: Array) -> Array | None:
+    """(3,) gravity, m/s^2, that explains residuals (n, b - 1, 6) of several bodies; None if none does."""
     mass = np.array([body.mass for body in scene.mechanism.bodies[1:]])
     other = np.einsum("nbi,b->i", residuals[..., :3], mass) / (len(residuals) * (mass @ mass))
     left = residuals.copy()
     left[..., :3] -= mass[:, None] * other
-    return bool(np.abs(left).max() < EXPLAINED * np.abs(residuals).max())
+    explains = np.abs(left).max() < EXPLAINED * np.abs(residuals).max()
+    return scene.gravity + other if explains else None
 
 
-def _at_joints(scene: Scene) -> tuple[OnCoordinate | OnBall, ...]:
-    """Control laws and springs of joints and of their balls."""
-    return (*scene.joint_forces, *(force for force in scene.forces if isinstance(force, OnBall)))
+def _at_joint(samples: Samples, residuals: Array) -> Cause | None:
+    """The joint whose control law or spring explains residuals (n, b - 1, 6), with the parameter if one does.
+
+    Where the scene has no spring there may be one, which one parameter has to explain.
+    """
+    scene = samples.states.scene
+    taken = {law.key for law in scene.forces if isinstance(law, OnCoordinate)}
+    absent = tuple(
+        JointSpring(joint.name, coordinate=k)
+        for joint in scene.mechanism.joints
+        for k in range(len(joint.coordinate_kinds))
+        if (joint.name, k) not in taken
+    )
+    probed = replace(scene, forces=(*scene.forces, *absent))
+    equations = Cartesian(probed)
+    own = (*scene.joint_forces, *(force for force in scene.forces if isinstance(force, OnBall)))
+    for law in (*own, *absent):
+        pushes = np.array([_pushes(equations, law, evaluation) for evaluation in samples.evaluations])
+        multiples = _multiples(pushes, residuals)
+        if multiples is not None:
+            places = [surroundings(probed, evaluation.state) for evaluation in samples.evaluations]
+            detail = _parameter(law, multiples, places)
+            if detail or law in own:
+                return Cause(law.joint, detail)
+    return None
 
 
-def _explains(pushes: Array, residuals: Array) -> bool:
-    """True if residuals (n, b - 1, 6) are sums of multiples of `pushes` (n, k, b - 1, 6), state by state."""
+def _multiples(pushes: Array, residuals: Array) -> Array | None:
+    """(n, k) multiples of `pushes` (n, k, b - 1, 6) that explain residuals (n, b - 1, 6), state by state."""
     flat = residuals.reshape(len(residuals), -1)
-    left = flat.copy()
+    left, found = flat.copy(), []
     for rest, pushed in zip(left, pushes.reshape(*pushes.shape[:2], -1), strict=True):
-        rest -= np.linalg.lstsq(pushed.T, rest)[0] @ pushed
-    return bool(np.abs(left).max() < EXPLAINED * np.abs(flat).max())
+        found.append(np.linalg.lstsq(pushed.T, rest)[0])
+        rest -= found[-1] @ pushed
+    return np.array(found) if np.abs(left).max() < EXPLAINED * np.abs(flat).max() else None
 
 
-def _pushes(equations: Cartesian, law: OnCoordinate | OnBall, found: Evaluation) -> Array:
+def _parameter(law: ForceAtJoint, forces: Array, places: Sequence[Surroundings]) -> str:
+    """The parameter of a law that alone explains forces (n, k) beside its own, and its value; or nothing."""
+    own = np.array([np.atleast_1d(law.at_joint(at)) for at in places])
+    for name in law.parameters:
+        value = getattr(law, name)
+        if not isinstance(value, float):
+            continue  # functions of time and rests of balls
+        more: ForceAtJoint = replace(law, **{name: value + 1.0})  # type: ignore[arg-type]
+        change = np.array([np.atleast_1d(more.at_joint(at)) for at in places]) - own
+        if not np.any(change):
+            continue
+        by = float(np.sum(change * forces) / np.sum(change * change))
+        if np.abs(forces - by * change).max() < EXPLAINED * np.abs(forces).max():
+            return f"{name} {_instead(np.array([value + by]), np.array([value]))}"
+    return ""
+
+
+def _instead(found: Array, own: Array, unit: str = "") -> str:
+    """Word numbers (n,) that residuals explain, and the scene's own."""
+    known = np.where(np.abs(found) > EXPLAINED * np.abs(found - own).max(), found, 0.0)
+    texts = (" ".join(f"{number:.4g}" for number in numbers) for numbers in (known, own))
+    return f"{' instead of '.join(texts)} {unit}".rstrip()
+
+
+def _pushes(equations: Cartesian, law: ForceAtJoint, found: Evaluation) -> Array:
     """(k, b - 1, 6) what one unit force of a law, or three of a ball, do to the bodies, as of `_residual`."""
     q, _ = equations.coordinates(found.state)
     frames = found.state.frames()

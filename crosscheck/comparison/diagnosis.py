@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from crosscheck.comparison.figure import FILE, LEVELS, OF_RUNS, READING, REFERENCE, Figure
+from crosscheck.comparison.figure import FILE, LEVELS, OF_RUNS, OPEN, READING, REFERENCE, Figure
 from crosscheck.comparison.known_figures import Measured
 from newton_euler.equations.redundancy import NearlyRedundant
 from newton_euler.integrators.compiled import FORMULATIONS
@@ -39,9 +39,10 @@ FAULTS = {
     "model": "{} model is wrong",
     "integration": "{} integration is at fault",
     "reading": "the reading of the file is wrong",
-    "redundancy": "what each makes of nearly redundant constraints is the difference: {}",
+    "softness": "{} constraints are too soft: {}",
+    "redundancy": "what each makes of nearly redundant constraints is the difference: {1}",
 }
-"""Blame in words, with the possessive of who is blamed."""
+"""Blame in words, with the possessive of who is blamed and the evidence."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +56,11 @@ class Diagnosis:
         within: the largest judged difference of those, m, rad or relative: of all levels if they agree in
             all figures, otherwise of this one. None of fewer than two.
         everywhere: whether those agree in all figures.
-        level, quantity, value, tolerance, where: of the first figure that fails.
+        level, quantity, value, tolerance, where, detail: of the first figure that fails.
         settled_by: "others", "nearness", "reference", or the quantity of the odd one's own that fails; "own"
             of several that fail by themselves.
         fault: a key of `FAULTS`; empty if nothing settles whose.
-        nearly: the nearly redundant constraints that are at fault, in words.
+        evidence: the nearly redundant constraints that are at fault, or how far soft ones open, in words.
     """
 
     odd: str
@@ -74,7 +75,8 @@ class Diagnosis:
     where: str
     settled_by: str = ""
     fault: str = ""
-    nearly: str = ""
+    evidence: str = ""
+    detail: str = ""
 
     def summary(self) -> dict[str, Any]:
         """For JSON; the engine of an odd formulation is named beside it."""
@@ -124,12 +126,13 @@ class Diagnosis:
         figure = f"{self.quantity}: {self.value:.3g} > {self.tolerance:.3g}"
         if self.level == REFERENCE:
             return f"against the reference: {figure}, {self.where}"
-        return f"at level '{self.level}': {figure}, worst at {self.where}"
+        detail = f": {self.detail}" if self.detail else ""
+        return f"at level '{self.level}': {figure}, worst at {self.where}{detail}"
 
     @property
     def blame(self) -> str:
         """The blame in words; empty if nothing settles it."""
-        return FAULTS[self.fault].format(self.nearly or f"{_named(self.odd)}'s") if self.fault else ""
+        return FAULTS[self.fault].format(f"{_named(self.odd)}'s", self.evidence) if self.fault else ""
 
 
 def _named(participant: str) -> str:
@@ -147,7 +150,7 @@ def diagnose(
     engines: Sequence[str],
     rows: Iterable[Figure],
     measured: Sequence[Measured] = (),
-    literal: Collection[str] = (),
+    soft: Collection[str] = (),
     nearly: Sequence[NearlyRedundant] = (),
 ) -> tuple[Diagnosis, ...]:
     """The first level at which any participant parts, then that of the rest without the odd one, and so on.
@@ -156,7 +159,7 @@ def diagnose(
         engines: their names, in the order of the comparison.
         rows: all figures.
         measured: figures that are known from elsewhere.
-        literal: engines whose soft constraints take nearly redundant ones as they are.
+        soft: engines whose constraints give way, and so take nearly redundant ones as they are.
         nearly: nearly redundant constraints of the scene.
     """
     shown = "; ".join(str(each) for each in nearly if each.singular_value > FELT)
@@ -166,8 +169,12 @@ def diagnose(
     found = []
     while (one := _first(names, judged, wrong)) is not None:
         # models agree where runs are the first to part
-        if shown and one.level in OF_RUNS and one.quantity != MOMENTUM and _blames(one, literal):
-            one = replace(one, fault="redundancy", nearly=shown)
+        if one.level in OF_RUNS and one.quantity != MOMENTUM:
+            opened = [row for row in judged if row.between == (one.odd,) and row.quantity == OPEN]
+            if shown and _blames(one, soft):
+                one = replace(one, fault="redundancy", evidence=shown)
+            elif one.odd in soft and not all(row.agrees for row in opened):
+                one = replace(one, fault="softness", evidence=_opening(opened[0]))
         found.append(one)
         if not one.odd:
             break
@@ -175,6 +182,12 @@ def diagnose(
     if not found and wrong:
         found.append(_against_reference(names, judged, measured))
     return tuple(found)
+
+
+def _opening(row: Figure) -> str:
+    """Word by how much joints come open in a run."""
+    joint, _, time = row.where.partition(" at ")
+    return f"{joint} opens by {row.value:.1e} (m or rad) at {time}"
 
 
 def _blames(found: Diagnosis, engines: Collection[str]) -> bool:
@@ -250,7 +263,9 @@ def _of_reading(names: Sequence[str], rows: Sequence[Figure]) -> Diagnosis | Non
     parted = _ordered(names, (name for row in failed for name in row.between if name != FILE))
     if len(parted) == 1 and len(compared) > 1:
         others = [name for name in compared if name not in parted]
-        return _diagnosis(parted[0], [*parted, FILE], [*others, FILE], failed[0], rows, "others")
+        # with its values, which is more than the reader of the file knows
+        own = [row for row in rows if row.detail and not row.agrees and parted[0] in row.between]
+        return _diagnosis(parted[0], [*parted, FILE], [*others, FILE], [*own, *failed][0], rows, "others")
     among = [row for row in rows if set(row.between) <= set(compared) and row.level not in OF_RUNS]
     if not all(row.agrees for row in among):
         return None
@@ -361,6 +376,7 @@ def _diagnosis(
         row.where,
         by,
         fault,
+        detail=row.detail,
     )
 
 

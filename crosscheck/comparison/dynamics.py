@@ -7,12 +7,12 @@ from functools import cache
 
 import numpy as np
 
-from crosscheck.comparison.blame import dynamic_cause
+from crosscheck.comparison.blame import Cause, dynamic_cause
 from crosscheck.comparison.figure import Figure, round_off
 from crosscheck.comparison.samples import Samples, States
 from newton_euler.scalars import Array
 
-Cause = Callable[[bool], str | None]
+Blamed = Callable[[bool], Cause | None]
 """What is to blame, forces in question or not."""
 
 
@@ -27,7 +27,7 @@ def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Ite
     states = first.states
 
     @cache
-    def cause(forces: bool) -> str | None:
+    def cause(forces: bool) -> Cause | None:
         return dynamic_cause(first, second, forces)
 
     if states.scene.control:
@@ -35,11 +35,16 @@ def dynamics_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Ite
         gap = np.abs(first.stack("actuator_force") - second.stack("actuator_force")) / units
         joint = states.scene.control[int(np.argmax(gap.max(axis=0)))].joint
         share = round_off(max(first.condition, second.condition), states.noise)
-        yield _row(pair, states, "actuator force, rel", gap, 1.0, share, lambda _: joint)
+
+        def of_actuator(forces: bool) -> Cause:
+            found = cause(forces)
+            return found if found and found.where == joint else Cause(joint)
+
+        yield _row(pair, states, "actuator force, rel", gap, 1.0, share, of_actuator)
     yield from motion_rows(pair, first, second, cause)
 
 
-def motion_rows(pair: tuple[str, str], first: Samples, second: Samples, cause: Cause) -> Iterator[Figure]:
+def motion_rows(pair: tuple[str, str], first: Samples, second: Samples, cause: Blamed) -> Iterator[Figure]:
     """Energies, and the free motion's inertia and force, of two systems with the same bodies."""
     states = first.states
     condition = max(first.condition, second.condition)
@@ -64,16 +69,16 @@ def _row(
     gap: Array,
     unit: float,
     tolerance: float,
-    cause: Cause,
+    cause: Blamed,
 ) -> Figure:
     """`gap` has a first axis of states; the cause is asked for where it fails."""
     worst = gap.reshape(len(states.all), -1).max(axis=1)
     value = float(worst.max()) / unit
-    where = states.name(int(np.argmax(worst)))
+    found = Cause(states.name(int(np.argmax(worst))))
     if not value <= tolerance:
         by_force = quantity not in ("kinetic energy, rel", "effective inertia, rel")
-        where = cause(by_force) or where
-    return Figure("dynamics", quantity, pair, value, tolerance, where)
+        found = cause(by_force) or found
+    return Figure("dynamics", quantity, pair, value, tolerance, found.where, detail=found.detail)
 
 
 def _apart(one: list[Array], two: list[Array], floor: float) -> tuple[Array, float]:

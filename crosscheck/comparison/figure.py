@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
@@ -54,6 +55,9 @@ ROUND_OFF = 1e-12
 each to 1e-16. Engines lose a fiftieth of it in the scenes of the library."""
 
 
+FEWEST_DIGITS, MOST_DIGITS = 4, 17
+"""Of values in words."""
+
 NOISE = 10.0
 """Difference that a nearly redundant constraint makes in units of its singular value: each form of the
 equations omits another combination of rows."""
@@ -80,6 +84,7 @@ class Figure:
         informs: a figure that says how an engine works and is not judged.
         unsettled: the engine whose error does not fall where its step or tolerance is refined, so that the
             figure is not judged; empty if there is none.
+        detail: the values that differ there, in words, as far as they are known.
     """
 
     level: str
@@ -90,6 +95,12 @@ class Figure:
     where: str
     informs: bool = False
     unsettled: str = ""
+    detail: str = ""
+
+    @property
+    def place(self) -> str:
+        """The place, and the values that differ there."""
+        return f"{self.where}: {self.detail}" if self.detail else self.where
 
     @property
     def agrees(self) -> bool:
@@ -102,6 +113,23 @@ class Figure:
         if self.tolerance > 0.0:
             return self.value / self.tolerance
         return 0.0 if self.value == 0.0 else self.value * np.inf
+
+
+def both_values(pair: tuple[str, str], one: ArrayLike, two: ArrayLike, unit: str) -> str:
+    """Word two different numbers or vectors, each after whose it is, in as many digits as they differ in.
+
+    Of matrices the rows that differ most.
+    """
+    values = np.array([np.atleast_1d(one), np.atleast_1d(two)], dtype=float)
+    if values.ndim == 3:
+        values = values[:, int(np.nanargmax(np.abs(values[0] - values[1]).max(axis=1)))]
+    values[np.abs(values) < ROUND_OFF * np.nanmax(np.abs(values))] = 0.0
+    texts: list[str] = []
+    for digits in range(FEWEST_DIGITS, MOST_DIGITS + 1):
+        texts = [" ".join(f"{number:.{digits}g}" for number in value) for value in values]
+        if texts[0] != texts[1]:
+            break
+    return f"{pair[0]} {texts[0]}, {pair[1]} {texts[1]} {unit}".rstrip()
 
 
 def worst_figure(
@@ -135,15 +163,17 @@ def not_judged(rows: Sequence[Figure]) -> str:
 
 
 def not_compared(rows: Sequence[Figure]) -> Iterator[str]:
-    """A line for each pair that parts: at which level, and that those after it were not compared."""
+    """A line for each level at which pairs part: those after it were not compared."""
     levels = ("model", START, *OF_EQUATIONS[1:], *OF_RUNS)
     pairs = (row.between for row in rows if len(row.between) == 2 and FILE not in row.between)
+    parted: dict[str, list[str]] = {}
     for between in dict.fromkeys(pairs):
         failed = [row for row in rows if row.between == between and not row.agrees]
-        if failed:
-            last = max(levels.index(row.level) for row in failed)
-            if last + 1 < len(levels):
-                yield f"{' and '.join(between)}: levels after {levels[last]!r} not compared"
+        last = max((levels.index(row.level) for row in failed), default=len(levels) - 1)
+        if last + 1 < len(levels):
+            parted.setdefault(levels[last], []).append(" and ".join(between))
+    for level, names in parted.items():
+        yield f"levels after {level!r} not compared: {'; '.join(names)}"
 
 
 def reach(scene: Scene, position: Array) -> float:

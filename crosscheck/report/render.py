@@ -131,8 +131,9 @@ def _least(table: Table, number: int) -> int:
     lines = [line for row in rows for line in _text(row[number]).split("\n")]
     words = column.heading.split()
     if not column.numeric:
+        lines += column.heading.split("\n")
         lines = [line if len(line) <= LEAST else max(line.split(), key=len) for line in lines]
-        most = max(map(len, [*lines, *words]), default=0)
+        most = max(map(len, lines), default=0)
         return min(LEAST if column.brief else LONGEST, most) + (INDENT if number == 0 else 0)
     heads = [min(HEAD, len(line)) for line in column.heading.split("\n")]
     return max([*map(len, [*lines, *words]), *heads])
@@ -172,8 +173,8 @@ def _rich_table(table: Table, width: int) -> RichTable:
         drawn.add_column(
             Text(_heading(table, number)),
             justify="right" if column.numeric else "left",
-            no_wrap=column.numeric,
-            overflow="fold",
+            no_wrap=column.numeric or column.brief,
+            overflow="ellipsis" if column.brief else "fold",
         )
     indent = INDENT if any(isinstance(row, str) for row in table.rows) else 0
     for row in table.rows:

@@ -111,7 +111,7 @@ def tables(result: Crosscheck) -> Iterator[Table]:
         yield Table(
             "where they part",
             texts("level", "quantity", "between", "worst at"),
-            [[row.level, row.quantity, ", ".join(row.between), row.where] for row in failed],
+            [[row.level, row.quantity, ", ".join(row.between), row.place] for row in failed],
         )
 
 

@@ -10,7 +10,10 @@ from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figu
 from crosscheck.run import Crosscheck
 
 MOST_NOTES = 3
-"""Of one line each; the others are counted."""
+"""Of one line each."""
+
+MOST_OF_FAILING = 1
+"""Where the verdict takes more lines."""
 
 FEW, MANY = 10.0, 1e4
 """Times a tolerance, between which they are counted in whole numbers."""
@@ -25,7 +28,8 @@ def summary(result: Crosscheck, notes: Sequence[str]) -> list[Part]:
     if result.trajectories:
         parts.append(engines_table(result))
     if notes:
-        parts.append(Lines("", list(notes[:MOST_NOTES]), brief=True))
+        most = MOST_NOTES if result.agrees else MOST_OF_FAILING
+        parts.append(Lines("", list(notes[:most]), brief=True))
     if result.advice:
         parts.append(Lines("", [f"advice, {advice}" for advice in result.advice]))
     return parts

@@ -60,36 +60,6 @@ def test_engines_can_be_chosen_and_the_recording_put_elsewhere(capsys, tmp_path,
     }
 
 
-def test_a_disagreement_is_status_1_and_names_the_place(capsys, tmp_path, good, monkeypatch):
-    import mjcf
-    from crosscheck import engines
-    from newton_euler.model.scene import Scene
-
-    def heavier(scene: Scene):
-        bodies = list(scene.mechanism.bodies)
-        bodies[2] = replace(bodies[2], mass=1.001 * bodies[2].mass)
-        return replace(
-            scene, mechanism=type(scene.mechanism)(bodies, scene.mechanism.joints), initial_state=None
-        )
-
-    mujoco = engines.ENGINES["mujoco"]
-    wrong = replace(
-        mujoco,
-        simulate=lambda scene: mjcf.simulate(heavier(scene)),
-        systems=lambda scene: mujoco.systems(heavier(scene)),
-        soft_start=None,
-    )
-    monkeypatch.setitem(engines.ENGINES, "mujoco", wrong)
-    path = scene_file(tmp_path, good)
-    status, out, _ = run(capsys, "run", path, "--output", tmp_path / "out")
-    assert status == 1
-    verdict = verdict_of(out)
-    assert verdict.startswith("DISAGREE: mujoco differs; newton_euler and pinocchio agree to ")
-    assert "(all figures); on four_bar at level 'model': mass, rel: 0.001 > 1e-12, worst at coupl" in verdict
-    assert "; mujoco's model is wrong (" in verdict
-    assert json.loads((tmp_path / "out" / "summary.json").read_text())["agrees"] is False
-
-
 def test_list_names_scenes_options_and_engines(capsys):
     status, out, _ = run(capsys, "list")
     assert status == 0

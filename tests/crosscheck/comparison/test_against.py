@@ -76,7 +76,7 @@ def first_failing(result: Against) -> tuple[str, str, str]:
     """Level, quantity and place of what the verdict names."""
     row = next(row for row in result.figures if not row.agrees)
     assert f"part at level '{row.level}': {row.quantity}: " in result.verdict
-    assert f"worst at {row.where} " in result.verdict
+    assert f"worst at {row.place} (" in result.verdict
     assert {r.level for r in result.figures if not r.agrees} == {row.level}  # none after it
     return row.level, row.quantity.removesuffix(", rel"), row.where
 
@@ -134,22 +134,33 @@ def test_one_number_of_the_file_is_found(
     wrong = edited(written_mjcf("c", sites=True), element, attribute, entry)
     result = compared(cut_at_b, read_mjcf(tmp_path, wrong))
     assert first_failing(result) == ("model", quantity, where)
+    values = re.search(r": a ([-\d. e]+), b ([-\d. e]+) (m|kg|in) ", result.verdict)
+    assert values is not None
+    assert values[1] != values[2]
+
+
+def rotor(scene: Scene) -> Scene:
+    return replace(scene, armatures=[Armature("motor", 2e-4)])
 
 
 @pytest.mark.parametrize(
-    ("fault", "quantity", "where"),
+    ("fault", "quantity", "where", "detail"),
     [
-        (plant.entry("control", 0, damping=0.05 * (1.0 + FAULT)), "actuator force", "motor"),
-        (plant.entry("control", 0, target=1.0 + FAULT), "actuator force", "motor"),
-        (plant.entry("forces", 1, damping=0.002 * (1.0 + FAULT)), "spring force", "elbow"),
-        (plant.gravity(np.array([0.0, 0.0, -9.81 * (1.0 + FAULT)])), "gravity", "gravity"),
-        (lambda s: replace(s, armatures=[Armature("motor", 1.0001e-4)]), "rotor momentum", "motor"),
-        (lambda s: replace(s, forces=s.forces[:2]), "spring force", "pivot"),
+        (plant.entry("control", 0, damping=0.0501), "actuator force", "motor", "damping a 0.05, b 0.0501"),
+        (plant.entry("control", 0, target=1.0001), "actuator force", "motor", "target a 1, b 1.0001"),
+        (plant.entry("forces", 1, damping=0.00201), "spring force", "elbow", "damping a 0.002, b 0.00201"),
+        (plant.gravity(np.array([0.0, 0.0, -9.82])), "gravity", "gravity", "a 0 0 -9.81, b 0 0 -9.82 m/s^2"),
+        (rotor, "rotor momentum", "motor", "inertia a 0.0001, b 0.0002"),
+        (lambda s: replace(s, forces=s.forces[:2]), "spring force", "pivot", "spring only in a"),
     ],
 )
-def test_terms_are_told_by_their_joint(linkage: Scene, fault: Plant, quantity: str, where: str) -> None:
+def test_terms_are_told_by_their_joint_with_their_values(
+    linkage: Scene, fault: Plant, quantity: str, where: str, detail: str
+) -> None:
     assert [force.joint for force in linkage.forces] == ["motor", "elbow", "pivot"]  # type: ignore[union-attr]
-    assert first_failing(compared(linkage, fault(linkage))) == ("dynamics", quantity, where)
+    result = compared(linkage, fault(linkage))
+    assert first_failing(result) == ("dynamics", quantity, where)
+    assert f"worst at {where}: {detail} (" in result.verdict
 
 
 def test_an_axis_that_points_the_other_way_is_the_same_hinge(linkage: Scene, tmp_path: Path) -> None:

@@ -13,7 +13,14 @@ from crosscheck.comparison.known_figures import Measured
 from crosscheck.each_run import Stop
 from crosscheck.references import Known
 from crosscheck.report.render import terminal
-from crosscheck.report.summary import MOST_NOTES, brief_settings, engines_table, levels_table, summary
+from crosscheck.report.summary import (
+    MOST_NOTES,
+    MOST_OF_FAILING,
+    brief_settings,
+    engines_table,
+    levels_table,
+    summary,
+)
 
 LINKAGE = Path(__file__).parents[3] / "examples" / "linkage.xml"
 
@@ -22,8 +29,15 @@ def result(rows=(), **more):
     """The parts of a crosscheck that its summary is made of."""
     engines = [SimpleNamespace(name=name) for name in ("newton_euler", "mujoco", "pinocchio")]
     scene = SimpleNamespace(description="a bar on a hinge", duration=2.0)
-    nothing = {"measured": (), "trajectories": {}, "unfinished": (), "off_by": {}, "advice": ()}
-    return SimpleNamespace(figures=rows, engines=engines, scene=scene, **nothing | more)
+    nothing = {
+        "measured": (),
+        "trajectories": {},
+        "unfinished": (),
+        "off_by": {},
+        "advice": (),
+        "agrees": True,
+    }
+    return SimpleNamespace(figures=rows, engines=engines, scene=scene, **nothing | {"agrees": True} | more)
 
 
 def figure(level, between, value, tolerance=1e-6, quantity="mass, rel", where="rod"):
@@ -89,6 +103,10 @@ def test_few_notes_are_shown_each_cut_to_a_line(monkeypatch):
     notes = [f"{letter * 70}" for letter in "abcdef"]
     shown = terminal(summary(result([figure("model", ("newton_euler", "mujoco"), 0.0)]), notes)).splitlines()
     assert shown[-MOST_NOTES:] == [letter * 59 + "…" for letter in "abcdef"[:MOST_NOTES]]
+    failing = terminal(
+        summary(result([figure("model", ("newton_euler", "mujoco"), 1.0)], agrees=False), notes)
+    )
+    assert failing.count("…") == MOST_OF_FAILING
 
 
 @pytest.mark.parametrize("arguments", [("tracker",), ("linkage.xml", "--set", "key=go")])

@@ -169,7 +169,7 @@ def test_a_wrong_figure_is_status_1(capsys, tmp_path, monkeypatch):
     assert status == 1
     verdict = verdict_of(out)
     assert verdict.startswith(
-        "DISAGREE: newton_euler and the reference part; on pendulum against the reference: y: 0.00092 > "
+        "DISAGREE: newton_euler and the reference part; against the reference: y: 0.00092 > "
     )
     assert verdict.endswith("(2 of 10 known figures fail)")
 
@@ -212,7 +212,7 @@ def test_a_scene_that_does_not_run_is_a_line(tmp_path, monkeypatch):
     monkeypatch.setattr(run_all, "load", breaks)
     found = outcome("pendulum", ("newton_euler",), tmp_path)
     assert not found.agrees
-    assert found.verdict == "pendulum did not run: internal error: ZeroDivisionError: nothing there"
+    assert found.verdict == "did not run: internal error: ZeroDivisionError: nothing there"
 
 
 OUTCOMES = [
@@ -244,7 +244,7 @@ def test_the_table_of_the_library():
     assert bad == ["bad", "all", "", "", "", "3.0e-08 > 1e-08", "2.0", "FAILS"]
     assert list(outcome_lines(OUTCOMES)) == [
         "good: mujoco left out: no gears",
-        "DISAGREE: bad parts",
+        "bad: DISAGREE: bad parts",
         "FAILS: 1 of 2 scenes: bad",
     ]
     assert list(outcome_lines(OUTCOMES[:1]))[-1] == "AGREE: all 1 scenes"

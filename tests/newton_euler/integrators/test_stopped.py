@@ -211,7 +211,7 @@ def test_what_stops_on_other_equations_is_the_odd_one(capsys, monkeypatch, tmp_p
     status, verdict, summary = pendulum_run(capsys, monkeypatch, tmp_path, simulate=stopping, systems=systems)
     assert status == UNFINISHED
     assert "by joint 'crank'; as far as compared newton_euler differs; its own momentum balance" in verdict
-    assert "on pendulum at level 'model': mass, rel: 0.000999 > 1e-12, worst at dumbbell; " in verdict
+    assert "; at level 'model': mass, rel: 0.000999 > 1e-12, worst at dumbbell: " in verdict
     (diagnosis,) = summary["diagnosis"]
     assert (diagnosis["engine"], diagnosis["level"], diagnosis["fault"]) == ("newton_euler", "model", "model")
 
