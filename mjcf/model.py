@@ -13,8 +13,9 @@ from mjcf.write import controls, welded_to_xml
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.system import MassProperties, Observation
 from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
-from newton_euler.model.spanning_tree import weld_loops
+from newton_euler.model.spanning_tree import coordinate_name, weld_loops
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
 
@@ -52,6 +53,13 @@ class CompiledScene:
         self.data: Any = mujoco.MjData(self.model)
         self._restore_inertias()
         self._turn_springs()
+        self._sensed, driven = scene.sensed, self.model.actuator_trnid[: len(scene.control), 0]
+        others = [
+            self.model.joint(coordinate_name(self.mechanism.joint(joint), k)).id
+            for joint, k in self._sensed[len(driven) :]
+        ]
+        joints = np.array([*driven, *others], dtype=int)
+        self._sensed_q, self._sensed_v = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
         self.actuate()
 
     def _restore_inertias(self) -> None:
@@ -102,18 +110,17 @@ class CompiledScene:
 
     def actuate(self) -> None:
         """Give MuJoCo's actuators the controls of the scene's laws at `time`."""
-        self.data.ctrl[:] = controls(self.scene, self.time)
+        self.data.ctrl[:] = controls(self.scene, self.time, self.readings(self.data))
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Coordinate (m or rad) and rate of each control law, where MuJoCo's actuators have theirs."""
+        """Coordinates (m or rad) and rates of `Scene.sensed`, where MuJoCo's actuators have theirs."""
         self.place(q, v)
-        return list(zip(*self.read_measured(), strict=True))
+        return list(self.readings(self.data).values())
 
-    def read_measured(self) -> tuple[Array, Array]:
-        """Coordinates (a,) of the control laws (m or rad) and their rates (a,), at MuJoCo's state."""
-        model = self.model
-        driven = model.actuator_trnid[: len(self.scene.control), 0]
-        return self.data.qpos[model.jnt_qposadr[driven]], self.data.qvel[model.jnt_dofadr[driven]]
+    def readings(self, data: Any) -> dict[Key, tuple[float, float]]:
+        """Coordinates (m or rad) and rates of `Scene.sensed` at MuJoCo's state."""
+        x, x_rate = data.qpos[self._sensed_q], data.qvel[self._sensed_v]
+        return dict(zip(self._sensed, zip(x, x_rate, strict=True), strict=True))
 
     def state(self, q: Array, v: Array) -> State:
         """Body poses and velocities by MuJoCo's kinematics."""

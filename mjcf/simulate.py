@@ -17,7 +17,7 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import blamed, surroundings
 from newton_euler.errors import OptionError, UnknownNameError, check_type
 from newton_euler.integrators.options import MOST_FIXED_STEPS
-from newton_euler.integrators.sampling import Interval, holding, intervals, sample
+from newton_euler.integrators.sampling import Controllers, Interval, holding, intervals
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory
 from newton_euler.scalars import Array
@@ -209,6 +209,7 @@ def _run(
     size = plan[0][1][0].size
     work = 0.0 if system.scene.tracks_work else None
     rows: list[Output] = []
+    controllers = Controllers(system.scene)
 
     def record() -> None:
         rows.append(Output(system, layout.to_qpos.T @ data.qpos, layout.to_qvel.T @ data.qvel, size, work))
@@ -217,7 +218,8 @@ def _run(
         for interval, steps in plan:
             if interval.due:
                 try:
-                    forces = sample(interval.due, float(interval.times[0]), *system.read_measured())
+                    readings = np.array([*system.readings(data).values()])
+                    forces = controllers.sample(interval.due, float(interval.times[0]), readings)
                 except IntegrationError as error:
                     return rows, error
                 system = holding(system, forces)

@@ -27,8 +27,9 @@ from scipy.integrate import simpson
 
 from mjcf.evaluate import evaluation
 from mjcf.model import CompiledScene
+from mjcf.write import control
 from newton_euler.equations.system import Evaluation
-from newton_euler.model.control import DrivenLaws
+from newton_euler.model.control import PD, DeclaredLaw, DrivenLaws
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
@@ -46,7 +47,8 @@ class SoftMuJoCo(CompiledScene):
 
     Attributes:
         moved: (m,) places in MuJoCo's velocities of the joint coordinates that follow prescribed motions.
-        driven: the laws that depend on time.
+        driven: the PD laws that depend on time.
+        evaluated: declared laws that no actuator of MuJoCo's is, by their numbers.
     """
 
     name = "mujoco"
@@ -58,6 +60,11 @@ class SoftMuJoCo(CompiledScene):
         self._motions = np.arange(first, first + len(scene.motions))  # the first of the couplings
         self.moved = self.model.jnt_dofadr[self.model.eq_obj1id[self._motions]]
         self.driven = DrivenLaws(scene.control)
+        self.evaluated = {
+            k: law
+            for k, law in enumerate(scene.control)
+            if isinstance(law, DeclaredLaw) and not isinstance(law, PD)
+        }
         # of the evaluations in a step; shared by copies of this object, one of which MuJoCo calls
         self._asked: list[tuple[Array, Array]] = []
         self._stages: list[Array] = []
@@ -81,7 +88,7 @@ class SoftMuJoCo(CompiledScene):
 
     @contextmanager
     def following(self) -> Iterator[None]:
-        """Within it MuJoCo's actuators and joints follow the scene's functions of time.
+        """Within it MuJoCo's actuators follow the scene's laws, and joints its functions of time.
 
         Each of MuJoCo's evaluations, those of the stages of RK4 too, gets the controls at its own time. What
         is held for a step instead would be of second order at best, and its power would jump.
@@ -95,7 +102,7 @@ class SoftMuJoCo(CompiledScene):
 
             a_ref = f'' - b (dx/dt - f') - k d (x - f).
         """
-        if not len(self.moved) and not len(self.driven.places):
+        if not len(self.moved) and not len(self.driven.places) and not self.evaluated:
             yield
             return
         before = mujoco.get_mjcb_control()
@@ -107,6 +114,10 @@ class SoftMuJoCo(CompiledScene):
 
     def _act(self, model: Any, data: Any) -> None:
         """Callback of MuJoCo in each evaluation."""
+        if self.evaluated:
+            readings = self.readings(data)
+            for k, law in self.evaluated.items():
+                data.ctrl[k] = control(law, data.time, readings)
         if len(self.driven.places):  # of the others those that are sampled have changed since
             data.ctrl[self.driven.places] = self.driven.at(data.time)
         if len(self.moved):

@@ -47,7 +47,7 @@ def compiled(scene: Scene) -> SoftMuJoCo:
     """The scene in MuJoCo with everything off that it does not need.
 
     Raises:
-        MjcfError: for a prescribed motion.
+        MjcfError: for a prescribed motion, and for a control law that is no PD.
     """
     for motion in scene.motions:
         raise MjcfError(
@@ -55,6 +55,8 @@ def compiled(scene: Scene) -> SoftMuJoCo:
             "and its tight loops call no Python to make one"
         )
     system = SoftMuJoCo(scene)
+    for law in system.evaluated.values():
+        raise MjcfError(f"{law.element}: no actuator of MuJoCo's, and its tight loops call no Python")
     disabled = [*UNUSED, *(() if scene.forces else PASSIVE), *(() if np.any(scene.gravity) else ("GRAVITY",))]
     flags = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in disabled)
     system.model.opt.disableflags = sum(flags)
@@ -243,7 +245,7 @@ class Rollout:
 
 def _held(scene: Scene, steps: int, step: float) -> Array:
     """(steps, nu) controls in the middle of each step, s, which is of second order for driven laws."""
-    return np.array([controls(scene, (n + 0.5) * step) for n in range(steps)])
+    return np.array([controls(scene, (n + 0.5) * step, {}) for n in range(steps)])
 
 
 def _of_scene(system: SoftMuJoCo, position: Array, quaternion: Array) -> tuple[Array, Array]:

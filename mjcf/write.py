@@ -5,8 +5,8 @@ The mechanism's ground is MuJoCo's world body. Loops close at `<connect>` and `<
 constraints, rods are tendons that an equality holds at their length, gears and screws are equalities of
 joints. MuJoCo has no equality that depends on time: where a motion is prescribed, the file holds the
 joint where it begins, and `mjcf.simulate` moves it. PD laws become native `<position>` actuators,
-sampled controllers `<motor>`s, whose control is the force. The control of a law that depends on time is all
-of its force that no gain makes; `mjcf.soft` changes it. For springs and wrenches see `mjcf.forces`.
+all other control laws `<motor>`s, whose control is the force. The control of a PD law that depends on time
+is all of its force that no gain makes. `mjcf.soft` changes both. For springs and wrenches see `mjcf.forces`.
 The keyframe `start` holds the initial state with targets and held forces, so a stock viewer runs the
 scene once it loads the key.
 """
@@ -33,7 +33,8 @@ from mjcf.layout import Layout, number, numbers
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
 from newton_euler.errors import check_type
-from newton_euler.model.control import Law, Sampled
+from newton_euler.model.control import PD, Readings
+from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
 from newton_euler.model.geometry import Box, Shape
 from newton_euler.model.joint import Key, Pose
@@ -350,7 +351,7 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
     mechanism = scene.mechanism
     for law in scene.control:
         name = coordinate_name(mechanism.joint(law.joint), law.coordinate)
-        if isinstance(law, Sampled):
+        if not isinstance(law, PD):
             ET.SubElement(actuator, "motor", name=name, joint=name)
             continue
         if law.damping < 0.0:
@@ -370,18 +371,20 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
         root.append(actuator)
 
 
-def controls(scene: Scene, time: float) -> list[float]:
-    """Return the ctrl of MuJoCo's actuators at a time in s, see `_control`; 1 for wrenches."""
-    return [_control(law, time) for law in scene.control] + [1.0] * len(wrenches(scene))
+def controls(scene: Scene, time: float, readings: Readings) -> list[float]:
+    """Return the ctrl of MuJoCo's actuators at a time in s, see `control`; 1 for wrenches."""
+    return [control(law, time, readings) for law in scene.control] + [1.0] * len(wrenches(scene))
 
 
-def _control(law: Law, time: float) -> float:
-    """A held force (N or N m), the part of a driven law that no gain makes, or a target (m or rad)."""
-    if isinstance(law, Sampled):
+def control(law: Law, time: float, readings: Readings) -> float:
+    """A force (N or N m), the part of a driven PD law that no gain makes, or a target (m or rad)."""
+    if isinstance(law, HeldLaw):
         return law.held
+    if not isinstance(law, PD):
+        return float(law.towards(law.references(time), readings, time))
     if law.is_driven:
         return float(law.force(0.0, 0.0, time))
-    return float(law.target_at(time)[0])
+    return float(law.references(time)[law.key].value)
 
 
 def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
@@ -391,7 +394,9 @@ def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
     if len(q):
         attributes["qpos"] = numbers(layout.to_qpos @ q)
         attributes["qvel"] = numbers(layout.to_qvel @ v)
-    if ctrl := controls(scene, 0.0):
+    places = {key: welded.tree.place(*key) for key in scene.sensed}
+    readings = {key: (q[place[0]], v[place[1]]) for key, place in places.items() if place}
+    if ctrl := controls(scene, 0.0, readings):
         attributes["ctrl"] = numbers(ctrl)
     if len(resting := rests(scene, welded.tree, layout)):
         attributes["plastic"] = numbers(resting)

@@ -12,8 +12,9 @@ from newton_euler.assemble import assemble, initial_state, start
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.compound_joint import Compound
-from newton_euler.model.control import PD, Sampled
+from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.couplings import Gear, LinearCoupling
+from newton_euler.model.digital_control import Digital, Sampled
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint_kinds import (
     Cylindrical,
@@ -45,6 +46,7 @@ __all__ = [
     "Body",
     "Compound",
     "Cylindrical",
+    "Digital",
     "Fixed",
     "Free",
     "Gear",
@@ -69,6 +71,7 @@ __all__ = [
     "Sine",
     "Spherical",
     "State",
+    "StateFeedback",
     "Sum",
     "Trajectory",
     "Translational",

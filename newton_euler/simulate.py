@@ -32,7 +32,7 @@ from newton_euler.integrators.options import (
     StepControl,
 )
 from newton_euler.integrators.run import load
-from newton_euler.integrators.sampling import holding, integrate_sampled, intervals, sample
+from newton_euler.integrators.sampling import Controllers, holding, integrate_sampled, intervals
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -248,11 +248,13 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     rows: list[tuple[System, float, Array, Array]] = []
     counts = Counter(steps=0, evaluations=0)
     stopped: IntegrationError | None = None
+    controllers = Controllers(scene)
     for interval in intervals(scene):
         if interval.due:
-            x, x_rate = np.array(system.measure(q, v), dtype=float).T
+            readings = np.array(system.measure(q, v), dtype=float)
             try:
-                system = holding(system, sample(interval.due, float(interval.times[0]), x, x_rate))
+                forces = controllers.sample(interval.due, float(interval.times[0]), readings)
+                system = holding(system, forces)
             except IntegrationError as error:
                 stopped = error
                 break

@@ -113,8 +113,8 @@ MISTAKES = {
     ),
     "positive feedback, erratum 2": (
         "newton_euler/model/control.py",
-        "return self.feedforward_at(time) - (self.stiffness",
-        "return self.feedforward_at(time) + (self.stiffness",
+        "force = force - (k_p",
+        "force = force + (k_p",
         "newton_euler/equations/test_systems.py",
     ),
     "Baumgarte's gains swapped, erratum 1": (

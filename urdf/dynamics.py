@@ -96,10 +96,13 @@ class PinocchioSystem:
         self._closures = Closures(self.closed, self.map, length)
         self._rows = Rows(self.closed, self.map, self._couplings, length)
         self.phi_units = np.concatenate([self._closures.units, self._rows.units])
-        self._laws = JointLaws(scene.joint_forces)
-        places = [self._tree.place(law.joint, law.coordinate) for law in scene.joint_forces]  # none is cut
-        on = np.array(places, dtype=int).reshape(-1, 2)
-        self._actuated_q, self._actuated_v = on.T
+        acting = [law.key for law in scene.joint_forces]
+        keys = acting + [key for key in scene.sensed if key not in acting]
+        self._laws = JointLaws(scene.joint_forces, keys)
+        on = np.array([self._tree.place(*key) for key in keys], dtype=int).reshape(-1, 2)  # none is cut
+        self._measured_q, self._measured_v = on.T
+        self._actuated_v = self._measured_v[: len(acting)]
+        self._sensed = [keys.index(key) for key in scene.sensed]
         self._alpha = alpha
         self._eliminates = bool(len(self._rows.units)) or mobility(scene).residual > 0.0
         self._moving = bool(self._forces) or self._eliminates
@@ -163,12 +166,13 @@ class PinocchioSystem:
         return np.concatenate([self._tree.retract(q, step), q[self._work]])
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Coordinate (m or rad) and rate of each control law."""
-        return list(zip(*self._measured(q, v), strict=True))[: len(self.scene.control)]
+        """Coordinates (m or rad) and rates of `Scene.sensed`."""
+        x, rate = self._measured(q, v)
+        return list(zip(x[self._sensed], rate[self._sensed], strict=True))
 
     def _measured(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Coordinates (a,), m or rad, and rates of `Scene.joint_forces`."""
-        return q[self._actuated_q], v[self._actuated_v]
+        """Coordinates, m or rad, and rates of `Scene.joint_forces`, then of others that laws read."""
+        return q[self._measured_q], v[self._measured_v]
 
     def actuation(self, q: Array, v: Array) -> Array:
         """Forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""

@@ -14,8 +14,10 @@ import pinocchio as pin
 
 from newton_euler.model.balls import ends, spin_rate
 from newton_euler.model.constraints import Frame
-from newton_euler.model.control import DrivenLaws, Law, Sampled
+from newton_euler.model.control import PD, DrivenLaws, StateFeedback
+from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.forces import BallArmature, BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 from newton_euler.scalars import Array
@@ -26,50 +28,64 @@ ZERO = np.zeros(3)
 class JointLaws:
     """Springs and control laws on joint coordinates, in the order of `Scene.joint_forces`.
 
-    All are f = u_0 - (K_p (x - x_0) + K_d dx/dt), eq. (23) with the sign that makes it stable, and are
-    evaluated together; u_0 of a spring is 0, and a sampled controller has u_0 alone. Of laws that depend on
-    time, u_0 has all that no gain makes, and x_0 is 0.
+    Springs and PD laws are f = u_0 - (K_p (x - x_0) + K_d dx/dt), eq. (23) with the sign that makes it
+    stable, and are evaluated together; u_0 of a spring is 0. Of laws that depend on time, u_0 has all that no
+    gain makes, and x_0 is 0.
     """
 
-    def __init__(self, laws: Sequence[Law | JointSpring]) -> None:
+    def __init__(self, laws: Sequence[Law | JointSpring], keys: Sequence[Key]) -> None:
+        """`keys` are the joint coordinates of these laws, in their order, then others that they read."""
+        self._places = {key: keys.index(key) for key in keys}
         self._stiffness, self._damping, self._rest, self._constant = np.zeros((4, len(laws)))
         self._is_spring = np.array([isinstance(law, JointSpring) for law in laws], dtype=bool)
         self._driven = DrivenLaws(laws)
-        self._sampled = [k for k, law in enumerate(laws) if isinstance(law, Sampled)]
+        self._others = [k for k, law in enumerate(laws) if not isinstance(law, PD | JointSpring)]
         for k, law in enumerate(laws):
-            if isinstance(law, Sampled):
+            if not isinstance(law, PD | JointSpring):
                 continue
             self._stiffness[k], self._damping[k] = law.stiffness, law.damping
             if isinstance(law, JointSpring):
                 self._rest[k] = law.rest
             elif not law.is_driven:
-                self._rest[k], self._constant[k] = law.target_at(0.0)[0], law.feedforward_at(0.0)
+                self._rest[k], self._constant[k] = law.references(0.0)[law.key].value, law.feedforward_at(0.0)
 
     def force(self, laws: Sequence[Law | JointSpring], x: Array, rate: Array, time: float) -> Array:
         """Compute forces (a,), N or N m.
 
         Args:
             laws: with the forces that sampled controllers hold at present.
-            x, rate: (a,) joint coordinates, m or rad, and their rates.
+            x, rate: joint coordinates of `keys`, m or rad, and their rates.
             time: s.
         """
-        force = self._constant - (self._stiffness * (x - self._rest) + self._damping * rate)
+        at, rates = x[: len(laws)], rate[: len(laws)]
+        force = self._constant - (self._stiffness * (at - self._rest) + self._damping * rates)
         if len(self._driven.places):
             force[self._driven.places] += self._driven.at(time)
-        for k in self._sampled:
+        for k in self._others:
             law = laws[k]
-            assert isinstance(law, Sampled)
-            force[k] = law.held
+            if isinstance(law, StateFeedback):
+                force[k] = self._feedback(law, x, rate, time)
+            else:
+                assert isinstance(law, HeldLaw)
+                force[k] = law.held
+        return force
+
+    def _feedback(self, law: StateFeedback, x: Array, rate: Array, time: float) -> float:
+        force = float(law.feedforward_at(time))
+        for key, wanted in law.references(time).items():
+            k, (k_p, k_d) = self._places[key], law.feedback[key]
+            force += k_p * (wanted.value - x[k]) + k_d * (wanted.rate - rate[k])
         return force
 
     def power(self, laws: Sequence[Law | JointSpring], x: Array, rate: Array, time: float) -> float:
         """Compute the power, W, of control laws and dampers; arguments as of `force`."""
-        force = np.where(self._is_spring, -self._damping * rate, self.force(laws, x, rate, time))
-        return float(force @ rate)
+        rates = rate[: len(laws)]
+        force = np.where(self._is_spring, -self._damping * rates, self.force(laws, x, rate, time))
+        return float(force @ rates)
 
     def energy(self, x: Array) -> float:
-        """Compute the energy of the springs, J, at joint coordinates x (a,)."""
-        stretch = (x - self._rest)[self._is_spring]
+        """Compute the energy of the springs, J, at joint coordinates x of `keys`."""
+        stretch = (x[: len(self._rest)] - self._rest)[self._is_spring]
         return float(0.5 * self._stiffness[self._is_spring] @ (stretch * stretch))
 
 

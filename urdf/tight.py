@@ -18,7 +18,7 @@ from numpy.lib.stride_tricks import as_strided
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import couplings
 from newton_euler.equations.system import at_time
-from newton_euler.model.control import PD, Sampled
+from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.scene import Scene
@@ -137,7 +137,7 @@ def _checked_equations(system: PinocchioSystem) -> Equations:
 def _outside(scene: Scene) -> list[str]:
     """Name what is not gravity, a closure of Pinocchio's or an affine law of joint coordinates."""
     found = [force.element for force in scene.forces if not isinstance(force, JointSpring)]
-    found += [law.element for law in scene.control if isinstance(law, PD) and law.is_driven]
+    found += [law.element for law in scene.control if not isinstance(law, PD) or law.is_driven]
     found += [f"joint {joint.name!r}" for joint in scene.mechanism.joints if isinstance(joint, Rod)]
     return found + [f"{coupling.what} {coupling.name!r}" for coupling in couplings(scene)]
 
@@ -151,7 +151,7 @@ def _laws(scene: Scene, system: PinocchioSystem) -> tuple[Array, Array]:
     for law in scene.joint_forces:
         place = tree.place(law.joint, law.coordinate)
         assert place is not None  # only balls are ever cut
-        assert not isinstance(law, Sampled)  # sampled controllers are not benchmarked
+        assert isinstance(law, PD | JointSpring)
         row = order_v.index(place[1])
         gains[row, order_q.index(place[0])] -= law.stiffness
         gains[row, tree.nq + row] -= law.damping

@@ -36,7 +36,7 @@ from newton_euler.equations.applied_forces import body_wrenches, surroundings
 from newton_euler.equations.couplings import Coupling, couplings
 from newton_euler.equations.dense import orthonormal_range
 from newton_euler.model.constraints import Frame
-from newton_euler.model.control import Law
+from newton_euler.model.digital_control import Law
 from newton_euler.model.elements import OnBall, OnCoordinate
 from newton_euler.model.euler_parameters import angle_between, rotation, rotations
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring

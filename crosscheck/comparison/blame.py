@@ -27,7 +27,7 @@ from newton_euler.equations.system import Evaluation
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.projection import project_position
 from newton_euler.model.balls import SPIN, ends
-from newton_euler.model.control import Law
+from newton_euler.model.digital_control import Law
 from newton_euler.model.elements import OnBall, OnCoordinate, Surroundings
 from newton_euler.model.forces import BallSpring, JointSpring
 from newton_euler.model.mechanism import Mechanism

@@ -9,7 +9,7 @@ prescribed motions go 1.1 times as far.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
@@ -20,8 +20,9 @@ from newton_euler.equations.couplings import Coupling, couplings, residuals
 from newton_euler.equations.parameters import numbered, parameter_values, with_values
 from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Frame, Jacobian
-from newton_euler.model.control import Sampled
+from newton_euler.model.control import ControlLaw
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
+from newton_euler.model.digital_control import Controller, Digital, HeldLaw, Law, Sampled
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint import Joint, JointEquations
 from newton_euler.model.joint_kinds import Fixed, Screw
@@ -75,7 +76,7 @@ def elements(scene: Scene) -> Iterator[Element]:
             yield replace(element, body=(k, what))
     for field in ("control", "forces", "armatures"):
         for k, acting in enumerate(getattr(scene, field)):
-            if isinstance(acting, Sampled):
+            if isinstance(acting, HeldLaw):
                 yield Element(f"actuator {acting.where}", partial(_with_controller, number=k), ())
             for what, attributes in acting.strengths.items():
                 if any(np.any(getattr(acting, attribute)) for attribute in attributes):
@@ -93,10 +94,22 @@ def _of_values(scene: Scene, name: str, what: str, number: int, *attributes: str
 def _with_controller(scene: Scene, number: int) -> Scene:
     """A scene with a sampled controller whose force is `MORE` times what it was."""
     law = scene.control[number]
-    assert isinstance(law, Sampled)
-    own = law.controller
-    stronger = replace(law, controller=lambda time, x, x_rate: MORE * own(time, x, x_rate))
+    if isinstance(law, Sampled):
+        own = law.controller
+        stronger: Law = replace(law, controller=lambda time, x, x_rate: MORE * own(time, x, x_rate))
+    else:
+        assert isinstance(law, Digital)
+        stronger = _Stronger(*(getattr(law, each.name) for each in fields(law) if each.init))
     return replace(scene, control=(*scene.control[:number], stronger, *scene.control[number + 1 :]))
+
+
+@dataclass(frozen=True)
+class _Stronger(Digital):
+    """A digital law whose force is `MORE` times what it was, beyond its limits too."""
+
+    def controller_of(self, laws: Sequence[ControlLaw]) -> Controller:
+        own = super().controller_of(laws)
+        return lambda time, x, x_rate: MORE * own(time, x, x_rate)
 
 
 def _constraints(scene: Scene) -> Iterator[Element]:

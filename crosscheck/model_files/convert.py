@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from crosscheck.errors import CrosscheckError
-from newton_euler.model.control import PD, Sampled
+from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.scene import Scene
 from newton_euler.verification.import_report import CONTROL, FORCE, ROTOR, ImportReport
@@ -57,8 +57,8 @@ def write_as(scene: Scene, path: Path, report: ImportReport) -> list[Path]:
         for law in scene.control:
             if isinstance(law, PD) and law.is_driven:
                 report.left_out(law.element, "MJCF has no function of time; its control is that of the start")
-            elif isinstance(law, Sampled):
-                report.left_out(law.element, "a controller in Python; a motor in its place")
+            elif not isinstance(law, PD):
+                report.left_out(law.element, "MJCF has PD laws alone; a motor with the force of the start")
         report.left_out("duration and outputs", "an MJCF has none")
         return [path]
     import urdf

@@ -9,7 +9,8 @@ import numpy as np
 
 from crosscheck.comparison.figure import OPEN, POSES
 from crosscheck.comparison.runs import orientations_apart, positions_apart
-from newton_euler.model.control import PD
+from newton_euler.model.control import DeclaredLaw
+from newton_euler.model.digital_control import Digital
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
@@ -108,7 +109,8 @@ def _coordinates(scene: Scene) -> list[Key]:
 def _motion_plots(scene: Scene, trajectories: dict[str, Trajectory]) -> Iterator[Plot]:
     """Joint coordinates with their targets, and the tilt of a platform."""
     mechanism = scene.mechanism
-    targets = {(law.joint, law.coordinate): law.target for law in scene.control if isinstance(law, PD)}
+    declared = [law.law if isinstance(law, Digital) else law for law in scene.control]
+    targets = {law.key: law.target for law in declared if isinstance(law, DeclaredLaw)}
     for key in _coordinates(scene)[:MOST_COORDINATES]:
         name, slides = coordinate_name(mechanism.joint(key[0]), key[1]), mechanism.is_slide(*key)
         moved = {e: replace(run, mechanism=mechanism).joint(key[0]) for e, run in trajectories.items()}

@@ -10,7 +10,8 @@ import numpy as np
 from crosscheck.errors import CrosscheckError
 from mjcf.write import TIMESTEP
 from newton_euler.limits import exceeded
-from newton_euler.model.control import PD, Law
+from newton_euler.model.control import PD
+from newton_euler.model.digital_control import Law
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, TimeFunction
 from newton_euler.model.scene import Scene

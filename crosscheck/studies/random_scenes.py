@@ -20,8 +20,9 @@ from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import AssemblyError
 from newton_euler.integrators.projection import ROUND_OFF, project_position, project_velocity
-from newton_euler.model.control import PD, Law
+from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear
+from newton_euler.model.digital_control import Law
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.forces import BallArmature, BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Joint

@@ -23,7 +23,8 @@ def surroundings(scene: Scene, state: State, time: float = 0.0) -> Surroundings:
     """
     mechanism, frames = scene.mechanism, state.frames()
     measured = {}
-    for joint, k in {each.key for each in (*scene.joint_forces, *scene.armatures) if not each.on_ball}:
+    acting = {each.key for each in (*scene.joint_forces, *scene.armatures) if not each.on_ball}
+    for joint, k in acting.union(scene.sensed):
         equations = mechanism.joint_equations(joint)
         first, second = frames[equations.first], frames[equations.second]
         coordinate = equations.coordinates[k]

@@ -208,7 +208,7 @@ class Cartesian(Formulation):
             for body, wrench in zip(self.mechanism.bodies, applied, strict=True)
         ]
         measured = self.measured(q, qdot)
-        for law, u in zip(self.scene.joint_forces, self.joint_forces(measured), strict=True):
+        for law, u in zip(self.scene.joint_forces, self.joint_forces(q, qdot), strict=True):
             (r_i, theta_i, r_j, theta_j), driven = measured[law.key].jacobian, self.between[law.key]
             for body, r, theta in ((driven.first, r_i, theta_i), (driven.second, r_j, theta_j)):
                 wrenches[body] = wrenches[body] + u * np.concatenate([r[0], theta[0]])

@@ -102,7 +102,7 @@ def couplings(scene: Scene) -> tuple[Coupling, ...]:
 
 def needed_coordinates(scene: Scene, couplings: Sequence[Coupling]) -> list[Key]:
     """List the joint coordinates that forces and couplings of a scene depend on, each once."""
-    forces = [force.key for force in scene.joint_forces]
+    forces = [*(force.key for force in scene.joint_forces), *scene.sensed]
     coupled = [key for coupling in couplings for key in coupling.factors]
     return list(dict.fromkeys([*forces, *coupled]))
 

@@ -316,15 +316,15 @@ class Formulation(System):
     # Forces on joint coordinates, and the power
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Compute the coordinate (m or rad) and its rate of each control law."""
+        """Compute the coordinates (m or rad) that control laws act on or read, and their rates."""
         measured = self.measured(q, v)
-        return [measured[law.key][:2] for law in self.scene.control]
+        return [measured[key][:2] for key in self.scene.sensed]
 
-    def joint_forces(self, measured: Mapping[Key, Sequence[Any]]) -> Iterator[Scalar]:
+    def joint_forces(self, q: Array, v: Array) -> Iterator[Scalar]:
         """Compute the forces of control laws and of springs on joint coordinates, N or N m."""
+        at = self.seen(q, v)
         for law in self.scene.joint_forces:
-            x, rate = measured[law.key][:2]
-            yield law.force(x, rate, self.time)
+            yield law.at_joint(at)
 
     def seen(self, q: Array, v: Array) -> Surroundings:
         """Compute what the forces depend on."""
@@ -428,7 +428,6 @@ class Formulation(System):
         return self._evaluation(q, v, vdot, multipliers), solution.pivot_ratio
 
     def _evaluation(self, q: Array, v: Array, vdot: Array, multipliers: Array) -> Evaluation:
-        at = self.seen(q, v)
         bodies = self.body_accelerations(q, v, vdot)
         forces, torques = self.reactions(q, v, vdot, bodies, multipliers)
         return Evaluation(
@@ -437,5 +436,5 @@ class Formulation(System):
             angular_acceleration=bodies[1],
             reaction_force=forces,
             reaction_torque=torques,
-            actuator_force=np.array(list(self.joint_forces(at.measured))[: len(self.scene.control)]),
+            actuator_force=np.array(list(self.joint_forces(q, v))[: len(self.scene.control)]),
         )

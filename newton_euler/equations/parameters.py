@@ -6,6 +6,7 @@ A parameter has a name and a value of the shape that the scene has there:
 - `JOINT.stiffness`, `JOINT.damping`, `JOINT.target`, `JOINT.feedforward` of the control law at a joint,
   `JOINT.1.target` for its second coordinate; of a target or a feedforward that is a function of time, all
   that it is linear in: coefficients of polynomials, amplitude and offset of sines, one after the other;
+- `JOINT.gains` of the state feedback at a joint, (K_p, K_d) of each coordinate that it reads, in their order;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
   `JOINT.1.spring.rest` for its second coordinate;
 - `JOINT.ball.stiffness`, `JOINT.ball.damping`, `JOINT.ball.rest` of the spring of a joint's ball;
@@ -31,7 +32,7 @@ import numpy as np
 
 from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import MechanismError, UnknownNameError
-from newton_euler.model.control import Law
+from newton_euler.model.digital_control import Law
 from newton_euler.model.mechanism import Body
 from newton_euler.model.motions import Polynomial, Sine, Sum, TimeFunction
 from newton_euler.model.scene import Scene
@@ -105,6 +106,8 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
             value = getattr(parts[what][k], attribute)
             if isinstance(value, TimeFunction):
                 value = _linear(value)
+            elif isinstance(value, Mapping):
+                value = list(value.values())
         values[name] = np.asarray(value, dtype=float)
     return values
 
@@ -159,6 +162,8 @@ def _substitute(scene: Scene, values: Mapping[str, Any], change: Callable[..., A
             own = getattr(parts[what][k], attribute)
             if isinstance(own, TimeFunction):
                 value = _with_linear(own, list(value), change)
+            elif isinstance(own, Mapping):
+                value = dict(zip(own, value, strict=True))
             parts[what][k] = change(parts[what][k], **{attribute: value})
     mechanism = _altered(scene.mechanism, bodies=tuple(parts.pop("bodies")))
     for what, elements in parts.items():

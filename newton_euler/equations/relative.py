@@ -73,7 +73,7 @@ class Relative(TreeKinematics):
     def actuation(self, q: Array, v: Array) -> Array:
         """Compute the share (nv,) of control laws and springs on joint coordinates in f."""
         measured, generalized = self.measured(q, v), zeros(self.nv, q, v)
-        for law, u in zip(self.scene.joint_forces, self.joint_forces(measured), strict=True):
+        for law, u in zip(self.scene.joint_forces, self.joint_forces(q, v), strict=True):
             for k, entry in measured[law.key].jacobian.items():
                 generalized[k] += entry * u
         return generalized
@@ -210,7 +210,7 @@ class Relative(TreeKinematics):
         """Compute forces and torques (j, 3) of joints about their points, on the second bodies."""
         frames, measured, (linear, angular) = self.frames(q, v), self.measured(q, v), bodies
         laws = [law.key for law in self.scene.joint_forces]
-        joint_forces = list(zip(laws, self.joint_forces(measured), strict=True))
+        joint_forces = list(zip(laws, self.joint_forces(q, v), strict=True))
         couples = []
         for armature in self.scene.armatures:
             if armature.on_ball:

@@ -109,7 +109,7 @@ class System(Protocol):
         """Compute body poses and velocities by this system's own kinematics."""
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
-        """Compute the coordinate (m or rad) and its rate of each control law."""
+        """Compute the coordinates (m or rad) and rates of `Scene.sensed`."""
 
     def rate(self, q: Array, v: Array) -> Array:
         """Compute qdot (nq,)."""

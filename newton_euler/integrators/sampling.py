@@ -15,7 +15,7 @@ from newton_euler.errors import is_finite_number
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.run import Integrator
-from newton_euler.model.control import Sampled
+from newton_euler.model.digital_control import HeldLaw
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
@@ -35,7 +35,7 @@ class Interval(NamedTuple):
             belongs to that: at a sampling instant the new force holds already.
     """
 
-    due: tuple[Sampled, ...]
+    due: tuple[HeldLaw, ...]
     times: Array
     wanted: Array
 
@@ -60,36 +60,42 @@ def intervals(scene: Scene) -> Iterator[Interval]:
         begin, due = stop, [k for k, law in enumerate(laws) if upcoming[k] - stop < SAME * law.period]
 
 
-def _instant(law: Sampled, number: int, outputs: Array) -> float:
+def _instant(law: HeldLaw, number: int, outputs: Array) -> float:
     """Return the time of the call of a controller with that number, from 0; an output time is met exactly."""
     time, slack = number * law.period, SAME * law.period
     k = int(np.searchsorted(outputs, time - slack))
     return float(outputs[k]) if k < len(outputs) and outputs[k] < time + slack else time
 
 
-def sample(due: tuple[Sampled, ...], time: float, x: Array, x_rate: Array) -> dict[str, float]:
-    """Call controllers, and return their forces (N or N m) by the names of `equations.parameters`.
+class Controllers:
+    """The controllers of a scene in one run."""
 
-    Args:
-        due: laws of the controllers.
-        time: s.
-        x, x_rate: (a,) coordinates of all control laws of the scene (m or rad) and their rates.
+    def __init__(self, scene: Scene) -> None:
+        self._controllers = {law.key: law.controller_of(scene.control) for law in scene.sampled}
 
-    Raises:
-        IntegrationError: for a controller that fails, or returns something else than a finite number.
-    """
-    forces = {}
-    for law in due:
-        try:
-            force = law.controller(time, x.copy(), x_rate.copy())
-        except Exception as error:
-            reason = f"controller of joint {law.joint!r} failed: {type(error).__name__}: {error}"
-            raise IntegrationError(time, _one_line(reason)) from error
-        if not is_finite_number(force):
-            reason = f"controller of joint {law.joint!r} returned {force!r:.200}"
-            raise IntegrationError(time, _one_line(reason))
-        forces[f"{law.prefix}.held"] = float(force)
-    return forces
+    def sample(self, due: tuple[HeldLaw, ...], time: float, readings: Array) -> dict[str, float]:
+        """Call controllers, and return their forces (N or N m) by the names of `equations.parameters`.
+
+        Args:
+            due: laws of the controllers.
+            time: s.
+            readings: (s, 2) coordinates of `Scene.sensed` (m or rad) and their rates.
+
+        Raises:
+            IntegrationError: for a controller that fails, or returns something else than a finite number.
+        """
+        forces = {}
+        for law in due:
+            try:
+                force = self._controllers[law.key](time, *readings.T.copy())
+            except Exception as error:
+                reason = f"controller of joint {law.joint!r} failed: {type(error).__name__}: {error}"
+                raise IntegrationError(time, _one_line(reason)) from error
+            if not is_finite_number(force):
+                reason = f"controller of joint {law.joint!r} returned {force!r:.200}"
+                raise IntegrationError(time, _one_line(reason))
+            forces[f"{law.prefix}.held"] = float(force)
+        return forces
 
 
 def _one_line(text: str) -> str:
@@ -138,10 +144,11 @@ def integrate_sampled(code: Code, x: Array, options: Options) -> NativeRun:
     start = time.perf_counter()
     parts: list[dict[str, Array]] = []
     total: Counter[str] = Counter()
+    controllers = Controllers(code.scene)
     for interval in intervals(code.scene):
-        seen = np.split(code.function("measured")(x), 2)
+        readings = code.function("measured")(x).reshape(2, -1).T
         try:
-            forces = sample(interval.due, float(interval.times[0]), *seen)
+            forces = controllers.sample(interval.due, float(interval.times[0]), readings)
         except IntegrationError as error:
             stopped = error
             break

@@ -1,21 +1,40 @@
-"""Control laws: declared ones, which every engine takes into its own equations, and sampled ones."""
+"""Control laws that are declared: every engine evaluates them at each state and time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
-from newton_euler.model.elements import CoordinateForce
-from newton_euler.model.mechanism import Mechanism
+from newton_euler.errors import MechanismError, check_key, finite_array, set_numbers
+from newton_euler.model.elements import CoordinateForce, Surroundings
+from newton_euler.model.joint import Key
+from newton_euler.model.mechanism import Mechanism, check_coordinate
 from newton_euler.model.motions import Polynomial, Sine, TimeFunction, terms
-from newton_euler.scalars import Array, Floats, Scalar
+from newton_euler.scalars import Array, Scalar
 
 DRIVEN = ("target", "feedforward")
 """Attributes of laws that may be functions of time."""
+
+Readings = Mapping[Key, Sequence[Any]]
+"""Joint coordinates (m or rad), their rates, and further values that are not used here."""
+
+
+class Reference(NamedTuple):
+    """The wanted value of a joint coordinate, m or rad, and its first and second derivatives by time."""
+
+    value: Scalar
+    rate: Scalar
+    acceleration: Scalar
+
+
+def reference(target: float | TimeFunction, time: Scalar) -> Reference:
+    """Return a target at a time in s."""
+    if isinstance(target, TimeFunction):
+        return Reference(target.value(time), target.rate(time), target.acceleration(time))
+    return Reference(target, 0.0, 0.0)
 
 
 class ControlLaw(CoordinateForce):
@@ -29,9 +48,63 @@ class ControlLaw(CoordinateForce):
         if not mechanism.joint(self.joint).actuated:
             raise MechanismError(self.element, "the joint is not actuated", "an actuated joint")
 
+    @property
+    def reads(self) -> tuple[Key, ...]:
+        """The joint coordinates that the law depends on."""
+        return (self.key,)
+
+
+class DeclaredLaw(ControlLaw):
+    """A control law that is a function of joint coordinates, their rates and time.
+
+    Attributes:
+        target: of its own coordinate, m or rad from the initial pose.
+    """
+
+    target: float | TimeFunction
+    feedforward: float | TimeFunction
+
+    @property
+    def is_driven(self) -> bool:
+        """True if the law depends on time."""
+        return any(isinstance(getattr(self, name), TimeFunction) for name in DRIVEN)
+
+    @property
+    def feedback(self) -> Mapping[Key, tuple[float, float]]:
+        """Gains (K_p, K_d), SI, of the coordinates that it reads."""
+        raise NotImplementedError
+
+    @property
+    def reads(self) -> tuple[Key, ...]:
+        return tuple(self.feedback)
+
+    def _set_numbers(self, names: Sequence[str]) -> None:
+        functions = [name for name in DRIVEN if isinstance(getattr(self, name), TimeFunction)]
+        set_numbers(self, self.element, [name for name in names if name not in functions])
+
+    def references(self, time: Scalar) -> dict[Key, Reference]:
+        """Return the wanted values of the coordinates that it reads, at a time in s."""
+        return {self.key: reference(self.target, time)}
+
+    def feedforward_at(self, time: Scalar) -> Scalar:
+        """Return u_0 (N or N m) at a time in s."""
+        u_0 = self.feedforward
+        return u_0.value(time) if isinstance(u_0, TimeFunction) else u_0
+
+    def towards(self, references: Mapping[Key, Reference], readings: Readings, time: Scalar) -> Scalar:
+        """Compute the force (N or N m) at some readings, where other values may be wanted than its own."""
+        force = self.feedforward_at(time)
+        for key, (k_p, k_d) in self.feedback.items():
+            r, (x, x_rate) = references[key], readings[key][:2]
+            force = force - (k_p * (x - r.value) + k_d * (x_rate - r.rate))
+        return force
+
+    def at_joint(self, at: Surroundings) -> Scalar:
+        return self.towards(self.references(at.time), at.measured, at.time)
+
 
 @dataclass(frozen=True)
-class PD(ControlLaw):
+class PD(DeclaredLaw):
     """u = u_0 - (K_p e + K_d de/dt) with e = x - r, eq. (23) with the sign that makes it stable.
 
     Attributes:
@@ -63,89 +136,103 @@ class PD(ControlLaw):
     strengths: ClassVar = {"actuator": ("stiffness", "damping", "feedforward")}
 
     def __post_init__(self) -> None:
-        where = self.element
-        functions = [name for name in DRIVEN if isinstance(getattr(self, name), TimeFunction)]
-        set_numbers(self, where, [name for name in self.parameters if name not in functions])
-        check_key(where, self.joint, self.coordinate)
+        self._set_numbers(self.parameters)
+        check_key(self.element, self.joint, self.coordinate)
 
     @property
-    def is_driven(self) -> bool:
-        """True if the law depends on time."""
-        return any(isinstance(getattr(self, name), TimeFunction) for name in DRIVEN)
-
-    def target_at(self, time: Scalar) -> tuple[Scalar, Scalar]:
-        """Return r (m or rad) and its rate at a time in s."""
-        r = self.target
-        return (r.value(time), r.rate(time)) if isinstance(r, TimeFunction) else (r, 0.0)
-
-    def feedforward_at(self, time: Scalar) -> Scalar:
-        """Return u_0 (N or N m) at a time in s."""
-        u_0 = self.feedforward
-        return u_0.value(time) if isinstance(u_0, TimeFunction) else u_0
+    def feedback(self) -> Mapping[Key, tuple[float, float]]:
+        return {self.key: (self.stiffness, self.damping)}
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        r, r_rate = self.target_at(time)
-        return self.feedforward_at(time) - (self.stiffness * (x - r) + self.damping * (x_rate - r_rate))
-
-
-Controller = Callable[[float, Floats, Floats], float]
-"""time (s), coordinates (a,) and their rates (a,) of all laws of the scene, in order -> force, N or N m."""
-
-
-SHORTEST_PERIOD = 1e-6
-"""s; no digital controller is quicker, and Python would be called a million times a second."""
+        return self.towards(self.references(time), {self.key: (x, x_rate)}, time)
 
 
 @dataclass(frozen=True)
-class Sampled(ControlLaw):
-    """A controller in discrete time: called at its period, its force held in between.
+class StateFeedback(DeclaredLaw):
+    """u = u_0 - sum_j (K_pj (x_j - r_j) + K_dj (dx_j/dt - dr_j/dt)) over several joint coordinates.
 
     Attributes:
         joint: name of the joint it drives.
-        controller: a `Controller`; one with a state of its own has to begin anew at time 0, because a
-            scene may be run several times.
-        period: s between its calls, at least `SHORTEST_PERIOD`; the first is at time 0.
-        coordinate: which of the joint's coordinates, from 0.
-        held: N or N m, the force at present.
+        gains: (K_pj, K_dj) of each coordinate that it reads, by the name of the joint, or by (name, number)
+            for another one than the joint's first; SI.
+        target: r of its own coordinate, m or rad from the initial pose, or a function of time for that.
+        coordinate: which of the joint's coordinates it drives, from 0.
+        feedforward: u_0 in N or N m, a number or a function of time.
+        targets: r_j of other coordinates, by the same names; 0 if not given.
 
     Raises:
         MechanismError: naming the joint and the value at fault.
 
     Examples:
-        >>> law = Sampled("hinge", lambda time, x, x_rate: -2.0 * x[0], period=0.01)
-        >>> law.period
-        0.01
+        >>> law = StateFeedback("rail", {"rail": (10.0, 2.0), "pole": (-50.0, -8.0)})
+        >>> readings = {("rail", 0): (0.1, 0.0), ("pole", 0): (0.02, 0.0)}
+        >>> law.towards(law.references(0.0), readings, 0.0)  # N
+        0.0
     """
 
     joint: str
-    controller: Controller
-    period: float
+    gains: Mapping[str | Key, tuple[float, float]]
+    target: float | TimeFunction = 0.0
     coordinate: int = 0
-    held: float = 0.0
+    feedforward: float | TimeFunction = 0.0
+    targets: Mapping[str | Key, float | TimeFunction] = ()  # type: ignore[assignment]
 
-    parameters = ()
-    strengths: ClassVar = {}
+    parameters = ("gains", "target", "feedforward")
+    strengths: ClassVar = {"actuator": ("gains", "feedforward")}
 
     def __post_init__(self) -> None:
         where = self.element
-        if not callable(self.controller):
-            raise MechanismError(where, f"controller is {self.controller!r}", "something to call")
-        if not is_finite_number(self.period) or self.period < SHORTEST_PERIOD:
-            needed = f"a number of seconds, at least {SHORTEST_PERIOD:g}"
-            raise MechanismError(where, f"period is {self.period!r}", needed)
-        object.__setattr__(self, "period", float(self.period))
+        self._set_numbers(DRIVEN)
         check_key(where, self.joint, self.coordinate)
+        gains = {key: (float(k_p), float(k_d)) for key, (k_p, k_d) in self._by_key("gains", (2,)).items()}
+        targets = self._by_key("targets", ())
+        for key in targets:
+            if key not in gains or key == self.key:
+                needed = "targets of other coordinates that have gains; its own is target"
+                raise MechanismError(where, f"targets has {key[0]!r}", needed)
+        object.__setattr__(self, "gains", gains)
+        object.__setattr__(self, "targets", targets)
 
-    def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
-        """Return the force (N or N m) that is held."""
-        return self.held
+    def _by_key(self, name: str, shape: tuple[int, ...]) -> dict[Key, Any]:
+        """Return an attribute by joint coordinates, checked."""
+        given: Any = getattr(self, name) or {}
+        if not isinstance(given, Mapping):
+            raise MechanismError(self.element, f"{name} is {given!r:.100}", "a mapping from names of joints")
+        found: dict[Key, Any] = {}
+        for place, value in given.items():
+            key = place if isinstance(place, tuple) and len(place) == 2 else (place, 0)
+            check_key(f"{name} of {self.element}", *key)
+            if shape or not isinstance(value, TimeFunction):
+                value = finite_array(self.element, f"{name} of joint {key[0]!r}", value, shape).tolist()
+            found[key] = value
+        return found
+
+    def check(self, mechanism: Mechanism) -> None:
+        super().check(mechanism)
+        for joint, coordinate in self.reads:
+            if joint not in mechanism.joint_names:
+                needed = f"names out of {', '.join(mechanism.joint_names)}"
+                raise MechanismError(self.element, f"gains has {joint!r:.100}", needed)
+            check_coordinate(self.element, mechanism.joint(joint), coordinate)
+
+    @property
+    def feedback(self) -> Mapping[Key, tuple[float, float]]:
+        gains: Any = self.gains  # names are keys by now
+        return gains
+
+    def references(self, time: Scalar) -> dict[Key, Reference]:
+        targets = {**self.targets, self.key: self.target}
+        return {key: reference(targets.get(key, 0.0), time) for key in self.reads}
 
 
-Law = PD | Sampled
+def sensed(laws: Sequence[ControlLaw]) -> tuple[Key, ...]:
+    """List the joint coordinates that laws act on, in their order, then others that they read."""
+    own, others = [law.key for law in laws], [key for law in laws for key in law.reads]
+    return tuple(dict.fromkeys([*own, *others]))
 
 
 class DrivenLaws:
-    """The laws that depend on time among others, all sines at once, for engines that Python evaluates.
+    """The PD laws that depend on time among others, all sines at once, for engines that Python evaluates.
 
     Without feedback, at x = 0 and dx/dt = 0, their force is w = u_0 + K_p r + K_d dr/dt.
 

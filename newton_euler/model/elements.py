@@ -231,8 +231,7 @@ class CoordinateForce(OnCoordinate, AppliedForce):
         return self.force(*self.measure(at), at.time)
 
     def powers(self, at: Surroundings) -> Iterator[Scalar]:
-        x, rate = self.measure(at)
-        yield self.force(x, rate, at.time) * rate
+        yield self.at_joint(at) * self.measure(at)[1]
 
     def magnitude(self, at: Surroundings) -> float:
         slides = at.mechanism.is_slide(*self.key)

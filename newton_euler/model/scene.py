@@ -10,11 +10,13 @@ from typing import Literal, get_args
 import numpy as np
 
 from newton_euler.errors import MechanismError, check_choice, elements_of, is_finite_number, set_arrays
-from newton_euler.model.control import Law, Sampled
+from newton_euler.model.control import sensed
 from newton_euler.model.description import ArrayField, description
+from newton_euler.model.digital_control import Digital, HeldLaw, Law, Sampled
 from newton_euler.model.elements import CoordinateForce, OnBall, check_elements
 from newton_euler.model.forces import Armature, BallArmature, Force, JointSpring
 from newton_euler.model.geometry import UNIT_TOLERANCE
+from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
 from newton_euler.model.motions import PrescribedMotion
 from newton_euler.model.state import State
@@ -201,9 +203,14 @@ class Scene:
         raise MechanismError(f"ground {ground.name!r}", problem, "the ground's own pose, at rest")
 
     @property
-    def sampled(self) -> tuple[Sampled, ...]:
-        """The sampled controllers among the control laws."""
-        return tuple(law for law in self.control if isinstance(law, Sampled))
+    def sampled(self) -> tuple[Sampled | Digital, ...]:
+        """The control laws in discrete time."""
+        return tuple(law for law in self.control if isinstance(law, HeldLaw))
+
+    @property
+    def sensed(self) -> tuple[Key, ...]:
+        """The joint coordinates that control laws act on, in their order, then others that they read."""
+        return sensed(self.control)
 
     @cached_property
     def joint_forces(self) -> tuple[Law | JointSpring, ...]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from newton_euler.model.control import PD, Law
+from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -47,7 +47,7 @@ class Wrenches:
         """Add all forces of a scene but gravity, at time 0."""
         for law in scene.joint_forces:
             first, second, rows, x, rate = self._coordinate(*law.key)
-            push = _law(law, x, rate) * rows
+            push = self._law(law, x, rate) * rows
             self._add(first, push[:3], push[3:6])
             self._add(second, push[6:9], push[9:])
         for force in scene.forces:
@@ -61,6 +61,18 @@ class Wrenches:
                     turn = self._turn(body) if force.frame == "body" else np.eye(3)
                     pull, torque = turn @ force.force, turn @ force.torque
                     self._add(body, pull, torque + np.cross(self._arm(body, force.point), pull))
+
+    def _law(self, law: Law | JointSpring, x: float, rate: float) -> float:
+        """Compute the force of a law on a joint coordinate, N or N m, at time 0."""
+        if isinstance(law, JointSpring):
+            return law.stiffness * (law.rest - x) - law.damping * rate
+        if isinstance(law, HeldLaw):
+            return law.held
+        force = float(law.feedforward_at(0.0))
+        for key, (k_p, k_d) in law.feedback.items():
+            wanted, (*_, x, rate) = law.references(0.0)[key], self._coordinate(*key)
+            force += k_p * (wanted.value - x) + k_d * (wanted.rate - rate)
+        return force
 
     def _coordinate(self, joint: str, coordinate: int) -> tuple[int, int, Array, float, float]:
         """Return the bodies of a joint, the Jacobian (12,) of a coordinate, its value and its rate."""
@@ -118,13 +130,3 @@ class Wrenches:
             push = -armature.inertia * (float(rows @ rates) - gamma) * rows
             self._add(i, push[:3], push[3:6])
             self._add(j, push[6:9], push[9:])
-
-
-def _law(law: Law | JointSpring, x: float, rate: float) -> float:
-    """Compute the force of a law on a joint coordinate, N or N m, at time 0."""
-    if isinstance(law, JointSpring):
-        return law.stiffness * (law.rest - x) - law.damping * rate
-    if isinstance(law, PD):
-        r, r_rate = law.target_at(0.0)
-        return float(law.feedforward_at(0.0) + law.stiffness * (r - x) + law.damping * (r_rate - rate))
-    return law.held

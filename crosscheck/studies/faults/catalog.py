@@ -11,7 +11,8 @@ import numpy as np
 from crosscheck.studies.faults import plant
 from crosscheck.studies.faults.plant import Plant
 from newton_euler.equations.couplings import couplings
-from newton_euler.model.control import PD, Sampled
+from newton_euler.model.control import PD
+from newton_euler.model.digital_control import HeldLaw
 from newton_euler.model.elements import OnBodies
 from newton_euler.model.joint import Joint, perpendicular_pair
 from newton_euler.model.motions import TimeFunction, scaled
@@ -142,7 +143,7 @@ def _of_joints(scene: Scene, size: float) -> Iterator[Fault]:
 def _of_forces(scene: Scene, size: float) -> Iterator[Fault]:
     for field in ("control", "forces"):
         for index, force in enumerate(getattr(scene, field)):
-            if isinstance(force, OnBodies | Sampled):
+            if isinstance(force, OnBodies | HeldLaw):
                 continue
             detail = "" if field == "control" else "spring of its ball" if force.on_ball else "spring"
             for name, kind in VALUES.items():

@@ -7,7 +7,7 @@ others and for rigid; loops are left open or closed elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -19,10 +19,11 @@ from crosscheck.studies.faults.catalog import SKEW, Fault, bodies_at, mistaken, 
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.compound_joint import Compound
-from newton_euler.model.control import PD, Law, Sampled
+from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
+from newton_euler.model.digital_control import Law
 from newton_euler.model.elements import OnBodies, OnCoordinate
-from newton_euler.model.forces import Force, Wrench
+from newton_euler.model.forces import BallSpring, Force, JointSpring, Wrench
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import Fixed
 from newton_euler.model.motions import TimeFunction, scaled
@@ -144,6 +145,8 @@ def _of_force(scene: Scene, field: str, index: int, force: Law | Force) -> Itera
     """Values, points and frames of a force or a law."""
     for name in force.parameters:
         value = getattr(force, name)
+        if isinstance(value, Mapping):
+            continue  # files have no gains of other coordinates
         if name in PLACES and _is_slack(force):
             continue
         for what, factor in FACTORS.items() if np.any(value) else ():
@@ -172,7 +175,7 @@ def _of_force(scene: Scene, field: str, index: int, force: Law | Force) -> Itera
 
 def _is_slack(force: Law | Force) -> bool:
     """True of a force or a law that rests anywhere."""
-    return not isinstance(force, OnBodies | Sampled) and not force.stiffness
+    return isinstance(force, PD | JointSpring | BallSpring) and not force.stiffness
 
 
 def _of_value(field: str, index: int, force: Law | Force, name: str, what: str, value: object) -> Fault:

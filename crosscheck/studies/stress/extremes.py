@@ -24,7 +24,8 @@ from crosscheck.studies.stress.runs import (
     symmetric_top,
     top_error,
 )
-from newton_euler.model.control import PD, Controller, Sampled
+from newton_euler.model.control import PD
+from newton_euler.model.digital_control import Controller, Sampled
 from newton_euler.model.forces import JointSpring, Wrench
 from newton_euler.model.joint_kinds import Prismatic
 from newton_euler.model.mechanism import Body, Mechanism

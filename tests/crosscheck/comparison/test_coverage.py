@@ -20,7 +20,8 @@ from crosscheck.engines import choose
 from crosscheck.scenes import load
 from crosscheck.studies.stress.noise import flat_four_bar
 from newton_euler.model.compound_joint import Compound
-from newton_euler.model.control import PD, Sampled
+from newton_euler.model.control import PD
+from newton_euler.model.digital_control import Sampled
 from newton_euler.model.euler_parameters import angle_between
 from newton_euler.model.forces import Armature, JointSpring
 from newton_euler.model.joint_kinds import Revolute

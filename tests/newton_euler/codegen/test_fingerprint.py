@@ -17,7 +17,7 @@ from crosscheck.scenes import SCENES, load
 from newton_euler.codegen.cache import CACHE_VARIABLE
 from newton_euler.codegen.fingerprint import PACKAGE, fingerprint
 from newton_euler.integrators.compiled import NEUTRAL, Code
-from newton_euler.model.control import Sampled
+from newton_euler.model.digital_control import Sampled
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.motions import PrescribedMotion, Sine
 

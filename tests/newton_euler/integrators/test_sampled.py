@@ -21,7 +21,8 @@ from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import OptionError
 from newton_euler.integrators.options import Options
-from newton_euler.model.control import PD, Sampled
+from newton_euler.model.control import PD
+from newton_euler.model.digital_control import Sampled
 from newton_euler.model.joint_kinds import Translational
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.scene import Scene

@@ -1,0 +1,212 @@
+"""Control laws in discrete time: their force is held from one sampling instant to the next."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from numbers import Integral
+from typing import ClassVar
+
+import numpy as np
+
+from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
+from newton_euler.model.control import PD, ControlLaw, DeclaredLaw, Reference, StateFeedback, sensed
+from newton_euler.model.joint import Key
+from newton_euler.scalars import Array, Floats, Scalar
+
+Controller = Callable[[float, Floats, Floats], float]
+"""time (s), coordinates (a,) and their rates (a,) of all laws of the scene, in order -> force, N or N m.
+
+Coordinates that other laws read, and that have none of their own, come after these."""
+
+
+SHORTEST_PERIOD = 1e-6
+"""s; no digital controller is quicker, and Python would be called a million times a second."""
+
+
+class HeldLaw(ControlLaw):
+    """A control law that is called at its period; its force is held in between.
+
+    Attributes:
+        period: s between its calls, at least `SHORTEST_PERIOD`; the first is at time 0.
+        held: N or N m, the force at present.
+    """
+
+    period: float
+    held: float
+
+    parameters = ()
+    strengths: ClassVar = {}
+
+    def _check_period(self) -> None:
+        if not is_finite_number(self.period) or self.period < SHORTEST_PERIOD:
+            needed = f"a number of seconds, at least {SHORTEST_PERIOD:g}"
+            raise MechanismError(self.element, f"period is {self.period!r}", needed)
+        object.__setattr__(self, "period", float(self.period))
+
+    def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
+        """Return the force (N or N m) that is held."""
+        return self.held
+
+    def controller_of(self, laws: Sequence[ControlLaw]) -> Controller:
+        """Return what is called in one run of a scene with these laws; its state is that of time 0."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Sampled(HeldLaw):
+    """A controller in discrete time: called at its period, its force held in between.
+
+    Attributes:
+        joint: name of the joint it drives.
+        controller: a `Controller`; one with a state of its own has to begin anew at time 0, because a
+            scene may be run several times.
+        period: s between its calls, at least `SHORTEST_PERIOD`; the first is at time 0.
+        coordinate: which of the joint's coordinates, from 0.
+        held: N or N m, the force at present.
+
+    Raises:
+        MechanismError: naming the joint and the value at fault.
+
+    Examples:
+        >>> law = Sampled("hinge", lambda time, x, x_rate: -2.0 * x[0], period=0.01)
+        >>> law.period
+        0.01
+    """
+
+    joint: str
+    controller: Controller
+    period: float
+    coordinate: int = 0
+    held: float = 0.0
+
+    def __post_init__(self) -> None:
+        where = self.element
+        if not callable(self.controller):
+            raise MechanismError(where, f"controller is {self.controller!r}", "something to call")
+        self._check_period()
+        check_key(where, self.joint, self.coordinate)
+
+    def controller_of(self, laws: Sequence[ControlLaw]) -> Controller:
+        return self.controller
+
+
+@dataclass(frozen=True)
+class Digital(HeldLaw):
+    """A declared law as a computer executes it, with the limits of its encoder and its actuator.
+
+    At each of its instants t_k it reads the coordinates, computes the law's force for set-points within the
+    stroke, limits it, and then its change since the instant before; `delay` samples later the actuator has
+    it. Before its first force arrives the actuator's is 0, and so is the one that the first change counts
+    from. An encoder reads the nearest multiple of its resolution, and rates are differences of its readings
+    over the period, 0 at the first instant; without an encoder's resolution both are read as they are. Where
+    a law reads coordinates of others, their encoders and strokes are those of the laws there.
+
+    Attributes:
+        law: the declared law.
+        period: s between its calls, at least `SHORTEST_PERIOD`; the first is at time 0.
+        delay: whole samples from reading to acting.
+        resolution: of the encoder, m or rad; 0 for exact readings.
+        force_limit: N or N m, the largest magnitude.
+        slew_limit: N/s or N m/s, the largest rate of the force.
+        stroke: least and largest set-point, m or rad from the initial pose; at either end its rate is 0.
+        held: N or N m, the force at present.
+        joint, coordinate: those of the law.
+
+    Raises:
+        MechanismError: naming the joint and the value at fault.
+
+    Examples:
+        >>> law = Digital(PD("hinge", 10.0, 1.0, target=1.0), period=0.01, force_limit=2.0)
+        >>> law.controller_of([law])(0.0, np.zeros(1), np.zeros(1))  # N m, of the 10 that the law asks for
+        2.0
+    """
+
+    law: DeclaredLaw
+    period: float
+    delay: int = 0
+    resolution: float = 0.0
+    force_limit: float = np.inf
+    slew_limit: float = np.inf
+    stroke: tuple[float, float] = (-np.inf, np.inf)
+    held: float = 0.0
+    joint: str = field(init=False)
+    coordinate: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.law, DeclaredLaw):
+            raise MechanismError("digital control", f"law is {self.law!r:.100}", "a declared law, such as PD")
+        object.__setattr__(self, "joint", self.law.joint)
+        object.__setattr__(self, "coordinate", self.law.coordinate)
+        where = self.element
+        self._check_period()
+        if not isinstance(self.delay, Integral) or isinstance(self.delay, bool) or self.delay < 0:
+            raise MechanismError(where, f"delay is {self.delay!r:.100}", "a number of samples, 0 or more")
+        set_numbers(self, where, ["resolution"], least=0.0)
+        set_numbers(self, where, ["held"])
+        for name in ("force_limit", "slew_limit"):
+            value = getattr(self, name)
+            if value != np.inf and not (is_finite_number(value) and value > 0.0):
+                raise MechanismError(where, f"{name} is {value!r:.100}", "a positive number, or infinity")
+        try:
+            low, high = map(float, self.stroke)
+        except (TypeError, ValueError, OverflowError):
+            low, high = np.nan, np.nan
+        if not low <= high:
+            raise MechanismError(where, f"stroke is {self.stroke!r:.100}", "the lower end and the upper one")
+        object.__setattr__(self, "stroke", (low, high))
+
+    @property
+    def reads(self) -> tuple[Key, ...]:
+        return self.law.reads
+
+    def controller_of(self, laws: Sequence[ControlLaw]) -> Controller:
+        return Computer(self, laws)
+
+    def within_stroke(self, wanted: Reference) -> Reference:
+        """Move a set-point into the stroke."""
+        low, high = self.stroke
+        if low <= wanted.value <= high:
+            return wanted
+        return Reference(low if wanted.value < low else high, 0.0, 0.0)
+
+
+class Computer:
+    """The computer of a `Digital` law in one run: what it has read and commanded."""
+
+    def __init__(self, law: Digital, laws: Sequence[ControlLaw]) -> None:
+        self._law, self._keys = law, sensed(laws)
+        self._others = {each.key: each for each in laws if isinstance(each, Digital)}
+        self._resolution = np.array(
+            [self._others[key].resolution if key in self._others else 0.0 for key in self._keys]
+        )
+        self._before: Array | None = None
+        self._force = 0.0
+        self._under_way = deque([0.0] * law.delay)
+
+    def __call__(self, time: float, x: Array, x_rate: Array) -> float:
+        law = self._law
+        readings = dict(zip(self._keys, zip(*self._read(x, x_rate), strict=True), strict=True))
+        references = {
+            key: self._others[key].within_stroke(wanted) if key in self._others else wanted
+            for key, wanted in law.law.references(time).items()
+        }
+        force = float(law.law.towards(references, readings, time))
+        force = float(np.clip(force, -law.force_limit, law.force_limit))
+        change = law.slew_limit * law.period
+        self._force = float(np.clip(force, self._force - change, self._force + change))
+        self._under_way.append(self._force)
+        return self._under_way.popleft()
+
+    def _read(self, x: Array, x_rate: Array) -> tuple[Array, Array]:
+        """Return what encoders make of coordinates (a,) and rates (a,)."""
+        coarse = self._resolution > 0.0
+        steps = np.where(coarse, self._resolution, 1.0)
+        x = np.where(coarse, steps * np.round(x / steps), x)
+        before = x if self._before is None else self._before
+        self._before = x
+        return x, np.where(coarse, (x - before) / self._law.period, x_rate)
+
+
+Law = PD | StateFeedback | Sampled | Digital
