@@ -92,19 +92,14 @@ class Crosscheck:
         return rests(self.scene, self.engines, self.trajectories)
 
     @property
-    def deserted(self) -> bool:
-        """True if several engines were asked for and only one can express the scene."""
-        return len(self.engines) == 1 and bool(self.left_out)
-
-    @property
     def differs(self) -> bool:
         """True if any figure exceeds its tolerance."""
         return not all(row.agrees for row in self.figures) or not all(known.agrees for known in self.measured)
 
     @property
     def agrees(self) -> bool:
-        """True if all came to an end and every figure is within its tolerance; never of a deserted engine."""
-        return not (self.deserted or self.unfinished or self.differs)
+        """True if all came to an end, none is left out, and every figure is within its tolerance."""
+        return not (self.left_out or self.unfinished or self.differs)
 
     @cached_property
     def diagnosis(self) -> tuple[Diagnosis, ...]:
@@ -115,14 +110,27 @@ class Crosscheck:
 
     @property
     def agreement(self) -> str:
-        """The word for an agreement, which says so where the motion tests no element."""
+        """The word where nothing differs, which says if the motion tests nothing or engines are left out."""
+        if self.left_out and self._alone:
+            return "NOT COMPARED"
         covered = self.coverage is None or len(self.coverage.untested) < len(self.coverage.elements)
-        return "AGREE" if covered else UNTESTED
+        return f"{'AGREE' if covered else UNTESTED}{self._of_engines}"
+
+    @property
+    def _of_engines(self) -> str:
+        """Word how many engines are compared, if not all that were asked for."""
+        count = len(self.engines)
+        return f" ({count} of {count + len(self.left_out)} engines)" if self.left_out else ""
 
     @property
     def verdict(self) -> str:
         """One line: whether the engines agree, or which one does not, where, and what did not end."""
         word, found = self._judgment()
+        for name, reason in self.left_out.items():
+            found += f"; {name} left out: {reason}"
+        if self.left_out:
+            names = ",".join(engine.name for engine in self.engines)
+            found += f"; to do without, name the others (--engines {names})"
         if self.unfinished:
             stopped = {stop.what for stop in self.unfinished}
             ended = [name for name in self.trajectories if name not in stopped]
@@ -135,10 +143,9 @@ class Crosscheck:
     def _judgment(self) -> tuple[str, str]:
         """A word and what the figures say."""
         names = ", ".join(engine.name for engine in self.engines)
-        if self.deserted and self._alone:
-            reason = f"ran {names} alone: {' and '.join(self.left_out)} cannot express it"
-            found = f"nothing could be compared on {self.title}, {reason}; its own figures"
-            return "NOT COMPARED", f"{found} {self._own_figures}"
+        if self.left_out and self._alone:
+            found = f"nothing could be compared on {self.title}, ran {names} alone; its own figures"
+            return self.agreement, f"{found} {self._own_figures}"
         if self._alone:
             found = f"ran {names} alone on {self.title}: nothing to compare it with; its own figures"
             return "", f"{found} {self._own_figures}"
@@ -146,7 +153,7 @@ class Crosscheck:
             first, *others = self.diagnosis
             said = [f"{first.who}; {first.place}", first.blame]
             said += [f"then {other.who}, {other.place}" for other in others]
-            return "DISAGREE", f"{'; '.join(filter(None, said))} ({self._failed})"
+            return f"DISAGREE{self._of_engines}", f"{'; '.join(filter(None, said))} ({self._failed})"
         return self.agreement, f"{names} agree on {self.title} in all {self._judged} figures{self._beside}"
 
     @property

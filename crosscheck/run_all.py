@@ -132,10 +132,7 @@ def _cell(worst: Figure | None) -> str | Cell:
 
 
 def outcome_lines(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """Engines that were left out and scenes that fail, and why; the sum last."""
-    for found in outcomes:
-        for engine, reason in found.left_out.items():
-            yield f"{found.scene}: {engine} left out: {reason}"
+    """Scenes that fail, and why; the sum last."""
     failing = [found for found in outcomes if not found.agrees]
     for found in failing:
         yield f"{found.scene}: {found.verdict}"

@@ -50,7 +50,7 @@ class Verdict:
 
     @property
     def agrees(self) -> bool:
-        """True if all engines ran to the end and every figure is within its tolerance."""
+        """True if all engines that were asked for ran to the end and every figure is within its tolerance."""
         return self.crosscheck.agrees
 
     @property
@@ -121,7 +121,7 @@ def check(
     Args:
         model: a scene of the library by name, a scene file, an MJCF, a URDF, a `Scene`, or an `MjSpec` or an
             `MjModel` of MuJoCo, read as its file would be.
-        engines: by name.
+        engines: by name. One that cannot express the model is left out, and then they do not agree.
         advice: whether to work out what to do about what is found, by more runs.
         progress: is told each stage.
         options: of the scene or the file, as `crosscheck list` shows them.

@@ -14,10 +14,24 @@ from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.system import MassProperties, Observation
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.joint import Key
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name, weld_loops
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
+
+LIGHTEST = 1e-14
+"""kg, and kg m^2 of principal moments: MuJoCo's compiler takes more alone."""
+
+
+def _reason(mechanism: Mechanism, error: ValueError) -> str:
+    """Word why MuJoCo refuses a mechanism: the body that is too light, or its own reason."""
+    for body in mechanism.bodies[1:]:
+        least = float(np.linalg.eigvalsh(body.inertia)[0])
+        if min(body.mass, least) <= LIGHTEST:
+            found = f"body {body.name!r}: mass {body.mass:g} kg, least principal moment {least:g} kg m^2"
+            return f"{found}; needed: more than {LIGHTEST:g} of both"
+    return " ".join(str(error).split())
 
 
 class CompiledScene:
@@ -49,7 +63,7 @@ class CompiledScene:
         try:
             self.model: Any = mujoco.MjModel.from_xml_string(welded_to_xml(scene, self.welded))
         except ValueError as error:
-            raise ModelError(scene.name, " ".join(str(error).split())) from error
+            raise ModelError(scene.name, _reason(self.welded.mechanism, error)) from error
         self.data: Any = mujoco.MjData(self.model)
         self._restore_inertias()
         self._turn_springs()

@@ -1,6 +1,6 @@
 """The command line. Click parses it.
 
-Exit status: 0 agree, 1 disagree, 2 bad input or usage, with one line saying what.
+Exit status: 0 agree, 1 disagree, 2 bad input or usage, with one line saying what, 3 not all was compared.
 Heavy packages are imported by the commands, so that what goes wrong in an import is one line too.
 """
 

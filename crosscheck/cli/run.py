@@ -211,9 +211,11 @@ def _carry_out(
         settings = [word for key, value in result.options.items() for word in ("--set", f"{key}={value}")]
         more.append(join(["crosscheck", "bench", result.source, *settings]))
     show(found, f"look  {_called()} view {quote(str(recording))}", f"more  {'; '.join(more)}")
-    if result.unfinished and not (isinstance(result, Against) and result.differs):
+    if result.agrees:
+        return AGREE
+    if result.unfinished and not isinstance(result, Against):
         return UNFINISHED  # whatever was found until then; models that differ do so anyway
-    return AGREE if result.agrees else DISAGREE
+    return DISAGREE if result.differs else UNFINISHED
 
 
 def _called() -> str:

@@ -28,7 +28,7 @@ from crosscheck.report.table import (
     judged,
     texts,
 )
-from crosscheck.run import UNTESTED, Crosscheck
+from crosscheck.run import Crosscheck
 from crosscheck.stiffness import explicit_steps, fastest_decay
 from newton_euler.assemble import initial_state
 from newton_euler.equations.redundancy import mobility
@@ -79,9 +79,9 @@ def _mappings(result: Crosscheck) -> Iterator[tuple[str, ImportReport]]:
 
 def judged_word(result: Crosscheck) -> Cell:
     """The verdict in one word."""
-    if not result.agrees:
+    if result.unfinished or result.differs:
         return FAILS
-    return Cell(result.agreement, "doubtful" if result.agreement == UNTESTED else "holds")
+    return Cell(result.agreement, "holds" if result.agreement == "AGREE" else "doubtful")
 
 
 def _untested_table(found: Coverage) -> Table:
@@ -177,7 +177,6 @@ def notes(result: Crosscheck) -> Iterator[str]:
     mapping, scene = result.mapping, result.scene
     active, inactive = _activity_lines(mapping) if mapping and result.trajectories else ([], [])
     yield from result.notes
-    yield from (f"{name}: left out: {reason}" for name, reason in result.left_out.items())
     yield from active
     if result.rests:
         yield _rest_line(result)

@@ -130,8 +130,9 @@ def run_model(folder: Path, repository: Repository, entry: Entry, output: Path) 
     report.entries = [ImportedElement(**each) for each in content["mapping"] or []]
     still = "nothing moves" if "nothing moves" in content["verdict"] else ""
     tested = [covered["tested"] for covered in content["coverage"] or []]
+    stopped = content["unfinished"] or content["left_out"]
     return Found(
-        verdict="AGREE" if content["agrees"] else "stopped" if content["unfinished"] else "DISAGREE",
+        verdict="AGREE" if content["agrees"] else "stopped" if stopped else "DISAGREE",
         line=content["verdict"],
         fates=_fates(report),
         covered=f"{sum(tested)} of {len(tested)}" if tested else "",

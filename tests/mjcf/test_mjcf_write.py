@@ -191,6 +191,14 @@ def test_damping_that_feeds_energy_is_refused(tracker: Scene) -> None:
         mjcf.to_xml(replace(tracker, control=control))
 
 
+def test_a_body_that_is_too_light_is_named_with_what_is_needed() -> None:
+    light = Body("light", 1.0, np.zeros(3), 1e-20 * np.eye(3))
+    hinge = Revolute("hinge", "ground", "light", np.zeros(3), axis=np.eye(3)[2])
+    reason = "body 'light': mass 1 kg, least principal moment 1e-20 kg m^2; needed: more than 1e-14 of both"
+    with pytest.raises(ModelError, match=re.escape(reason)):
+        CompiledScene(Scene("light", Mechanism([Body.ground(), light], [hinge]), 1.0, 0.1))
+
+
 WELD_CLOSED = """<mujoco><worldbody>
 <body name="crank"><joint name="A" axis="0 1 0"/>
   <geom type="capsule" size="0.02" fromto="0 0 0 0.1 0 0.5"/>

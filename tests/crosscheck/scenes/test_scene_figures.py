@@ -11,7 +11,8 @@ import pytest
 from command_line import command, run, verdict_of
 
 import newton_euler
-from crosscheck import engines, run_all
+from crosscheck import check, engines, run_all
+from crosscheck.cli.shared import UNFINISHED
 from crosscheck.comparison.figure import OWN_ERROR, UNRESOLVED, Figure
 from crosscheck.comparison.known_figures import ROUND_OFF, known_of, measure
 from crosscheck.errors import CrosscheckError
@@ -181,12 +182,18 @@ def test_an_engine_that_cannot_express_a_scene_is_left_out(capsys, tmp_path, mon
     unable = replace(engines.ENGINES["pinocchio"], systems=refuse)
     monkeypatch.setitem(engines.ENGINES, "pinocchio", unable)
     status, out, _ = run(capsys, "run", "pendulum", "--output", tmp_path)
-    assert status == 0
-    assert "pinocchio: left out: no word for joint 'pivot'\n" in out
-    assert "AGREE: newton_euler, mujoco agree" in out
+    assert status == UNFINISHED
+    assert "AGREE (2 of 3 engines): newton_euler, mujoco agree on pendulum in all " in out
+    said = (
+        "; pinocchio left out: no word for joint 'pivot'; to do without, name the others (--engines newton_"
+    )
+    assert said in out
     assert json.loads((tmp_path / "summary.json").read_text())["left_out"] == {
         "pinocchio": "no word for joint 'pivot'"
     }
+    with pytest.raises(AssertionError, match=r"AGREE \(2 of 3 engines\): newton_euler, mujoco agree"):
+        check("pendulum").assert_agrees()
+    assert run(capsys, "run", "pendulum", "--engines", "newton_euler,mujoco", "--output", tmp_path)[0] == 0
     status, _, err = run(capsys, "run", "pendulum", "--engines", "pinocchio", "--output", tmp_path)
     assert (status, err) == (2, "crosscheck: error: no word for joint 'pivot'\n")
 
@@ -243,7 +250,6 @@ def test_the_table_of_the_library():
     assert good == ["good", "newton_euler", "1.0e-09 < 1e-08", "", "", "", "1.0", "AGREE"]
     assert bad == ["bad", "all", "", "", "", "3.0e-08 > 1e-08", "2.0", "FAILS"]
     assert list(outcome_lines(OUTCOMES)) == [
-        "good: mujoco left out: no gears",
         "bad: DISAGREE: bad parts",
         "FAILS: 1 of 2 scenes: bad",
     ]
