@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import numpy as np
 
 from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
 from newton_euler.model.elements import OnCoordinate
@@ -13,9 +18,42 @@ from newton_euler.scalars import Scalar, cos, sin
 HIGHEST = 1e15
 """rad/s, or rad: a double holds no part of a turn beyond."""
 
+DEGREE = 5
+"""Of the polynomials of splines, so that accelerations have two continuous derivatives."""
+
+BEYOND = 1e-9
+"""Share of the time between the first and the last sample by which a spline goes on at both ends, for the
+round-off of times."""
+
+
+class Smooth:
+    """A function of time that has all derivatives at all times.
+
+    Attributes:
+        knots: s, the times at which a function has other derivatives after than before.
+        jumps: the knots at which its value jumps.
+        numbers: how many numbers say what it is between two knots.
+    """
+
+    knots: ClassVar[tuple[float, ...]] = ()
+    jumps: ClassVar[tuple[float, ...]] = ()
+    numbers: ClassVar[int] = 0
+
+    def covers(self, end: float) -> bool:
+        """Return True if the function is known from 0 to a time in s."""
+        return True
+
+    def piece(self, time: float) -> tuple[float, ...]:
+        """Return the numbers of what the function is between the knots around a time in s."""
+        return ()
+
+    def on_piece(self, numbers: Sequence[Scalar]) -> TimeFunction:
+        """Return the smooth function of such numbers, scalars of any kind, which are not checked."""
+        return self  # type: ignore[return-value]  # all subclasses are time functions
+
 
 @dataclass(frozen=True)
-class Polynomial:
+class Polynomial(Smooth):
     """c_0 + c_1 t + c_2 t^2 + ...
 
     Attributes:
@@ -68,7 +106,7 @@ def _derived(coefficients: tuple[float, ...]) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True)
-class Sine:
+class Sine(Smooth):
     """offset + amplitude sin(angular_frequency t + phase).
 
     Attributes:
@@ -115,6 +153,163 @@ class Sine:
 
 
 @dataclass(frozen=True)
+class Piece(Smooth):
+    """A polynomial c_0 + c_1 (t - start) + ...: what a function with knots is between two of them."""
+
+    start: Scalar
+    coefficients: tuple[Scalar, ...]
+
+    def value(self, time: Scalar) -> Scalar:
+        """At a time in s: m or rad."""
+        return _horner(self.coefficients, time - self.start)
+
+    def rate(self, time: Scalar) -> Scalar:
+        """First derivative, m/s or rad/s."""
+        return _horner(_derived(self.coefficients), time - self.start)
+
+    def acceleration(self, time: Scalar) -> Scalar:
+        """Second derivative, m/s^2 or rad/s^2."""
+        return _horner(_derived(_derived(self.coefficients)), time - self.start)
+
+
+@dataclass(frozen=True)
+class Piecewise:
+    """A function of time of polynomials between knots, given by samples; see `Spline` and `Steps`."""
+
+    times: tuple[float, ...]
+    values: tuple[float, ...]
+
+    noun: ClassVar[str]
+    least: ClassVar[int]
+
+    def __post_init__(self) -> None:
+        for name in ("times", "values"):
+            given: Any = getattr(self, name)
+            try:
+                array = np.array(given, dtype=float)
+            except (TypeError, ValueError, OverflowError):
+                array = np.zeros((0, 0))
+            if array.ndim != 1 or len(array) < self.least or not np.all(np.isfinite(array)):
+                needed = f"{self.least} finite numbers or more"
+                raise MechanismError(self.noun, f"{name} is {given!r:.100}", needed)
+            object.__setattr__(self, name, tuple(array.tolist()))
+        if len(self.times) != len(self.values):
+            problem = f"has {len(self.times)} times and {len(self.values)} values"
+            raise MechanismError(self.noun, problem, "a value at each time")
+        for k, (one, other) in enumerate(pairwise(self.times), start=1):
+            if not other > one:
+                problem = f"times[{k}] is {other:.9g} s, after {one:.9g} s"
+                raise MechanismError(self.noun, problem, "times in ascending order")
+
+    def piece(self, time: float) -> tuple[float, ...]:
+        """See `Smooth.piece`: the start of the piece in s, and its coefficients."""
+        raise NotImplementedError
+
+    def on_piece(self, numbers: Sequence[Scalar]) -> Piece:
+        """See `Smooth.on_piece`."""
+        return Piece(numbers[0], tuple(numbers[1:]))
+
+    def value(self, time: float) -> float:
+        """At a time in s: m or rad."""
+        return float(self.on_piece(self.piece(time)).value(time))
+
+    def rate(self, time: float) -> float:
+        """First derivative, m/s or rad/s."""
+        return float(self.on_piece(self.piece(time)).rate(time))
+
+    def acceleration(self, time: float) -> float:
+        """Second derivative, m/s^2 or rad/s^2."""
+        return float(self.on_piece(self.piece(time)).acceleration(time))
+
+
+class Spline(Piecewise):
+    """Smooth function through samples: polynomials of degree 5 with four continuous derivatives.
+
+    Six samples, or fewer, lie on one polynomial. The function passes through all samples, with whatever noise
+    they have: accelerations have 4 / h^2 times as much where samples are h apart. Of a sine of angular
+    frequency w so sampled it is off by (w h)^6 / 13,000 of its amplitude, and by (w h)^4 / 700 in the
+    acceleration; in the first and the last few samples by (w h)^6 / 100 and (w h)^4 / 2.
+
+    Attributes:
+        times: s, ascending, two or more. Nothing is known before the first and after the last one: runs
+            begin at 0 and end between them.
+        values: m or rad.
+
+    Raises:
+        MechanismError: for samples that are too few, not in order, or no finite numbers.
+
+    Examples:
+        >>> spline = Spline(times=[0.0, 1.0, 2.0], values=[0.0, 1.0, 4.0])
+        >>> round(spline.value(1.5), 9), round(spline.acceleration(1.5), 9)
+        (2.25, 2.0)
+    """
+
+    noun, least = "spline", 2
+    numbers = DEGREE + 2
+    jumps: ClassVar[tuple[float, ...]] = ()
+
+    @cached_property
+    def knots(self) -> tuple[float, ...]:
+        """The samples but three at each end, where one polynomial goes on for two samples more."""
+        return self.times[DEGREE // 2 + 1 : -(DEGREE // 2 + 1)]
+
+    def covers(self, end: float) -> bool:
+        first, last = self.times[0], self.times[-1]
+        allowed = BEYOND * (last - first)
+        return first <= allowed and end <= last + allowed
+
+    @cached_property
+    def _pieces(self) -> list[tuple[float, ...]]:
+        from scipy.interpolate import PPoly, make_interp_spline
+
+        found = PPoly.from_spline(make_interp_spline(self.times, self.values, min(DEGREE, len(self.times) - 1)))
+        pieces = zip(found.x[:-1].tolist(), found.x[1:].tolist(), found.c[::-1].T.tolist(), strict=True)
+        missing = [0.0] * (DEGREE + 1 - len(found.c))
+        return [(start, *coefficients, *missing) for start, end, coefficients in pieces if end > start]
+
+    def piece(self, time: float) -> tuple[float, ...]:
+        return self._pieces[bisect_right(self.knots, time)]
+
+
+class Steps(Piecewise):
+    """Set-points that jump: each value holds from its time on to the next one, the first one before it, too.
+
+    For targets and feedforwards of control laws; a prescribed motion cannot jump.
+
+    Attributes:
+        times: s, ascending, one or more.
+        values: m or rad, or N or N m.
+
+    Raises:
+        MechanismError: for samples that are too few, not in order, or no finite numbers.
+
+    Examples:
+        >>> steps = Steps(times=[0.0, 60.0, 120.0], values=[0.0, 0.1, 0.3])
+        >>> steps.value(59.0), steps.value(60.0)
+        (0.0, 0.1)
+    """
+
+    noun, least = "steps", 1
+    numbers = 2
+
+    @cached_property
+    def knots(self) -> tuple[float, ...]:
+        """All times but the first."""
+        return self.times[1:]
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """The same."""
+        return self.knots
+
+    def covers(self, end: float) -> bool:
+        return True
+
+    def piece(self, time: float) -> tuple[float, ...]:
+        return 0.0, self.values[bisect_right(self.knots, time)]
+
+
+@dataclass(frozen=True)
 class Sum:
     """The sum of functions of time.
 
@@ -133,8 +328,39 @@ class Sum:
         terms = tuple(given) if isinstance(given, Iterable) else ()
         if not terms or not all(isinstance(term, TimeFunction) for term in terms):
             problem = f"terms is {self.terms!r:.100}"
-            raise MechanismError("sum", problem, "one or more of Polynomial, Sine and Sum")
+            raise MechanismError("sum", problem, "one or more of Polynomial, Sine, Spline, Steps and Sum")
         object.__setattr__(self, "terms", terms)
+
+    @property
+    def knots(self) -> tuple[float, ...]:
+        """Those of all terms."""
+        return tuple(sorted({knot for term in self.terms for knot in term.knots}))
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """Those of all terms."""
+        return tuple(sorted({jump for term in self.terms for jump in term.jumps}))
+
+    @property
+    def numbers(self) -> int:
+        """Those of all terms."""
+        return sum(term.numbers for term in self.terms)
+
+    def covers(self, end: float) -> bool:
+        """See `Smooth.covers`."""
+        return all(term.covers(end) for term in self.terms)
+
+    def piece(self, time: float) -> tuple[float, ...]:
+        """See `Smooth.piece`: the numbers of one term after the other."""
+        return tuple(number for term in self.terms for number in term.piece(time))
+
+    def on_piece(self, numbers: Sequence[Scalar]) -> Sum:
+        """See `Smooth.on_piece`."""
+        terms: list[TimeFunction] = []
+        for term in self.terms:
+            terms.append(term.on_piece(numbers[: term.numbers]))
+            numbers = numbers[term.numbers :]
+        return Sum(tuple(terms))
 
     def value(self, time: Scalar) -> Scalar:
         """At a time in s: m or rad."""
@@ -149,10 +375,10 @@ class Sum:
         return sum(term.acceleration(time) for term in self.terms)
 
 
-TimeFunction = Polynomial | Sine | Sum
+TimeFunction = Polynomial | Sine | Piece | Spline | Steps | Sum
 
 
-def terms(function: TimeFunction) -> Iterator[Polynomial | Sine]:
+def terms(function: TimeFunction) -> Iterator[Polynomial | Sine | Piece | Spline | Steps]:
     """Yield the terms of sums, of sums within them, too."""
     if isinstance(function, Sum):
         for term in function.terms:
@@ -167,7 +393,9 @@ def scaled(function: TimeFunction, factor: float) -> TimeFunction:
         return Sum(tuple(scaled(term, factor) for term in function.terms))
     if isinstance(function, Sine):
         return replace(function, amplitude=factor * function.amplitude, offset=factor * function.offset)
-    return Polynomial(tuple(factor * c for c in function.coefficients))
+    if isinstance(function, Piecewise):
+        return replace(function, values=tuple(factor * value for value in function.values))
+    return replace(function, coefficients=tuple(factor * c for c in function.coefficients))
 
 
 @dataclass(frozen=True)
@@ -193,9 +421,13 @@ class PrescribedMotion(OnCoordinate):
     coordinate: int = 0
 
     noun = "motion"
+    functions = ("function",)
 
     def __post_init__(self) -> None:
-        where = self.element
+        where, needed = self.element, "a Polynomial, Sine, Spline or Sum"
         if not isinstance(self.function, TimeFunction):
-            raise MechanismError(where, f"function is {self.function!r:.100}", "a Polynomial, Sine or Sum")
+            raise MechanismError(where, f"function is {self.function!r:.100}", needed)
+        if self.function.jumps:
+            problem = f"function jumps at {self.function.jumps[0]:.9g} s"
+            raise MechanismError(where, problem, f"{needed}, which has accelerations")
         check_key(where, self.joint, self.coordinate)
