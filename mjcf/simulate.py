@@ -15,6 +15,7 @@ from mjcf.errors import DivergenceError, heard_warnings
 from mjcf.write import SOLIMP, TIMESTEP
 from newton_euler.assemble import initial_state
 from newton_euler.equations.applied_forces import blamed, surroundings
+from newton_euler.equations.parameters import pieces
 from newton_euler.errors import OptionError, UnknownNameError, check_type
 from newton_euler.integrators.options import MOST_FIXED_STEPS
 from newton_euler.integrators.sampling import Controllers, Interval, holding, intervals
@@ -68,7 +69,7 @@ def simulate(
     wanted = _step(scene, timestep)
     plan = [
         (interval, [_fitting(float(length), wanted) for length in np.diff(interval.times)])
-        for interval in intervals(scene)
+        for interval in intervals(scene, scene.jumps)
     ]
     steps = [step for _, between in plan for step in between]
     largest = max(step.size for step in steps)
@@ -214,31 +215,35 @@ def _run(
     def record() -> None:
         rows.append(Output(system, layout.to_qpos.T @ data.qpos, layout.to_qvel.T @ data.qvel, size, work))
 
-    with heard_warnings(data) as warnings, system.following():
+    given, held = system, dict[str, Any]()
+    with heard_warnings(data) as warnings:
         for interval, steps in plan:
+            held |= pieces(given.scene, interval.middle, smooth=False)
             if interval.due:
                 try:
                     readings = np.array([*system.readings(data).values()])
-                    forces = controllers.sample(interval.due, float(interval.times[0]), readings)
+                    held |= controllers.sample(interval.due, float(interval.times[0]), readings)
                 except IntegrationError as error:
                     return rows, error
-                system = holding(system, forces)
+            if held:
+                system = holding(given, held)
                 system.actuate()
             if interval.wanted[0]:
                 record()
-            for (number, size), wanted in zip(steps, interval.wanted[1:], strict=True):
-                system.use_step(size, solref)
-                if work is None:
-                    mujoco.mj_step(model, data, number)
-                else:
-                    work += system.step_with_work(number, warnings)
-                # a step checks the state that it starts from
-                mujoco.mj_checkPos(model, data)
-                mujoco.mj_checkVel(model, data)
-                if warnings:  # after one MuJoCo starts again from its initial state
-                    return rows, _divergence(*next(iter(warnings.items())), rows)
-                if wanted:
-                    record()
+            with system.following():
+                for (number, size), wanted in zip(steps, interval.wanted[1:], strict=True):
+                    system.use_step(size, solref)
+                    if work is None:
+                        mujoco.mj_step(model, data, number)
+                    else:
+                        work += system.step_with_work(number, warnings)
+                    # a step checks the state that it starts from
+                    mujoco.mj_checkPos(model, data)
+                    mujoco.mj_checkVel(model, data)
+                    if warnings:  # after one MuJoCo starts again from its initial state
+                        return rows, _divergence(*next(iter(warnings.items())), rows)
+                    if wanted:
+                        record()
     return rows, None
 
 

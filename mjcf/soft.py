@@ -47,8 +47,8 @@ class SoftMuJoCo(CompiledScene):
 
     Attributes:
         moved: (m,) places in MuJoCo's velocities of the joint coordinates that follow prescribed motions.
-        driven: the PD laws that depend on time.
-        evaluated: declared laws that no actuator of MuJoCo's is, by their numbers.
+        driven: the PD laws that depend on time; those that jump are held by the scene.
+        evaluated: numbers of the declared laws that no actuator of MuJoCo's is.
     """
 
     name = "mujoco"
@@ -116,10 +116,10 @@ class SoftMuJoCo(CompiledScene):
         """Callback of MuJoCo in each evaluation."""
         if self.evaluated:
             readings = self.readings(data)
-            for k, law in self.evaluated.items():
-                data.ctrl[k] = control(law, data.time, readings)
+            for k in self.evaluated:  # as the scene has them at present
+                data.ctrl[k] = control(self.scene.control[k], data.time, readings)
         if len(self.driven.places):  # of the others those that are sampled have changed since
-            data.ctrl[self.driven.places] = self.driven.at(data.time)
+            data.ctrl[self.driven.places] = self.driven.at(self.scene.control, data.time)
         if len(self.moved):
             self._follow(data)
 

@@ -31,7 +31,7 @@ from newton_euler.model.joint_kinds import (
     Universal,
 )
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum
+from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Spline, Steps, Sum
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
@@ -70,8 +70,10 @@ __all__ = [
     "Screw",
     "Sine",
     "Spherical",
+    "Spline",
     "State",
     "StateFeedback",
+    "Steps",
     "Sum",
     "Trajectory",
     "Translational",

@@ -26,6 +26,7 @@ from newton_euler.integrators.options import (
 )
 from newton_euler.integrators.outputs import named
 from newton_euler.integrators.run import Integrator, load
+from newton_euler.integrators.sampling import integrate_intervals
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError, Trajectory
@@ -145,6 +146,9 @@ def simulate_batch(
     stopped: list[bool] = []
 
     def run(piece: tuple[int, int]) -> None:
+        if compiled.piecewise:
+            run_intervals(piece)
+            return
         own = Integrator(compiled, times, options, stopped)
         for k in range(*piece):
             if stopped:
@@ -156,6 +160,18 @@ def simulate_batch(
                 errors[k] = error
                 results[k] = np.nan
             counts[k] = own.counted
+
+    def run_intervals(piece: tuple[int, int]) -> None:
+        for k in range(*piece):
+            if stopped:
+                return
+            found = integrate_intervals(compiled, starts[k], options, stopped)
+            if found.stopped:
+                errors[k] = found.stopped
+                results[k] = np.nan
+            else:
+                results[k] = found.results
+            counts[k] = found.counts
 
     edges = np.linspace(0, len(starts), min(len(starts), PIECES * workers) + 1).astype(int)
     start = time.perf_counter()

@@ -40,6 +40,7 @@ LIMITS = {
     "mass_ratio": Limit(1e12, "kg per kg", "of the heaviest body to the lightest; round-off hides more"),
     "forces": Limit(1000, "force elements", "actuators, control laws, springs, dampers, wrenches and rotors"),
     "terms": Limit(1000, "terms", "sines and coefficients of all prescribed motions"),
+    "knots": Limit(100_000, "knots", "of all splines and steps; a run begins anew at each"),
     "cycles": Limit(1000, "cycles", "revolutions and periods of a prescribed motion or control law in a run"),
     "steps": Limit(1_000_000, "steps", "of 1 ms in a run, as MuJoCo makes them"),
     "states": Limit(300_000, "states", "of bodies that a run keeps: outputs times bodies"),

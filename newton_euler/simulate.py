@@ -14,6 +14,7 @@ import numpy as np
 
 from newton_euler.assemble import inherit_initial_state, initial_state
 from newton_euler.equations.couplings import couplings
+from newton_euler.equations.parameters import pieces
 from newton_euler.equations.redundancy import inherit_mobility, mobility, other_rows
 from newton_euler.equations.system import Observation, System, at_time
 from newton_euler.errors import (
@@ -31,8 +32,9 @@ from newton_euler.integrators.options import (
     StabilizationName,
     StepControl,
 )
+from newton_euler.integrators.outputs import named
 from newton_euler.integrators.run import load
-from newton_euler.integrators.sampling import Controllers, holding, integrate_sampled, intervals
+from newton_euler.integrators.sampling import Controllers, holding, integrate_intervals, intervals
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
@@ -177,7 +179,8 @@ class CompiledScene(Code):
         """Run the scene, again with other constraint rows where those in use degenerate on the way."""
         load(self, options.integrator)
         x = self.start.copy()
-        arrays, counts, stopped, wall_time = integrate_sampled(self, x, options)
+        results, counts, stopped, wall_time = integrate_intervals(self, x, options)
+        arrays = named(self, results)
         settings: dict[str, Any] = {"formulation": self.formulation, "stabilization": self.stabilization}
         if self.stabilization == "baumgarte":
             settings["alpha"] = self.alpha
@@ -187,13 +190,13 @@ class CompiledScene(Code):
             return native_trajectory(self.scene, settings, wall_time, arrays)
         if choices and self.redundant and (other := self._with_other_rows(arrays)) is not None:
             return other._try(options, choices - 1)
-        if len(arrays.get("position", ())):
+        if len(results):
             stopped.partial = native_trajectory(self.scene, settings, wall_time, arrays)
         raise stopped
 
     def _with_other_rows(self, arrays: dict[str, Array]) -> CompiledScene | None:
         """Return code with rows that stay independent at the poses of a run that stopped, if there are."""
-        poses = zip(arrays.get("position", ()), arrays.get("quaternion", ()), strict=True)
+        poses = zip(arrays["position"], arrays["quaternion"], strict=True)
         still = np.zeros((len(self.scene.mechanism.bodies), 3))
         used = mobility(self.scene).independent if self._independent is None else self._independent
         found = other_rows(self.scene, used, [State(*pose, still, still) for pose in poses])
@@ -248,16 +251,18 @@ def run(system: System, engine: str, options: Options, settings: dict[str, Any])
     rows: list[tuple[System, float, Array, Array]] = []
     counts = Counter(steps=0, evaluations=0)
     stopped: IntegrationError | None = None
-    controllers = Controllers(scene)
-    for interval in intervals(scene):
+    held: dict[str, Any] = {}
+    given, controllers = system, Controllers(scene)
+    for interval in intervals(scene, scene.knots):
+        held |= pieces(scene, interval.middle)
         if interval.due:
             readings = np.array(system.measure(q, v), dtype=float)
             try:
-                forces = controllers.sample(interval.due, float(interval.times[0]), readings)
-                system = holding(system, forces)
+                held |= controllers.sample(interval.due, float(interval.times[0]), readings)
             except IntegrationError as error:
                 stopped = error
                 break
+        system = holding(given, held) if held else given
         table, counted, stopped = integrate(system, q, v, interval.times, options)
         counts.update(counted)
         for t, wanted, state in zip(interval.times, interval.wanted, table, strict=False):

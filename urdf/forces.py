@@ -60,7 +60,7 @@ class JointLaws:
         at, rates = x[: len(laws)], rate[: len(laws)]
         force = self._constant - (self._stiffness * (at - self._rest) + self._damping * rates)
         if len(self._driven.places):
-            force[self._driven.places] += self._driven.at(time)
+            force[self._driven.places] += self._driven.at(laws, time)
         for k in self._others:
             law = laws[k]
             if isinstance(law, StateFeedback):

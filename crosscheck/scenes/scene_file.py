@@ -40,7 +40,7 @@ from newton_euler.model.geometry import Box, Capsule
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum
+from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Spline, Steps, Sum
 from newton_euler.model.scene import OUTPUTS, REDUNDANCY_TOLERANCE, Scene
 from newton_euler.model.source_file import SourceError, read_text, shortened
 from newton_euler.model.state import State
@@ -154,7 +154,8 @@ COUPLING = _one_of([_entry(Gear, "gear"), _entry(LinearCoupling, "linear")])
 SPRINGS = {"joint_spring": JointSpring, "ball_spring": BallSpring, "point_spring": PointSpring}
 FORCE = _one_of(_entry(made, kind) for kind, made in (SPRINGS | {"wrench": Wrench}).items())
 SUM = _entry(Sum, "sum", terms=_several(ForwardRef("FUNCTION")))
-FUNCTION = _one_of([_entry(Polynomial, "polynomial"), _entry(Sine, "sine"), SUM])
+FUNCTIONS = {"polynomial": Polynomial, "sine": Sine, "spline": Spline, "steps": Steps}
+FUNCTION = _one_of([*(_entry(made, kind) for kind, made in FUNCTIONS.items()), SUM])
 SUM.model_rebuild(_types_namespace={"FUNCTION": FUNCTION})
 VALUE: Any = Union[Number, FUNCTION]  # noqa: UP007
 CONTROL = _entry(PD, target=VALUE, feedforward=VALUE)

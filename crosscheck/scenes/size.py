@@ -13,7 +13,7 @@ from newton_euler.limits import exceeded
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Law
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, TimeFunction
+from newton_euler.model.motions import Piecewise, Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 
@@ -58,25 +58,25 @@ def check_functions(
     control: Iterable[Law],
     duration: float,
 ) -> None:
-    """Raise `CrosscheckError` for functions of too many terms, or one of too many cycles in `duration` (s).
+    """Raise `CrosscheckError` for functions of too many terms, knots, or cycles in `duration` (s).
 
-    Terms add to what is compiled; steps are as short as the fastest function asks for.
+    Terms add to what is compiled; steps are as short as the fastest function and the knots ask for.
     """
-    terms = cycles = 0.0
+    terms = cycles = knots = 0.0
     for motion in motions:
         joint = mechanism.joint(motion.joint)
         kinds = joint.coordinate_kinds
         per_cycle = (
             2.0 * math.pi if kinds[motion.coordinate : motion.coordinate + 1] == ("hinge",) else math.inf
         )
-        terms += _terms(motion.function)
+        terms, knots = terms + _terms(motion.function), knots + len(motion.function.knots)
         cycles = float(np.maximum(cycles, _cycles(motion.function, duration, per_cycle)))
     for law in control:
         for function in (law.target, law.feedforward) if isinstance(law, PD) else ():
             if isinstance(function, TimeFunction):
-                terms += _terms(function)
+                terms, knots = terms + _terms(function), knots + len(function.knots)
                 cycles = float(np.maximum(cycles, _cycles(function, duration, math.inf)))
-    check_counts(where, {"terms": terms, "cycles": cycles})
+    check_counts(where, {"terms": terms, "cycles": cycles, "knots": knots})
 
 
 def check_counts(where: str, counts: Mapping[str, float]) -> None:
@@ -87,10 +87,10 @@ def check_counts(where: str, counts: Mapping[str, float]) -> None:
 
 
 def _terms(function: TimeFunction) -> int:
-    """The number of sines and coefficients."""
-    if isinstance(function, Polynomial):
-        return len(function.coefficients)
-    return 1 if isinstance(function, Sine) else sum(map(_terms, function.terms))
+    """The number of sines and coefficients, those of one piece of splines and steps."""
+    if isinstance(function, Sum):
+        return sum(map(_terms, function.terms))
+    return len(function.coefficients) if isinstance(function, Polynomial) else max(1, function.numbers)
 
 
 def _cycles(function: TimeFunction, duration: float, per_cycle: float) -> float:
@@ -107,4 +107,7 @@ def _cycles(function: TimeFunction, duration: float, per_cycle: float) -> float:
     if isinstance(function, Sine):
         periods = abs(function.angular_frequency) * duration / (2.0 * math.pi)
         return periods * (1.0 + 4.0 * abs(function.amplitude) / per_cycle) + abs(function.offset) / per_cycle
-    return sum(_cycles(term, duration, per_cycle) for term in function.terms)
+    if isinstance(function, Sum):
+        return sum(_cycles(term, duration, per_cycle) for term in function.terms)
+    assert isinstance(function, Piecewise)
+    return float(np.sum(np.abs(np.diff(function.values)))) / per_cycle

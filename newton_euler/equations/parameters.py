@@ -5,7 +5,8 @@ A parameter has a name and a value of the shape that the scene has there:
 - `gravity`, `BODY.mass`, `BODY.inertia`;
 - `JOINT.stiffness`, `JOINT.damping`, `JOINT.target`, `JOINT.feedforward` of the control law at a joint,
   `JOINT.1.target` for its second coordinate; of a target or a feedforward that is a function of time, all
-  that it is linear in: coefficients of polynomials, amplitude and offset of sines, one after the other;
+  that it is linear in: coefficients of polynomials, amplitude and offset of sines, values of splines and
+  steps, one after the other;
 - `JOINT.gains` of the state feedback at a joint, (K_p, K_d) of each coordinate that it reads, in their order;
 - `JOINT.spring.stiffness`, `JOINT.spring.damping`, `JOINT.spring.rest` of the spring at a joint,
   `JOINT.1.spring.rest` for its second coordinate;
@@ -19,6 +20,9 @@ A name that stands for two of these cannot be used; numbers say which is meant, 
 the closed configurations, so that a run would need another start. How near a configuration is to a singular
 one is judged by the scene's own values: masses that are many orders away from them make runs slower, not
 wrong.
+
+Functions of time with knots are parameters of the code that runs from one knot to the next: the numbers of
+the piece between them are, as `motions[0].function.piece`.
 """
 
 from __future__ import annotations
@@ -34,15 +38,19 @@ from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.digital_control import Law
 from newton_euler.model.mechanism import Body
-from newton_euler.model.motions import Polynomial, Sine, Sum, TimeFunction
+from newton_euler.model.motions import Piecewise, Sine, Sum, TimeFunction, functions_of
 from newton_euler.model.scene import Scene
 from newton_euler.scalars import Array
 
 T = TypeVar("T")
 
+PIECE = ".piece"
+"""Suffix of names of what a function with knots is between two of them."""
+
 
 Owner = tuple[str, int, str]
-"""Where a parameter is: "bodies", "control", "forces" or "armatures", which of them, and the attribute."""
+"""Where a parameter is: "bodies", "control", "forces", "armatures" or "motions", which of them, and the
+attribute."""
 
 
 def _parts(scene: Scene) -> dict[str, list[Any]]:
@@ -52,6 +60,7 @@ def _parts(scene: Scene) -> dict[str, list[Any]]:
         "control": list(scene.control),
         "forces": list(scene.forces),
         "armatures": list(scene.armatures),
+        "motions": list(scene.motions),
     }
 
 
@@ -60,13 +69,42 @@ def _owners(scene: Scene) -> dict[str, list[Owner]]:
     found: dict[str, list[Owner]] = {}
     for what, elements in _parts(scene).items():
         for k, element in enumerate(elements):
-            if what == "bodies" and k == 0:
-                continue  # the ground
+            if what == "motions" or (what == "bodies" and k == 0):
+                continue  # motions have none, and nor has the ground
             place = element.name if what == "bodies" else element.prefix
             for attribute in ("mass", "inertia") if what == "bodies" else element.parameters or ("held",):
                 found.setdefault(f"{place}.{attribute}", []).append((what, k, attribute))
                 found[numbered(what, k, attribute)] = [(what, k, attribute)]
+    with_pieces = (owner for owner, functions in scene.functions.items() if any(f.numbers for f in functions))
+    return found | {numbered(*owner) + PIECE: [owner] for owner in with_pieces}
+
+
+def pieces(scene: Scene, time: float, smooth: bool = True) -> dict[str, Array]:
+    """Return the numbers of functions with knots between those around a time in s, by name.
+
+    Without smooth ones only those of attributes that have functions which jump.
+    """
+    found = {}
+    for owner, functions in scene.functions.items():
+        if any(f.numbers and (smooth or f.jumps) for f in functions):
+            found[numbered(*owner) + PIECE] = _piece(functions, time)
     return found
+
+
+def _piece(functions: Iterable[TimeFunction], time: float) -> Array:
+    return np.array([number for function in functions for number in function.piece(time)])
+
+
+def _on_piece(value: Any, numbers: list[Any]) -> Any:
+    """Return a function, or a mapping with functions, with what they are where they have these numbers."""
+    if isinstance(value, TimeFunction):
+        return value.on_piece(numbers)
+    changed = dict(value)
+    for key, each in value.items():
+        if isinstance(each, TimeFunction):
+            changed[key] = each.on_piece(numbers[: each.numbers])
+            numbers = numbers[each.numbers :]
+    return changed
 
 
 def numbered(what: str, k: int, attribute: str) -> str:
@@ -104,7 +142,9 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
         else:
             what, k, attribute = _owner(owners, name)
             value = getattr(parts[what][k], attribute)
-            if isinstance(value, TimeFunction):
+            if name.endswith(PIECE):
+                value = _piece(functions_of(value), 0.0)
+            elif isinstance(value, TimeFunction):
                 value = _linear(value)
             elif isinstance(value, Mapping):
                 value = list(value.values())
@@ -154,13 +194,15 @@ def with_laws(scene: Scene, laws: Iterable[Law]) -> Scene:
 def _substitute(scene: Scene, values: Mapping[str, Any], change: Callable[..., Any]) -> Scene:
     parts, owners = _parts(scene), _owners(scene)
     fields: dict[str, Any] = {}
-    for name, value in values.items():
+    for name, value in sorted(values.items(), key=lambda item: item[0].endswith(PIECE)):
         if name == "gravity":
             fields["gravity"] = value
         else:
             what, k, attribute = _owner(owners, name)
             own = getattr(parts[what][k], attribute)
-            if isinstance(own, TimeFunction):
+            if name.endswith(PIECE):
+                value = _on_piece(own, list(value))
+            elif isinstance(own, TimeFunction):
                 value = _with_linear(own, list(value), change)
             elif isinstance(own, Mapping):
                 value = dict(zip(own, value, strict=True))
@@ -177,14 +219,9 @@ def _linear(function: TimeFunction) -> list[float]:
     """Return what a function of time is linear in."""
     if isinstance(function, Sum):
         return [value for term in function.terms for value in _linear(term)]
-    return (
-        list(function.coefficients)
-        if isinstance(function, Polynomial)
-        else [
-            function.amplitude,
-            function.offset,
-        ]
-    )
+    if isinstance(function, Sine):
+        return [function.amplitude, function.offset]
+    return list(function.values if isinstance(function, Piecewise) else function.coefficients)
 
 
 def _with_linear(function: TimeFunction, values: list[Any], change: Callable[..., Any]) -> TimeFunction:
@@ -198,6 +235,10 @@ def _with_linear(function: TimeFunction, values: list[Any], change: Callable[...
         return change(function, terms=tuple(terms))
     if isinstance(function, Sine):
         return change(function, amplitude=values[0], offset=values[1])
+    if isinstance(function, Piecewise):
+        changed = change(function, values=tuple(values))
+        vars(changed).pop("_pieces", None)  # of the samples that have changed
+        return changed
     return change(function, coefficients=tuple(values))
 
 

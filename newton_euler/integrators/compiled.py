@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from functools import cache, cached_property
 from itertools import accumulate
@@ -22,7 +22,7 @@ from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.parameters import parameter_values, with_values
+from newton_euler.equations.parameters import parameter_values, pieces, with_values
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.sparse import RowsInUse, least_squares
@@ -45,11 +45,13 @@ FORMULATIONS: dict[FormulationName, Callable[[Scene, float], Formulation]] = {
     "cartesian": Cartesian,
 }
 
-NEUTRAL = frozenset({"description", "duration", "output_period", "controller", "shapes", "meshes"})
-"""Fields of scenes, control laws and bodies that no equation sees."""
+NEUTRAL = frozenset(
+    {"description", "duration", "output_period", "controller", "shapes", "meshes", "times", "values"}
+)
+"""Fields of scenes, control laws, bodies and functions with knots that no equation sees."""
 
 KINEMATIC = ("position", "velocity")
-"""Programs that no parameter enters; coverage takes those of the run."""
+"""Programs that no parameter enters but the pieces of motions; coverage takes those of the run."""
 
 STABILIZATIONS: tuple[StabilizationName, ...] = get_args(StabilizationName)
 
@@ -99,7 +101,9 @@ class Code:
         system: its formulation, whose float form is the reference.
         formulation: "relative" or "cartesian".
         stabilization, alpha: as asked for.
-        parameters: names of the parameters that are inputs of the code, with their shapes.
+        parameters: names of the parameters that are inputs of the code, with their shapes: pieces of motions
+            first, then those asked for, pieces of control laws and what sampled controllers hold.
+        piecewise: True if functions of time have pieces.
         size: length of (q, v).
         inputs: length of (q, v, time, parameters).
         programs: traced so far, by name: derivative, position, velocity, rate, jacobian, output,
@@ -125,7 +129,11 @@ class Code:
         self.formulation, self.stabilization, self.alpha = formulation, stabilization, alpha
         self._alpha = baumgarte_alpha(stabilization, alpha)
         self.system = formulate(scene, formulation, self._alpha)
-        names = [*parameters, *(f"{law.prefix}.held" for law in scene.sampled)]
+        of_functions = list(pieces(scene, 0.0))
+        self._of_motions = tuple(name for name in of_functions if name.startswith("motions"))
+        self.piecewise = len(of_functions) > 0
+        of_laws = of_functions[len(self._of_motions) :]
+        names = [*self._of_motions, *parameters, *of_laws, *(f"{law.prefix}.held" for law in scene.sampled)]
         self.parameters = {name: value.shape for name, value in parameter_values(scene, names).items()}
         self.size = self.system.nq + self.system.nv
         self.inputs = self.size + 1 + sum(int(np.prod(shape)) for shape in self.parameters.values())
@@ -187,7 +195,7 @@ class Code:
 
     def _identity_of(self, name: str) -> str | None:
         """Fingerprint of everything that a program, or the choice of "rows", depends on."""
-        parameters = () if name in KINEMATIC else tuple(self.parameters)
+        parameters = self._of_motions if name in KINEMATIC else tuple(self.parameters)
         neutral = NEUTRAL if name == "output" else NEUTRAL | {"outputs"}
         return self._fingerprint(parameters, neutral)
 
@@ -197,6 +205,8 @@ class Code:
         chosen: list[Any] = [self.formulation, self.stabilization, self._alpha, self.scene.tracks_work]
         if self._independent is not None:
             chosen.append(tuple(self._independent))
+        # the choice of rows begins where the scene does
+        chosen += [float(motion.function.value(0.0)) for motion in self.scene.motions]
         return cache(
             lambda parameters, neutral: fingerprint(self.scene, *chosen, parameters, neutral=neutral)
         )
@@ -252,7 +262,7 @@ class Code:
 
     def packed(self, q: Array, v: Array, time: float = 0.0, values: dict[str, Array] | None = None) -> Array:
         """Pack x (inputs,) for native functions; parameters not in `values` are the scene's own."""
-        own = parameter_values(self.scene, self.parameters) | (values or {})
+        own = parameter_values(self.scene, self.parameters) | pieces(self.scene, time) | (values or {})
         return np.concatenate([q, v, [time], *(np.ravel(own[name]) for name in self.parameters)])
 
     def float_system(self, x: Array) -> Formulation:
@@ -263,6 +273,10 @@ class Code:
             system = formulate(scene, self.formulation, self._alpha)
         system.omitted = self.omitted
         return at_time(system, x[self.size])
+
+    def parametrized(self, x: Array) -> Scene:
+        """Return the scene with the values in x (inputs,) of the parameters that were asked for."""
+        return with_values(self.scene, self._values(x, self._named)) if self._named else self.scene
 
     def place(self, parameter: str) -> int:
         """Return the place where a parameter begins in x (inputs,)."""
@@ -277,11 +291,11 @@ class Code:
         starts = accumulate(sizes, initial=self.size + 1)
         return dict(zip(self.parameters, starts, strict=False))
 
-    def _values(self, x: Array) -> dict[str, Any]:
-        """Return the parameters in x (inputs,), by name."""
+    def _values(self, x: Array, names: Iterable[str] | None = None) -> dict[str, Any]:
+        """Return these parameters, or all, in x (inputs,), by name."""
         values = {}
-        for name, shape in self.parameters.items():
-            start = self._places[name]
+        for name in self.parameters if names is None else names:
+            start, shape = self._places[name], self.parameters[name]
             values[name] = x[start : start + int(np.prod(shape))].reshape(shape) if shape else x[start]
         return values
 
@@ -306,9 +320,9 @@ class Code:
     def _trace(self, name: str) -> Program:
         """Trace a program; those whose results have names leave their layout in `_layouts`."""
         graph = Graph()
-        kinematic = name in KINEMATIC
-        x = graph.variables(self.size + 1 if kinematic else self.inputs)
-        scene = with_values(self.scene, {} if kinematic else self._values(x))
+        names = self._of_motions if name in KINEMATIC else tuple(self.parameters)
+        x = graph.variables(self.size + 1 + sum(int(np.prod(self.parameters[each])) for each in names))
+        scene = with_values(self.scene, self._values(x, names))
         system = at_time(formulate(scene, self.formulation, self._alpha), x[self.size])
         if self.scene.motions:
             system.in_use = self.rows

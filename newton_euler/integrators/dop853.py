@@ -18,6 +18,7 @@ from newton_euler.integrators.stepper import (
     HUGE,
     REACHED,
     REJECTED,
+    SPACING,
     STEPS,
     Equations,
     Table,
@@ -97,6 +98,9 @@ DENSE = (
 )
 """Weights of stages 0 to 15 in the last four terms of the dense output, sixteen a row."""
 # fmt: on
+
+LEAST = 1e3
+"""Of the first step in units of the distance of doubles at its time."""
 
 SAFETY, SMALLEST, LARGEST = 0.9, 0.2, 10.0
 """Factors of the step-size control, as in scipy."""
@@ -232,7 +236,8 @@ def first_step(system: Equations, method: Dop853, span: float) -> float:
         d1 += (k[i] / scale) * (k[i] / scale)
     d0 = sqrt(d0 / n)
     d1 = sqrt(d1 / n)
-    h = min(1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1, span)
+    h = 1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1
+    h = min(max(h, LEAST * SPACING * abs(now[n])), span)  # next to the origin the state says little
     for i in range(n):
         at[i] = now[i] + h * k[i]
     at[n] = now[n] + h

@@ -202,24 +202,22 @@ class Integrator:
             error = self._python.error
             raise failure(self._code, self._integrator, self._most, status, self.x, self.counts, error)
 
-    def attempt(self, x: Array) -> tuple[dict[str, Array], IntegrationError | None]:
-        """Run from x (inputs,): outputs at the times that were reached, and the error before the last of
-        them.
-
-        The arrays have a row for each of the first times; without any there are no arrays.
-        """
+    def attempt(self, x: Array) -> tuple[Array, IntegrationError | None]:
+        """Run from x (inputs,): results (n, outputs) at the n times that were reached, and the error before
+        the last of all times."""
         stopped: IntegrationError | None = None
         try:
             self(x)
         except IntegrationError as error:
             stopped = error
-        rows = int(self.counts[m.WRITTEN])
+        rows, results = int(self.counts[m.WRITTEN]), np.empty(self.outputs.shape)
         while rows > 0:
             try:
-                return self.outputs(np.empty(self.outputs.shape), rows), stopped
+                self.outputs(results, rows)
+                break
             except IntegrationError as error:
                 stopped, rows = stopped or error, int(np.searchsorted(self._times, error.time))
-        return {}, stopped
+        return results[:rows], stopped
 
     @property
     def counted(self) -> dict[str, int]:

@@ -1,16 +1,17 @@
-"""Runs with sampled controllers, from one sampling instant to the next, whatever integrates in between."""
+"""Runs with sampled controllers and with functions of time that have knots, from one sampling instant or knot
+to the next, whatever integrates in between."""
 
 from __future__ import annotations
 
 import copy
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from typing import NamedTuple, Protocol, TypeVar
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from newton_euler.equations.parameters import with_values
+from newton_euler.equations.parameters import pieces, with_values
 from newton_euler.errors import is_finite_number
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
@@ -21,12 +22,12 @@ from newton_euler.model.trajectory import IntegrationError
 from newton_euler.scalars import Array
 
 SAME = 1e-9
-"""Times that differ by less than this share of a controller's period are one: multiples of different
-periods meet only up to round-off."""
+"""Times that differ by less than this share of a controller's period, or of the time between knots, are one:
+multiples of different periods meet only up to round-off."""
 
 
 class Interval(NamedTuple):
-    """A part of a run in which forces of sampled controllers are constant.
+    """A part of a run in which forces of sampled controllers are constant, and functions of time smooth.
 
     Attributes:
         due: laws whose controllers are called where it begins. times: (n,) s, n >= 2: where it begins, the
@@ -39,20 +40,33 @@ class Interval(NamedTuple):
     times: Array
     wanted: Array
 
+    @property
+    def middle(self) -> float:
+        """A time in s between the knots around the interval."""
+        return float(0.5 * (self.times[0] + self.times[-1]))
 
-def intervals(scene: Scene) -> Iterator[Interval]:
-    """Divide a run of the scene at sampling instants; a single interval if nothing is sampled.
+
+def intervals(scene: Scene, knots: Sequence[float]) -> Iterator[Interval]:
+    """Divide a run of the scene at sampling instants and knots; a single interval if there are none.
 
     Controllers are called at multiples of their periods from 0 on, but not at the end of the run.
+
+    Args:
+        scene: what is run.
+        knots: s, ascending.
     """
     outputs, laws = scene.times, scene.sampled
     end = float(outputs[-1])
+    slack = SAME * float(np.min(np.diff(knots), initial=scene.output_period))
+    ahead = [_met(knot, slack, outputs) for knot in reversed(knots) if slack < knot < end - slack]
     begin, due, calls = 0.0, list(range(len(laws))), [0] * len(laws)
     while begin < end:
         for k in due:
             calls[k] += 1
         upcoming = [_instant(law, number, outputs) for law, number in zip(laws, calls, strict=True)]
-        stop = min([*upcoming, end])
+        while ahead and ahead[-1] <= begin + slack:
+            ahead.pop()
+        stop = min([*upcoming, *ahead[-1:], end])
         first, last = np.searchsorted(outputs, [begin, stop])
         inside = outputs[first:] if stop == end else outputs[first:last]
         times = np.union1d(inside, [begin, stop])
@@ -61,8 +75,12 @@ def intervals(scene: Scene) -> Iterator[Interval]:
 
 
 def _instant(law: HeldLaw, number: int, outputs: Array) -> float:
-    """Return the time of the call of a controller with that number, from 0; an output time is met exactly."""
-    time, slack = number * law.period, SAME * law.period
+    """Return the time of the call of a controller with that number, from 0."""
+    return _met(number * law.period, SAME * law.period, outputs)
+
+
+def _met(time: float, slack: float, outputs: Array) -> float:
+    """Return an output time, s, instead of one that differs from it by less than the slack."""
     k = int(np.searchsorted(outputs, time - slack))
     return float(outputs[k]) if k < len(outputs) and outputs[k] < time + slack else time
 
@@ -111,10 +129,10 @@ class OfScene(Protocol):
 S = TypeVar("S", bound=OfScene)
 
 
-def holding(system: S, forces: Mapping[str, float]) -> S:
-    """Return the same equations with these constant forces, as `sample` returns them; models are shared."""
+def holding(system: S, values: Mapping[str, Any]) -> S:
+    """Return the same equations with these values, as `sample` and `pieces` name them; models are shared."""
     changed = copy.copy(system)
-    changed.scene = with_values(system.scene, forces)
+    changed.scene = with_values(system.scene, values)
     return changed
 
 
@@ -122,46 +140,49 @@ class NativeRun(NamedTuple):
     """A run in native code.
 
     Attributes:
-        arrays: what the scene asks for at the output times that were reached; none if none was.
+        results: (n, outputs) what the scene asks for at the n output times that were reached, see
+            `newton_euler.integrators.outputs.named`.
         counts: of steps and evaluations, by name.
         stopped: the error that ended the run before the last output; None if none did.
         wall_time: s, of the run itself, without making its integrator.
     """
 
-    arrays: dict[str, Array]
+    results: Array
     counts: dict[str, int]
     stopped: IntegrationError | None
     wall_time: float
 
 
-def integrate_sampled(code: Code, x: Array, options: Options) -> NativeRun:
-    """Run a scene from x (inputs,), which is changed."""
-    if not code.scene.sampled:
-        integrator = Integrator(code, code.scene.times, options)
-        start = time.perf_counter()
-        arrays, stopped = integrator.attempt(x)
-        return NativeRun(arrays, integrator.counted, stopped, time.perf_counter() - start)
+def integrate_intervals(code: Code, x: Array, options: Options, stopped: Sequence[bool] = ()) -> NativeRun:
+    """Run a scene from x (inputs,), which is changed; `stopped` is as of `Integrator`."""
     start = time.perf_counter()
-    parts: list[dict[str, Array]] = []
+    scene = code.parametrized(x)
+    parts: list[Array] = []
     total: Counter[str] = Counter()
-    controllers = Controllers(code.scene)
-    for interval in intervals(code.scene):
-        readings = code.function("measured")(x).reshape(2, -1).T
-        try:
-            forces = controllers.sample(interval.due, float(interval.times[0]), readings)
-        except IntegrationError as error:
-            stopped = error
-            break
-        for name, force in forces.items():
-            x[code.place(name)] = force
-        integrator = Integrator(code, interval.times, options)
-        arrays, stopped = integrator.attempt(x)
+    error: IntegrationError | None = None
+    controllers = Controllers(scene)
+    for interval in intervals(scene, scene.knots):
+        values: dict[str, Any] = pieces(scene, interval.middle)
+        if interval.due:
+            readings = code.function("measured")(x).reshape(2, -1).T
+            try:
+                values |= controllers.sample(interval.due, float(interval.times[0]), readings)
+            except IntegrationError as failed:
+                error = failed
+                break
+        for name, value in values.items():
+            place = code.place(name)
+            x[place : place + np.size(value)] = value
+        integrator = Integrator(code, interval.times, options, stopped)
+        if not values:  # one integrator for all of the run, which others make once for many
+            start = time.perf_counter()
+        results, error = integrator.attempt(x)
         total.update(integrator.counted)
-        if arrays:
-            parts.append({name: array[interval.wanted[: len(array)]] for name, array in arrays.items()})
-        if stopped:
+        wanted = interval.wanted[: len(results)]
+        parts.append(results if wanted.all() else results[wanted])
+        if error:
             break
         x[:] = integrator.x
-    names = parts[0] if parts else {}
-    arrays = {name: np.concatenate([part[name] for part in parts]) for name in names}
-    return NativeRun(arrays, dict(total), stopped, time.perf_counter() - start)
+    if len(parts) != 1:
+        results = np.concatenate([np.zeros((0, code.function("output").outputs)), *parts])
+    return NativeRun(results, dict(total), error, time.perf_counter() - start)

@@ -12,7 +12,7 @@ from newton_euler.errors import MechanismError, check_key, finite_array, set_num
 from newton_euler.model.elements import CoordinateForce, Surroundings
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism, check_coordinate
-from newton_euler.model.motions import Polynomial, Sine, TimeFunction, terms
+from newton_euler.model.motions import Sine, TimeFunction, functions_of, terms
 from newton_euler.scalars import Array, Scalar
 
 DRIVEN = ("target", "feedforward")
@@ -68,6 +68,11 @@ class DeclaredLaw(ControlLaw):
     def is_driven(self) -> bool:
         """True if the law depends on time."""
         return any(isinstance(getattr(self, name), TimeFunction) for name in DRIVEN)
+
+    @property
+    def jumps(self) -> bool:
+        """True if a function of time of the law jumps."""
+        return any(f.jumps for name in self.functions for f in functions_of(getattr(self, name)))
 
     @property
     def feedback(self) -> Mapping[Key, tuple[float, float]]:
@@ -133,6 +138,7 @@ class PD(DeclaredLaw):
     feedforward: float | TimeFunction = 0.0
 
     parameters = ("stiffness", "damping", "target", "feedforward")
+    functions = DRIVEN
     strengths: ClassVar = {"actuator": ("stiffness", "damping", "feedforward")}
 
     def __post_init__(self) -> None:
@@ -178,6 +184,7 @@ class StateFeedback(DeclaredLaw):
     targets: Mapping[str | Key, float | TimeFunction] = ()  # type: ignore[assignment]
 
     parameters = ("gains", "target", "feedforward")
+    functions = (*DRIVEN, "targets")
     strengths: ClassVar = {"actuator": ("gains", "feedforward")}
 
     def __post_init__(self) -> None:
@@ -245,8 +252,12 @@ class DrivenLaws:
         self.places = np.array([k for k, _ in driven], dtype=int)
         self._constant = np.zeros(len(driven))
         sines: list[tuple[int, float, float, Sine]] = []
-        self._polynomials: list[tuple[int, float, float, Polynomial]] = []
-        for n, (_, law) in enumerate(driven):
+        self._others: list[tuple[int, float, float, TimeFunction]] = []
+        self._jumping: list[tuple[int, int]] = []
+        for n, (k, law) in enumerate(driven):
+            if law.jumps:
+                self._jumping.append((n, k))
+                continue
             for given, gain, rate_gain in (
                 (law.feedforward, 1.0, 0.0),
                 (law.target, law.stiffness, law.damping),
@@ -258,7 +269,7 @@ class DrivenLaws:
                     if isinstance(term, Sine):
                         sines.append((n, gain, rate_gain, term))
                     else:
-                        self._polynomials.append((n, gain, rate_gain, term))
+                        self._others.append((n, gain, rate_gain, term))
         self._on_sines = np.array([n for n, *_ in sines], dtype=int)
         numbers = [
             (gain, rate_gain, sine.offset, sine.amplitude, sine.angular_frequency, sine.phase)
@@ -266,13 +277,17 @@ class DrivenLaws:
         ]
         self._sines = np.reshape(numbers, (-1, 6)).T
 
-    def at(self, time: float) -> Array:
-        """Compute w (n,), N or N m, at a time in s."""
+    def at(self, laws: Sequence[object], time: float) -> Array:
+        """Compute w (n,), N or N m, at a time in s, by laws whose functions are held between their jumps."""
         found = self._constant.copy()
         gain, rate_gain, offset, amplitude, w, phase = self._sines
         angle = w * time + phase
         value, rate = offset + amplitude * np.sin(angle), amplitude * w * np.cos(angle)
         np.add.at(found, self._on_sines, gain * value + rate_gain * rate)
-        for n, k_p, k_d, polynomial in self._polynomials:
-            found[n] += k_p * polynomial.value(time) + k_d * polynomial.rate(time)
+        for n, k_p, k_d, function in self._others:
+            found[n] += k_p * function.value(time) + k_d * function.rate(time)
+        for n, k in self._jumping:
+            law = laws[k]
+            assert isinstance(law, PD)
+            found[n] = law.force(0.0, 0.0, time)
         return found

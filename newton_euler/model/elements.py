@@ -49,12 +49,14 @@ class Element:
         parameters: attributes that may change from run to run without a new compilation.
         strengths: attributes that the element is proportional to, by what they are the strength of.
         body_fields: attributes that are names of bodies.
+        functions: attributes that may be functions of time, or mappings to some.
     """
 
     noun: ClassVar[str]
     parameters: ClassVar[tuple[str, ...]]
     strengths: ClassVar[Mapping[str, tuple[str, ...]]]
     body_fields: ClassVar[tuple[str, ...]] = ()
+    functions: ClassVar[tuple[str, ...]] = ()
 
     @property
     def on_ball(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -262,7 +262,8 @@ class Spline(Piecewise):
     def _pieces(self) -> list[tuple[float, ...]]:
         from scipy.interpolate import PPoly, make_interp_spline
 
-        found = PPoly.from_spline(make_interp_spline(self.times, self.values, min(DEGREE, len(self.times) - 1)))
+        degree = min(DEGREE, len(self.times) - 1)
+        found = PPoly.from_spline(make_interp_spline(self.times, self.values, degree))
         pieces = zip(found.x[:-1].tolist(), found.x[1:].tolist(), found.c[::-1].T.tolist(), strict=True)
         missing = [0.0] * (DEGREE + 1 - len(found.c))
         return [(start, *coefficients, *missing) for start, end, coefficients in pieces if end > start]
@@ -376,6 +377,12 @@ class Sum:
 
 
 TimeFunction = Polynomial | Sine | Piece | Spline | Steps | Sum
+
+
+def functions_of(value: Any) -> tuple[TimeFunction, ...]:
+    """Return the functions of time that an attribute is or, as a mapping, has for values."""
+    values = value.values() if isinstance(value, Mapping) else (value,)
+    return tuple(each for each in values if isinstance(each, TimeFunction))
 
 
 def terms(function: TimeFunction) -> Iterator[Polynomial | Sine | Piece | Spline | Steps]:

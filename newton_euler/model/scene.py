@@ -18,7 +18,7 @@ from newton_euler.model.forces import Armature, BallArmature, Force, JointSpring
 from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
-from newton_euler.model.motions import PrescribedMotion
+from newton_euler.model.motions import PrescribedMotion, Spline, TimeFunction, functions_of, terms
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
@@ -44,6 +44,10 @@ REDUNDANCY_TOLERANCE = 1e-4
 """Noise that files have at most: points rounded to 1e-6 m on a mechanism of a centimeter."""
 
 _NAME = re.compile(r"[A-Za-z0-9_.\-]{1,100}")
+
+
+def _knots(functions: Iterable[TimeFunction]) -> tuple[float, ...]:
+    return tuple(sorted({knot for function in functions for knot in function.knots}))
 
 
 @description
@@ -127,6 +131,7 @@ class Scene:
             elements = elements_of(where, field, getattr(self, field), *kinds)
             check_elements(elements, self.mechanism)
             object.__setattr__(self, field, elements)
+        self._check_functions()
         if self.initial_state is not None:
             self._check_state(self.initial_state)
 
@@ -143,6 +148,20 @@ class Scene:
             raise MechanismError(
                 f"scene {name!r}", f"description is {description!r:.150}", "one line of printable text"
             )
+
+    def _check_functions(self) -> None:
+        for element in (*self.motions, *self.control):
+            given = element.law if isinstance(element, Digital) else element
+            for attribute in given.functions:
+                for function in functions_of(getattr(given, attribute)):
+                    self._check_span(element.element, attribute, function)
+
+    def _check_span(self, element: str, attribute: str, function: TimeFunction) -> None:
+        for term in terms(function):
+            if isinstance(term, Spline) and not term.covers(self.duration):
+                span = f"{attribute} is known from {term.times[0]:.9g} to {term.times[-1]:.9g} s"
+                needed = f"samples from 0 to the end of the run, {self.duration:g} s"
+                raise MechanismError(element, span, needed)
 
     @np.errstate(all="ignore")  # a norm may overflow
     def check_numbers(self, state: object, where: str) -> None:
@@ -211,6 +230,28 @@ class Scene:
     def sensed(self) -> tuple[Key, ...]:
         """The joint coordinates that control laws act on, in their order, then others that they read."""
         return sensed(self.control)
+
+    @property
+    def functions(self) -> dict[tuple[str, int, str], tuple[TimeFunction, ...]]:
+        """The functions of time by their places: "motions" or "control", which of them, and the attribute."""
+        found = {}
+        for field in ("motions", "control"):
+            for k, element in enumerate(getattr(self, field)):
+                for attribute in element.functions:
+                    if functions := functions_of(getattr(element, attribute)):
+                        found[field, k, attribute] = functions
+        return found
+
+    @property
+    def knots(self) -> tuple[float, ...]:
+        """Times, s, before and after which a function of time has other derivatives, ascending."""
+        return _knots(function for functions in self.functions.values() for function in functions)
+
+    @property
+    def jumps(self) -> tuple[float, ...]:
+        """The same of attributes alone that have functions which jump."""
+        jumping = (functions for functions in self.functions.values() if any(f.jumps for f in functions))
+        return _knots(function for functions in jumping for function in functions)
 
     @cached_property
     def joint_forces(self) -> tuple[Law | JointSpring, ...]:

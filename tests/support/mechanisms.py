@@ -9,6 +9,7 @@ import numpy as np
 
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.system import Evaluation
+from newton_euler.model.digital_control import Law
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.forces import Force, PointSpring
 from newton_euler.model.joint import Joint
@@ -64,6 +65,22 @@ def pendulum(length: float = 1.0, angle: float = np.pi / 2) -> Scene:
         [Revolute("pivot", "ground", "rod", [0.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0])],
     )
     return Scene("pendulum", mechanism, duration=2.0, output_period=0.1, gravity=GRAVITY)
+
+
+CART = 2.0
+"""kg, of each of `carts`."""
+
+
+def carts(*control: Law, duration: float = 0.25, output_period: float = 0.01) -> Scene:
+    """Carts on rails side by side, `rail_0` and `rail_1`, at rest and without gravity."""
+    names = ["cart_0", "cart_1"]
+    bodies = [Body(name, CART, [0.0, k, 0.0], 0.1 * np.eye(3)) for k, name in enumerate(names)]
+    joints = [
+        Translational(f"rail_{k}", "ground", name, [0.0, k, 0.0], axis=[1.0, 0.0, 0.0], actuated=True)
+        for k, name in enumerate(names)
+    ]
+    mechanism = Mechanism([Body.ground(), *bodies], joints)
+    return Scene("carts", mechanism, duration, output_period, control=control)
 
 
 def spinning_top() -> Scene:

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from mechanisms import slider_tree
+from mechanisms import CART, carts, slider_tree
 
 import mjcf
 import newton_euler
@@ -23,8 +23,7 @@ from newton_euler.errors import OptionError
 from newton_euler.integrators.options import Options
 from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Sampled
-from newton_euler.model.joint_kinds import Translational
-from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, Trajectory
 from newton_euler.simulate import run
@@ -45,22 +44,8 @@ FIXED: dict[str, Callable[[Scene], Trajectory]] = {
     "pinocchio": partial(urdf.simulate, integrator="RK4", step=4e-3),
 }
 
-MASS = 2.0
-
 FORCES = np.array([3.0, -2.0, 0.0, 5.0, -7.0, 1.0, 2.5, -4.0])
 """N, held in turn, again and again."""
-
-
-def carts(*control: PD | Sampled, duration: float = 0.25, output_period: float = 0.01) -> Scene:
-    """Carts on rails side by side, `rail_0` and `rail_1`, at rest and without gravity."""
-    names = ["cart_0", "cart_1"]
-    bodies = [Body(name, MASS, [0.0, k, 0.0], 0.1 * np.eye(3)) for k, name in enumerate(names)]
-    joints = [
-        Translational(f"rail_{k}", "ground", name, [0.0, k, 0.0], axis=[1.0, 0.0, 0.0], actuated=True)
-        for k, name in enumerate(names)
-    ]
-    mechanism = Mechanism([Body.ground(), *bodies], joints)
-    return Scene("carts", mechanism, duration, output_period, control=control)
 
 
 class Recorder:
@@ -79,12 +64,12 @@ def exact(times: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray, np.
     """Position, speed and force (n,) of a cart under `FORCES` at a period; new forces hold at instants."""
     k = np.floor(times / period + 1e-9).astype(int)
     forces = np.resize(FORCES, k.max() + 1)
-    speeds = np.concatenate([[0.0], np.cumsum(forces / MASS * period)])
+    speeds = np.concatenate([[0.0], np.cumsum(forces / CART * period)])
     positions = np.concatenate(
-        [[0.0], np.cumsum(speeds[:-1] * period + 0.5 * forces / MASS * period**2)],
+        [[0.0], np.cumsum(speeds[:-1] * period + 0.5 * forces / CART * period**2)],
     )
     rest = times - k * period
-    a = forces[k] / MASS
+    a = forces[k] / CART
     return positions[k] + speeds[k] * rest + 0.5 * a * rest**2, speeds[k] + a * rest, forces[k]
 
 
@@ -193,7 +178,7 @@ def test_single_states_have_the_force_that_is_held(system):
     built = system(carts(Sampled("rail_1", Recorder(), 0.02, held=3.0)))
     evaluation = built.evaluate(*built.coordinates(initial_state(built.scene)))
     assert np.array_equal(evaluation.actuator_force, [3.0])
-    assert evaluation.linear_acceleration[2] == pytest.approx([3.0 / MASS, 0.0, 0.0], abs=1e-15)
+    assert evaluation.linear_acceleration[2] == pytest.approx([3.0 / CART, 0.0, 0.0], abs=1e-15)
 
 
 def test_mjcf_has_a_motor_with_the_held_force():
