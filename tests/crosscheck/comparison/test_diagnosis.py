@@ -250,12 +250,12 @@ def test_a_planted_fault_is_blamed_on_its_engine(name):
         check_blamed(with_fault(str(EXAMPLE), fault, name), name)
 
 
-def more_damping(self, x, rate, time, force=PD.force):
-    return force(self, x, rate, time) - 0.01 * self.damping * rate
+def more_damping(self, at, force=PD.at_joint):
+    return force(self, at) - 0.01 * self.damping * self.measure(at)[1]
 
 
-def warmer(self, x, rate, time, force=JointSpring.force):
-    return 1.01 * force(self, x, rate, time)
+def warmer(self, at, force=JointSpring.at_joint):
+    return 1.01 * force(self, at)
 
 
 DRIVEN = """<mujoco><worldbody><body><joint name="h" axis="0 1 0" stiffness="3" springref="20"/>
@@ -271,7 +271,7 @@ def test_a_law_that_newton_euler_gets_wrong_is_blamed_on_it(law, force, tmp_path
     path = tmp_path / "driven.xml"
     path.write_text(DRIVEN)
     found = mjcf.read(path, duration=0.02, exercise=True, verified=False)
-    monkeypatch.setattr(law, "force", force)
+    monkeypatch.setattr(law, "at_joint", force)
     result = crosscheck(found.scene, list(ENGINES.values()), lambda _: None, "driven", {}, found.report)
     (first,) = result.diagnosis
     assert (first.odd, first.fault) == (NE, "model")
@@ -281,7 +281,7 @@ def test_a_law_that_newton_euler_gets_wrong_is_blamed_on_it(law, force, tmp_path
 @pytest.mark.parametrize("other", [MJ, PIN])
 @pytest.mark.parametrize(
     ("scene_name", "kind", "method"),
-    [("tracker", PD, "force"), ("andrews", PointSpring, "pull")],
+    [("tracker", PD, "at_joint"), ("andrews", PointSpring, "pull")],
 )
 def test_of_two_engines_the_one_with_wrong_forces_is_blamed(
     scene_name, kind, method, other, tmp_path, monkeypatch
