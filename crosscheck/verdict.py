@@ -9,24 +9,24 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from crosscheck.comparison.diagnosis import Diagnosis
 from crosscheck.comparison.figure import Figure
 from crosscheck.engines import ENGINES, choose
 from crosscheck.files import check_writable
-from crosscheck.load import EXERCISED, exercised, load_scene
-from crosscheck.model_files.read import read_model
+from crosscheck.load import exercised, load_scene
 from crosscheck.report.output import own_name, to_record, write
 from crosscheck.report.page import rendered
 from crosscheck.report.render import terminal
 from crosscheck.report.run import report
 from crosscheck.report.table import Report
 from crosscheck.run import Crosscheck, crosscheck
-from crosscheck.scenes.size import check_scene
-from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.scalars import Floats
 
 if TYPE_CHECKING:
-    from mjcf.reader import MujocoModel
+    from crosscheck.load import Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,22 +109,24 @@ class Verdict:
 
 
 def check(
-    model: str | os.PathLike[str] | Scene | MujocoModel,
+    model: Model,
     engines: Sequence[str] = tuple(ENGINES),
     *,
     advice: bool = False,
     progress: Callable[[str], None] = lambda stage: None,
-    **options: str | float,
+    **options: str | float | Sequence[float] | Floats,
 ) -> Verdict:
     """Run a model through the engines and compare them.
 
     Args:
-        model: a scene of the library by name, a scene file, an MJCF, a URDF, a `Scene`, or an `MjSpec` or an
-            `MjModel` of MuJoCo, read as its file would be.
+        model: a scene of the library by name, a scene file, an MJCF, a URDF, a `Scene`, an `MjSpec` or an
+            `MjModel` of MuJoCo, or a `Model` of Pinocchio, alone or paired with its constraints, see
+            `urdf.read`.
         engines: by name. One that cannot express the model is left out, and then they do not agree.
         advice: whether to work out what to do about what is found, by more runs.
         progress: is told each stage.
-        options: of the scene or the file, as `crosscheck list` shows them.
+        options: of the scene or the file, as `crosscheck list` shows them; `q`, a configuration, of a
+            `Model`.
 
     Raises:
         CrosscheckError, NewtonEulerError: for a model, engine or option that does not exist or cannot be run.
@@ -134,16 +136,13 @@ def check(
         True
     """
     chosen = choose(list(engines))
-    texts = {name: str(value) for name, value in options.items()}
-    if isinstance(model, Scene):
-        if texts:
-            raise TypeError(f"options are of names and files, not of a Scene: {', '.join(texts)}")
-        scene, source, mapping = model, "", None
-    elif not isinstance(model, str | os.PathLike):
-        source = ""
-        scene, mapping = read_model(model, EXERCISED | texts, verified=False)
-        check_scene(scene)
-    else:
-        source = os.fspath(model)
-        scene, mapping = load_scene(source, exercised(source, texts), verified=False)
+    texts = {name: _text(value) for name, value in options.items()}
+    source = os.fspath(model) if isinstance(model, str | os.PathLike) else ""
+    scene, mapping = load_scene(model, exercised(model, texts), verified=False)
     return Verdict(crosscheck(scene, chosen, progress, source, texts, mapping, advice))
+
+
+def _text(value: str | float | Sequence[float] | Floats) -> str:
+    """Return an option as a command takes it, numbers with all their digits."""
+    several = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str)
+    return ",".join(map(str, np.asarray(value).tolist())) if several else str(value)

@@ -1,4 +1,4 @@
-"""A URDF and its loop file as Pinocchio holds them, to verify a scene that was read from them.
+"""A URDF with its loop file, or a model in memory, as Pinocchio has them, to verify scenes read from them.
 
 See `newton_euler.verification`. Pinocchio parses the file anew. What the loop file says, and mimics, are rows
 of constraints here; nothing is shared with `urdf.reading` but the names of elements.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -20,50 +20,57 @@ from newton_euler.verification.import_report import ImportReport, left_out, uniq
 from newton_euler.verification.original import SEVERAL_HINGES, Original, Sample, wholes
 from newton_euler.verification.quantities import Constraints, Forces, Kinematics
 from urdf.loops import NO_LOOPS, UNIVERSAL, Loops, parse_loops
+from urdf.reading.given import loops_of
 
 HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 
 
-class UrdfOriginal(Original):
-    """A URDF and its loop file."""
+ARMATURE = "armature"
+"""Topic of rotor inertias."""
+
+
+class Closure(NamedTuple):
+    """Two frames that something closes, the second its own.
+
+    Attributes:
+        element: what reports call it.
+        kind: one of `urdf.loops.CLOSURE_TYPES`.
+        first, second: numbers of the frames.
+    """
+
+    element: str
+    kind: str
+    first: int
+    second: int
+
+
+class PinocchioOriginal(Original):
+    """A Pinocchio model and what closes its loops."""
 
     def __init__(
-        self,
-        text: str,
-        loops: str | None,
-        base: str,
-        gravity: Sequence[float],
-        report: ImportReport,
-        scene: Scene,
+        self, model: Any, owners: Sequence[str], closures: list[Closure], report: ImportReport, scene: Scene
     ) -> None:
-        """Parse both files.
+        """Take over a model.
 
         Args:
-            text: of the URDF.
-            loops: text of the loop file; None if there is none.
-            base, gravity: as of `urdf.read`.
+            model: a `pinocchio.Model` that nothing else has, with the gravity of the scene.
+            owners: what reports call each of its joints.
+            closures: of its frames.
             report: of the reading.
             scene: what was read; its initial pose says which of the closed ones is the start.
         """
-        self._root = ET.fromstring(text)
-        self._loops = parse_loops(loops, "loop file") if loops is not None else NO_LOOPS
-        self._model, self._of = _built(text, self._loops, base)
-        self._model.gravity.linear = np.array(gravity)
+        self._model, self._of, self._closures = model, owners, closures
         self._without = left_out(report)
-        self._damping = self._dampers()
-        self._name(scene)
         self._lengths: dict[int, float] = {}
-        self.unaccounted = tuple(self._unaccounted(report))
-        self._pairs = self._ends()
-        self._data: Any = self._model.createData()
-        self._couple()
-        guess = np.zeros(self._model.nv)
-        for _ in self._followers:  # of followers of followers too
-            for follower, driver, multiplier, offset in self._followers:
-                guess[follower] = multiplier * guess[driver] + offset
-        self._from = self.moved(pin.neutral(self._model), guess)
-        self._open = self._rows @ guess - self._offsets
-        self.stated = self._from, np.zeros(self._model.nv)
+        self._data: Any = model.createData()
+        self._damping = np.zeros(model.nv)
+        self._rows, self._offsets, self._owners = np.zeros((0, model.nv)), np.zeros(0), list[str]()
+        self._name(scene)
+
+    def _begin(self, q: Array, opened: Array, scene: Scene) -> None:
+        """Find the start next to a configuration (nq,), with rows of couplings open by so much."""
+        self._from, self._open = q, opened
+        self.stated = q, np.zeros(self._model.nv)
         self.begin(scene)
         self.keep_offsets()
 
@@ -72,8 +79,8 @@ class UrdfOriginal(Original):
         self._joints = [k for k in range(1, model.njoints) if model.inertias[k].mass > 0.0]
         taken = ["ground"]
         for k in self._joints:
-            bodies = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == k)
-            taken.append(unique_name(str(next(bodies, model.frames[0]).name), f"body_{k}", taken))
+            bodies = (f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == k)
+            taken.append(unique_name(str(next(bodies, model.names[k])), f"body_{k}", taken))
         self.names = wholes(taken[1:], scene.mechanism.body_names)
         massless = {k for k in range(1, model.njoints) if k not in self._joints}
         self.ranges = np.full(model.nv, 3.0)
@@ -89,60 +96,8 @@ class UrdfOriginal(Original):
         self.lengths = ~np.any(columns[3:] != 0.0, axis=0)
         self.units = np.where(self.lengths, self.size, 1.0)
 
-    def _dampers(self) -> Array:
-        """(nv,) of the URDF's joints that have one motion."""
-        model, found = self._model, np.zeros(self._model.nv)
-        numbers = {str(model.names[k]): k for k in range(1, model.njoints) if model.joints[k].nv == 1}
-        for joint in self._root.findall("joint"):
-            dynamics, name = joint.find("dynamics"), str(joint.get("name"))
-            if dynamics is not None and name in numbers and "damping" not in self._topics(f"joint {name!r}"):
-                found[model.joints[numbers[name]].idx_v] = float(dynamics.get("damping", 0.0))
-        return found
-
     def _topics(self, element: str) -> set[str]:
         return self._without.get(element, set())
-
-    def _couple(self) -> None:
-        """Rows of mimics and of coupled joints: factors (c, nv), offsets (c,), owners."""
-        model, rows, offsets, owners = self._model, [], [], []
-        self._followers: list[tuple[int, int, float, float]] = []
-        places = {str(model.names[k]): model.joints[k].idx_v for k in range(1, model.njoints)}
-        for joint in self._root.findall("joint"):
-            for mimic in joint.findall("mimic"):
-                name, driver = str(joint.get("name")), str(mimic.get("joint"))
-                element = f"mimic of joint {name!r}"
-                if joint.get("type") == "fixed" or self._topics(element):
-                    continue
-                row, offset = np.zeros(model.nv), float(mimic.get("offset", 0.0))
-                multiplier = float(mimic.get("multiplier", 1.0))
-                row[places[name]] += 1.0
-                row[places[driver]] -= multiplier
-                self._followers.append((places[name], places[driver], multiplier, offset))
-                rows.append(row)
-                offsets.append(offset)
-                owners.append(element)
-        for coupling in self._loops.coupled:
-            element = f"coupled {', '.join(coupling)}"
-            if not self._topics(element):
-                row = np.zeros(model.nv)
-                for name, factor in coupling.items():
-                    row[places[name]] = factor
-                rows.append(row)
-                offsets.append(0.0)
-                owners.append(element)
-        self._rows, self._owners = np.reshape(rows, (-1, model.nv)), owners
-        scale = np.max(np.abs(self._rows * self.units), axis=1, initial=0.0)
-        self._rows, self._offsets = self._rows / scale[:, None], np.array(offsets) / scale
-
-    def _unaccounted(self, report: ImportReport) -> Iterator[str]:
-        """Joints, mimics and closures that a report says nothing of."""
-        told = {entry.element for entry in report.entries}
-        elements = [f"joint {name!r}" for name in self._of[1:] if name != "root_joint"]
-        for joint in self._root.findall("joint"):
-            if joint.get("type") != "fixed" and joint.find("mimic") is not None:
-                elements.append(f"mimic of joint {joint.get('name')!r}")
-        elements += [f"closed_loop {' and '.join(pair)}" for pair in self._loops.closed_loop]
-        yield from (element for element in elements if element not in told)
 
     # What Pinocchio says
 
@@ -192,7 +147,7 @@ class UrdfOriginal(Original):
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacements(model, data)
         residuals, rows, owners = [np.zeros(0)], [np.zeros((0, model.nv))], list[str]()
-        for number, (pair, kind, (first, second)) in enumerate(self._closures()):
+        for number, (element, kind, first, second) in enumerate(self._closures):
             a, b = data.oMf[first], data.oMf[second]
             line, apart = a.translation - b.translation, self._moving(first) - self._moving(second)
             before = len(rows)
@@ -207,7 +162,7 @@ class UrdfOriginal(Original):
                 turn = a.rotation.T @ b.rotation
                 residuals.append(pin.log3(turn))
                 rows.append(-pin.Jlog3(turn) @ b.rotation.T @ apart[3:])
-            owners += [f"closed_loop {' and '.join(pair)}"] * sum(map(len, rows[before:]))
+            owners += [element] * sum(map(len, rows[before:]))
         residuals.append(self._rows @ pin.difference(model, self._from, q) + self._open)
         jacobian = np.concatenate([*rows, self._rows]) * self.units
         return Constraints(np.concatenate(residuals), jacobian, [*owners, *self._owners])
@@ -215,7 +170,7 @@ class UrdfOriginal(Original):
     def keep_offsets(self) -> None:
         model, data = self._model, self._data
         pin.framesForwardKinematics(model, data, self.start)
-        for number, (_, kind, (first, second)) in enumerate(self._closures()):
+        for number, (_, kind, first, second) in enumerate(self._closures):
             if kind == "rod":
                 line = data.oMf[first].translation - data.oMf[second].translation
                 self._lengths[number] = float(np.linalg.norm(line))
@@ -226,20 +181,6 @@ class UrdfOriginal(Original):
         self._from, self._open = self.start, np.zeros(len(self._open))
         self._data = model.createData()
 
-    def _ends(self) -> list[tuple[int, int]]:
-        """Frames of each closure; the second is its own."""
-        frames = {frame.name: k for k, frame in reversed(list(enumerate(self._model.frames)))}
-        found = []
-        for number, (first, second) in enumerate(self._loops.closed_loop):
-            copied = pin.Frame(self._model.frames[frames[second]])
-            copied.name, copied.inertia = f"end of closed_loop {number}", pin.Inertia.Zero()
-            found.append((frames[first], int(self._model.addFrame(copied, False))))
-        return found
-
-    def _closures(self) -> Iterator[tuple[tuple[str, str], str, tuple[int, int]]]:
-        """Names of the frames of each closure, its type, and its frames."""
-        return zip(self._loops.closed_loop, self._loops.type, self._pairs, strict=True)
-
     def _moving(self, frame: int) -> Array:
         """(6, nv) velocity of a frame's origin, and angular, in the world."""
         found = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
@@ -247,7 +188,8 @@ class UrdfOriginal(Original):
 
     def mass_matrix(self, q: Array) -> tuple[Array, Array]:
         upper = np.triu(pin.crba(self._model, self._data, q))
-        return upper + np.triu(upper, 1).T, np.diag(self._model.armature)
+        rotors = np.diag(self._model.armature)
+        return upper + np.triu(upper, 1).T - rotors, rotors
 
     def forces(self, q: Array, v: Array) -> Forces:
         weight = -np.array(pin.computeGeneralizedGravity(self._model, self._data, q))
@@ -275,7 +217,161 @@ class UrdfOriginal(Original):
                 yield f"{name}: damping", [found]
 
     def rotors(self, samples: Sequence[Sample]) -> Iterator[tuple[str, list[Array]]]:
-        yield from ()
+        for name in dict.fromkeys(self.motions):
+            own = np.array([motion == name for motion in self.motions])
+            if np.any(self._model.armature[own]):
+                yield name, [np.diag(np.where(own, self._model.armature, 0.0))] * len(samples)
+
+
+class UrdfOriginal(PinocchioOriginal):
+    """A URDF and its loop file."""
+
+    def __init__(
+        self,
+        text: str,
+        loops: str | None,
+        base: str,
+        gravity: Sequence[float],
+        report: ImportReport,
+        scene: Scene,
+    ) -> None:
+        """Parse both files.
+
+        Args:
+            text: of the URDF.
+            loops: text of the loop file; None if there is none.
+            base, gravity: as of `urdf.read`.
+            report: of the reading.
+            scene: what was read.
+        """
+        self._root = ET.fromstring(text)
+        self._loops = parse_loops(loops, "loop file") if loops is not None else NO_LOOPS
+        model, owners = _built(text, self._loops, base)
+        model.gravity.linear = np.array(gravity)
+        super().__init__(model, owners, _ends(model, self._loops), report, scene)
+        self._damping = self._dampers()
+        self.unaccounted = tuple(self._unaccounted(report))
+        self._couple()
+        guess = np.zeros(model.nv)
+        for _ in self._followers:  # of followers of followers too
+            for follower, driver, multiplier, offset in self._followers:
+                guess[follower] = multiplier * guess[driver] + offset
+        q = self.moved(pin.neutral(model), guess)
+        self._begin(q, self._rows @ guess - self._offsets, scene)
+
+    def _dampers(self) -> Array:
+        """(nv,) of the URDF's joints that have one motion."""
+        model, found = self._model, np.zeros(self._model.nv)
+        numbers = {str(model.names[k]): k for k in range(1, model.njoints) if model.joints[k].nv == 1}
+        for joint in self._root.findall("joint"):
+            dynamics, name = joint.find("dynamics"), str(joint.get("name"))
+            if dynamics is not None and name in numbers and "damping" not in self._topics(f"joint {name!r}"):
+                found[model.joints[numbers[name]].idx_v] = float(dynamics.get("damping", 0.0))
+        return found
+
+    def _couple(self) -> None:
+        """Rows of mimics and of coupled joints: factors (c, nv), offsets (c,), owners."""
+        model, rows, offsets, owners = self._model, [], [], []
+        self._followers: list[tuple[int, int, float, float]] = []
+        places = {str(model.names[k]): model.joints[k].idx_v for k in range(1, model.njoints)}
+        for joint in self._root.findall("joint"):
+            for mimic in joint.findall("mimic"):
+                name, driver = str(joint.get("name")), str(mimic.get("joint"))
+                element = f"mimic of joint {name!r}"
+                if joint.get("type") == "fixed" or self._topics(element):
+                    continue
+                row, offset = np.zeros(model.nv), float(mimic.get("offset", 0.0))
+                multiplier = float(mimic.get("multiplier", 1.0))
+                row[places[name]] += 1.0
+                row[places[driver]] -= multiplier
+                self._followers.append((places[name], places[driver], multiplier, offset))
+                rows.append(row)
+                offsets.append(offset)
+                owners.append(element)
+        for coupling in self._loops.coupled:
+            element = f"coupled {', '.join(coupling)}"
+            if not self._topics(element):
+                row = np.zeros(model.nv)
+                for name, factor in coupling.items():
+                    row[places[name]] = factor
+                rows.append(row)
+                offsets.append(0.0)
+                owners.append(element)
+        self._rows, self._owners = np.reshape(rows, (-1, model.nv)), owners
+        scale = np.max(np.abs(self._rows * self.units), axis=1, initial=0.0)
+        self._rows, self._offsets = self._rows / scale[:, None], np.array(offsets) / scale
+
+    def _unaccounted(self, report: ImportReport) -> Iterator[str]:
+        """Joints, mimics and closures that a report says nothing of."""
+        told = {entry.element for entry in report.entries}
+        elements = [f"joint {name!r}" for name in self._of[1:] if name != "root_joint"]
+        for joint in self._root.findall("joint"):
+            if joint.get("type") != "fixed" and joint.find("mimic") is not None:
+                elements.append(f"mimic of joint {joint.get('name')!r}")
+        elements += [f"closed_loop {' and '.join(pair)}" for pair in self._loops.closed_loop]
+        yield from (element for element in elements if element not in told)
+
+
+class ModelOriginal(PinocchioOriginal):
+    """A model in memory and its rigid constraints, as they are."""
+
+    def __init__(
+        self,
+        given: Any,
+        constraints: Sequence[Any],
+        q: Array,
+        gravity: Sequence[float],
+        report: ImportReport,
+        scene: Scene,
+    ) -> None:
+        """Take a copy of a model.
+
+        Args:
+            given, constraints: as of `urdf.read`.
+            q: (nq,) where it starts, or next to there.
+            gravity: m/s^2.
+            report: of the reading.
+            scene: what was read.
+        """
+        model, names = given.copy(), loops_of(given, constraints).closed_loop
+        model.gravity.linear = np.array(gravity)
+        pin.framesForwardKinematics(model, data := model.createData(), q)
+        closures = []
+        for pair, constraint in zip(names, constraints, strict=True):
+            first = constraint.joint1_id, constraint.joint1_placement
+            second = constraint.joint2_id, constraint.joint2_placement
+            if second[0] == 0 and second[1].isIdentity(0.0):
+                second = 0, data.oMi[first[0]] * first[1]
+            frames = [
+                model.addFrame(pin.Frame(name, joint, placement, pin.FrameType.OP_FRAME), False)
+                for name, (joint, placement) in zip(pair, (first, second), strict=True)
+            ]
+            kind = "3d" if constraint.type == pin.ContactType.CONTACT_3D else "6d"
+            closures.append(Closure(f"closed_loop {' and '.join(pair)}", kind, *map(int, frames)))
+        owners = ["", *(str(name) for name in list(model.names)[1:])]
+        super().__init__(model, owners, closures, report, scene)
+        for joint, motion in zip(list(model.joints)[1:], owners[1:], strict=True):
+            place, topics = slice(joint.idx_v, joint.idx_v + joint.nv), self._topics(f"joint {motion!r}")
+            if "damping" not in topics:
+                self._damping[place] = model.damping[place]
+            if ARMATURE in topics:
+                model.armature[place] = 0.0
+        told = {entry.element for entry in report.entries}
+        elements = [*(f"joint {name!r}" for name in owners[1:]), *(each.element for each in closures)]
+        self.unaccounted = tuple(element for element in elements if element not in told)
+        self._begin(q, np.zeros(0), scene)
+
+
+def _ends(model: Any, loops: Loops) -> list[Closure]:
+    """Closures of a loop file; second frames are added to the model."""
+    frames = {frame.name: k for k, frame in reversed(list(enumerate(model.frames)))}
+    found = []
+    for number, ((first, second), kind) in enumerate(zip(loops.closed_loop, loops.type, strict=True)):
+        copied = pin.Frame(model.frames[frames[second]])
+        copied.name, copied.inertia = f"end of closed_loop {number}", pin.Inertia.Zero()
+        added = int(model.addFrame(copied, False))
+        found.append(Closure(f"closed_loop {first} and {second}", kind, frames[first], added))
+    return found
 
 
 def _built(text: str, loops: Loops, base: str) -> tuple[Any, list[str]]:

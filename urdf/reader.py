@@ -1,8 +1,9 @@
-"""URDF and loop file -> scene, with a report of what became of every element.
+"""URDF and loop file, or Pinocchio model -> scene, with a report of what became of every element.
 
 Pinocchio parses the URDF and adds up what fixed joints hold together; the scene is made of its model at
 coordinates 0, with followers of mimics where their offsets put them, or next to that where the loops close.
 It is verified against Pinocchio's own model of the file, see `newton_euler.verification` and `urdf.original`.
+Models in memory, with their constraints, go the same way.
 
 The loop file has the keys of Gepetto's example-parallel-robots, see `urdf.loops`.
 """
@@ -15,24 +16,26 @@ import sys
 import tempfile
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Unpack
 
 import numpy as np
 
-from newton_euler.errors import NewtonEulerError, check_choice
+from newton_euler.errors import NewtonEulerError, OptionError, check_choice
 from newton_euler.exercise import moving as exercised
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
-from newton_euler.model.forces import JointSpring
+from newton_euler.model.forces import Armature, JointSpring
 from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import Fixed, Rod, Spherical
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.source_file import ReadOptions, Request, path_text, read_text
 from newton_euler.model.spanning_tree import unweld_loops
+from newton_euler.scalars import Array
 from newton_euler.verification.activity import Bounds, Rest, Watch
 from newton_euler.verification.import_report import (
     CONTACTS,
@@ -41,13 +44,22 @@ from newton_euler.verification.import_report import (
     ImportReport,
     unique_name,
 )
+from newton_euler.verification.original import Original
 from newton_euler.verification.verify import check
 from urdf.errors import UrdfError
-from urdf.loops import NO_LOOPS
-from urdf.model import BASES, BaseName, build
-from urdf.original import UrdfOriginal
+from urdf.loops import NO_LOOPS, Loops
+from urdf.model import BASES, BaseName, ClosedLoopModel, build
+from urdf.original import ARMATURE, ModelOriginal, UrdfOriginal
 from urdf.reading.bodies import Tree
-from urdf.reading.source import SourceError, check_inertias, parsed, read_loops
+from urdf.reading.given import Given, PinocchioModel
+from urdf.reading.source import (
+    JointProperties,
+    SourceError,
+    check_inertias,
+    joint_properties,
+    parsed,
+    read_loops,
+)
 from urdf.reading.start import Mimic, Start
 from urdf.reading.visuals import dressed
 
@@ -73,25 +85,55 @@ class Reading:
     report: ImportReport
 
 
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """Parts of a scene, from files or from memory.
+
+    Attributes:
+        where, name, description: for messages, and of the scene.
+        closed: Pinocchio's model and its closures.
+        loops, mimics: of the files, or what they would be.
+        joints: what joints have beside their motions.
+        root: of the URDF; None of a model in memory.
+        first: a configuration to start near to, and what reports call it.
+    """
+
+    where: str
+    name: str
+    description: str
+    closed: ClosedLoopModel
+    loops: Loops
+    mimics: list[Mimic]
+    joints: list[JointProperties]
+    root: ET.Element | None = None
+    first: tuple[Array, str] | None = None
+
+
 def read(
-    path: str | os.PathLike[str],
+    model: str | os.PathLike[str] | PinocchioModel,
     loops: str | os.PathLike[str] | None = None,
     base: BaseName = "fixed",
-    gravity: Sequence[float] = GRAVITY,
+    gravity: Sequence[float] | None = None,
+    q: Sequence[float] | Array | None = None,
     **options: Unpack[ReadOptions],
 ) -> Reading:
-    """Read a URDF.
+    """Read a URDF, or a model that Pinocchio has in memory.
 
     Args:
-        path: of the URDF.
-        loops: of its loop file; none if None.
-        base: "fixed" or "free", whether its root link is the ground or floats.
-        gravity: (3,) of the scene, m/s^2.
+        model: path of the URDF; or a `pinocchio.Model`, or a pair of one and the `RigidConstraintModel`s that
+            close its loops. Those whose second placement is the world's own, as by default, hold where they
+            start.
+        loops: path of a URDF's loop file; none if None.
+        base: "fixed" or "free", whether the root link of a URDF is the ground or floats.
+        gravity: (3,) of the scene, m/s^2; (0, 0, -9.81) for a URDF and the model's own otherwise, if None.
+        q: (nq,) Pinocchio's configuration that a model in memory starts from, or next to where its loops
+            close; neutral if None.
         options: see `newton_euler.model.source_file.Request`. What is verified is the file as it stands.
 
     Raises:
-        UrdfError: naming the file and the element at fault, one that was not read right among them.
+        UrdfError: naming the file or model and the element at fault, one that was not read right among them.
         UnknownNameError: for another base.
+        OptionError: for an option that is not of such a model.
 
     Examples:
         >>> urdf.write(load("four_bar"), "output/four_bar.urdf")
@@ -100,7 +142,25 @@ def read(
         6
     """
     check_choice("base", base, BASES)
-    where, report, request = path_text(path, SourceError), ImportReport(), Request(**options)
+    request = Request(**options)
+    if isinstance(model, str | os.PathLike):
+        if q is not None:
+            raise OptionError("q", q, "none, as a URDF starts from coordinates 0")
+        return _from_file(model, loops, base, GRAVITY if gravity is None else gravity, request)
+    for option, value, default in (("loops", loops, None), ("base", base, "fixed")):
+        if value != default:
+            raise OptionError(option, value, "none, as it is of URDF files")
+    return _from_memory(model, gravity, q, request)
+
+
+def _from_file(
+    path: str | os.PathLike[str],
+    loops: str | os.PathLike[str] | None,
+    base: BaseName,
+    gravity: Sequence[float],
+    request: Request,
+) -> Reading:
+    where = path_text(path, SourceError)
     text = read_text(where, "file_size", SourceError)
     root = parsed(where, text)
     if text.startswith("<?xml"):  # Pinocchio would take the encoding that it names for that of the text
@@ -118,21 +178,9 @@ def read(
             raise SourceError(where, "no joint can move")
         moving = [j for j in root.findall("joint") if j.get("type") != "fixed"]
         mimics = [Mimic(j, m) for j in moving for m in j.findall("mimic")]
-        start = Start(where, closed, closing, mimics, report, request.redundancy_tolerance)
-        tree = Tree(where, start, set(closing.name_mot), report)
-        tree.bodies = dressed(where, root, start, tree, report)
-        scene = _scene(where, root, start, tree, report, request, gravity)
-        with np.errstate(all="ignore"):  # what overflows is refused
-            original = UrdfOriginal(text, loop_text, base, gravity, report, scene)
-            report.originals.append((original, scene))
-        if request.verified:
-            report.start.append(check(report))
-        if request.exercise:
-            scene, fastest = exercised(scene)
-            report.start.append(f"exercised: {fastest}")
-        root_link = "is the ground" if base == "fixed" else "floats"
-        pull = " ".join(f"{g:g}" for g in gravity)
-        report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")
+        name, joints = root.get("name", "") or Path(where).stem, joint_properties(root)
+        robot = Robot(where, name, Path(where).name, closed, closing, mimics, joints, root)
+        found = _reading(robot, request, gravity, partial(UrdfOriginal, text, loop_text, base, gravity))
     except RuntimeError as error:  # what Pinocchio asserts, of inertias for one
         check_inertias(where, root)
         raise SourceError(where, f"Pinocchio refuses it: {' '.join(str(error).split())}") from error
@@ -143,6 +191,57 @@ def read(
     except (NewtonEulerError, np.linalg.LinAlgError) as error:
         check_inertias(where, root)
         raise SourceError(where, str(error)) from error
+    root_link = "is the ground" if base == "fixed" else "floats"
+    pull = " ".join(f"{g:g}" for g in gravity)
+    found.report.start.append(f"gravity is {pull} m/s^2, a URDF has none; its root link {root_link}")
+    return found
+
+
+def _from_memory(
+    model: object, gravity: Sequence[float] | None, q: Sequence[float] | Array | None, request: Request
+) -> Reading:
+    given = Given(model, q)
+    robot = Robot(
+        given.where,
+        given.name,
+        given.where,
+        given.closed,
+        given.loops,
+        [],
+        given.joints,
+        first=(given.q, given.called),
+    )
+    pull = given.closed.model.gravity.linear if gravity is None else gravity
+    try:
+        return _reading(
+            robot, request, pull, partial(ModelOriginal, given.model, given.constraints, given.q, pull)
+        )
+    except SourceError:
+        raise
+    except (NewtonEulerError, RuntimeError, np.linalg.LinAlgError) as error:
+        raise SourceError(given.where, " ".join(str(error).split())) from error
+
+
+def _reading(
+    robot: Robot,
+    request: Request,
+    gravity: Sequence[float],
+    original: Callable[[ImportReport, Scene], Original],
+) -> Reading:
+    report = ImportReport()
+    tolerance = request.redundancy_tolerance
+    start = Start(robot.where, robot.closed, robot.loops, robot.mimics, report, tolerance, robot.first)
+    tree = Tree(robot.where, start, set(robot.loops.name_mot), report)
+    if robot.root is not None:
+        tree.bodies = dressed(robot.where, robot.root, start, tree, report)
+    scene = _scene(robot, start, tree, report, request, gravity)
+    with np.errstate(all="ignore"):  # what overflows is refused
+        report.originals.append((original(report, scene), scene))
+    if request.verified:
+        report.start.append(check(report))
+    if request.exercise:
+        scene, fastest = exercised(scene)
+        report.start.append(f"exercised: {fastest}")
     return Reading(scene, report)
 
 
@@ -164,8 +263,7 @@ def _overheard(words: list[str]) -> Iterator[None]:
 
 
 def _scene(
-    path: str,
-    root: ET.Element,
+    robot: Robot,
     start: Start,
     tree: Tree,
     report: ImportReport,
@@ -177,9 +275,12 @@ def _scene(
             report.exactly(f"joint {joint!r}", "held at 0, as the loop file says")
     joints = [*tree.joints, *_closing(start, tree, report)]
     gears = list(_gears(start, tree, [joint.name for joint in joints], report))
-    name = unique_name(root.get("name", "") or Path(path).stem, "robot", ())[:100].strip(".") or "robot"
-    springs = tuple(_springs(root, tree, report))
-    _report_leftovers(start, root, tree, report)
+    name = unique_name(robot.name, "robot", ())[:100].strip(".") or "robot"
+    springs = tuple(_springs(robot.joints, tree, report))
+    armatures = tuple(_armatures(robot.joints, tree, report))
+    _report_joints(robot.joints, start, tree, report)
+    if robot.root is not None:
+        _report_leftovers(robot.root, report)
     return Scene(
         name,
         unweld_loops(Mechanism(tree.bodies, joints, gears)),
@@ -187,7 +288,8 @@ def _scene(
         request.output_period,
         gravity=np.array(gravity),
         forces=springs,
-        description=Path(path).name,
+        armatures=armatures,
+        description=robot.description,
         redundancy_tolerance=request.redundancy_tolerance,
     )
 
@@ -243,11 +345,10 @@ def _gears(start: Start, tree: Tree, taken: list[str], report: ImportReport) -> 
     yield from sums
 
 
-def _springs(root: ET.Element, tree: Tree, report: ImportReport) -> Iterator[JointSpring]:
+def _springs(joints: list[JointProperties], tree: Tree, report: ImportReport) -> Iterator[JointSpring]:
     """The dampers of joints."""
-    for joint in root.findall("joint"):
-        name, dynamics = str(joint.get("name")), joint.find("dynamics")
-        damping = 0.0 if dynamics is None else float(dynamics.get("damping", 0.0))
+    for joint in joints:
+        name, damping = joint.name, joint.damping
         if damping and name in tree.keys:
             key = tree.keys[name]
             yield JointSpring(key[0], damping=damping, coordinate=key[1])
@@ -257,35 +358,49 @@ def _springs(root: ET.Element, tree: Tree, report: ImportReport) -> Iterator[Joi
             report.left_out(f"joint {name!r}", why, topic="damping")
 
 
-def _limits(start: Start, joint: ET.Element, key: Key) -> list[Watch]:
+def _armatures(joints: list[JointProperties], tree: Tree, report: ImportReport) -> Iterator[Armature]:
+    """The rotor inertias of joints."""
+    for joint in joints:
+        name, armature = joint.name, joint.armature
+        if armature and name in tree.keys:
+            key = tree.keys[name]
+            yield Armature(key[0], armature, key[1])
+            report.exactly(f"joint {name!r}", f"its armature {armature:g} as a rotor inertia")
+        elif armature:
+            why = f"its armature {armature:g}: it is no hinge or slide that moves"
+            report.left_out(f"joint {name!r}", why, topic=ARMATURE)
+
+
+def _limits(start: Start, joint: JointProperties, key: Key) -> list[Watch]:
     """Watches how far a joint goes and how fast; what it may be driven with limits nothing: nothing does."""
-    limit, at = joint.find("limit"), start.displacement(str(joint.get("name")))
-    assert limit is not None
-    low, high, speed = (float(limit.get(name, 0.0)) for name in ("lower", "upper", "velocity"))
-    terms, unit = ((key, 1.0),), "m" if joint.get("type") == "prismatic" else "rad"
+    assert joint.limits is not None
+    (low, high, speed), at, unit = joint.limits, start.displacement(joint.name), joint.unit
+    terms = ((key, 1.0),)
     found: list[Watch] = [Bounds(terms, low - at, high - at, unit)]
     if math.isfinite(speed):
         found.append(Bounds(terms, -speed, speed, f"{unit}/s", by_value=0.0, by_rate=1.0))
     return found
 
 
-def _report_leftovers(start: Start, root: ET.Element, tree: Tree, report: ImportReport) -> None:
-    """Tell of everything that is no rigid body and no bilateral constraint."""
-    for joint in root.findall("joint"):
-        element, dynamics = f"joint {joint.get('name')!r}", joint.find("dynamics")
-        key, limit = tree.keys.get(str(joint.get("name"))), joint.find("limit")
-        friction = 0.0 if dynamics is None else float(dynamics.get("friction", 0.0))
-        if friction:
-            why = f"its dry friction {friction:g}"
+def _report_joints(joints: list[JointProperties], start: Start, tree: Tree, report: ImportReport) -> None:
+    """Tell of dry friction, limits and safety controllers, which are no bilateral constraints."""
+    for joint in joints:
+        element, key = f"joint {joint.name!r}", tree.keys.get(joint.name)
+        if joint.friction:
+            why = f"its dry friction {joint.friction:g}"
             resting = [Rest((key,))] if key else []
             report.left_out(element, why, topic=FRICTION, watches=resting)
-        if limit is not None and joint.get("type") in ("revolute", "prismatic"):
-            low, high = (float(limit.get(name, 0.0)) for name in ("lower", "upper"))
+        if joint.limits:
+            low, high, _ = joint.limits
             why = f"its limits {low:.4g} to {high:.4g}: limits are no bilateral constraints"
             watches = _limits(start, joint, key) if key else []
             report.left_out(element, why, topic=LIMITS, watches=watches)
-        if joint.find("safety_controller") is not None:
+        if joint.has_safety:
             report.left_out(element, "its safety controller", topic="safety controller")
+
+
+def _report_leftovers(root: ET.Element, report: ImportReport) -> None:
+    """Tell of all elements that are no part of rigid bodies and joints."""
     for tag, known in PARTS.items():
         parts = Counter(part.tag for element in root.findall(tag) for part in element)
         for inner, count in parts.items():

@@ -16,6 +16,7 @@ from newton_euler.verification.import_report import FATES, ImportedElement, Impo
 
 if TYPE_CHECKING:
     from mjcf.reader import MujocoModel
+    from urdf.reading.given import PinocchioModel
 
 SUFFIXES = (".xml", ".mjcf", ".urdf")
 
@@ -44,6 +45,11 @@ def _vector(value: str) -> tuple[float, float, float]:
     return x, y, z
 
 
+def _numbers(value: str) -> list[float]:
+    """Any numbers, between commas."""
+    return [plain_number(each) for each in value.split(",")]
+
+
 def _switch(value: str) -> bool:
     return bool(("off", "on").index(value))
 
@@ -70,6 +76,12 @@ MJCF_OPTIONS = COMMON | {
 MUJOCO_OPTIONS = {name: option for name, option in MJCF_OPTIONS.items() if name != "root"}
 """Of models in memory, that refer to no files."""
 
+PINOCCHIO_OPTIONS = COMMON | {
+    "gravity": Option("X,Y,Z in m/s^2, or 0", "the model's own", *_GRAVITY),
+    "q": Option("NUMBERS, Pinocchio's configuration to start from", "neutral", _numbers, "finite numbers"),
+}
+"""Of models in memory."""
+
 URDF_OPTIONS = COMMON | {
     "loops": Option("FILE, its loop file", "none"),
     "base": Option("fixed|free", "fixed"),
@@ -91,21 +103,21 @@ def is_urdf(name: str) -> bool:
 
 
 def read_model(
-    model: str | MujocoModel, options: Mapping[str, str | int], verified: bool = True
+    model: str | MujocoModel | PinocchioModel, options: Mapping[str, str | int], verified: bool = True
 ) -> tuple[Scene, ImportReport]:
-    """Read a model file, or a model of MuJoCo's.
+    """Read a model file, or a model of MuJoCo's or Pinocchio's.
 
     Args:
-        model: a path that ends in one of `SUFFIXES`, or an `MjSpec` or `MjModel`.
-        options: those of `MJCF_OPTIONS` or `URDF_OPTIONS`, as people give them.
+        model: a path that ends in one of `SUFFIXES`, an `MjSpec` or `MjModel`, or a `pinocchio.Model`, alone
+            or paired with its constraints.
+        options: those of `MJCF_OPTIONS`, `URDF_OPTIONS` and so on, as people give them.
         verified: whether to refuse a scene that is not what the file says.
 
     Raises:
         CrosscheckError: for an unknown option or one that cannot be read.
         newton_euler.NewtonEulerError: naming the file and the element at fault.
     """
-    path = model if isinstance(model, str) else type(model).__name__
-    known = URDF_OPTIONS if is_urdf(path) else MJCF_OPTIONS if isinstance(model, str) else MUJOCO_OPTIONS
+    path, known = _kind(model)
     given: dict[str, Any] = {}
     for name, value in options.items():
         if name not in known:
@@ -115,15 +127,28 @@ def read_model(
             given[name] = known[name].read(text)
         except ValueError as error:
             raise CrosscheckError(f"{name} is {text!r}; needed: {known[name].needed}") from error
-    if is_urdf(path):
+    if known in (URDF_OPTIONS, PINOCCHIO_OPTIONS):
         from urdf import read as read_urdf
 
-        found = read_urdf(path, **given, verified=verified)
+        found = read_urdf(model, **given, verified=verified)
         return found.scene, found.report
     from mjcf import read as read_mjcf
 
     reading = read_mjcf(model, **given, verified=verified)
     return reading.scene, reading.report
+
+
+def _kind(model: object) -> tuple[str, dict[str, Option]]:
+    """Return the path or the class of a model, and the options that such models have."""
+    if isinstance(model, str):
+        return model, URDF_OPTIONS if is_urdf(model) else MJCF_OPTIONS
+    kind = type(model[0] if isinstance(model, tuple) and model else model)
+    of_package = {"mujoco": MUJOCO_OPTIONS, "pinocchio": PINOCCHIO_OPTIONS}
+    package = kind.__module__.partition(".")[0]
+    if package not in of_package:
+        needed = "a name, a path, a Scene, a mujoco.MjSpec or mujoco.MjModel, or a pinocchio.Model, alone or"
+        raise CrosscheckError(f"{model!r:.100} cannot be read; needed: {needed} paired with its constraints")
+    return kind.__name__, of_package[package]
 
 
 def fates_line(report: ImportReport) -> str:

@@ -254,7 +254,7 @@ def test_options_of_models_are_listed_with_their_defaults(capsys, options, reade
         name: of.default
         for of_one in (reader, Request)
         for name, of in inspect.signature(of_one).parameters.items()
-        if name not in ("model", "path", "verified", "options")
+        if name not in ("model", "q", "verified", "options")
     }
     assert options.keys() == defaults.keys()
     for name, option in options.items():

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pinocchio
 import pytest
 
 import crosscheck
+import urdf
 from crosscheck.errors import CrosscheckError
 from crosscheck.report.output import to_record
 from crosscheck.scenes import load
-from newton_euler import NewtonEulerError
 
 LINKAGE = Path(__file__).parents[2] / "examples" / "linkage.xml"
 
@@ -66,12 +67,29 @@ def test_models_of_mujoco_are_checked_as_they_are_in_memory():
     np.testing.assert_array_equal(*runs)
     with pytest.raises(CrosscheckError, match="MjSpec has no option 'root'"):
         crosscheck.check(spec, root=".")
-    with pytest.raises(NewtonEulerError, match=r"a path of a file, a mujoco.MjSpec or a mujoco.MjModel"):
+    with pytest.raises(
+        CrosscheckError, match=r"^3 cannot be read; needed: a name, a path, a Scene, a mujoco"
+    ):
         crosscheck.check(3)
 
 
+def test_models_of_pinocchio_are_checked_with_their_constraints():
+    model = pinocchio.buildModelFromXML(urdf.to_urdf(load("pendulum")))
+    tip = pinocchio.SE3(np.eye(3), np.array([0.1, 0.0, 0.0]))
+    held = pinocchio.RigidConstraintModel(pinocchio.ContactType.CONTACT_3D, model, 1, tip)
+    free, stuck = (
+        crosscheck.check((model, several), ["newton_euler"], q=[0.25], gravity=(0, 0, -1.0), duration=0.05)
+        for several in ([], [held])
+    )
+    assert free.crosscheck.options == {"q": "0.25", "gravity": "0.0,0.0,-1.0", "duration": "0.05"}
+    assert np.ptp(free.trajectories["newton_euler"].position, axis=0).max() > 1e-3
+    assert np.ptp(stuck.trajectories["newton_euler"].position, axis=0).max() < 1e-12
+    with pytest.raises(CrosscheckError, match="Model has no option 'key'"):
+        crosscheck.check(model, key="home")
+
+
 def test_options_are_not_of_scenes():
-    with pytest.raises(TypeError, match="options are of names and files, not of a Scene: N"):
+    with pytest.raises(CrosscheckError, match="options are of names and files, not of a Scene: N"):
         crosscheck.check(load("pendulum"), N=3)
 
 

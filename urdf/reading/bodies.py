@@ -53,10 +53,10 @@ class Tree:
         self._report_links(report)
 
     def _link(self, joint: int) -> str:
-        """Name of the link that a joint leads to."""
+        """Name of the link that a joint leads to, of the joint if it has none."""
         model: Any = self._model
-        links = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
-        return str(next(links, model.frames[0]).name)
+        links = (f.name for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
+        return str(next(links, model.names[joint]))
 
     def _check_massless(self, joint: int) -> None:
         """Raise `SourceError` for what moves with a joint and has inertia, but no mass: bodies need both."""
@@ -113,9 +113,9 @@ class Tree:
         """The motions of one of Pinocchio's joints; none for a free one."""
         model, pose = self._model, self._start.data.oMi[index]
         joint, name = model.joints[index], str(model.names[index])
-        if "FreeFlyer" in joint.shortname():
+        if joint.shortname() == "JointModelFreeFlyer":
             return []
-        if "Spherical" in joint.shortname():
+        if joint.shortname() == "JointModelSpherical":
             return [Part(name, "ball", np.zeros(3), pose.translation)]
         columns = pin.computeJointJacobian(model, self._scratch, self._start.q, index)
         columns = np.reshape(columns, (6, model.nv))[:, joint.idx_v : joint.idx_v + joint.nv]

@@ -1,10 +1,11 @@
-"""A URDF file, checked before any parser expands it."""
+"""A URDF file, checked before any parser expands it, and what its joints have beside their motions."""
 
 from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
 from collections import Counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,46 @@ JOINT_TYPES = {"revolute": 1, "continuous": 1, "prismatic": 1, "fixed": 0, "floa
 
 class SourceError(source_file.SourceError, UrdfError):
     """A file that is no usable model: names the file and what is wrong where."""
+
+
+class JointProperties(NamedTuple):
+    """Properties of a joint beside its motion.
+
+    Attributes:
+        name: of the joint.
+        damping, friction, armature: of its hinge or slide, N s/m, N and kg or N m s/rad, N m and kg m^2.
+        limits: lowest and highest coordinate and largest rate; None if it has none.
+        unit: of its coordinate, m or rad.
+        has_safety: whether it has a safety controller.
+    """
+
+    name: str
+    damping: float
+    friction: float
+    armature: float
+    limits: tuple[float, float, float] | None
+    unit: str
+    has_safety: bool = False
+
+
+def joint_properties(root: ET.Element) -> list[JointProperties]:
+    """Read those of the joints of a URDF that has been checked."""
+    found = []
+    for joint in root.findall("joint"):
+        dynamics, limit = joint.find("dynamics"), joint.find("limit")
+        damping, friction = (
+            0.0 if dynamics is None else float(dynamics.get(name, 0.0)) for name in ("damping", "friction")
+        )
+        limits = None
+        if limit is not None and joint.get("type") in ("revolute", "prismatic"):
+            low, high, speed = (float(limit.get(name, 0.0)) for name in ("lower", "upper", "velocity"))
+            limits = low, high, speed
+        unit = "m" if joint.get("type") == "prismatic" else "rad"
+        has_safety = joint.find("safety_controller") is not None
+        found.append(
+            JointProperties(str(joint.get("name")), damping, friction, 0.0, limits, unit, has_safety)
+        )
+    return found
 
 
 def read_loops(path: str, text: str) -> Loops:

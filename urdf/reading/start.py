@@ -1,4 +1,4 @@
-"""The configuration that a URDF starts from: zero, followers of mimics where that puts them, loops closed."""
+"""The configuration that a model starts from: zero or a given one, mimics at their offsets, loops closed."""
 
 from __future__ import annotations
 
@@ -54,8 +54,12 @@ class Start(FileStart):
         mimics: list[Mimic],
         report: ImportReport,
         tolerance: float,
+        first: tuple[Array, str] | None = None,
     ) -> None:
-        """Raises `SourceError` for loops that do not close; rows are redundant by the scene's `tolerance`."""
+        """Close loops next to a configuration (nq,) of that name, or to that where the files have the joints.
+
+        Rows are redundant by the scene's `tolerance`. Raises `SourceError` for loops that do not close.
+        """
         self.path, self.robot = path, closed
         self.model, self.loops, self.mimics = closed.model, loops, mimics
         self.data: Any = self.model.createData()
@@ -79,6 +83,8 @@ class Start(FileStart):
                 "joints start where their mimics' offsets put them with their drivers at 0, m or rad: "
                 + ", ".join(followers)
             )
+        if first is not None:
+            self._first, called = first
         self.q, lines = self.closed(self._first, called, tolerance)
         report.start.extend(lines)
 
@@ -134,7 +140,7 @@ class Start(FileStart):
     def units(self) -> Units:
         model, data = self.model, self.data
         points = [*self.centers()[1:], *(placement.translation for placement in list(data.oMi)[1:])]
-        velocities = np.where(np.any(data.J[3:] != 0.0, axis=0), 1.0, spread(points))
+        velocities = np.where(np.any(np.reshape(data.J, (6, -1))[3:] != 0.0, axis=0), 1.0, spread(points))
         rows = []
         for pair, weld in self._closures.pairs:
             motions, levers = [], []

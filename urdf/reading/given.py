@@ -1,0 +1,161 @@
+"""Pinocchio models in memory, with the constraints that close their loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
+from newton_euler.limits import exceeded
+from newton_euler.scalars import Array
+from newton_euler.verification.import_report import unique_name
+from urdf.loops import Loops
+from urdf.model import GROUND, ClosedLoopModel
+from urdf.reading.source import JointProperties, SourceError
+
+PinocchioModel: TypeAlias = pin.Model | tuple[pin.Model, Sequence[pin.RigidConstraintModel]]
+"""A model that is not in a file, alone or with its constraints."""
+
+JOINTS = (
+    *(f"{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "XYZ"),
+    *("RevoluteUnaligned", "RevoluteUnboundedUnaligned", "PrismaticUnaligned", "Universal", "Translation"),
+    *("Spherical", "SphericalZYX", "Planar", "FreeFlyer"),
+)
+"""Kinds of joints, after `JointModel`, that a scene has."""
+
+KINDS = {pin.ContactType.CONTACT_3D: "3d", pin.ContactType.CONTACT_6D: "6d"}
+"""Types of closures in loop files by those of rigid constraints."""
+
+FARTHEST = 1e300
+"""Limits beyond are none: Pinocchio has infinity or the largest double."""
+
+
+class Given:
+    """A model in memory, taken over.
+
+    Attributes:
+        model, constraints: as they were given.
+        where: a name for messages.
+        name: of the model.
+        closed: a copy of it, with a frame for each end of each constraint.
+        loops: what a loop file would say of the constraints.
+        q: Pinocchio's configuration (nq,) to start from.
+        called: what reports call it.
+        joints: what its joints have beside their motions.
+    """
+
+    def __init__(self, given: object, q: Sequence[float] | Array | None) -> None:
+        """Raises `SourceError` for anything but a `PinocchioModel` that a scene can be made of."""
+        model, constraints = given if isinstance(given, tuple) and len(given) == 2 else (given, ())
+        if not isinstance(model, pin.Model):
+            needed = "a path of a file, a pinocchio.Model or a pair of one and its RigidConstraintModels"
+            raise SourceError(f"{given!r:.200}", f"cannot be read; needed: {needed}")
+        self.name = str(model.name)
+        self.where = f"pinocchio.Model {self.name!r:.100}" if self.name else "pinocchio.Model"
+        self.model, self.constraints = model, list(constraints)
+        self._check(model, self.constraints)
+        own, pairs = model.copy(), []
+        self.loops = loops_of(model, self.constraints)
+        for names, constraint in zip(self.loops.closed_loop, self.constraints, strict=True):
+            joints = constraint.joint1_id, constraint.joint2_id
+            placements = constraint.joint1_placement, constraint.joint2_placement
+            pairs.append(_add_frames(own, names, joints, placements))
+        self.closed = ClosedLoopModel(
+            own,
+            pin.StdVec_RigidConstraintModel(self.constraints),
+            tuple(pairs),
+            (),
+            np.zeros((0, own.nv)),
+            (GROUND, *(str(name) for name in list(own.names)[1:])),
+        )
+        self.q, self.called = pin.neutral(model), "coordinates 0"
+        if q is not None:
+            self.q, self.called = self._configuration(model, q), "the given q"
+        self._hold()
+        self.joints = [self._properties(k) for k in range(1, own.njoints)]
+
+    def _check(self, model: Any, constraints: list[Any]) -> None:
+        counts = {"bodies": model.njoints, "velocities": model.nv, "closures": len(constraints)}
+        for name, count in counts.items():
+            if problem := exceeded(name, count):
+                raise SourceError(self.where, problem)
+        if model.nv == 0:
+            raise SourceError(self.where, "no joint can move")
+        for name, joint in list(zip(model.names, model.joints, strict=True))[1:]:
+            kind = joint.shortname().removeprefix("JointModel")
+            if kind not in JOINTS:
+                problem = f"joint {name!r} is a {joint.shortname()}"
+                raise SourceError(self.where, f"{problem}; needed: one of {', '.join(JOINTS)}")
+        for number, constraint in enumerate(constraints):
+            if not isinstance(constraint, pin.RigidConstraintModel) or constraint.type not in KINDS:
+                problem = f"constraint {number} is a {type(constraint).__name__}"
+                needed = "a RigidConstraintModel of type CONTACT_3D or CONTACT_6D"
+                raise SourceError(self.where, f"{problem}; needed: {needed}")
+        numbers = [model.gravity.linear, model.armature, model.damping]
+        for inertia, pose in zip(model.inertias, model.jointPlacements, strict=True):
+            numbers += [[inertia.mass], inertia.lever, inertia.inertia.ravel(), pose.homogeneous.ravel()]
+        if not all(np.all(np.isfinite(each)) for each in numbers):
+            raise SourceError(self.where, "it has numbers that are not finite")
+
+    def _configuration(self, model: Any, q: Sequence[float] | Array) -> Array:
+        try:
+            found = np.array(q, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise SourceError(self.where, f"q is {q!r:.100}; needed: {model.nq} numbers") from error
+        if found.shape != (model.nq,) or not np.all(np.isfinite(found)):
+            problem = f"q has shape {found.shape}, or numbers that are not finite"
+            raise SourceError(self.where, f"{problem}; needed: {model.nq} finite numbers")
+        return np.asarray(pin.normalize(model, found))
+
+    def _hold(self) -> None:
+        """Let constraints whose second placement is the world's own, as by default, hold where they start."""
+        model = self.closed.model
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, self.q)
+        for constraint, (first, second) in zip(self.constraints, self.closed.frames, strict=True):
+            if constraint.joint2_id == 0 and constraint.joint2_placement.isIdentity(0.0):
+                model.frames[second].placement = data.oMf[first]
+
+    def _properties(self, number: int) -> JointProperties:
+        model = self.closed.model
+        joint, name = model.joints[number], str(model.names[number])
+        place = slice(joint.idx_v, joint.idx_v + joint.nv)
+        damping, friction, armature = (
+            max((float(x) for x in values[place]), key=abs, default=0.0)
+            for values in (model.damping, model.friction, model.armature)
+        )
+        limits = None
+        if joint.nq == joint.nv == 1:
+            low, high = (
+                float(values[joint.idx_q]) for values in (model.lowerPositionLimit, model.upperPositionLimit)
+            )
+            speed = float(model.upperVelocityLimit[joint.idx_v])
+            if max(abs(low), abs(high)) < FARTHEST:
+                limits = low, high, speed if speed < FARTHEST else np.inf
+        unit = "m" if joint.shortname().startswith("JointModelP") else "rad"
+        return JointProperties(name, damping, friction, armature, limits, unit)
+
+
+def loops_of(model: Any, constraints: Sequence[Any]) -> Loops:
+    """Return what a loop file would say of constraints, with names for their ends."""
+    pairs: list[tuple[str, str]] = []
+    taken: list[str] = []
+    for number, constraint in enumerate(constraints):
+        name = unique_name(str(constraint.name), f"constraint_{number + 1}", taken)
+        taken.append(name)
+        first, second = (model.names[k] for k in (constraint.joint1_id, constraint.joint2_id))
+        pairs.append((f"{name}_on_{first}", f"{name}_on_{second}"))
+    kinds = tuple(KINDS[constraint.type] for constraint in constraints)
+    return Loops("", tuple(pairs), kinds, (), (), (), ())
+
+
+def _add_frames(
+    model: Any, names: Sequence[str], joints: Sequence[int], placements: Sequence[Any]
+) -> tuple[int, int]:
+    first, second = (
+        int(model.addFrame(pin.Frame(name, int(joint), placement, pin.FrameType.OP_FRAME), False))
+        for name, joint, placement in zip(names, joints, placements, strict=True)
+    )
+    return first, second
