@@ -20,6 +20,9 @@ from crosscheck.cli.shared import BAD_INPUT, cli
 from crosscheck.errors import CrosscheckError, reason_of, short_of_memory
 from crosscheck.report.render import wrapped
 
+NOT_READ = 128 + 13
+"""Exit status, as shells have it, of what ends by SIGPIPE."""
+
 LEAST_MEMORY = 2_000_000_000
 """Bytes of addresses; most of them are of libraries, and never used."""
 
@@ -150,7 +153,13 @@ def _complain(message: str, streams: list[TextIO]) -> int:
 
 
 def _complain_of_stream(error: OSError) -> int:
-    """Say on the other one that standard output or standard error cannot be written."""
+    """Say on the other one that standard output or standard error cannot be written.
+
+    Nothing if a reader has read enough, as `head` does.
+    """
+    if isinstance(error, BrokenPipeError):
+        _discard_output()
+        return NOT_READ
     for to_error, failed in ((True, "output"), (False, "error")):
         with suppress(OSError):
             text = f"crosscheck: error: cannot write standard {failed}: {error.strerror}"

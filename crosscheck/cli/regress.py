@@ -11,11 +11,13 @@ from crosscheck.cli.shared import (
     AGREE,
     DISAGREE,
     cli,
+    everything,
     progress_shown,
     say,
     scene_options,
     setting_options,
     tell,
+    verbose_option,
 )
 from crosscheck.errors import CrosscheckError
 from crosscheck.report.render import terminal
@@ -38,6 +40,7 @@ _file = click.Path(path_type=Path)
     show_default=True,
     help="Folder for reports (JSON, JUnit XML, markdown) and recordings.",
 )
+@verbose_option
 def regress_command(
     sources: tuple[str, ...],
     settings: tuple[str, ...],
@@ -50,7 +53,7 @@ def regress_command(
     SCENEs are names or model files, the library if none is given. Exit status 1 if a figure moved by more
     than its tolerance. What `crosscheck report` makes a page of is in OUTPUT.
     """
-    from crosscheck.regress.report import tables, verdict
+    from crosscheck.regress.report import report, tables, verdict
     from crosscheck.regress.run import check, update
 
     if len(sources) != 1 and (settings or baseline):
@@ -67,7 +70,8 @@ def regress_command(
         return AGREE
     with progress_shown() as progress:
         compared, recordings, written = check(guarded, output, progress)
-    click.echo(terminal(tables(compared)), nl=False)
+    parts = everything(report(compared, recordings))[1:]  # the first are the verdicts, which follow
+    click.echo(terminal(parts or tables(compared)), nl=False)
     for comparison in compared:
         say(comparison.verdict)
         if comparison.scene in recordings:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
+import socket
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 from shlex import join, quote
 from typing import TYPE_CHECKING
+from urllib.parse import quote_plus
 
 import click
 
@@ -33,6 +36,9 @@ if TYPE_CHECKING:
 
     from crosscheck.against.compare import Model
     from crosscheck.run import Crosscheck, Progress
+
+HERE = "127.0.0.1"
+"""Address of this machine for itself alone."""
 
 OUTPUT = Path("output")
 """Where folders of results go unless told otherwise."""
@@ -296,9 +302,27 @@ def view_command(files: tuple[Path, ...], web: bool) -> int:
     display = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     if not (web or display):
         raise CrosscheckError("no display to open a viewer on; --web shows the recordings in a browser")
+    serve = []
+    if web:
+        pages, data = _free_port(9090), _free_port(9876)  # Rerun's own defaults, if they are free
+        serve = ["--serve-web", "--web-viewer-port", str(pages), "--port", str(data)]
+        source = quote_plus(f"rerun+http://localhost:{data}/proxy")
+        say(f"open http://{HERE}:{pages}?url={source}; Ctrl+C ends it")
+        sys.stdout.flush()
     # by itself it would listen to all of the network
-    arguments = ["--bind", "127.0.0.1", *(["--serve-web"] if web else []), *map(str, files)]
-    status = subprocess.run([sys.executable, "-m", "rerun", *arguments], check=False).returncode
-    if status != 0:
-        raise CrosscheckError(f"the viewer ended with status {status}")
+    viewer = [sys.executable, "-m", "rerun", "--bind", HERE, *serve, *map(str, files)]
+    with suppress(KeyboardInterrupt):  # the way to end it
+        status = subprocess.run(viewer, check=False, env=os.environ | {"RUST_LOG": "error"}).returncode
+        if status != 0:
+            raise CrosscheckError(f"the viewer ended with status {status}")
     return AGREE
+
+
+def _free_port(usual: int) -> int:
+    """Return a port of this machine that nothing listens at: the usual one if it is free."""
+    with socket.socket() as tried:
+        try:
+            tried.bind((HERE, usual))
+        except OSError:
+            tried.bind((HERE, 0))
+        return int(tried.getsockname()[1])

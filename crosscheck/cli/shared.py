@@ -16,7 +16,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.report.render import terminal, wrapped
 
 if TYPE_CHECKING:
-    from crosscheck.report.table import Report
+    from crosscheck.report.table import Part, Report
     from newton_euler.model.scene import Scene
     from newton_euler.verification.import_report import ImportReport
 
@@ -89,7 +89,7 @@ VERBOSE = "crosscheck.verbose"
 
 
 def verbose_option(command: Callable[..., int]) -> Callable[..., int]:
-    """Parse whether `show` is to print everything."""
+    """Parse whether everything is to be printed, see `everything`."""
 
     def keep(context: click.Context, _: click.Parameter, wanted: bool) -> None:
         context.meta[VERBOSE] = wanted
@@ -99,14 +99,19 @@ def verbose_option(command: Callable[..., int]) -> Callable[..., int]:
     return option(command)
 
 
+def everything(report: Report) -> list[Part]:
+    """All parts of a report, unfolded, if `verbose_option` is set; otherwise none."""
+    verbose = click.get_current_context().meta.get(VERBOSE)
+    return [replace(part, folded=False) for part in report.parts] if verbose else []
+
+
 def show(report: Report, *after: str) -> None:
-    """Write the summary of a report to standard output, below all its parts if `verbose_option` is set.
+    """Write the summary of a report to standard output, below `everything`.
 
     Args:
         after: sentences that follow it.
     """
-    if click.get_current_context().meta.get(VERBOSE):
-        click.echo(terminal([replace(part, folded=False) for part in report.parts]), nl=False)
+    click.echo(terminal(everything(report)), nl=False)
     say(report.title, bold=True)
     click.echo(click.style(wrapped(report.verdict), fg=COLORS[report.judged.verdict], bold=True))
     click.echo()

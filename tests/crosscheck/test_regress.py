@@ -185,9 +185,10 @@ def test_a_user_guards_a_model(capsys, guarded, monkeypatch):
         assert str(stored) in out
     assert [record["reason"] for record in json.loads(stored.read_text())["history"]] == ["first", "again"]
 
-    status, out, _ = run(capsys, "regress", model)
+    status, out, _ = run(capsys, "regress", model, "-v")
     assert status == 0
     assert "QUIET" in out
+    assert "quaternion over time" in out  # as every figure
     assert {path.name for path in folder.iterdir()} == set(regress.REPORTS)
     assert json.loads((folder / "regress.json").read_text())["quiet"]
     assert ElementTree.parse(folder / "junit.xml").getroot().find("testsuite").get("failures") == "0"
