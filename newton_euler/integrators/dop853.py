@@ -24,6 +24,7 @@ from newton_euler.integrators.stepper import (
     Table,
     before_step,
     keep_norms,
+    record,
 )
 
 STAGES = 12
@@ -120,6 +121,7 @@ class Dop853(Record):
         rtol, atol: tolerances.
         near_rtol, near_atol: the same next to a singular configuration, which may be larger.
         most: the largest number of steps.
+        rest: rates, SI, below which a mechanism stays where it is until the end; 0 for never.
         now, at, end: states with time and parameters: where a step begins, of a stage, where it ends.
         k: (16, n + 1) derivatives of the stages.
         terms: (7, n) of the dense output.
@@ -130,6 +132,7 @@ class Dop853(Record):
     near_rtol: float
     near_atol: float
     most: int
+    rest: float
     now: Vector
     at: Vector
     end: Vector
@@ -316,6 +319,22 @@ def write_outputs(system: Equations, table: Table, method: Dop853, due: int, h: 
 
 
 @native
+def stay(system: Equations, table: Table, method: Dop853, due: int) -> int:
+    """Write `now` into the rows from `due` on if it rests, and go to their end; returns the next row that is
+    due."""
+    n = system.n
+    largest = 0.0
+    for i in range(n):
+        largest = max(largest, abs(method.k[i]))
+    if not largest < method.rest:
+        return due
+    for row in range(due, table.count):
+        record(system, table, row, method.now)
+    method.now[n] = table.times[table.count - 1]
+    return table.count
+
+
+@native
 def integrate_dop853(system: Equations, table: Table, method: Dop853) -> int:
     """Integrate `now` from the first time on and write the states at all times into the table."""
     n = system.n
@@ -329,8 +348,8 @@ def integrate_dop853(system: Equations, table: Table, method: Dop853) -> int:
     if status != DONE:
         return status
     stop = times[table.count - 1]
-    h = first_step(system, method, stop - now[n])
-    due = 1
+    due = stay(system, table, method, 1)
+    h = first_step(system, method, stop - now[n]) if due < table.count else 0.0
     growing = LARGEST
     hops = 0
     while due < table.count:
@@ -395,5 +414,6 @@ def integrate_dop853(system: Equations, table: Table, method: Dop853) -> int:
         factor = LARGEST if error == 0.0 else min(growing, SAFETY * error**EXPONENT)
         h = h * max(SMALLEST, factor)
         growing = LARGEST
+        due = stay(system, table, method, due)
     counts[REACHED] = now[n]
     return DONE

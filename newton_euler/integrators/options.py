@@ -38,6 +38,7 @@ class StepControl(TypedDict, total=False):
     atol: float
     step: float | None
     most_steps: int | None
+    rest: float
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,10 @@ class Options:
         most_steps: steps after which an adaptive method is taken to be getting nowhere; if not given, a
             million in native code and `MOST_STEPS` in Python. A run that needs more fixed steps, or more than
             `MOST_FIXED_STEPS` if it is not given, is refused.
+        rest: rates of coordinates and velocities, SI, below all of which a mechanism is at rest: it stays
+            where it is until the next sampling instant or knot of a function of time, and no steps are made.
+            0 for never. Where motions die away with a time constant T, bodies are left some `rest` T from
+            where they would get to; unstable equilibria are taken for rest, too. DOP853's in native code.
         projection: True to project onto the constraints after each step and at outputs.
     """
 
@@ -60,6 +65,7 @@ class Options:
     atol: float = 1e-12
     step: float | None = None
     most_steps: int | None = None
+    rest: float = 0.0
     projection: bool = True
 
     def __post_init__(self) -> None:
@@ -73,6 +79,11 @@ class Options:
             if not is_count(self.most_steps):
                 raise OptionError("most_steps", self.most_steps, "a whole number of steps")
             object.__setattr__(self, "most_steps", int(self.most_steps))
+        if not is_finite_number(self.rest) or self.rest < 0.0:
+            raise OptionError("rest", self.rest, "rates of 0 or more")
+        if self.rest and self.integrator != "DOP853":
+            raise OptionError("rest", self.rest, f"0: {self.integrator} makes its steps at rest, too")
+        object.__setattr__(self, "rest", float(self.rest))
         if self.integrator in FIXED:
             if self.step is None or not is_finite_number(self.step) or self.step <= 0.0:
                 raise OptionError("step", self.step, f"a positive number of seconds for {self.integrator}")
@@ -99,4 +110,4 @@ class Options:
     def chosen(self) -> dict[str, Any]:
         """Return what a run was asked for, by name."""
         control = {"step": self.step} if self.step else {"rtol": self.rtol, "atol": self.atol}
-        return {"integrator": self.integrator} | control
+        return {"integrator": self.integrator} | control | ({"rest": self.rest} if self.rest else {})

@@ -154,6 +154,7 @@ class PassingDOP853(DOP853):  # type: ignore[misc]  # scipy has no types
             near_rtol=self._tolerances[0],
             near_atol=self._tolerances[1],
             most=0,
+            rest=0.0,
             now=np.append(self.y, self.t),
             at=end.copy(),
             end=end,

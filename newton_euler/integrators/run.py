@@ -274,7 +274,7 @@ def _method(code: Code, x: Array, times: Array, options: Options, most: int) -> 
     if options.integrator == "DOP853":
         near = options.near(code.noise, code.scene.mechanism.size)
         k, terms = np.empty(16 * (n + 1) + 1), np.empty((7, n))
-        return Dop853(options.rtol, options.atol, *near, most, x, like(x), like(x), k, terms)
+        return Dop853(options.rtol, options.atol, *near, most, options.rest, x, like(x), like(x), k, terms)
     return Radau(
         rtol=options.rtol,
         atol=options.atol,

@@ -33,11 +33,13 @@ class Smooth:
         knots: s, the times at which a function has other derivatives after than before.
         jumps: the knots at which its value jumps.
         numbers: how many numbers say what it is between two knots.
+        is_constant: True if it has one value between two knots.
     """
 
     knots: ClassVar[tuple[float, ...]] = ()
     jumps: ClassVar[tuple[float, ...]] = ()
     numbers: ClassVar[int] = 0
+    is_constant: ClassVar[bool] = False
 
     def covers(self, end: float) -> bool:
         """Return True if the function is known from 0 to a time in s."""
@@ -181,6 +183,7 @@ class Piecewise:
 
     noun: ClassVar[str]
     least: ClassVar[int]
+    is_constant: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         for name in ("times", "values"):
@@ -292,6 +295,7 @@ class Steps(Piecewise):
 
     noun, least = "steps", 1
     numbers = 2
+    is_constant = True
 
     @cached_property
     def knots(self) -> tuple[float, ...]:
@@ -346,6 +350,11 @@ class Sum:
     def numbers(self) -> int:
         """Those of all terms."""
         return sum(term.numbers for term in self.terms)
+
+    @property
+    def is_constant(self) -> bool:
+        """True if all terms are constant between knots."""
+        return all(term.is_constant for term in self.terms)
 
     def covers(self, end: float) -> bool:
         """See `Smooth.covers`."""
