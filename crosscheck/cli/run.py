@@ -20,6 +20,7 @@ from crosscheck.cli.shared import (
     DISAGREE,
     UNFINISHED,
     cli,
+    is_verbose,
     progress_shown,
     say,
     scene_options,
@@ -233,6 +234,7 @@ def _called() -> str:
 
 
 @cli.command("list")
+@verbose_option
 def list_command() -> int:
     """List scenes, engines and options."""
     from crosscheck.engines import ENGINES
@@ -249,8 +251,8 @@ def list_command() -> int:
         say(f"{kind}:")
         for name, choice in options.items():
             say(f"    --set {name}={choice.values}  [default: {choice.default}]")
-    say("limits, of whatever is read and run:")
-    for name, limit in LIMITS.items():
+    say(f"limits of whatever is read and run{':' if is_verbose() else ', such as time=600: list -v'}")
+    for name, limit in LIMITS.items() if is_verbose() else ():
         say(f"    --set {name}={limit.unit.upper()}, {limit.meaning}  [default: {limit.default:g}]")
     say(f"engines: {', '.join(ENGINES)}")
     return AGREE
@@ -260,6 +262,7 @@ def list_command() -> int:
 @click.argument("source", metavar="IN")
 @click.argument("target", metavar="OUT", type=click.Path(path_type=Path))
 @setting_options
+@verbose_option
 def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int:
     """Write a model in another format.
 
@@ -279,7 +282,7 @@ def convert_command(source: str, target: Path, settings: tuple[str, ...]) -> int
     scene, report = load_scene(source, options)
     report = report or scene_report(scene)
     written = write_as(scene, target, report)
-    for line in report_lines(report):
+    for line in report_lines(report, exact=is_verbose()):
         say(line)
     say("wrote " + ", ".join(str(path) for path in written))
     return AGREE

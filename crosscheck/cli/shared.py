@@ -26,6 +26,9 @@ COLORS = {"": None, "holds": "green", "doubtful": "yellow", "fails": "red"}
 LONG = 10.0
 """s, after which a stage of work is named where standard error is no terminal."""
 
+MOST_TOLD = 4
+"""Elements of a file that are not simulated as they are, a line each."""
+
 AGREE, DISAGREE, BAD_INPUT, UNFINISHED = 0, 1, 2, 3
 
 
@@ -89,20 +92,24 @@ VERBOSE = "crosscheck.verbose"
 
 
 def verbose_option(command: Callable[..., int]) -> Callable[..., int]:
-    """Parse whether everything is to be printed, see `everything`."""
+    """Parse whether everything is to be printed, see `is_verbose`."""
 
     def keep(context: click.Context, _: click.Parameter, wanted: bool) -> None:
         context.meta[VERBOSE] = wanted
 
-    text = "Print every figure, note and element, too."
+    text = "Print everything: figures, notes, elements of files, limits."
     option = click.option("-v", "--verbose", is_flag=True, expose_value=False, callback=keep, help=text)
     return option(command)
 
 
+def is_verbose() -> bool:
+    """Return whether `verbose_option` is set."""
+    return bool(click.get_current_context().meta.get(VERBOSE))
+
+
 def everything(report: Report) -> list[Part]:
     """All parts of a report, unfolded, if `verbose_option` is set; otherwise none."""
-    verbose = click.get_current_context().meta.get(VERBOSE)
-    return [replace(part, folded=False) for part in report.parts] if verbose else []
+    return [replace(part, folded=False) for part in report.parts] if is_verbose() else []
 
 
 def show(report: Report, *after: str) -> None:
@@ -129,10 +136,17 @@ def load_and_tell(scene: str, options: dict[str, str]) -> Scene:
 
 
 def tell(scene: str, mapping: ImportReport | None) -> None:
-    """Write a line to standard error for each element that acts and is not in the scene as it was."""
-    for entry in mapping.entries if mapping else ():
-        if entry.fate != "exactly" and not entry.inert:
-            click.echo(wrapped(f"{scene}: {entry}", sys.stderr), err=True)
+    """Write a line to standard error for each element that acts and is not in the scene as it was.
+
+    Of many the first ones, and how many more there are.
+    """
+    entries = mapping.entries if mapping else ()
+    lines = [str(entry) for entry in entries if entry.fate != "exactly" and not entry.inert]
+    if len(lines) > MOST_TOLD + 1:
+        more = len(lines) - MOST_TOLD
+        lines[MOST_TOLD:] = [f"{more} more elements are not as in the file; crosscheck run -v names all"]
+    for line in lines:
+        click.echo(wrapped(f"{scene}: {line}", sys.stderr), err=True)
 
 
 @contextmanager

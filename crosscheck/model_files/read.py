@@ -162,17 +162,20 @@ def fates_line(report: ImportReport) -> str:
     return ", ".join(found)
 
 
-def report_lines(report: ImportReport) -> Iterator[str]:
+def report_lines(report: ImportReport, exact: bool = True) -> Iterator[str]:
     """An import report as text; elements that became the same are one line.
 
     An element of which one part is exact and another left out counts as both.
+
+    Args:
+        exact: whether to name the elements that became what they were.
     """
     yield f"elements of the file: {fates_line(report)}"
 
     def how(entry: ImportedElement) -> tuple[str, str]:
         return entry.element.split(" ")[0], entry.how
 
-    for fate in FATES:
+    for fate in FATES if exact else FATES[1:]:
         entries = report.of(fate)
         if entries:
             yield f"{fate}:"

@@ -16,10 +16,12 @@ import pytest
 from command_line import check_refused, command, run, scene_file, verdict_of
 from urdf_files import CHAIN
 
+from crosscheck.cli.shared import tell
 from crosscheck.comparison.figure import LEVELS, READING, Figure
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
 from newton_euler.model.trajectory import load_arrays
+from newton_euler.verification.import_report import ImportReport
 
 
 def test_run_writes_everything_and_agrees(capsys, tmp_path, good):
@@ -376,6 +378,16 @@ def test_what_a_model_file_loses_is_told(capsys, tmp_path, monkeypatch, argument
     assert told == "m.urdf: joint 'pivot': left out: its dry friction 0.2"
 
 
+def test_of_many_elements_the_first_are_told(capsys):
+    report = ImportReport()
+    for number in range(9):
+        report.left_out(f"joint '{number}'", "its dry friction 0.2")
+    tell("m.xml", report)
+    *told, last = capsys.readouterr().err.splitlines()
+    assert told == [f"m.xml: joint '{n}': left out: its dry friction 0.2" for n in range(4)]
+    assert last == "m.xml: 5 more elements are not as in the file; crosscheck run -v names all"
+
+
 def test_convert_files_each_element_once(capsys, tmp_path):
     """What reading carries over exactly and a URDF cannot hold is left out, not both."""
     model = tmp_path / "m.xml"
@@ -386,7 +398,8 @@ def test_convert_files_each_element_once(capsys, tmp_path):
         'joint="pivot" kp="3"/><motor name="push" site="tip" gear="1 0 0 0 0 0"/></actuator>'
         '<keyframe><key ctrl="1 0.2 3"/></keyframe></mujoco>'
     )
-    status, out, _ = run(capsys, "convert", model, tmp_path / "m.urdf")
+    assert "exactly:" not in run(capsys, "convert", model, tmp_path / "m.urdf")[1]
+    status, out, _ = run(capsys, "convert", model, tmp_path / "m.urdf", "-v")
     assert status == 0
     carried, left = out[out.index("exactly:\n") : out.index("left out:\n")], out[out.index("left out:\n") :]
     for words in ("armature", "spring", "control law", "wrench"):

@@ -200,7 +200,7 @@ def dampings(scene: Scene) -> dict[tuple[str, int], float]:
 def test_a_urdf_keeps_the_damping_of_joints_there_and_back(capsys, tmp_path):
     model, target, again = (tmp_path / name for name in ("model.xml", "model.urdf", "again.urdf"))
     model.write_text(ELEMENTS["springs and dampers"].replace('stiffness="20"', ""))
-    status, out, _ = run(capsys, "convert", model, target)
+    status, out, _ = run(capsys, "convert", model, target, "-v")
     own = read_mjcf(model).scene
     assert status == 0
     assert "joint 'p', joint 'q', joint 'r': its stiffness 0 and damping 2 as a spring" in out

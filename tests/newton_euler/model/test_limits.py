@@ -27,7 +27,7 @@ from newton_euler.limits import LIMITS, VARIABLE, changed, exceeded, limit
 
 
 def test_limits_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    status, out, _ = run(capsys, "list")
+    status, out, _ = run(capsys, "list", "-v")
     assert status == 0
     for name, each in LIMITS.items():
         assert f"--set {name}=" in out
