@@ -35,6 +35,7 @@ from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Splin
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.moving_base import base_motion_from_csv, on_moving_base
 from newton_euler.simulate import compile_scene, simulate
 
 __all__ = [
@@ -80,9 +81,11 @@ __all__ = [
     "Universal",
     "Wrench",
     "assemble",
+    "base_motion_from_csv",
     "compile_scene",
     "initial_state",
     "inverse_dynamics",
+    "on_moving_base",
     "simulate",
     "simulate_batch",
     "solve_poses",

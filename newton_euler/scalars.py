@@ -28,30 +28,30 @@ NUMBERS = (float, int)
 
 
 class Stack:
-    """Numbers (n,) of one quantity at n times, as one generic scalar."""
+    """Numbers (n,) of one quantity at n times, as one generic scalar; NumPy takes arrays of such apart."""
 
     __slots__ = ("numbers",)
 
     def __init__(self, numbers: Any) -> None:
         self.numbers = np.asarray(numbers, dtype=float)
 
-    def __add__(self, other: Any) -> Stack:
-        return Stack(self.numbers + _numbers(other))
+    def __add__(self, other: Any) -> Any:
+        return NotImplemented if isinstance(other, np.ndarray) else Stack(self.numbers + _numbers(other))
 
-    def __sub__(self, other: Any) -> Stack:
-        return Stack(self.numbers - _numbers(other))
+    def __sub__(self, other: Any) -> Any:
+        return NotImplemented if isinstance(other, np.ndarray) else Stack(self.numbers - _numbers(other))
 
-    def __rsub__(self, other: Any) -> Stack:
-        return Stack(other - self.numbers)
+    def __rsub__(self, other: Any) -> Any:
+        return NotImplemented if isinstance(other, np.ndarray) else Stack(other - self.numbers)
 
-    def __mul__(self, other: Any) -> Stack:
-        return Stack(self.numbers * _numbers(other))
+    def __mul__(self, other: Any) -> Any:
+        return NotImplemented if isinstance(other, np.ndarray) else Stack(self.numbers * _numbers(other))
 
-    def __truediv__(self, other: Any) -> Stack:
-        return Stack(self.numbers / _numbers(other))
+    def __truediv__(self, other: Any) -> Any:
+        return NotImplemented if isinstance(other, np.ndarray) else Stack(self.numbers / _numbers(other))
 
-    def __rtruediv__(self, other: Any) -> Stack:
-        return Stack(other / self.numbers)
+    def __rtruediv__(self, other: Any) -> Any:
+        return NotImplemented if isinstance(other, np.ndarray) else Stack(other / self.numbers)
 
     __radd__, __rmul__ = __add__, __mul__
 

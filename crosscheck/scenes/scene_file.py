@@ -154,8 +154,10 @@ COUPLING = _one_of([_entry(Gear, "gear"), _entry(LinearCoupling, "linear")])
 SPRINGS = {"joint_spring": JointSpring, "ball_spring": BallSpring, "point_spring": PointSpring}
 FORCE = _one_of(_entry(made, kind) for kind, made in (SPRINGS | {"wrench": Wrench}).items())
 SUM = _entry(Sum, "sum", terms=_several(ForwardRef("FUNCTION")))
-FUNCTIONS = {"polynomial": Polynomial, "sine": Sine, "spline": Spline, "steps": Steps}
-FUNCTION = _one_of([*(_entry(made, kind) for kind, made in FUNCTIONS.items()), SUM])
+FUNCTIONS = {"polynomial": Polynomial, "sine": Sine}
+SAMPLES: dict[str, Any] = dict.fromkeys(("times", "values"), list[Number])
+SAMPLED = [_entry(made, kind, **SAMPLES) for kind, made in (("spline", Spline), ("steps", Steps))]
+FUNCTION = _one_of([*(_entry(made, kind) for kind, made in FUNCTIONS.items()), *SAMPLED, SUM])
 SUM.model_rebuild(_types_namespace={"FUNCTION": FUNCTION})
 VALUE: Any = Union[Number, FUNCTION]  # noqa: UP007
 CONTROL = _entry(PD, target=VALUE, feedforward=VALUE)

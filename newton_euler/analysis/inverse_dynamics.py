@@ -19,7 +19,7 @@ from newton_euler.assemble import initial_state
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
-from newton_euler.equations.parameters import numbered, with_values
+from newton_euler.equations.parameters import numbered, pieces, with_values
 from newton_euler.equations.redundancy import mobility, rows_in_use
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.servos import (
@@ -240,48 +240,56 @@ class InverseDynamics:
 
     @cached_property
     def forces(self) -> NativeFunction:
-        """Of (q, v, wanted accelerations, time): actuator forces (a,), pivot ratio, squared loop residual."""
+        """Of (q, v, wanted accelerations, time, pieces): forces (a,), pivot ratio, squared loop residual."""
         return self._function("forces", self._trace_forces, len(self.servos.coordinates))
 
     @cached_property
     def evaluation(self) -> NativeFunction:
-        """Of (q, v, actuator forces, time): `Solved` arrays, one after the other."""
+        """Of (q, v, actuator forces, time, pieces): `Solved` arrays, one after the other."""
         return self._function("loads", self._trace_evaluation, len(self.servos.actuators))
 
     def _function(self, name: str, trace: Callable[..., list[Scalar]], inputs: int) -> NativeFunction:
-        size = self.system.nq + self.system.nv
+        held = pieces(self.scene, 0.0)
+        ends = np.cumsum([self.system.nq, self.system.nv, inputs, 1, *map(len, held.values())])
 
         def traced() -> Traced:
             graph = Graph()
-            x = graph.variables(size + inputs + 1)
-            scalars = trace(x[: self.system.nq], x[self.system.nq : size], x[size:-1], x[-1])
-            program = graph.prune(scalars)
+            q, v, given, (time,), *numbers = np.split(graph.variables(int(ends[-1])), ends[:-1])
+            scene = with_values(self.scene, dict(zip(held, numbers, strict=True)))
+            program = graph.prune(trace(scene, q, v, given, time))
             return Traced(program, many=program.operations < LARGE)
 
-        known = fingerprint(self.scene, self.servos.coordinates, self.servos.actuators, neutral=NEUTRAL)
+        begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
+        chosen = self.servos.coordinates, self.servos.actuators, begun
+        known = fingerprint(self.scene, *chosen, neutral=NEUTRAL)
         return NativeFunction(traced, known and f"{known} inverse dynamics {name}")
 
-    def _trace_forces(self, q: Array, v: Array, accelerations: Array, time: Scalar) -> list[Scalar]:
-        system = at_time(Relative(self.scene), time)
+    def _trace_forces(
+        self, scene: Scene, q: Array, v: Array, accelerations: Array, time: Scalar
+    ) -> list[Scalar]:
+        system = at_time(Relative(scene), time)
         forces, pivot_ratio = system.servo_forces(q, v, self.servos, list(accelerations))
         loops = system.rows - len(system.couplings)
         phi = (system.phi(q) / system.phi_units)[:loops]
         return [*forces, minimum(pivot_ratio, 1.0), phi @ phi]
 
-    def _trace_evaluation(self, q: Array, v: Array, forces: Array, time: Scalar) -> list[Scalar]:
-        found, _ = self._acting(forces, time).sparse_evaluation(q, v, self.servos.rows)
+    def _trace_evaluation(
+        self, scene: Scene, q: Array, v: Array, forces: Array, time: Scalar
+    ) -> list[Scalar]:
+        found, _ = self._acting(scene, forces, time).sparse_evaluation(q, v, self.servos.rows)
         return [scalar for array in _arrays(found) for scalar in array.ravel()]
 
-    def _acting(self, forces: Array, time: Scalar) -> Relative:
-        """Return the equations with these forces of actuators (a,)."""
+    def _acting(self, scene: Scene, forces: Array, time: Scalar) -> Relative:
+        """Return the equations of the scene with these forces of actuators (a,)."""
         values = {numbered("control", k, "feedforward"): u for k, u in enumerate(forces)}
-        return at_time(Relative(with_values(self.scene, values)), time)
+        return at_time(Relative(with_values(scene, values)), time)
 
     def loads(self, given: States, accelerations: Sequence[Array], time: Array) -> Solved:
         """Solve for wanted accelerations (n,) of each coordinate at n states and times."""
         rows = [np.concatenate(self.system.coordinates(state)) for state in given.states]
         table = np.array(rows).reshape(len(rows), -1)
-        found = at_rows(self.forces, np.column_stack([table, *accelerations, time]))
+        moments = [np.concatenate([[t], *pieces(self.scene, t).values()]) for t in time.tolist()]
+        found = at_rows(self.forces, np.column_stack([table, *accelerations, moments]))
         forces, pivot_ratio, opening = found[:, :-2], found[:, -2], found[:, -1]
         for row in np.flatnonzero(~(opening <= OPEN**2))[:1]:
             joint, distance = worst_joint(self.system, given.states[row])
@@ -296,7 +304,7 @@ class InverseDynamics:
         if mobility(self.scene).redundant:  # the float form knows the smallest reactions
             values = self._dense(table, forces, time)
         else:
-            values = at_rows(self.evaluation, np.column_stack([table, forces, time]))
+            values = at_rows(self.evaluation, np.column_stack([table, forces, moments]))
         arrays = [
             part.reshape(-1, *shape)
             for part, shape in zip(np.split(values, ends[:-1], 1), shapes, strict=True)
@@ -310,7 +318,7 @@ class InverseDynamics:
     def _dense(self, table: Array, forces: Array, time: Array) -> Array:
         rows = []
         for x, u, t in zip(table, forces, time, strict=True):
-            system = self._acting(u, float(t))
+            system = self._acting(self.scene, u, float(t))
             found = system.evaluate(x[: system.nq], x[system.nq :])
             rows.append(np.concatenate([array.ravel() for array in _arrays(found)]))
         return np.array(rows)

@@ -236,7 +236,7 @@ def _with_linear(function: TimeFunction, values: list[Any], change: Callable[...
     if isinstance(function, Sine):
         return change(function, amplitude=values[0], offset=values[1])
     if isinstance(function, Piecewise):
-        changed = change(function, values=tuple(values))
+        changed = change(function, values=np.array(values))
         vars(changed).pop("_pieces", None)  # of the samples that have changed
         return changed
     return change(function, coefficients=tuple(values))

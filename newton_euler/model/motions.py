@@ -6,12 +6,12 @@ from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
 
 from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
+from newton_euler.model.description import ArrayField, description
 from newton_euler.model.elements import OnCoordinate
 from newton_euler.scalars import Scalar, cos, sin
 
@@ -174,12 +174,12 @@ class Piece(Smooth):
         return _horner(_derived(_derived(self.coefficients)), time - self.start)
 
 
-@dataclass(frozen=True)
+@description
 class Piecewise:
     """A function of time of polynomials between knots, given by samples; see `Spline` and `Steps`."""
 
-    times: tuple[float, ...]
-    values: tuple[float, ...]
+    times: ArrayField
+    values: ArrayField
 
     noun: ClassVar[str]
     least: ClassVar[int]
@@ -195,14 +195,14 @@ class Piecewise:
             if array.ndim != 1 or len(array) < self.least or not np.all(np.isfinite(array)):
                 needed = f"{self.least} finite numbers or more"
                 raise MechanismError(self.noun, f"{name} is {given!r:.100}", needed)
-            object.__setattr__(self, name, tuple(array.tolist()))
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
         if len(self.times) != len(self.values):
             problem = f"has {len(self.times)} times and {len(self.values)} values"
             raise MechanismError(self.noun, problem, "a value at each time")
-        for k, (one, other) in enumerate(pairwise(self.times), start=1):
-            if not other > one:
-                problem = f"times[{k}] is {other:.9g} s, after {one:.9g} s"
-                raise MechanismError(self.noun, problem, "times in ascending order")
+        for k in np.flatnonzero(np.diff(self.times) <= 0.0)[:1]:
+            problem = f"times[{k + 1}] is {self.times[k + 1]:.9g} s, after {self.times[k]:.9g} s"
+            raise MechanismError(self.noun, problem, "times in ascending order")
 
     def piece(self, time: float) -> tuple[float, ...]:
         """See `Smooth.piece`: the start of the piece in s, and its coefficients."""
@@ -234,9 +234,9 @@ class Spline(Piecewise):
     acceleration; in the first and the last few samples by (w h)^6 / 100 and (w h)^4 / 2.
 
     Attributes:
-        times: s, ascending, two or more. Nothing is known before the first and after the last one: runs
+        times: (n,) s, ascending, two or more. Nothing is known before the first and after the last one: runs
             begin at 0 and end between them.
-        values: m or rad.
+        values: (n,) m or rad.
 
     Raises:
         MechanismError: for samples that are too few, not in order, or no finite numbers.
@@ -254,12 +254,12 @@ class Spline(Piecewise):
     @cached_property
     def knots(self) -> tuple[float, ...]:
         """The samples but three at each end, where one polynomial goes on for two samples more."""
-        return self.times[DEGREE // 2 + 1 : -(DEGREE // 2 + 1)]
+        return tuple(self.times[DEGREE // 2 + 1 : -(DEGREE // 2 + 1)].tolist())
 
     def covers(self, end: float) -> bool:
         first, last = self.times[0], self.times[-1]
         allowed = BEYOND * (last - first)
-        return first <= allowed and end <= last + allowed
+        return bool(first <= allowed and end <= last + allowed)
 
     @cached_property
     def _pieces(self) -> list[tuple[float, ...]]:
@@ -281,8 +281,8 @@ class Steps(Piecewise):
     For targets and feedforwards of control laws; a prescribed motion cannot jump.
 
     Attributes:
-        times: s, ascending, one or more.
-        values: m or rad, or N or N m.
+        times: (n,) s, ascending, one or more.
+        values: (n,) m or rad, or N or N m.
 
     Raises:
         MechanismError: for samples that are too few, not in order, or no finite numbers.
@@ -300,7 +300,7 @@ class Steps(Piecewise):
     @cached_property
     def knots(self) -> tuple[float, ...]:
         """All times but the first."""
-        return self.times[1:]
+        return tuple(self.times[1:].tolist())
 
     @property
     def jumps(self) -> tuple[float, ...]:
@@ -311,7 +311,7 @@ class Steps(Piecewise):
         return True
 
     def piece(self, time: float) -> tuple[float, ...]:
-        return 0.0, self.values[bisect_right(self.knots, time)]
+        return 0.0, float(self.values[bisect_right(self.knots, time)])
 
 
 @dataclass(frozen=True)
@@ -410,7 +410,7 @@ def scaled(function: TimeFunction, factor: float) -> TimeFunction:
     if isinstance(function, Sine):
         return replace(function, amplitude=factor * function.amplitude, offset=factor * function.offset)
     if isinstance(function, Piecewise):
-        return replace(function, values=tuple(factor * value for value in function.values))
+        return replace(function, values=factor * function.values)
     return replace(function, coefficients=tuple(factor * c for c in function.coefficients))
 
 
