@@ -30,8 +30,8 @@ HALF_ANGLE = np.radians(27.5)
 ASPECT, MARGIN = 1.3, 1.1
 """Width by height of what the camera sees at least, and its distance by the least that shows all."""
 
-VERDICT_SHARE = 1.4
-"""Height of the verdict by that of the mechanism."""
+LOWER = 1.4
+"""Height of the verdict and of what engines are judged by, by that of the mechanism and its motion."""
 
 MOST_COLUMNS = 3
 """Plots side by side in one group."""
@@ -70,8 +70,8 @@ def blueprint(
     rows = [[plot for plot in plots if plot.judges is judges] for judges in (False, True)]
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(scene_view, rrb.Tabs(*told, active_tab=0), row_shares=[1.0, VERDICT_SHARE]),
-            rrb.Vertical(*(_row(row) for row in rows if row)),
+            rrb.Vertical(scene_view, rrb.Tabs(*told, active_tab=0), row_shares=[1.0, LOWER]),
+            rrb.Vertical(*(_row(row) for row in rows if row), row_shares=[1.0, LOWER][: sum(map(bool, rows))]),
             column_shares=[1.0, 1.2],
         ),
         rrb.BlueprintPanel(state="collapsed"),

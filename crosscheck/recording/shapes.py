@@ -20,6 +20,10 @@ GHOST_OPACITY = 70
 """Of 255, of ghosts."""
 
 
+FRAME = 0.01
+"""Radius of bars that stand in for the ground, in multiples of the mechanism's size."""
+
+
 class Style(NamedTuple):
     """Look of one engine."""
 
@@ -77,8 +81,15 @@ def log_shapes(
 
 
 def drawn_shapes(mechanism: Mechanism, body: int) -> tuple[Shape, ...]:
-    """The shapes that are drawn of a body: bars stand in for them where it has no meshes either."""
+    """The shapes that are drawn of a body: bars stand in for them where it has no meshes either.
+
+    Those of the ground go around its joints, so that loops are seen to close.
+    """
     own = mechanism.bodies[body]
+    if body == 0 and not (own.meshes or own.shapes):
+        points = [mechanism.joints[k].point for k in mechanism.joints_at[0]]
+        pairs = zip(points, [*points[1:], *points[:1]], strict=True)
+        return tuple(Capsule(a, b, FRAME * mechanism.size) for a, b in pairs if np.any(a != b))
     return own.shapes if own.meshes else mechanism.shapes(body)
 
 
@@ -86,11 +97,13 @@ def paths(mechanism: Mechanism, body: int, run: Trajectory) -> Array:
     """(n, m, 3) m: where a run takes points that what is drawn of a body lies between."""
     pose = mechanism.bodies[body].pose
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-    points = [pose.position[None]]
+    drawn = drawn_shapes(mechanism, body)
+    # the ground's center is nowhere in particular
+    points = [] if body == 0 and (drawn or mechanism.bodies[body].meshes) else [pose.position[None]]
     for mesh in mechanism.bodies[body].meshes:
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         points.append(0.5 * (low + high) + signs * 0.5 * (high - low))
-    for shape in drawn_shapes(mechanism, body):
+    for shape in drawn:
         if isinstance(shape, Capsule):
             points.append(np.array([shape.start, shape.end]))
         else:
