@@ -49,5 +49,6 @@ def simulate(
     settings: dict[str, Any] = {"stabilization": stabilization}
     if stabilization == "baumgarte":
         settings["alpha"] = alpha
-    options = Options(integrator, rtol, atol, step, most_steps, stabilization == "projection")
+    projected = stabilization == "projection"
+    options = Options(integrator, rtol, atol, step, most_steps, projection=projected)
     return run(system, "pinocchio", options, settings)
