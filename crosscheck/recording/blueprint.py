@@ -68,10 +68,11 @@ def blueprint(
         columns = rrb.TextLogColumns(timeline_columns=[TIME], text_log_columns=["body"])
         told.append(rrb.TextLogView(origin="/worst", name="Worst moments: click a time", columns=columns))
     rows = [[plot for plot in plots if plot.judges is judges] for judges in (False, True)]
+    plotted = [_row(row) for row in rows if row]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(scene_view, rrb.Tabs(*told, active_tab=0), row_shares=[1.0, LOWER]),
-            rrb.Vertical(*(_row(row) for row in rows if row), row_shares=[1.0, LOWER][: sum(map(bool, rows))]),
+            rrb.Vertical(*plotted, row_shares=[1.0, LOWER][: len(plotted)]),
             column_shares=[1.0, 1.2],
         ),
         rrb.BlueprintPanel(state="collapsed"),
