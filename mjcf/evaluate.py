@@ -147,13 +147,13 @@ def _ball_torque(model: mujoco.MjModel, data: mujoco.MjData, ball: int) -> Array
 
 
 def motor_wrenches(compiled: CompiledScene) -> Array:
-    """(nbody, 6) force, and torque about the center of mass, by the motors of wrenches; world frame."""
+    """(nbody, 6) force, and torque about the center of mass, by motors on sites; world frame."""
     model, data = compiled.model, compiled.data
     wrenches = np.zeros((model.nbody, 6))
     for motor in range(len(compiled.scene.control), model.nu):
         site, reference = model.actuator_trnid[motor]
         frame = data.site_xmat[site if reference < 0 else reference].reshape(3, 3)
-        force, torque = model.actuator_gear[motor].reshape(2, 3) @ frame.T
+        force, torque = data.actuator_force[motor] * model.actuator_gear[motor].reshape(2, 3) @ frame.T
         body = model.site_bodyid[site]
         arm = data.site_xpos[site] - data.xipos[body]
         wrenches[body] += np.concatenate([force, torque + cross(arm, force)])

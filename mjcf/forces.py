@@ -3,8 +3,9 @@
 Springs of joints are attributes of MuJoCo's joints. Those of balls have no attribute for where they rest,
 which is qpos0. MuJoCo can move it while it runs: it does for a spring that yields, and then a key says where
 it is. Springs between points are spatial tendons, and wrenches are motors on sites whose control is 1: MuJoCo
-turns a motor's force with its site, or not if a site of the world is its `refsite`. Names hold a space, which
-no name of a scene does, so that none clash.
+turns a motor's force with its site, or not if a site of the world is its `refsite`. Wind on a plate is three
+motors on a site with the plate's axes, whose controls `mjcf.model` works out: the force along its normal and
+the moments about its sides. Names hold a space, which no name of a scene does, so that none clash.
 """
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ import numpy as np
 
 from mjcf.layout import Layout, ball_name, number, numbers
 from newton_euler.model.elements import OnBall, OnCoordinate
-from newton_euler.model.euler_parameters import from_rotation_vector
+from newton_euler.model.euler_parameters import from_rotation, from_rotation_vector
 from newton_euler.model.forces import BallSpring, Force, JointSpring, PointSpring, Wrench
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree, coordinate_name
+from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array
 
 WORLD_SITE = "world frame"
@@ -31,6 +33,9 @@ SITE_SIZE = 0.01
 
 NEVER = 4.0
 """rad, beyond which a spring yields that never does: no ball turns more than half a turn."""
+
+WIND_MOTORS = {"force": 2, "first moment": 3, "second moment": 4}
+"""Of a wind load, each by its place among forces and torques along the axes of its site."""
 
 TENDON_WIDTH = 0.003
 """Radius of a tendon, in sizes of the mechanism."""
@@ -81,7 +86,7 @@ def _is_turned(force: Force) -> TypeGuard[BallSpring]:
 
 
 def add_sites(elements: dict[int, ET.Element], scene: Scene) -> None:
-    """Give bodies, by their number, the sites of springs between points and of wrenches."""
+    """Give bodies, by their number, the sites of springs between points, of wrenches and of wind."""
     mechanism = scene.mechanism
     for force in scene.forces:
         if isinstance(force, PointSpring):
@@ -90,18 +95,22 @@ def add_sites(elements: dict[int, ET.Element], scene: Scene) -> None:
                 add_site(elements, mechanism, f"spring {force.name} on {body}", body, point)
         elif isinstance(force, Wrench):
             add_site(elements, mechanism, f"wrench {force.name}", force.body, force.point)
+        elif isinstance(force, WindLoad):
+            pose = mechanism.body(force.body).pose
+            site = add_site(elements, mechanism, wind_site(force), force.body, force.point)
+            site.set("quat", numbers(from_rotation(pose.rotation.T @ force.axes)))
     if any(isinstance(force, Wrench) and force.frame == "world" for force in scene.forces):
         add_site(elements, mechanism, WORLD_SITE, mechanism.body_names[0], np.zeros(3))
 
 
 def add_site(
     elements: dict[int, ET.Element], mechanism: Mechanism, name: str, body: str, point: Array
-) -> None:
+) -> ET.Element:
     """A point (3,) of a body, given in the world at the initial pose."""
     index = mechanism.body_index(body)
     local = mechanism.bodies[index].pose.point_to_body(point) if index else point
     size = number(SITE_SIZE * mechanism.size)
-    ET.SubElement(elements[index], "site", name=name, pos=numbers(local), size=size)
+    return ET.SubElement(elements[index], "site", name=name, pos=numbers(local), size=size)
 
 
 def add_springs(tendons: ET.Element, scene: Scene) -> None:
@@ -131,6 +140,16 @@ def wrenches(scene: Scene) -> list[Wrench]:
     return [force for force in scene.forces if isinstance(force, Wrench)]
 
 
+def wind_loads(scene: Scene) -> list[WindLoad]:
+    """The wind loads of a scene, in the order of their motors, which come last, three for each."""
+    return [force for force in scene.forces if isinstance(force, WindLoad)]
+
+
+def wind_site(load: WindLoad) -> str:
+    """Name of the site at the center of a plate, with its axes."""
+    return f"wind {load.name}"
+
+
 def add_wrenches(actuators: ET.Element, scene: Scene) -> None:
     """Motors on the sites of wrenches."""
     mechanism = scene.mechanism
@@ -144,3 +163,12 @@ def add_wrenches(actuators: ET.Element, scene: Scene) -> None:
         if wrench.frame == "world":
             attributes["refsite"] = WORLD_SITE
         ET.SubElement(actuators, "motor", attributes)
+
+
+def add_winds(actuators: ET.Element, scene: Scene) -> None:
+    """Motors on the sites of wind loads, see `wind_loads`."""
+    for load in wind_loads(scene):
+        site = wind_site(load)
+        for what, place in WIND_MOTORS.items():
+            gear = numbers(np.eye(6)[place])
+            ET.SubElement(actuators, "motor", name=f"{site} {what}", site=site, gear=gear)

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from mjcf.errors import ModelError
+from mjcf.forces import WIND_MOTORS, wind_loads, wind_site
 from mjcf.layout import Layout
 from mjcf.write import controls, welded_to_xml
 from newton_euler.equations.couplings import TreeCouplings
@@ -19,6 +20,7 @@ from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import coordinate_name, weld_loops
 from newton_euler.model.state import State
 from newton_euler.scalars import Array, Scalar
+from newton_euler.verification.wrenches import wind_on_plate
 
 LIGHTEST = 1e-14
 """kg, and kg m^2 of principal moments: MuJoCo's compiler takes more alone."""
@@ -46,7 +48,7 @@ class CompiledScene:
         model, data: `MjModel` and `MjData`; data is scratch that every call may overwrite.
         body_id: MuJoCo's body of each body of `welded.mechanism`, originals first.
         couplings: gears, screws and prescribed motions; MuJoCo's last equalities, in the same order.
-        time: s, at which prescribed motions and control laws are looked at.
+        time: s, at which prescribed motions, control laws and wind are looked at.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -74,6 +76,10 @@ class CompiledScene:
         ]
         joints = np.array([*driven, *others], dtype=int)
         self._sensed_q, self._sensed_v = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
+        loads, count = wind_loads(scene), len(WIND_MOTORS)
+        sites = [self.model.site(wind_site(load)).id for load in loads]
+        motors = range(self.model.nu - count * len(loads), self.model.nu, count)
+        self._winds = [(site, slice(k, k + count)) for site, k in zip(sites, motors, strict=True)]
         self.actuate()
 
     def _restore_inertias(self) -> None:
@@ -124,7 +130,16 @@ class CompiledScene:
 
     def actuate(self) -> None:
         """Give MuJoCo's actuators the controls of the scene's laws at `time`."""
-        self.data.ctrl[:] = controls(self.scene, self.time, self.readings(self.data))
+        found = controls(self.scene, self.time, self.readings(self.data))
+        self.data.ctrl[: len(found)] = found
+
+    def blow(self, data: Any) -> None:
+        """Give MuJoCo's motors of wind their controls where bodies are, as it has worked out last."""
+        velocity = np.zeros(6)
+        for load, (site, motors) in zip(wind_loads(self.scene), self._winds, strict=True):
+            axes = data.site_xmat[site].reshape(3, 3)
+            mujoco.mj_objectVelocity(self.model, data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 1)
+            data.ctrl[motors] = wind_on_plate(load, axes.T @ load.velocity(data.time) - velocity[3:])
 
     def measure(self, q: Array, v: Array) -> list[tuple[Scalar, Scalar]]:
         """Coordinates (m or rad) and rates of `Scene.sensed`, where MuJoCo's actuators have theirs."""
@@ -141,6 +156,7 @@ class CompiledScene:
         self.place(q, v)
         mujoco.mj_fwdPosition(self.model, self.data)
         mujoco.mj_fwdVelocity(self.model, self.data)
+        self.blow(self.data)
         return self.read_state()
 
     def coupling_phi(self, q: Array) -> Array:

@@ -26,6 +26,7 @@ import numpy as np
 from scipy.integrate import simpson
 
 from mjcf.evaluate import evaluation
+from mjcf.forces import wind_loads
 from mjcf.model import CompiledScene
 from mjcf.write import control
 from newton_euler.equations.system import Evaluation
@@ -88,7 +89,7 @@ class SoftMuJoCo(CompiledScene):
 
     @contextmanager
     def following(self) -> Iterator[None]:
-        """Within it MuJoCo's actuators follow the scene's laws, and joints its functions of time.
+        """Within it MuJoCo's actuators follow the scene's laws and wind, and joints its functions of time.
 
         Each of MuJoCo's evaluations, those of the stages of RK4 too, gets the controls at its own time. What
         is held for a step instead would be of second order at best, and its power would jump.
@@ -102,7 +103,7 @@ class SoftMuJoCo(CompiledScene):
 
             a_ref = f'' - b (dx/dt - f') - k d (x - f).
         """
-        if not len(self.moved) and not len(self.driven.places) and not self.evaluated:
+        if not (len(self.moved) or len(self.driven.places) or self.evaluated or wind_loads(self.scene)):
             yield
             return
         before = mujoco.get_mjcb_control()
@@ -120,6 +121,7 @@ class SoftMuJoCo(CompiledScene):
                 data.ctrl[k] = control(self.scene.control[k], data.time, readings)
         if len(self.driven.places):  # of the others those that are sampled have changed since
             data.ctrl[self.driven.places] = self.driven.at(self.scene.control, data.time)
+        self.blow(data)
         if len(self.moved):
             self._follow(data)
 

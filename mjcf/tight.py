@@ -16,6 +16,7 @@ import mujoco.rollout
 import numpy as np
 
 from mjcf.errors import DivergenceError, MjcfError, heard_warnings
+from mjcf.forces import wind_loads
 from mjcf.soft import SoftMuJoCo, stiffest
 from mjcf.write import controls
 from newton_euler.assemble import initial_state
@@ -47,7 +48,7 @@ def compiled(scene: Scene) -> SoftMuJoCo:
     """The scene in MuJoCo with everything off that it does not need.
 
     Raises:
-        MjcfError: for a prescribed motion, and for a control law that is no PD.
+        MjcfError: for a prescribed motion, a control law that is no PD, and wind.
     """
     for motion in scene.motions:
         raise MjcfError(
@@ -55,8 +56,8 @@ def compiled(scene: Scene) -> SoftMuJoCo:
             "and its tight loops call no Python to make one"
         )
     system = SoftMuJoCo(scene)
-    for law in system.evaluated.values():
-        raise MjcfError(f"{law.element}: no actuator of MuJoCo's, and its tight loops call no Python")
+    for each in (*system.evaluated.values(), *wind_loads(scene)):
+        raise MjcfError(f"{each.element}: no actuator of MuJoCo's, and its tight loops call no Python")
     disabled = [*UNUSED, *(() if scene.forces else PASSIVE), *(() if np.any(scene.gravity) else ("GRAVITY",))]
     flags = (int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")) for name in disabled)
     system.model.opt.disableflags = sum(flags)

@@ -24,9 +24,11 @@ from mjcf.forces import (
     add_sites,
     add_springs,
     add_tendon,
+    add_winds,
     add_wrenches,
     joint_attributes,
     rests,
+    wind_loads,
     wrenches,
 )
 from mjcf.layout import Layout, number, numbers
@@ -50,6 +52,7 @@ from newton_euler.model.spanning_tree import (
 )
 from newton_euler.model.trajectory import atomic_file
 from newton_euler.scalars import Array
+from newton_euler.verification.wrenches import Wrenches
 
 TIMESTEP = 0.001
 """Time step of a written model, s."""
@@ -367,12 +370,13 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
             gains = {"gainprm": number(gain), "biastype": "affine", "biasprm": bias}
         element.attrib.update(gains)
     add_wrenches(actuator, scene)
+    add_winds(actuator, scene)
     if len(actuator):
         root.append(actuator)
 
 
 def controls(scene: Scene, time: float, readings: Readings) -> list[float]:
-    """Return the ctrl of MuJoCo's actuators at a time in s, see `control`; 1 for wrenches."""
+    """Return the ctrl of MuJoCo's actuators at a time in s, see `control`; 1 for wrenches, none for wind."""
     return [control(law, time, readings) for law in scene.control] + [1.0] * len(wrenches(scene))
 
 
@@ -388,7 +392,8 @@ def control(law: Law, time: float, readings: Readings) -> float:
 
 
 def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layout) -> None:
-    q, v = welded.tree.coordinates(welded.state(initial_state(scene)))
+    state = initial_state(scene)
+    q, v = welded.tree.coordinates(welded.state(state))
     q = TreeCouplings(scene, welded.tree).turned(q, 0.0)
     attributes = {"name": KEY}
     if len(q):
@@ -396,7 +401,9 @@ def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
         attributes["qvel"] = numbers(layout.to_qvel @ v)
     places = {key: welded.tree.place(*key) for key in scene.sensed}
     readings = {key: (q[place[0]], v[place[1]]) for key, place in places.items() if place}
-    if ctrl := controls(scene, 0.0, readings):
+    acting = Wrenches(scene.mechanism, state)
+    winds = [value for load in wind_loads(scene) for value in acting.wind(load)]
+    if ctrl := controls(scene, 0.0, readings) + winds:
         attributes["ctrl"] = numbers(ctrl)
     if len(resting := rests(scene, welded.tree, layout)):
         attributes["plastic"] = numbers(resting)

@@ -35,6 +35,7 @@ from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Splin
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
 from newton_euler.moving_base import base_motion_from_csv, on_moving_base
 from newton_euler.simulate import compile_scene, simulate
 
@@ -79,6 +80,7 @@ __all__ = [
     "Trajectory",
     "Translational",
     "Universal",
+    "WindLoad",
     "Wrench",
     "assemble",
     "base_motion_from_csv",
@@ -91,4 +93,6 @@ __all__ = [
     "solve_poses",
     "start",
     "statics",
+    "wind_gust",
+    "wind_turbulence",
 ]

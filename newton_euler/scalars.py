@@ -112,8 +112,13 @@ def sqrt(x: Scalar) -> Scalar:
 
 
 def arctan2(y: Scalar, x: Scalar) -> Scalar:
-    """Angle of the point (x, y) in radians, in (-pi, pi]."""
-    return np.arctan2(y, x) if isinstance(y, float) else y.arctan2(x)
+    """Angle of the point (x, y) in radians, in (-pi, pi]; a number y is not zero where x is none."""
+    if not isinstance(y, float):
+        return y.arctan2(x)
+    if isinstance(x, float):
+        return np.arctan2(y, x)
+    right_angle = np.copysign(0.5 * np.pi, y)
+    return right_angle - x.arctan2(abs(y)) if y > 0.0 else right_angle + x.arctan2(abs(y))
 
 
 def minimum(x: Scalar, y: Scalar) -> Scalar:

@@ -156,7 +156,7 @@ class PinocchioSystem:
             power += self._balls.power(v)
         if self._forces:
             self._move(q, v)
-            power += self._forces.power(self._data)
+            power += self._forces.power(self._data, self.scene, self.time)
         if self.scene.motions:
             power += self._rows.motion_power(self._solve(q, v)[1], self.time)
         return power
@@ -194,7 +194,7 @@ class PinocchioSystem:
         if self._moving:
             self._move(q, v)
         if self._forces:
-            pushes = self._forces.pushes(self._data)
+            pushes = self._forces.pushes(self._data, self.scene, self.time)
             wrenches = np.array([(*push.force, *push.torque) for push in pushes])
             frames = [frame_jacobian(self._model, self._data, push.frame) for push in pushes]
             force += self.map.v_from_pinocchio(wrenches.ravel() @ np.concatenate(frames))
@@ -431,6 +431,7 @@ class PinocchioSystem:
         """Sum the forces of balls and points on each body of the welded mechanism, about the origin."""
         rotations = [self._data.oMf[link].rotation for link in self._links]
         found = [pin.Force.Zero() for _ in self._links]
-        for body, wrench in (*self._balls.wrenches(q, v, rotations), *self._forces.wrenches(self._data)):
+        on_points = self._forces.wrenches(self._data, self.scene, self.time)
+        for body, wrench in (*self._balls.wrenches(q, v, rotations), *on_points):
             found[body] += wrench
         return found

@@ -1,5 +1,5 @@
 """Forces of a scene as Pinocchio's side has them: laws of joint coordinates and springs of balls, by the
-coordinates of the tree; by Pinocchio's frames, springs between points and wrenches; rotors.
+coordinates of the tree; by Pinocchio's frames, springs between points, wrenches and wind; rotors.
 
 All are worked out here from their numbers, so that a mistake in newton_euler's own laws is its own alone.
 """
@@ -20,7 +20,9 @@ from newton_euler.model.forces import BallArmature, BallSpring, JointSpring, Poi
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
+from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array
+from newton_euler.verification.wrenches import wind_on_plate
 
 ZERO = np.zeros(3)
 
@@ -164,7 +166,7 @@ class BallForces:
 
 
 class PointForces:
-    """The springs between points and the wrenches of a scene.
+    """The springs between points, the wrenches and the wind loads of a scene.
 
     They are worked out from `data` as `pinocchio.updateFramePlacements` leaves it, velocities included.
     """
@@ -174,17 +176,20 @@ class PointForces:
         self._model = model
         self._springs: list[tuple[PointSpring, tuple[int, int], tuple[int, int]]] = []
         self._wrenches: list[tuple[Wrench, int, int, Array, Array]] = []
+        self._winds: list[tuple[int, int, int]] = []
         mechanism = scene.mechanism
 
-        def added(name: str, body: int, point: Array) -> int:
+        def added(name: str, body: int, point: Array, axes: Array | None = None) -> int:
             leading = body_frames[body]
-            offset = pin.SE3(np.eye(3), mechanism.bodies[body].pose.point_to_body(point))
+            pose = mechanism.bodies[body].pose
+            turned = np.eye(3) if axes is None else pose.rotation.T @ axes
+            offset = pin.SE3(turned, pose.point_to_body(point))
             frame = model.frames[leading]
             placement = frame.placement * offset
             found = pin.Frame(name, frame.parentJoint, leading, placement, pin.FrameType.OP_FRAME)
             return int(model.addFrame(found))
 
-        for force in scene.forces:
+        for number, force in enumerate(scene.forces):
             if isinstance(force, PointSpring):
                 bodies = mechanism.body_index(force.first), mechanism.body_index(force.second)
                 points = force.point_on_first, force.point_on_second
@@ -198,13 +203,18 @@ class PointForces:
                 turn = mechanism.bodies[body].pose.vector_to_body
                 frame = added(f"wrench {force.name}", body, force.point)
                 self._wrenches.append((force, body, frame, turn(force.force), turn(force.torque)))
+            elif isinstance(force, WindLoad):
+                body = mechanism.body_index(force.body)
+                frame = added(f"wind {force.name}", body, force.point, force.axes)
+                self._winds.append((number, body, frame))
 
     def __bool__(self) -> bool:
-        return bool(self._springs or self._wrenches)
+        return bool(self._springs or self._wrenches or self._winds)
 
-    def pushes(self, data: Any) -> list[Push]:
-        """Compute the forces and torques on the bodies."""
-        return [*self._spring_pushes(data), *self._wrench_pushes(data)]
+    def pushes(self, data: Any, scene: Scene, time: float) -> list[Push]:
+        """Compute the forces and torques on the bodies at a time in s, by wind as a scene has it then."""
+        winds = self._wind_pushes(data, scene, time)
+        return [*self._spring_pushes(data), *self._wrench_pushes(data), *winds]
 
     def _spring_pushes(self, data: Any) -> list[Push]:
         found = []
@@ -228,9 +238,20 @@ class PointForces:
                 found.append(Push(body, frame, wrench.force, wrench.torque))
         return found
 
-    def wrenches(self, data: Any) -> Iterator[tuple[int, Any]]:
+    def _wind_pushes(self, data: Any, scene: Scene, time: float) -> list[Push]:
+        found = []
+        for number, body, frame in self._winds:
+            load = scene.forces[number]
+            assert isinstance(load, WindLoad)
+            axes = data.oMf[frame].rotation
+            center = pin.getFrameVelocity(self._model, data, frame, pin.LOCAL).linear
+            push, *moments = wind_on_plate(load, axes.T @ load.velocity(time) - center)
+            found.append(Push(body, frame, push * axes[:, 2], axes[:, :2] @ moments))
+        return found
+
+    def wrenches(self, data: Any, scene: Scene, time: float) -> Iterator[tuple[int, Any]]:
         """Compute the wrenches on bodies, about the world's origin."""
-        for push in self.pushes(data):
+        for push in self.pushes(data, scene, time):
             origin = pin.SE3(np.eye(3), data.oMf[push.frame].translation)
             yield push.body, origin.act(pin.Force(push.force, push.torque))
 
@@ -241,13 +262,13 @@ class PointForces:
             0.5 * spring.stiffness * (float(length) - spring.rest_length) ** 2 for spring, length in lines
         )
 
-    def power(self, data: Any) -> float:
-        """Power of dampers and wrenches, W."""
+    def power(self, data: Any, scene: Scene, time: float) -> float:
+        """Power of dampers, wrenches and wind, W."""
         power = 0.0
         for spring, _, frames in self._springs:
             d, rate = self._line(data, frames)
             power -= spring.damping * float(d @ rate) ** 2 / (float(d @ d) or 1.0)
-        for push in self._wrench_pushes(data):
+        for push in (*self._wrench_pushes(data), *self._wind_pushes(data, scene, time)):
             velocity = self._velocity(data, push.frame)
             power += float(push.force @ velocity.linear + push.torque @ velocity.angular)
         return power

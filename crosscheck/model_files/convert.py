@@ -8,6 +8,7 @@ from crosscheck.errors import CrosscheckError
 from newton_euler.model.control import PD
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.scene import Scene
+from newton_euler.model.wind import WindLoad
 from newton_euler.verification.import_report import CONTROL, FORCE, ROTOR, ImportReport
 from urdf.write import loops_path
 
@@ -59,6 +60,9 @@ def write_as(scene: Scene, path: Path, report: ImportReport) -> list[Path]:
                 report.left_out(law.element, "MJCF has no function of time; its control is that of the start")
             elif not isinstance(law, PD):
                 report.left_out(law.element, "MJCF has PD laws alone; a motor with the force of the start")
+        for force in scene.forces:
+            if isinstance(force, WindLoad):
+                report.left_out(force.element, "MJCF has none; motors hold that of the start")
         report.left_out("duration and outputs", "an MJCF has none")
         return [path]
     import urdf

@@ -45,6 +45,7 @@ from newton_euler.model.scene import OUTPUTS, REDUNDANCY_TOLERANCE, Scene
 from newton_euler.model.source_file import SourceError, read_text, shortened
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import atomic_file
+from newton_euler.model.wind import WindLoad
 from newton_euler.model.yaml_source import parse_yaml
 
 LARGEST = 1e100
@@ -152,7 +153,6 @@ ROWS: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vecto
 JOINT = _one_of(_entry(made, kind, **ROWS) for kind, made in JOINT_KINDS.items())
 COUPLING = _one_of([_entry(Gear, "gear"), _entry(LinearCoupling, "linear")])
 SPRINGS = {"joint_spring": JointSpring, "ball_spring": BallSpring, "point_spring": PointSpring}
-FORCE = _one_of(_entry(made, kind) for kind, made in (SPRINGS | {"wrench": Wrench}).items())
 SUM = _entry(Sum, "sum", terms=_several(ForwardRef("FUNCTION")))
 FUNCTIONS = {"polynomial": Polynomial, "sine": Sine}
 SAMPLES: dict[str, Any] = dict.fromkeys(("times", "values"), list[Number])
@@ -160,6 +160,8 @@ SAMPLED = [_entry(made, kind, **SAMPLES) for kind, made in (("spline", Spline), 
 FUNCTION = _one_of([*(_entry(made, kind) for kind, made in FUNCTIONS.items()), *SAMPLED, SUM])
 SUM.model_rebuild(_types_namespace={"FUNCTION": FUNCTION})
 VALUE: Any = Union[Number, FUNCTION]  # noqa: UP007
+WIND = _entry(WindLoad, "wind_load", speed=VALUE)
+FORCE = _one_of([*(_entry(made, kind) for kind, made in (SPRINGS | {"wrench": Wrench}).items()), WIND])
 CONTROL = _entry(PD, target=VALUE, feedforward=VALUE)
 MOTION = _entry(PrescribedMotion, function=FUNCTION)
 
@@ -202,8 +204,8 @@ class _Scene(Entry):
         bodies = [Body.ground(given.ground), *_built(given.bodies)]
         mechanism = Mechanism(bodies, _built(given.joints), _built(given.couplings))
         check_mechanism("file", mechanism)
-        motions, control = _built(given.motions), _built(given.control)
-        check_functions("file", mechanism, motions, control, given.duration)
+        motions, control, acting = _built(given.motions), _built(given.control), _built(given.forces)
+        check_functions("file", mechanism, motions, (*control, *acting), given.duration)
         return Scene(
             given.name,
             mechanism,
@@ -213,7 +215,7 @@ class _Scene(Entry):
             control=control,
             initial_state=_state(mechanism, given.initial_state) if given.initial_state else None,
             outputs=frozenset(given.outputs),
-            forces=_built(given.forces),
+            forces=acting,
             motions=motions,
             armatures=_built(given.armatures),
             description=" ".join(given.description.split()),

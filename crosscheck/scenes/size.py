@@ -10,10 +10,18 @@ import numpy as np
 from crosscheck.errors import CrosscheckError
 from mjcf.write import TIMESTEP
 from newton_euler.limits import exceeded
-from newton_euler.model.control import PD
 from newton_euler.model.digital_control import Law
+from newton_euler.model.forces import Force
 from newton_euler.model.mechanism import Mechanism
-from newton_euler.model.motions import Piecewise, Polynomial, PrescribedMotion, Sine, Sum, TimeFunction
+from newton_euler.model.motions import (
+    Piecewise,
+    Polynomial,
+    PrescribedMotion,
+    Sine,
+    Sum,
+    TimeFunction,
+    functions_of,
+)
 from newton_euler.model.scene import Scene
 from newton_euler.model.spanning_tree import SpanningTree
 
@@ -31,12 +39,13 @@ def check_scene(scene: Scene, file: str = "") -> None:
     if scene.duration < LEAST_DURATION:
         least = f"{LEAST_DURATION:g} s, in which bodies move by more than round-off"
         raise CrosscheckError(f"{where}: duration is {scene.duration!r} s; needed: at least {least}")
-    forces = len(scene.control) + len(scene.forces) + len(scene.armatures)
+    count = len(scene.control) + len(scene.forces) + len(scene.armatures)
     bodies = len(scene.mechanism.bodies)
-    check_counts(where, {"bodies": bodies, "forces": forces})
+    check_counts(where, {"bodies": bodies, "forces": count})
     check_counts(where, {"steps": scene.duration / TIMESTEP, "states": bodies * len(scene.times)})
     check_mechanism(where, scene.mechanism)
-    check_functions(where, scene.mechanism, scene.motions, scene.control, scene.duration)
+    forces = (*scene.control, *scene.forces)
+    check_functions(where, scene.mechanism, scene.motions, forces, scene.duration)
 
 
 def check_mechanism(where: str, mechanism: Mechanism) -> None:
@@ -55,7 +64,7 @@ def check_functions(
     where: str,
     mechanism: Mechanism,
     motions: Iterable[PrescribedMotion],
-    control: Iterable[Law],
+    forces: Iterable[Law | Force],
     duration: float,
 ) -> None:
     """Raise `CrosscheckError` for functions of too many terms, knots, or cycles in `duration` (s).
@@ -71,9 +80,9 @@ def check_functions(
         )
         terms, knots = terms + _terms(motion.function), knots + len(motion.function.knots)
         cycles = float(np.maximum(cycles, _cycles(motion.function, duration, per_cycle)))
-    for law in control:
-        for function in (law.target, law.feedforward) if isinstance(law, PD) else ():
-            if isinstance(function, TimeFunction):
+    for acting in forces:
+        for attribute in acting.functions:
+            for function in functions_of(getattr(acting, attribute)):
                 terms, knots = terms + _terms(function), knots + len(function.knots)
                 cycles = float(np.maximum(cycles, _cycles(function, duration, math.inf)))
     check_counts(where, {"terms": terms, "cycles": cycles, "knots": knots})

@@ -72,7 +72,7 @@ def rotors_energy(scene: Scene, at: Surroundings) -> Scalar:
 
 
 def power(scene: Scene, at: Surroundings) -> Scalar:
-    """Compute the power, W, of control laws, dampers and wrenches, which have no potential energy."""
+    """Compute the power, W, of control laws, dampers, wrenches and wind, which have no potential energy."""
     forces = (*scene.joint_forces, *scene.body_forces)
     return sum((term for force in forces for term in force.powers(at)), start=0.0)
 

@@ -13,6 +13,7 @@ A parameter has a name and a value of the shape that the scene has there:
 - `JOINT.ball.stiffness`, `JOINT.ball.damping`, `JOINT.ball.rest` of the spring of a joint's ball;
 - `NAME.stiffness`, `NAME.damping`, `NAME.rest_length` of a spring between points;
 - `NAME.force`, `NAME.torque` of a wrench;
+- `NAME.direction`, `NAME.speed`, `NAME.air_density` of a wind load;
 - `JOINT.rotor.inertia`, `JOINT.1.rotor.inertia`, `JOINT.ball.rotor.inertia` of the armatures of a joint.
 
 A name that stands for two of these cannot be used; numbers say which is meant, as in `bodies[2].mass`,

@@ -17,7 +17,7 @@ from newton_euler.model import balls
 from newton_euler.model.constraints import Frame
 from newton_euler.model.joint import Key, Pose
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism, check_coordinate
-from newton_euler.scalars import Array, Scalar
+from newton_euler.scalars import Array, Scalar, cross
 
 BALL = -1
 """In place of the number of a joint coordinate: all three freedoms of the joint's ball."""
@@ -219,6 +219,43 @@ class AppliedForce(Element):
     def magnitude(self, at: Surroundings) -> float:
         """Compute how large the force is, N; torques over the mechanism's size."""
         raise NotImplementedError
+
+
+class OnPoint(OnBodies, AppliedForce):
+    """A force and a torque at a point of one body.
+
+    Attributes:
+        body: name of the body they act on; not the ground.
+        point: (3,) in the world at the initial pose, m; it moves with the body.
+    """
+
+    body: str
+    point: Array
+    body_fields = ("body",)
+
+    def check(self, mechanism: Mechanism) -> None:
+        """Raise `MechanismError` unless the mechanism has its body, a moving one."""
+        super().check(mechanism)
+        if mechanism.body_index(self.body) == 0:
+            raise MechanismError(self.element, f"acts on the ground {self.body!r}", "a body that moves")
+
+    def parts(self, at: Surroundings) -> tuple[int, Array, Array, Array]:
+        """Return the body's number, and the force, the torque and the arm of the point (3,), world frame."""
+        raise NotImplementedError
+
+    def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
+        k, force, torque, arm = self.parts(at)
+        yield k, np.concatenate([force, torque + cross(arm, force)])
+
+    def powers(self, at: Surroundings) -> Iterator[Scalar]:
+        k, force, torque, arm = self.parts(at)
+        omega = at.frames[k].angular_velocity
+        yield force @ (at.frames[k].velocity + cross(omega, arm))
+        yield torque @ omega
+
+    def magnitude(self, at: Surroundings) -> float:
+        _, force, torque, _ = self.parts(at)
+        return float(np.max(np.abs([force, torque / at.mechanism.size])))
 
 
 class CoordinateForce(OnCoordinate, AppliedForce):

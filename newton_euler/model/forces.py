@@ -31,9 +31,11 @@ from newton_euler.model.elements import (
     OnBall,
     OnBodies,
     OnCoordinate,
+    OnPoint,
     Surroundings,
 )
 from newton_euler.model.mechanism import Mechanism, check_name
+from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array, Scalar, cross, sqrt
 
 SPRING_AND_DAMPER = {"spring": ("stiffness",), "damper": ("damping",)}
@@ -269,7 +271,7 @@ class PointSpring(OnBodies, AppliedForce):
 
 
 @description
-class Wrench(OnBodies, AppliedForce):
+class Wrench(OnPoint):
     """A constant force at a point of a body and a constant torque, constant in the world or the body.
 
     Attributes:
@@ -299,7 +301,6 @@ class Wrench(OnBodies, AppliedForce):
     noun = "wrench"
     parameters = ("force", "torque")
     strengths: ClassVar = {"wrench": ("force", "torque")}
-    body_fields = ("body",)
 
     def __post_init__(self) -> None:
         check_name("wrench", self.name)
@@ -308,14 +309,7 @@ class Wrench(OnBodies, AppliedForce):
         if not isinstance(self.frame, str) or self.frame not in ("world", "body"):
             raise MechanismError(self.element, f"frame is {self.frame!r}", "'world' or 'body'")
 
-    def check(self, mechanism: Mechanism) -> None:
-        """Raise `MechanismError` unless the mechanism has its body, a moving one."""
-        super().check(mechanism)
-        if mechanism.body_index(self.body) == 0:
-            raise MechanismError(self.element, f"acts on the ground {self.body!r}", "a body that moves")
-
     def parts(self, at: Surroundings) -> tuple[int, Array, Array, Array]:
-        """Return the body's number, and the force, the torque and the arm of its point (3,), world frame."""
         k = at.mechanism.body_index(self.body)
         pose, frame = at.poses[k], at.frames[k]
         arm = frame.rotation @ pose.point_to_body(self.point)
@@ -324,21 +318,8 @@ class Wrench(OnBodies, AppliedForce):
         force, torque = pose.vector_to_body(self.force), pose.vector_to_body(self.torque)
         return k, frame.rotation @ force, frame.rotation @ torque, arm
 
-    def wrenches(self, at: Surroundings) -> Iterator[tuple[int, Array]]:
-        k, force, torque, arm = self.parts(at)
-        yield k, np.concatenate([force, torque + cross(arm, force)])
 
-    def powers(self, at: Surroundings) -> Iterator[Scalar]:
-        k, force, torque, arm = self.parts(at)
-        omega = at.frames[k].angular_velocity
-        yield force @ (at.frames[k].velocity + cross(omega, arm))
-        yield torque @ omega
-
-    def magnitude(self, at: Surroundings) -> float:
-        return float(np.max(np.abs([self.force, self.torque / at.mechanism.size])))
-
-
-Force = JointSpring | BallSpring | PointSpring | Wrench
+Force = JointSpring | BallSpring | PointSpring | Wrench | WindLoad
 
 
 @dataclass(frozen=True)

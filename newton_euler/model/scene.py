@@ -65,7 +65,7 @@ class Scene:
             them; None for the mechanism's initial pose, at rest, or what is next to it where joints follow
             `motions`. `newton_euler.initial_state` gives the one or the other, checked.
         outputs: names out of `OUTPUTS`.
-        forces: springs, dampers and wrenches beside gravity and control.
+        forces: springs, dampers, wrenches and wind beside gravity and control.
         motions: prescribed motions of joints.
         armatures: rotor inertias on joint coordinates and balls.
         description: one printable line for people.
@@ -150,7 +150,7 @@ class Scene:
             )
 
     def _check_functions(self) -> None:
-        for element in (*self.motions, *self.control):
+        for element in (*self.motions, *self.control, *self.forces):
             given = element.law if isinstance(element, Digital) else element
             for attribute in given.functions:
                 for function in functions_of(getattr(given, attribute)):
@@ -233,9 +233,9 @@ class Scene:
 
     @property
     def functions(self) -> dict[tuple[str, int, str], tuple[TimeFunction, ...]]:
-        """The functions of time by their places: "motions" or "control", which of them, and the attribute."""
+        """The functions of time by their places: field of the scene, number of the element, attribute."""
         found = {}
-        for field in ("motions", "control"):
+        for field in ("motions", "control", "forces"):
             for k, element in enumerate(getattr(self, field)):
                 for attribute in element.functions:
                     if functions := functions_of(getattr(element, attribute)):

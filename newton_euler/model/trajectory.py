@@ -116,7 +116,7 @@ class Trajectory:
     potential_energy: Floats | None = None
     """(n,) of gravity, zero at the world origin, and of springs, zero at rest, J."""
     work: Floats | None = None
-    """(n,) done since the start by control, dampers, wrenches and prescribed motions, J."""
+    """(n,) done since the start by control, dampers, wrenches, wind and prescribed motions, J."""
     mechanism: Mechanism | None = None
 
     def __repr__(self) -> str:

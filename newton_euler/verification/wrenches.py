@@ -13,6 +13,7 @@ from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wren
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.model.wind import CALM, WindLoad
 from newton_euler.scalars import Array
 
 
@@ -61,6 +62,8 @@ class Wrenches:
                     turn = self._turn(body) if force.frame == "body" else np.eye(3)
                     pull, torque = turn @ force.force, turn @ force.torque
                     self._add(body, pull, torque + np.cross(self._arm(body, force.point), pull))
+                case WindLoad():
+                    self._add_wind(force)
 
     def _law(self, law: Law | JointSpring, x: float, rate: float) -> float:
         """Compute the force of a law on a joint coordinate, N or N m, at time 0."""
@@ -112,6 +115,20 @@ class Wrenches:
         self._add(first, np.zeros(3), -torque)
         self._add(second, np.zeros(3), torque)
 
+    def wind(self, load: WindLoad) -> Array:
+        """Compute what wind does to a plate at time 0, see `wind_on_plate`."""
+        body = self.mechanism.body_index(load.body)
+        frame, axes = self.frames[body], self._turn(body) @ load.axes
+        center = frame.velocity + np.cross(frame.angular_velocity, self._arm(body, load.point))
+        return wind_on_plate(load, axes.T @ (load.velocity(0.0) - center))
+
+    def _add_wind(self, load: WindLoad) -> None:
+        body = self.mechanism.body_index(load.body)
+        axes, (push, *moments) = self._turn(body) @ load.axes, self.wind(load)
+        force = push * axes[:, 2]
+        torque = axes[:, :2] @ moments + np.cross(self._arm(body, load.point), force)
+        self._add(body, force, torque)
+
     def add_rotors(self, scene: Scene, linear: Array, angular: Array) -> None:
         """Add the wrenches of a scene's armatures at accelerations (b, 3) each, m/s^2 and rad/s^2."""
         for armature in scene.armatures:
@@ -130,3 +147,24 @@ class Wrenches:
             push = -armature.inertia * (float(rows @ rates) - gamma) * rows
             self._add(i, push[:3], push[3:6])
             self._add(j, push[6:9], push[9:])
+
+
+def wind_on_plate(load: WindLoad, relative: Array) -> Array:
+    """Compute what wind does to a plate by its angle of attack, see `WindLoad`.
+
+    Args:
+        load: the plate.
+        relative: (3,) m/s, of the wind against the plate's center, along the plate's sides and normal.
+
+    Returns:
+        (3,) the force along the normal, N, and the moments about the sides through the center, N m.
+    """
+    x, y, z = relative
+    along, across = np.hypot(np.hypot(x, y), CALM), np.hypot(z, CALM)
+    attack = np.arctan2(across, along)
+    aspect = max(load.lengths) / min(load.lengths)
+    finite = 1.0 / (0.56 + 0.44 * np.sin(attack)) - 0.41 * (1.0 - np.exp(-17.0 / aspect))
+    coefficient = 1.98 * np.sin(attack) * finite * z / across
+    push = 0.5 * load.air_density * load.area * (along**2 + across**2) * coefficient
+    ahead = -0.175 * (1.0 - 2.0 * attack / np.pi) * load.lengths * np.array([x, y]) / along
+    return np.array([push, ahead[1] * push, -ahead[0] * push])

@@ -69,7 +69,9 @@ def error(found: Trajectory, wanted: Trajectory) -> float:
     )
 
 
-RUNS = [*JOINTS, *MOTIONS, "forces, ball_loop", "spring without length", "control and forces"]
+WIND = "wind, cut at a ball"
+
+RUNS = [*JOINTS, *MOTIONS, "forces, ball_loop", "spring without length", "control and forces", WIND]
 
 
 @pytest.mark.parametrize("name", RUNS)
@@ -156,6 +158,18 @@ def test_a_motion_is_held_where_it_begins_in_the_file() -> None:
     assert model.key_qpos[0, 0] == pytest.approx(0.3, abs=1e-9)  # as closed as a state has to be
 
 
+def test_wind_is_that_of_the_start_in_the_file() -> None:
+    scene = FORCES[WIND]
+    model = mujoco.MjModel.from_xml_string(mjcf.to_xml(scene))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    rigid = RigidMuJoCo(scene)
+    rigid.mass_and_force(*rigid.coordinates(initial_state(scene)))
+    assert data.actuator_force == pytest.approx(rigid.data.actuator_force, rel=1e-9)
+    assert np.min(np.abs(data.actuator_force)) > 0.01
+
+
 def test_callbacks_of_others_are_put_back() -> None:
     def other(model: object, data: object) -> None: ...
 
@@ -190,11 +204,16 @@ def test_the_loop_file_holds_rods_and_couplings() -> None:
 # What the tight loops of benchmarks refuse
 
 
-def test_tight_mujoco_refuses_prescribed_motions() -> None:
-    with pytest.raises(
-        MjcfError, match=r"motion of joint 'axle': MuJoCo has no equality that depends on time"
-    ):
-        mjcf_tight.compiled(MOTIONS["motion of gears"])
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("motion of gears", "motion of joint 'axle': MuJoCo has no equality that depends on time"),
+        (WIND, "wind load 'wind': no actuator of MuJoCo's, and its tight loops call no Python"),
+    ],
+)
+def test_tight_mujoco_refuses_what_needs_python(name: str, message: str) -> None:
+    with pytest.raises(MjcfError, match=message):
+        mjcf_tight.compiled(ELEMENTS[name])
 
 
 @pytest.mark.parametrize("name", ["rods", "gears", "screw", "control and forces"])
@@ -220,8 +239,9 @@ def pushed() -> Scene:
         (MOTIONS["motion, cut"], "motion of joint 'at_c'"),
         (pushed(), "wrench 'push'"),
         (FORCES["spring without length"], "point spring 'elastic'"),
+        (FORCES[WIND], "wind load 'wind'"),
     ],
-    ids=["rod", "screw", "gear", "motion", "wrench", "point spring"],
+    ids=["rod", "screw", "gear", "motion", "wrench", "point spring", "wind"],
 )
 def test_tight_pinocchio_has_what_its_recursion_has_no_place_for(scene: Scene, element: str) -> None:
     """1e-12: the same equations in another order; that they are right is asserted of the system above."""

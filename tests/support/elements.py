@@ -6,7 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from mechanisms import GRAVITY, REGULAR, bar, planar_four_bar, wheel
+from mechanisms import GRAVITY, REGULAR, ball_loop, bar, planar_four_bar, wheel
 
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear
@@ -28,6 +28,7 @@ from newton_euler.model.joint_kinds import (
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum
 from newton_euler.model.scene import Scene
+from newton_euler.model.wind import WindLoad, wind_turbulence
 
 
 def _scene(name: str, bodies: list[Body], joints: list[Joint], gears: tuple[Gear, ...] = ()) -> Scene:
@@ -229,6 +230,21 @@ def forced(scene: Scene) -> Scene:
     return replace(scene, forces=tuple(forces))
 
 
+def windy(scene: Scene) -> Scene:
+    """Turbulent wind on a plate askew and off the center of mass of the last body."""
+    body = scene.mechanism.bodies[-1]
+    wind = WindLoad(
+        "wind",
+        body.name,
+        body.center_of_mass + np.array([0.1, -0.2, 0.15]),
+        first_side=[0.6, 0.3, 0.2],
+        second_side=[-0.2, 0.4, 0.0],
+        direction=[1.0, -2.0, 0.5],
+        speed=wind_turbulence(4.0, 1.0, 10.0, seed=3, lowest=0.1, highest=2.0, count=4),
+    )
+    return replace(scene, forces=(wind,))
+
+
 def zero_length_spring() -> Scene:
     """A spring of no rest length between points that coincide at first."""
     body = bar("stone", [0.1, 0.0, 0.0], [0.4, 0.2, 0.1])
@@ -404,9 +420,10 @@ FORCES = {
     **{f"forces, {build.__name__}": forced(build()) for build in REGULAR},
     "spring without length": zero_length_spring(),
     "control and forces": controlled_press(),
+    "wind, cut at a ball": windy(ball_loop()),
     **{f"forces, {name}": forced((JOINTS | MOTIONS)[name]) for name in FORCED},
 }
-"""Springs and wrenches, on joints that are cut among others."""
+"""Springs, wrenches and wind, on joints that are cut among others."""
 
 ELEMENTS = JOINTS | MOTIONS | FORCES
 

@@ -209,12 +209,17 @@ def with_forces(content):
             "stiffness": 10.0, "rest_length": 0.3,
         },
         {"kind": "wrench", "name": "push", "body": "coupler", "point": [0.3, 0.05, 0.25], "force": [0, 0, 2]},
+        {
+            "kind": "wind_load", "name": "wind", "body": "rocker", "point": [0.6, 0.1, 0.3],
+            "first_side": [0, 0.2, 0], "second_side": [0, 0, 0.3], "direction": [1, 0, 0],
+            "speed": {"kind": "sine", "amplitude": 1.0, "angular_frequency": 2.0, "offset": 3.0},
+        },
     ]  # fmt: skip
     return content
 
 
 def test_forces_are_those_of_their_classes(tmp_path, good):
-    spring, tie, push = load(str(scene_file(tmp_path, with_forces(good)))).forces
+    spring, tie, push, wind = load(str(scene_file(tmp_path, with_forces(good)))).forces
     assert spring == JointSpring("motor", stiffness=2.0, damping=0.1, rest=0.2)
     assert (tie.name, tie.first, tie.second, tie.stiffness, tie.rest_length) == (
         "tie", "frame", "rocker", 10.0, 0.3,
@@ -226,6 +231,7 @@ def test_forces_are_those_of_their_classes(tmp_path, good):
         [0.0, 0.0, 2.0],
         "world",
     )
+    assert (wind.area, wind.speed, wind.air_density) == (0.06, Sine(1.0, 2.0, offset=3.0), 1.225)
 
 
 def test_gears_and_motions_are_those_of_their_classes(tmp_path):
@@ -268,6 +274,7 @@ def test_gears_and_motions_are_those_of_their_classes(tmp_path):
         (("forces", 1, "stiffness"), -1.0, "point spring 'tie': stiffness is -1.0; needed"),
         (("forces", 2, "frame"), "moon", "Input should be 'world' or 'body'"),
         (("forces", 2, "mass"), 1.0, "mass: unknown key"),
+        (("forces", 3, "second_side"), [0, 1, 1], "wind load 'wind': its sides have a cosine of 0.707"),
     ],
 )
 def test_bad_forces(capsys, tmp_path, good, path, value, message):

@@ -26,7 +26,10 @@ from newton_euler import (
     Sine,
     State,
     Sum,
+    WindLoad,
     Wrench,
+    wind_gust,
+    wind_turbulence,
 )
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.forces import Armature
@@ -61,6 +64,7 @@ ELEMENTS: tuple[Any, ...] = (
     JointSpring("a", 1.0),
     PointSpring("s", "ground", "rod", ORIGIN, Z, stiffness=1.0, rest_length=1.0),
     Wrench("w", "rod", ORIGIN, Z),
+    WindLoad("v", "rod", ORIGIN, first_side=Y, second_side=Z, direction=Z, speed=1.0),
     Armature("a", 1.0),
     Scene("s", MECHANISM, 1.0, 0.1, initial_state=State.initial(MECHANISM)),
     *(make("j", "ground", "rod", ORIGIN, **AXES.get(kind, {})) for kind, make in JOINT_KINDS.items()),
@@ -74,6 +78,11 @@ GOOD: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
         for each in ELEMENTS
     },
     "Mechanism": (Mechanism, {"bodies": MECHANISM.bodies, "joints": MECHANISM.joints, "couplings": ()}),
+    "wind_gust": (wind_gust, {"mean": 1.0, "gust": 1.0, "period": 1.0}),
+    "wind_turbulence": (
+        wind_turbulence,
+        {"mean": 1.0, "deviation": 1.0, "length": 1.0, "seed": 1, "lowest": 0.1, "highest": 1.0, "count": 2},
+    ),
     "simulate": (
         lambda **options: newton_euler.simulate(options.pop("scene", pendulum()), **options),
         {
