@@ -7,6 +7,7 @@ Examples in docstrings, here and in the other packages, follow `from newton_eule
 
 from newton_euler.analysis.configurations import Axis
 from newton_euler.analysis.inverse_dynamics import Loads, inverse_dynamics, statics
+from newton_euler.analysis.linearization import LinearModel, Modes, equilibrium, linearize
 from newton_euler.analysis.poses import Poses, solve_poses
 from newton_euler.assemble import assemble, initial_state, start
 from newton_euler.batch import simulate_batch
@@ -54,8 +55,10 @@ __all__ = [
     "Gear",
     "JointSpring",
     "LinearCoupling",
+    "LinearModel",
     "Loads",
     "Mechanism",
+    "Modes",
     "NearlyRedundantWarning",
     "NewtonEulerError",
     "Planar",
@@ -85,8 +88,10 @@ __all__ = [
     "assemble",
     "base_motion_from_csv",
     "compile_scene",
+    "equilibrium",
     "initial_state",
     "inverse_dynamics",
+    "linearize",
     "on_moving_base",
     "simulate",
     "simulate_batch",

@@ -156,19 +156,6 @@ class CompiledScene(Code):
         """Run the scene; arguments and errors as of `newton_euler.simulate`."""
         return self._run(Options(integrator, **control))
 
-    def linearize(self, state: State) -> Array:
-        """Evaluate the derivative (n, n) of (qdot, vdot) by (q, v) at a state, from the traced derivatives.
-
-        The work, which nothing depends on, is left out of q.
-        Constraints are eliminated: for independent coordinates restrict it to motions that keep the
-        loops closed.
-        """
-        self.scene.check_numbers(state, f"state of scene {self.scene.name!r}")
-        x = self.packed(*self.system.coordinates(state))
-        jacobian = self.function("jacobian")(x).reshape(self.size, self.size)
-        work = self.system.work
-        return np.delete(np.delete(jacobian, work, axis=0), work, axis=1)
-
     def _run(self, options: Options) -> Trajectory:
         for weak in self.nearly_redundant:
             warnings.warn(f"scene {self.scene.name!r}: {weak}", NearlyRedundantWarning, stacklevel=3)

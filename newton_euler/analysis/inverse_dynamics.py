@@ -20,7 +20,7 @@ from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.equations.parameters import numbered, pieces, with_values
-from newton_euler.equations.redundancy import mobility, rows_in_use
+from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.servos import (
     called,
@@ -169,8 +169,9 @@ def _independent(scene: Scene, state: State, keys: tuple[Key, ...]) -> tuple[Key
     """Choose as many of these coordinates as are independent at a state, in their order."""
     system = Relative(measuring(scene, keys))
     q, _ = system.coordinates(state)
-    rows = tangent_rows(system, q, keys, rows_in_use(system).numbers)
-    chosen = independent_rows(rows, [], range(len(keys)), mobility(scene).degrees_of_freedom)
+    decided = mobility(scene)
+    rows = tangent_rows(system, q, keys, decided.independent)
+    chosen = independent_rows(rows, [], range(len(keys)), decided.degrees_of_freedom)
     return tuple(keys[k] for k in sorted(chosen))
 
 

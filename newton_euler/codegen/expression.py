@@ -303,13 +303,26 @@ def differentiate(graph: Graph, outputs: Sequence[Any], variables: Sequence[Expr
     needed = graph.ancestors(roots)
     table = np.zeros((len(outputs), len(variables)), dtype=object)
     for column, variable in enumerate(variables):
-        rates: dict[int, Any] = {variable.index: 1.0}
-        for index in needed:
-            rate = _rate(graph, index, rates)
-            if not isinstance(rate, float) or rate != 0.0:
-                rates[index] = rate
-        table[:, column] = [rates.get(root, 0.0) for root in roots]
+        table[:, column] = _along(graph, roots, needed, {variable.index: 1.0})
     return table
+
+
+def differentiate_along(
+    graph: Graph, outputs: Sequence[Any], variables: Sequence[Expression], directions: Sequence[Any]
+) -> list[Any]:
+    """Differentiate outputs along a direction of the variables, itself scalars of the graph."""
+    roots = [graph.index(output) for output in outputs]
+    rates = {variable.index: rate for variable, rate in zip(variables, directions, strict=True)}
+    return _along(graph, roots, graph.ancestors(roots), rates)
+
+
+def _along(graph: Graph, roots: list[int], needed: list[int], rates: dict[int, Any]) -> list[Any]:
+    """Differentiate roots by the rates of inputs, which those of all `needed` nodes are added to."""
+    for index in needed:
+        rate = _rate(graph, index, rates)
+        if not isinstance(rate, float) or rate != 0.0:
+            rates[index] = rate
+    return [rates.get(root, 0.0) for root in roots]
 
 
 def _rate(graph: Graph, index: int, rates: dict[int, Any]) -> Any:

@@ -113,6 +113,16 @@ def numbered(what: str, k: int, attribute: str) -> str:
     return f"{what}[{k}].{attribute}"
 
 
+def unambiguous(scene: Scene, name: str) -> str:
+    """Return the name of a parameter that stays its own if more elements are added behind the others.
+
+    Raises:
+        UnknownNameError: for a name that is no parameter of the scene.
+        MechanismError: for a name that stands for two.
+    """
+    return name if name == "gravity" else numbered(*_owner(_owners(scene), name))
+
+
 def _owner(owners: dict[str, list[Owner]], name: str) -> Owner:
     """Find a parameter; raises `UnknownNameError`, or `MechanismError` if the name stands for two."""
     if name not in owners:

@@ -23,7 +23,6 @@ from newton_euler.assemble import initial_state
 from newton_euler.integrators.compiled import FORMULATIONS, formulate
 from newton_euler.model.euler_parameters import from_rotation_vector
 from newton_euler.model.joint_kinds import Free, Revolute
-from newton_euler.simulate import compile_scene
 
 TIGHT = 1e-10
 """Of values near 1 after about ten oscillations in some hundred steps at a tolerance of 1e-12."""
@@ -209,15 +208,3 @@ def test_work_is_there_only_if_it_is_asked_for():
             run = newton_euler.simulate(replace(scene, duration=0.1), formulation)
             assert (run.work is not None) == works
             assert formulate(scene, formulation).nq == (1 if formulation == "relative" else 7) + works
-
-
-@both
-def test_linearization_contains_springs_and_no_work(formulation):
-    scene = mass_on_rail(JointSpring("rail", STIFFNESS, DAMPING))
-    jacobian = compile_scene(scene, formulation).linearize(initial_state(scene))
-    system = formulate(scene, formulation)
-    assert len(jacobian) == system.nq - 1 + system.nv
-    rates = np.linalg.eigvals(jacobian)
-    decay = 0.5 * DAMPING / MASS
-    wanted = -decay + 1j * np.sqrt(STIFFNESS / MASS - decay**2)
-    assert np.abs(rates - wanted).min() < 1e-12 * abs(wanted)

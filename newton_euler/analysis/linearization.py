@@ -1,0 +1,615 @@
+"""Linear models of a scene in independent coordinates, exact derivatives of its equations, and their modes.
+
+Of d independent joint coordinates z with J T = 0, J_z T = I, motions of the mechanism are qdot = T zdot, and
+zddot = J_z vdot - gamma_z follows from the equations of motion. Along z_i at the same zdot the velocities
+change by dv_i,
+
+    dv_i = -[J; J_z]^-1 (d[J; J_z]/dz_i) v
+    d zddot / dz_i = (d zddot / dq) qdot(T_i) + (d zddot / dv) dv_i,    d zddot / dzdot_i = (d zddot / dv) T_i
+
+with the partial derivatives from the traced equations, in one sweep for each direction. So they are exact
+wherever loops are closed, in motion, too. The rotation of a ball has no coordinates; small rotations dtheta
+about axes of the body that it moves stand for them, with omega for their rates: d/dt dtheta = domega -
+omega x dtheta.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from newton_euler.analysis.inverse_dynamics import KEPT
+from newton_euler.assemble import initial_state
+from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
+from newton_euler.codegen.expression import Graph, differentiate_along
+from newton_euler.codegen.fingerprint import fingerprint
+from newton_euler.equations.dense import largest, least_squares, orthonormal_null, singular_values
+from newton_euler.equations.parameters import (
+    numbered,
+    parameter_values,
+    unambiguous,
+    with_laws,
+    with_values,
+)
+from newton_euler.equations.redundancy import mobility, rows_in_use
+from newton_euler.equations.relative import Relative
+from newton_euler.equations.servos import called, independent_rows, measuring
+from newton_euler.equations.sparse import dot
+from newton_euler.equations.system import (
+    at_time,
+    constraint_rate,
+    dimensionless_jacobian,
+    fastest_joint,
+)
+from newton_euler.errors import MechanismError, SingularityError, check_choice, check_type
+from newton_euler.integrators.compiled import NEUTRAL
+from newton_euler.integrators.outputs import at_rows
+from newton_euler.integrators.projection import project_position
+from newton_euler.integrators.sampling import holding, sample
+from newton_euler.model.control import PD
+from newton_euler.model.joint import Key
+from newton_euler.model.motions import Polynomial
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.scalars import Array, Floats, minimum, tilde
+
+SINGULAR = 1e-9
+"""Dimensionless singular value of [J; J_z] below which the coordinates do not determine the motion."""
+
+RIGID = 1e-7
+"""Share of the largest eigenvalue below which one is zero: the root of round-off, as it is a double root."""
+
+STILL = 1e-9
+"""Share of a unit per period of the fastest mode below which rates and accelerations are round-off."""
+
+OPEN = 1e-6
+"""Sizes of the mechanism, or rad, that loops of a state may be open by, and open in the time of its fastest
+joint: more than engines leave."""
+
+LONGEST_STEP = 0.2
+"""rad, or sizes of the mechanism, of one step towards an equilibrium."""
+
+MOST_STEPS = 100
+
+CONVERGED = 1e-10
+"""rad, or sizes of the mechanism, of the step at which an equilibrium is found: its square is left."""
+
+AXES = ("x", "y", "z")
+
+
+class Freedom(NamedTuple):
+    """An independent coordinate."""
+
+    name: str
+    key: Key | None
+    """The joint coordinate; None for a rotation of a ball."""
+    place: int
+    """In v, of a velocity of the tree that is the rate of none; -1 for a joint coordinate."""
+    ball: int
+    """In v, where the angular velocity begins that this is a component of; -1 for none."""
+    unit: float
+    """The size of the mechanism for slides, m, else 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Modes of a linear model, the slowest first: m modes, d coordinates, b bodies; SI.
+
+    A pair of conjugate eigenvalues is one mode, the one with the positive imaginary part. Eigenvalues that
+    are zero belong to motions that nothing drives back.
+
+    Attributes:
+        eigenvalues: (m,) 1/s.
+        shapes: (m, d) of the coordinates, complex, by the same numbers as `twists`.
+        twists: (m, b, 6) displacement of the centers of mass, m, and small rotation, rad, of all bodies,
+            world frame; the largest component is 1 rad, or one size of the mechanism, and real.
+
+    Examples:
+        >>> modes = linearize(load("stewart")).modes()
+        >>> isinstance(modes, Modes), modes.frequencies.round(1).tolist()
+        (True, [1.0])
+    """
+
+    eigenvalues: Array
+    shapes: Array
+    twists: Array
+
+    @property
+    def frequencies(self) -> Floats:
+        """(m,) Hz, of the oscillation; 0 for a mode that does not swing."""
+        return np.abs(self.eigenvalues.imag) / (2.0 * np.pi)
+
+    @property
+    def angular_frequencies(self) -> Floats:
+        """(m,) rad/s, without damping: the magnitudes of the eigenvalues."""
+        return np.abs(self.eigenvalues)
+
+    @property
+    def damping_ratios(self) -> Floats:
+        """(m,) 1 for a mode that does not swing, negative for one that grows, 0 for an eigenvalue of zero."""
+        size = np.abs(self.eigenvalues)
+        return np.where(size > 0.0, -self.eigenvalues.real / np.where(size > 0.0, size, 1.0), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """xdot = f + A x + B u, y = C x + D u next to a state of a scene; d coordinates, b bodies.
+
+    x (2 d,) are deviations of independent coordinates and of their rates, u those of the inputs and y those
+    of the outputs.
+
+    Attributes:
+        scene: name of the scene.
+        state: where it was linearized.
+        coordinates, inputs, outputs: names.
+        units: (d,) of the coordinates: the size of the mechanism for slides, m, else 1.
+        size: of the mechanism, m.
+        A, B, C, D: (2 d, 2 d), (2 d, m), (p, 2 d) and (p, m).
+        f: (2 d,) rates of coordinates and their accelerations at the state itself; zero at an equilibrium.
+        twists: (b, 6, d) velocities and angular velocities of all bodies for the rates of coordinates.
+
+    Examples:
+        >>> model = linearize(load("tracker"))
+        >>> isinstance(model, LinearModel), model.coordinates, model.A.shape
+        (True, ('slide_12', 'slide_13'), (4, 4))
+    """
+
+    scene: str
+    state: State
+    coordinates: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    units: Floats
+    size: float
+    A: Floats
+    B: Floats
+    C: Floats
+    D: Floats
+    f: Floats
+    twists: Floats
+
+    @property
+    def is_equilibrium(self) -> bool:
+        """True if the mechanism stays where it is; else the model is of motions next to one that moves on."""
+        size = np.tile(self.units, 2)
+        fastest = max(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0), 1.0)
+        rates, accelerations = np.split(np.abs(self.f / size), 2)
+        return bool(np.all(rates <= STILL * fastest) and np.all(accelerations <= STILL * fastest**2))
+
+    def modes(self) -> Modes:
+        """Compute eigenvalues and mode shapes; those of a state in motion are of that instant."""
+        d, size = len(self.units), np.tile(self.units, 2)
+        matrix = self.A * size / size[:, None]
+        values, vectors = np.linalg.eig(matrix)
+        fastest = np.abs(values).max(initial=0.0)
+        swings = (np.abs(values) > RIGID * fastest) & (values.imag >= 0.0)
+        order = np.flatnonzero(swings)[np.argsort(np.abs(values[swings]), kind="stable")]
+        _, strengths, directions = np.linalg.svd(matrix[d:, :d]) if d else (0, np.zeros(0), np.zeros((0, 0)))
+        still = directions[strengths <= RIGID**2 * fastest**2]
+        found = np.concatenate([np.zeros(len(still)), values[order]]).astype(complex)
+        shapes = np.concatenate([still, vectors[:d, order].T]).astype(complex) * self.units
+        twists = np.einsum("bid,md->mbi", self.twists, shapes)
+        scales = np.repeat([self.size, 1.0], 3)
+        for shape, twist in zip(shapes, twists, strict=True):
+            moves = (twist / scales).ravel()
+            most = moves[np.argmax(np.abs(moves).round(9))]
+            shape /= most
+            twist /= most
+        return Modes(found, shapes, twists)
+
+    def to_scipy(self) -> Any:
+        """Return a `scipy.signal.StateSpace` of A, B, C and D."""
+        from scipy.signal import StateSpace
+
+        return StateSpace(self.A, self.B, self.C, self.D)
+
+    def to_control(self) -> Any:
+        """Return a `control.StateSpace` with names, of the package control."""
+        from control import StateSpace  # type: ignore[import-not-found, unused-ignore]
+
+        rates = [f"{name} rate" for name in self.coordinates]
+        names = {"states": [*self.coordinates, *rates], "inputs": self.inputs, "outputs": self.outputs}
+        return StateSpace(self.A, self.B, self.C, self.D, **{k: list(v) for k, v in names.items()})
+
+
+def linearize(
+    scene: Scene,
+    state: State | None = None,
+    coordinates: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    *,
+    closed_loop: bool = True,
+    time: float = 0.0,
+) -> LinearModel:
+    """Linearize a scene about a state, in independent coordinates and with exact derivatives.
+
+    Args:
+        scene: the mechanism with its forces and control laws.
+        state: where; the scene's initial state if None. Loops are closed. It need not be at rest, nor in
+            equilibrium: `LinearModel.f` and `LinearModel.is_equilibrium` say what it is.
+        coordinates: names of joint coordinates, `JOINT` or `JOINT.1`, or rotations of a ball about an axis of
+            the body that it moves, `JOINT.ball.x`; as many as there are degrees of freedom. If None they are
+            chosen: first those with control laws, then those that move the most.
+        inputs: names of coordinates for forces on them, N or N m, beside those that act, or of parameters
+            (`newton_euler.equations.parameters`), as `slide_12.target` or `panel_7.mass`. The coordinates
+            with control laws if None.
+        outputs: names of joint coordinates, or of bodies for six outputs each: position of the center of
+            mass, m, and small rotation, rad, world frame. The `coordinates` if None.
+        closed_loop: True for control laws that act as they do in a run, False for their forces held as they
+            are at the state.
+        time: s, of prescribed motions and of laws that depend on time.
+
+    Raises:
+        UnknownNameError: for an unknown name.
+        MechanismError: for a state that is none of the scene, coordinates that are too many or too few, and
+            sampled controllers, which have no derivatives, in a closed loop.
+        SingularityError: naming a coordinate that does not determine the motion at the state.
+
+    Examples:
+        >>> model = linearize(load("tracker"), inputs=["slide_12.target"], outputs=["panel_7"])
+        >>> model.B.shape, model.C.shape, model.is_equilibrium
+        ((4, 1), (6, 4), False)
+    """
+    check_type("scene", scene, Scene)
+    state = initial_state(scene) if state is None else state
+    scene.check_numbers(state, f"state of scene {scene.name!r}")
+    if closed_loop and scene.sampled:
+        problem = "has no derivative, being sampled"
+        raise MechanismError(scene.sampled[0].element, problem, "closed_loop=False, or a law as PD")
+    freedoms = _freedoms(scene, state, coordinates)
+    names = [called(law.key) for law in scene.control] if inputs is None else list(inputs)
+    known = _inputs(with_laws(scene, scene.control if closed_loop else ()), names)
+    rows = [freedom.name for freedom in freedoms] if outputs is None else list(outputs)
+    keys = [scene.mechanism.coordinate(name) for name in rows if _is_coordinate(scene, name)]
+    forces = [name for name in known if isinstance(name, tuple)]
+    parameters = tuple(name for name in known if isinstance(name, str))
+    laws = tuple(law.key for law in scene.control)
+    measured = tuple(dict.fromkeys([*(f.key for f in freedoms if f.key), *forces, *keys, *laws]))
+    compiled = _compiled(scene, freedoms, measured, parameters, closed_loop)
+    return compiled.linearized(state, known, names, rows, time)
+
+
+def equilibrium(scene: Scene, state: State | None = None) -> State:
+    """Find a pose near a state in which the mechanism stays at rest, by Newton's method in linear models.
+
+    Control laws, springs, wrenches and gravity balance there, stable or not; prescribed motions hold the
+    values they have at time 0.
+
+    Args:
+        scene: the mechanism with its forces and control laws.
+        state: where to begin, its velocities left out; the scene's initial state if None.
+
+    Raises:
+        MechanismError: for a scene without an equilibrium nearby, naming a coordinate that accelerates.
+        NewtonEulerError: as of `linearize`.
+
+    Examples:
+        >>> scene = load("stewart")
+        >>> linearize(scene, equilibrium(scene)).is_equilibrium
+        True
+    """
+    check_type("scene", scene, Scene)
+    state = initial_state(scene) if state is None else state
+    scene.check_numbers(state, f"state of scene {scene.name!r}")
+    if scene.motions:
+        held = [replace(each, function=Polynomial((each.function.value(0.0),))) for each in scene.motions]
+        scene = replace(scene, motions=tuple(held))
+    still = np.zeros_like(state.position)
+    state = State(state.position, state.quaternion, still, still)
+    names = [freedom.name for freedom in _freedoms(scene, state, None)]
+    system, model = Relative(scene), linearize(scene, state, names, [], [])
+    for _ in range(MOST_STEPS):
+        stiffness, accelerations = (part[len(names) :] for part in (model.A, model.f))
+        values, vectors = np.linalg.eig(stiffness[:, : len(names)] * model.units / model.units[:, None])
+        along = least_squares(vectors, accelerations / model.units)
+        step = (vectors @ (along / np.maximum(np.abs(values), RIGID))).real
+        if model.is_equilibrium and largest(step) < CONVERGED:
+            return state
+        step *= min(1.0, LONGEST_STEP / max(largest(step), LONGEST_STEP))
+        q, _ = system.coordinates(state)
+        motion = model.twists.reshape(-1, len(names)) @ (model.units * step)
+        v = least_squares(system.velocity_transformation(q), motion)
+        q = project_position(system, system.retract(q, v))
+        state = system.state(q, np.zeros(system.nv))
+        model = linearize(scene, state, names, [], [])
+    worst = names[int(np.argmax(np.abs(accelerations / model.units)))]
+    problem = f"has no equilibrium nearby: coordinate {worst!r} still accelerates"
+    raise MechanismError(f"scene {scene.name!r}", problem, "a state near one")
+
+
+def _is_coordinate(scene: Scene, name: str) -> bool:
+    """True for the name of a joint coordinate, False for that of anything else."""
+    joints, (joint, _, number) = scene.mechanism.joint_names, name.rpartition(".")
+    return name in joints or (joint in joints and number.isdecimal())
+
+
+def _inputs(scene: Scene, names: Sequence[str]) -> list[Key | str]:
+    """Find the coordinates and the parameters that inputs are."""
+    return [
+        scene.mechanism.coordinate(name) if _is_coordinate(scene, name) else unambiguous(scene, name)
+        for name in names
+    ]
+
+
+def _other_freedoms(system: Relative) -> list[Freedom]:
+    """List velocities of the tree that no joint coordinate has: of balls, and of bodies on rods alone."""
+    found = []
+    for kept in system.tree.joints:
+        name = system.tree.joint(kept.joint).name
+        for number, (motion, _, on_v) in enumerate(kept.places):
+            if motion.kind == "ball":
+                each = [(f"{name}.ball.{axis}", on_v.start + k, on_v.start) for k, axis in enumerate(AXES)]
+            elif kept.joint >= len(system.mechanism.joints):
+                each = [(f"{name}.{number}", on_v.start, -1)]
+            else:
+                continue
+            found += [Freedom(n, None, place, ball, system.velocity_units[place]) for n, place, ball in each]
+    return found
+
+
+def _freedoms(scene: Scene, state: State, names: Sequence[str] | None) -> tuple[Freedom, ...]:
+    """Return the coordinates of these names, or choose some that are independent at a state."""
+    mechanism, count = scene.mechanism, mobility(scene).degrees_of_freedom
+    others = {freedom.name: freedom for freedom in _other_freedoms(Relative(scene))}
+    if names is None:
+        keys = [(joint.name, k) for joint in mechanism.joints for k in range(len(joint.coordinate_kinds))]
+    else:
+        keys = [mechanism.coordinate(name) for name in names if name not in others]
+    system = Relative(measuring(scene, keys))
+    of_joints = {key: Freedom(called(key), key, -1, -1, system.unit(key)) for key in keys}
+    if names is not None:
+        found = [others.get(name) or of_joints[mechanism.coordinate(name)] for name in names]
+        if len(found) != count or len(set(found)) != count:
+            problem = f"coordinates are {', '.join(map(str, names)) or 'none'}"
+            needed = f"{count} different ones for {count} degrees of freedom"
+            raise MechanismError(f"scene {scene.name!r}", problem, needed)
+        return tuple(found)
+    q, _ = system.coordinates(state)
+    candidates = [*of_joints.values(), *others.values()]
+    closed = dimensionless_jacobian(system, q)[mobility(scene).independent]
+    tangent = orthonormal_null(closed, len(closed))
+    rows = _rates(system, q, candidates) @ tangent
+    driven = [k for k, each in enumerate(candidates) if each.key in {law.key for law in scene.control}]
+    chosen: list[int] = []
+    for group in (driven, range(len(of_joints)), range(len(candidates))):
+        rest = [k for k in group if k not in chosen]
+        chosen = independent_rows(rows, chosen, rest, count)
+    if len(chosen) < count:
+        problem = f"{len(chosen)} joint coordinates are independent, of {count} degrees of freedom"
+        raise MechanismError(f"scene {scene.name!r}", problem, "a state that is not singular")
+    return tuple(candidates[k] for k in sorted(chosen))
+
+
+def _rates(system: Relative, q: Array, freedoms: Sequence[Freedom]) -> Array:
+    """Compute dimensionless rates (d, nv) of coordinates for each dimensionless velocity."""
+    rows = np.zeros((len(freedoms), system.nv))
+    measured = system.measured(q, np.zeros(system.nv))
+    for row, freedom in zip(rows, freedoms, strict=True):
+        entries = {freedom.place: 1.0} if freedom.key is None else measured[freedom.key].jacobian
+        for k, entry in entries.items():
+            row[k] = entry * system.velocity_units[k] / freedom.unit
+    return rows
+
+
+@lru_cache(maxsize=KEPT)
+def _compiled(
+    scene: Scene,
+    freedoms: tuple[Freedom, ...],
+    measured: tuple[Key, ...],
+    parameters: tuple[str, ...],
+    closed_loop: bool,
+) -> Linearization:
+    return Linearization(scene, freedoms, measured, parameters, closed_loop)
+
+
+class Linearization:
+    """Derivatives of the accelerations of independent coordinates, in native code; see `linearize`.
+
+    Attributes:
+        scene: with control laws that act in the closed loop, then laws of no force on measured coordinates,
+            whose feedforwards are inputs.
+        values: of the inputs: of these feedforwards, then of parameters.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        freedoms: tuple[Freedom, ...],
+        measured: tuple[Key, ...],
+        parameters: tuple[str, ...],
+        closed_loop: bool,
+    ) -> None:
+        self.original, self.freedoms, self.measured = scene, freedoms, measured
+        self.closed_loop, kept = closed_loop, scene.control if closed_loop else ()
+        probes = (PD(joint, 0.0, 0.0, 0.0, k) for joint, k in measured)
+        self.scene = with_laws(scene, [*kept, *probes])
+        self._probes = {
+            key: numbered("control", len(kept) + k, "feedforward") for k, key in enumerate(measured)
+        }
+        self.values = parameter_values(self.scene, [*self._probes.values(), *parameters])
+        self.system = Relative(self.scene)
+        self.rows = rows_in_use(self.system)
+
+    @cached_property
+    def function(self) -> NativeFunction:
+        """Of (q, v, inputs, directions of all three, time), see `_trace`."""
+        names = tuple(freedom.name for freedom in self.freedoms)
+        known = fingerprint(self.scene, names, self.measured, tuple(self.values), neutral=NEUTRAL)
+        return NativeFunction(self._trace, known and f"{known} linearization")
+
+    def _trace(self) -> Traced:
+        """Trace zddot, its derivative, that of [J; J_z] v at constant v, and the pivot ratio."""
+        sizes = [value.size for value in self.values.values()]
+        nq, nv, graph = self.system.nq, self.system.nv, Graph()
+        x, directions = graph.variables(nq + nv + sum(sizes)), graph.variables(nq + nv + sum(sizes))
+        (time,) = graph.variables(1)
+        q, v, *parts, _ = np.split(x, np.cumsum([nq, nv, *sizes]))
+        values = {
+            name: part.reshape(own.shape) if own.shape else part[0]
+            for (name, own), part in zip(self.values.items(), parts, strict=True)
+        }
+        system = at_time(Relative(with_values(self.scene, values)), time)
+        solution = system.sparse_solution(q, v, self.rows)
+        keys = [freedom.key for freedom in self.freedoms if freedom.key]
+        rows, gamma = system.sparse_coordinates(q, v, keys)
+        of_joints = iter([dot(row, solution.acceleration) - g for row, g in zip(rows, gamma, strict=True)])
+        accelerations = [
+            next(of_joints) if freedom.key else solution.acceleration.get(freedom.place, 0.0)
+            for freedom in self.freedoms
+        ]
+        jacobian = system.phi_and_jacobian(q)[1]
+        rates = [sum((x * v[k] for k, x in jacobian[i].items()), start=0.0) for i in self.rows.numbers]
+        measured = system.measured(q, v)
+        rates += [measured[each.key].rate if each.key else v[each.place] for each in self.freedoms]
+        scalars = [
+            *accelerations,
+            *differentiate_along(graph, accelerations, x.tolist(), directions.tolist()),
+            *differentiate_along(graph, rates, q.tolist(), directions[:nq].tolist()),
+            minimum(solution.pivot_ratio, 1.0),
+        ]
+        program = graph.prune(scalars)
+        return Traced(program, many=program.operations < LARGE)
+
+    def tangent(self, q: Array) -> tuple[Array, Array]:
+        """Compute [J; J_z]^-1 (nv, k + d), and T (nv, d), its last columns.
+
+        Raises:
+            SingularityError: naming a coordinate that does not determine the motion.
+        """
+        system = self.system
+        closed = dimensionless_jacobian(system, q)[self.rows.numbers]
+        rows = np.concatenate([closed, _rates(system, q, self.freedoms)])
+        left, values, _ = singular_values(rows, full=True)
+        if values[-1:] < SINGULAR:
+            share = np.abs(left[len(closed) :, -1])
+            name = self.freedoms[int(np.argmax(share))].name
+            raise SingularityError(name, "the coordinate depends on loops and the other coordinates there")
+        units = np.concatenate([system.phi_units[self.rows.numbers], [each.unit for each in self.freedoms]])
+        inverse = system.velocity_units[:, None] * np.linalg.inv(rows) / units
+        return inverse, inverse[:, len(closed) :]
+
+    def linearized(
+        self,
+        state: State,
+        inputs: Sequence[Key | str],
+        names: Sequence[str],
+        outputs: Sequence[str],
+        time: float,
+    ) -> LinearModel:
+        """Evaluate the matrices at a state and a time, s, for inputs and outputs of these names."""
+        system, freedoms, d = at_time(self.system, time), self.freedoms, len(self.freedoms)
+        q, v = system.coordinates(state)
+        values = dict(self.values)
+        if not self.closed_loop:
+            held = held_forces(self.original, state, time)
+            values |= {self._probes[key]: np.array(force) for key, force in held.items()}
+        given = np.concatenate([np.zeros(0), *(np.ravel(value) for value in values.values())])
+        self._check_closed(system, q, v)
+        inverse, tangent = self.tangent(q)
+        on_q = np.array([system.rate(q, column) for column in tangent.T]).reshape(d, system.nq)
+
+        def along(by_q: Array, by_v: Array, by_input: Array) -> Array:
+            """Evaluate along directions (n, nq), (n, nv) and (n, m): (n, outputs) of the function."""
+            directions = np.column_stack([by_q, by_v, by_input])
+            same = np.tile(np.concatenate([q, v, given]), (len(directions), 1))
+            return at_rows(self.function, np.column_stack([same, directions, np.full(len(directions), time)]))
+
+        n, m = d, len(given)
+        still = along(on_q, np.zeros((n, system.nv)), np.zeros((n, m)))
+        on_v = -still[:, 2 * d : -1] @ inverse.T
+        found = along(
+            np.concatenate([on_q, np.zeros((n + m, system.nq))]),
+            np.concatenate([on_v, tangent.T, np.zeros((m, system.nv))]),
+            np.concatenate([np.zeros((2 * n, m)), np.eye(m)]),
+        )
+        if not np.isfinite(found).all() or not np.all(found[:, -1] > 0.0):
+            joint = fastest_joint(system.mechanism, state)
+            raise SingularityError(joint, "accelerations are not determined at the state")
+        a, twists = np.zeros((2 * d, 2 * d)), system.velocity_transformation(q) @ tangent
+        a[:d, d:] = np.eye(d)
+        a[d:] = found[: 2 * d, d : 2 * d].T
+        for row, freedom in zip(a, freedoms, strict=False):
+            if freedom.ball >= 0:  # d/dt dtheta = domega - omega x dtheta
+                place = slice(freedom.ball, freedom.ball + 3)
+                row[:d] -= (tilde(v[place]) @ tangent[place])[freedom.place - freedom.ball]
+        b, labels = self._columns(found[2 * d :, d : 2 * d], values, inputs, names)
+        c, rows = self._outputs(q, tangent, twists, outputs)
+        return LinearModel(
+            scene=self.original.name,
+            state=state,
+            coordinates=tuple(freedom.name for freedom in freedoms),
+            inputs=labels,
+            outputs=rows,
+            units=np.array([freedom.unit for freedom in freedoms]),
+            size=system.mechanism.size,
+            A=a,
+            B=np.concatenate([np.zeros_like(b), b]),
+            C=np.hstack([c, np.zeros_like(c)]),
+            D=np.zeros((len(c), b.shape[1])),
+            f=np.concatenate([_rates(self.system, q, freedoms) @ (v / system.velocity_units), found[0, :d]]),
+            twists=twists.reshape(-1, 6, d),
+        )
+
+    def _check_closed(self, system: Relative, q: Array, v: Array) -> None:
+        """Raise `MechanismError` for a state whose loops are open, or open."""
+        where = f"state of scene {self.original.name!r}"
+        for verb, residuals in (("is open by", system.phi(q)), ("opens at", constraint_rate(system, q, v))):
+            shares = np.abs(residuals / system.phi_units)[self.rows.numbers]
+            if largest(shares) > OPEN * max(1.0, largest(v / system.velocity_units)):
+                worst = self.rows.numbers[int(np.argmax(shares))]
+                problem = (
+                    f"joint {system.row_owners[worst]!r} {verb} {abs(residuals[worst]):.3g} (m or rad, s)"
+                )
+                raise MechanismError(where, problem, "closed loops, as newton_euler.assemble makes them")
+
+    def _columns(
+        self, table: Array, values: Mapping[str, Array], inputs: Sequence[Key | str], names: Sequence[str]
+    ) -> tuple[Array, tuple[str, ...]]:
+        """Select the columns (d, m) of the inputs from rows for all numbers, and name them."""
+        sizes = [value.size for value in values.values()]
+        starts = dict(zip(values, np.cumsum([0, *sizes]), strict=False))
+        columns, labels = [np.zeros((0, table.shape[1]))], list[str]()
+        for each, name in zip(inputs, names, strict=True):
+            known = each if isinstance(each, str) else self._probes[each]
+            count = values[known].size
+            columns.append(table[starts[known] : starts[known] + count])
+            labels += [name] if count == 1 else [f"{name}[{k}]" for k in range(count)]
+        return np.concatenate(columns).T, tuple(labels)
+
+    def _outputs(
+        self, q: Array, tangent: Array, twists: Array, names: Sequence[str]
+    ) -> tuple[Array, tuple[str, ...]]:
+        """Compute rows (p, d) of the outputs for coordinates, and name them."""
+        mechanism = self.scene.mechanism
+        measured = self.system.measured(q, np.zeros(self.system.nv))
+        rows, labels = [np.zeros((0, tangent.shape[1]))], list[str]()
+        for name in names:
+            if _is_coordinate(self.scene, name):
+                jacobian = measured[mechanism.coordinate(name)].jacobian
+                rows.append(sum(x * tangent[k] for k, x in jacobian.items())[None])
+                labels.append(name)
+            elif name in (every := [freedom.name for freedom in self.freedoms]):
+                rows.append(np.eye(len(every))[[every.index(name)]])
+                labels.append(name)
+            else:
+                check_choice("output", name, (*mechanism.joint_names, *mechanism.body_names))
+                body = mechanism.body_index(name)
+                rows.append(twists[6 * body : 6 * body + 6])
+                labels += [f"{name}.{kind}{axis}" for kind in ("", "r") for axis in AXES]
+        return np.concatenate(rows), tuple(labels)
+
+
+def held_forces(scene: Scene, state: State, time: float) -> dict[Key, float]:
+    """Compute the forces of all control laws at a state and a time, s: N or N m, by coordinate."""
+    system = at_time(Relative(scene), time)
+    q, v = system.coordinates(state)
+    if scene.sampled:
+        x, rates = np.array(system.measure(q, v), dtype=float).T
+        system = holding(system, sample(scene.sampled, time, x, rates))
+    forces = system.joint_forces(system.measured(q, v))
+    return {law.key: float(u) for law, u in zip(scene.control, forces, strict=False)}

@@ -1,0 +1,371 @@
+"""Linear models against closed forms, finite differences, Pinocchio and simulated small motions."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from finite_difference import derivative
+from mechanisms import bar
+
+from crosscheck.scenes import load
+from newton_euler.analysis.linearization import Modes, equilibrium, linearize
+from newton_euler.assemble import initial_state, start
+from newton_euler.equations.relative import Relative
+from newton_euler.errors import NewtonEulerError
+from newton_euler.exercise import random_states
+from newton_euler.integrators.projection import project_position, project_velocity
+from newton_euler.model.control import PD, Sampled
+from newton_euler.model.forces import JointSpring
+from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical
+from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
+from newton_euler.simulate import compile_scene
+from urdf.dynamics import PinocchioSystem
+
+G = 9.81
+X, Y, Z = np.eye(3)
+MASS, STIFFNESS, DAMPING = 2.0, 50.0, 3.0
+
+
+def mass_on_rail(**fields: object) -> Scene:
+    """A mass on a horizontal rail, actuated."""
+    cart = Body("cart", MASS, np.zeros(3), np.eye(3))
+    rail = Prismatic("rail", "ground", "cart", np.zeros(3), axis=X, actuated=True)
+    return Scene("rail", Mechanism([Body.ground(), cart], [rail]), 1.0, 0.1, **fields)
+
+
+def double_pendulum() -> Scene:
+    """Two bars of 1 m that hang down."""
+    bodies = [
+        Body.ground(),
+        bar("upper", [0, 0, 0], [0, 0, -1.0]),
+        bar("lower", [0, 0, -1.0], [0, 0, -2.0], 2.0),
+    ]
+    joints = [
+        Revolute("shoulder", "ground", "upper", np.zeros(3), axis=Y),
+        Revolute("elbow", "upper", "lower", -Z, axis=Y),
+    ]
+    return Scene("double_pendulum", Mechanism(bodies, joints), 1.0, 0.1, gravity=-G * Z)
+
+
+def test_mass_on_a_spring_under_a_law():
+    law = PD("rail", 20.0, 1.0, 0.3)
+    scene = mass_on_rail(forces=(JointSpring("rail", STIFFNESS, DAMPING),), control=(law,))
+    model = linearize(scene, inputs=["rail", "rail.target", "cart.mass"], outputs=["rail", "cart"])
+    assert pytest.approx(model.A, rel=1e-14) == [[0.0, 1.0], [-70.0 / MASS, -4.0 / MASS]]
+    assert pytest.approx(model.f, rel=1e-14) == [0.0, 6.0 / MASS]
+    assert pytest.approx(model.B, rel=1e-14) == [[0, 0, 0], [1.0 / MASS, 20.0 / MASS, -6.0 / MASS**2]]
+    assert model.C.tolist() == [[1.0, 0.0], [1.0, 0.0]] + [[0.0, 0.0]] * 5
+    assert model.D.tolist() == [[0.0] * 3] * 7
+    assert model.outputs[:2] == ("rail", "cart.x")
+    assert model.outputs[-1] == "cart.rz"
+    assert not model.is_equilibrium
+
+    modes = linearize(scene, equilibrium(scene)).modes()
+    decay = 2.0 / MASS
+    assert modes.eigenvalues == pytest.approx([-decay + 1j * np.sqrt(35.0 - decay**2)], rel=1e-13)
+    assert modes.frequencies == pytest.approx([np.sqrt(35.0 - decay**2) / (2.0 * np.pi)], rel=1e-13)
+    assert modes.angular_frequencies == pytest.approx([np.sqrt(35.0)], rel=1e-13)
+    assert modes.damping_ratios == pytest.approx([decay / np.sqrt(35.0)], rel=1e-13)
+
+    held = linearize(scene, closed_loop=False)
+    assert pytest.approx(held.A, rel=1e-14) == [[0.0, 1.0], [-STIFFNESS / MASS, -DAMPING / MASS]]
+    assert pytest.approx(held.f, rel=1e-14) == [0.0, 6.0 / MASS]
+
+
+def test_sampled_controllers_are_held_or_refused():
+    scene = mass_on_rail(control=(Sampled("rail", lambda time, x, rate: 4.0 - x[0], 0.1),))
+    assert linearize(scene, closed_loop=False).f[1] == 4.0 / MASS
+    with pytest.raises(NewtonEulerError, match="joint 'rail': has no derivative, being sampled"):
+        linearize(scene)
+
+
+def test_double_pendulum_is_its_textbook_matrices():
+    scene = double_pendulum()
+    model = linearize(scene, inputs=["shoulder", "elbow"], coordinates=["shoulder", "elbow"])
+    upper, lower = 1.01 / 12.0, 2.0 * 1.01 / 12.0
+    # absolute angles: M = [[I1 + m1/4 + m2, m2/2], [m2/2, I2 + m2/4]], K = G diag(m1/2 + m2, m2/2)
+    mass = np.array([[upper + 0.25 + 2.0, 1.0], [1.0, lower + 0.5]])
+    stiffness = G * np.diag([0.5 + 2.0, 1.0])
+    relative = np.array([[1.0, 0.0], [1.0, 1.0]])
+    mass, stiffness = (relative.T @ each @ relative for each in (mass, stiffness))
+    expected = np.block(
+        [[np.zeros((2, 2)), np.eye(2)], [-np.linalg.solve(mass, stiffness), np.zeros((2, 2))]]
+    )
+    assert pytest.approx(expected, abs=1e-12) == model.A
+    assert model.B[2:] == pytest.approx(np.linalg.inv(mass), rel=1e-13)
+    assert model.is_equilibrium
+    modes = model.modes()
+    squares = np.sort(np.linalg.eigvals(np.linalg.solve(mass, stiffness)))
+    assert modes.angular_frequencies**2 == pytest.approx(squares, rel=1e-12)
+    assert modes.damping_ratios == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+def test_sleeping_top_is_its_precession_and_nutation():
+    """xi'' - i (I3/I1) W xi' - (m g l / I1) xi = 0 in space; seen from the top lambda - i W."""
+    across, axial, mass, arm, spin = 0.05, 0.02, 1.5, 0.3, 40.0
+    top = Body("top", mass, arm * Z, np.diag([across, across, axial]))
+    mechanism = Mechanism([Body.ground(), top], [Spherical("tip", "ground", "top", np.zeros(3))])
+    turning = replace(State.initial(mechanism), angular_velocity=np.array([np.zeros(3), spin * Z]))
+    scene = Scene("top", mechanism, 1.0, 0.1, gravity=-G * Z, initial_state=turning)
+    model = linearize(scene)
+    assert model.coordinates == ("tip.ball.x", "tip.ball.y", "tip.ball.z")
+    about = across + mass * arm**2
+    roots = np.roots([1.0, -1j * axial / about * spin, -mass * G * arm / about]) - 1j * spin
+    expected = np.concatenate([roots, roots.conj(), [0.0, 0.0]])
+    found = np.linalg.eigvals(model.A)
+    for each in expected:
+        assert np.abs(found - each).min() < 1e-12 * spin
+    assert not model.is_equilibrium  # it moves on
+
+
+def accelerations(scene: Scene, state: State, names: tuple[str, ...], change: np.ndarray) -> np.ndarray:
+    """Forward dynamics next to a state, by the dense solver: change (2 d,) of coordinates and rates."""
+    keys = [scene.mechanism.coordinate(name) for name in names]
+    idle = tuple(JointSpring(joint, 0.0, coordinate=k) for joint, k in keys)
+    forces = [each for each in idle if each.key not in {known.key for known in scene.joint_forces}]
+    scene = replace(scene, forces=(*scene.forces, *forces))
+    system = Relative(scene)
+    now = system.measured(*system.coordinates(state))
+    motions = tuple(
+        PrescribedMotion(joint, Polynomial((now[joint, k].x + x, now[joint, k].rate + rate)), k)
+        for (joint, k), x, rate in zip(keys, *np.split(change, 2), strict=True)
+    )
+    driven = Relative(replace(scene, motions=(*scene.motions, *motions)))
+    q, v = driven.coordinates(state)
+    q = project_position(driven, q)
+    moved = driven.state(q, project_velocity(driven, q, v))
+    q, v = system.coordinates(moved)
+    vdot, measured = system.acceleration(q, v), system.measured(q, v)
+    rows = [measured[key] for key in keys]
+    return np.array([sum(vdot[k] * x for k, x in row.jacobian.items()) - row.gamma for row in rows])
+
+
+LEGS = tuple(f"leg_{k}" for k in range(1, 7))
+
+MOVING = [
+    ("tracker", ("slide_12", "slide_13")),
+    ("tracker_gravity", ("hinge_14", "universal_47.1")),
+    ("stewart", LEGS),
+    ("slider_crank", ("guide",)),
+    ("four_bar", ("hinge_0",)),
+    ("flyball_governor", None),
+]
+"""Scenes and coordinates, of which some are on joints that the tree cuts."""
+
+
+@pytest.mark.parametrize(("name", "names"), MOVING)
+def test_a_is_the_finite_difference_of_accelerations_in_motion(name, names):
+    scene = load(name)
+    (state,) = random_states(scene, 1, seed=3)
+    model = linearize(scene, state, names)
+    names, d = model.coordinates, len(model.coordinates)
+    size = np.tile(model.units, 2)
+    found = np.column_stack(
+        [
+            derivative(lambda s, e=e: accelerations(scene, state, names, s * size * e) / model.units, 2e-4)
+            for e in np.eye(2 * d)
+        ]
+    )
+    exact = (model.A * size / size[:, None])[d:]
+    # round-off of accelerations over the step
+    assert exact == pytest.approx(found, abs=1e-7 * max(1.0, np.abs(exact).max()))
+    assert model.f[d:] / model.units == pytest.approx(
+        accelerations(scene, state, names, np.zeros(2 * d)) / model.units, abs=1e-9 * np.abs(exact).max()
+    )
+
+
+def test_inputs_and_outputs_are_finite_differences():
+    scene = load("tracker_gravity")
+    (state,) = random_states(scene, 1, seed=4)
+    names, outputs = ("slide_12", "slide_13"), ["hinge_14", "panel_7"]
+    inputs = ["hinge_14", "slide_12.target", "panel_7.mass", "gravity"]
+    model = linearize(scene, state, names, inputs, outputs)
+    assert model.inputs == (
+        "hinge_14",
+        "slide_12.target",
+        "panel_7.mass",
+        "gravity[0]",
+        "gravity[1]",
+        "gravity[2]",
+    )
+
+    def with_target(s):
+        first, second = scene.control
+        return replace(scene, control=(replace(first, target=first.target + s), second))
+
+    def with_gravity(s):
+        return replace(scene, gravity=scene.gravity + s * Y)
+
+    def with_mass(s):
+        bodies = [replace(b, mass=b.mass + s) if b.name == "panel_7" else b for b in scene.mechanism.bodies]
+        return replace(scene, mechanism=Mechanism(bodies, scene.mechanism.joints))
+
+    def pushed(s):
+        spring = JointSpring("hinge_14", 1e-6, rest=s * 1e6)  # as good as a constant force
+        return replace(scene, forces=(spring,))
+
+    for column, change in ((0, pushed), (1, with_target), (2, with_mass), (4, with_gravity)):
+        found = derivative(lambda s, c=change: accelerations(c(s), state, names, np.zeros(4)))
+        assert model.B[2:, column] == pytest.approx(found, rel=1e-6)
+
+
+def transition(
+    scene: Scene, state: State, names: tuple[str, ...], span: float, amplitude: float
+) -> np.ndarray:
+    """Changes (2 d, 2 d) after a span, s, by small changes of a state at rest, of runs that are exact."""
+    code = compile_scene(replace(scene, duration=span, output_period=span, initial_state=state))
+    base = code.scene
+    mechanism, columns = base.mechanism, []
+
+    def measured(run):
+        rows = [run.joint(joint) for joint, _ in map(mechanism.coordinate, names)]
+        numbers = [k for _, k in map(mechanism.coordinate, names)]
+        x = [row.coordinates[:, k] for row, k in zip(rows, numbers, strict=True)]
+        rates = [row.rates[:, k] for row, k in zip(rows, numbers, strict=True)]
+        return np.concatenate([np.array(x)[:, -1], np.array(rates)[:, -1]]), np.array(x)[:, 0]
+
+    rest = measured(code.simulate(rtol=1e-12, atol=1e-14))[1]
+    for e in np.eye(2 * len(names)):
+        ends = []
+        for sign in (1.0, -1.0):
+            x, rates = np.split(sign * amplitude * e, 2)
+            given = {}
+            for name, value, rate in zip(names, rest + x, rates, strict=True):
+                joint, k = mechanism.coordinate(name)
+                pairs = [None] * len(mechanism.joint(joint).coordinate_kinds)
+                pairs[k] = (value, rate)
+                given[joint] = pairs if len(pairs) > 1 else pairs[0]
+            ends.append(measured(code.with_scene(start(base, **given)).simulate(rtol=1e-12, atol=1e-14))[0])
+        columns.append((ends[0] - ends[1]) / (2.0 * amplitude))
+    return np.column_stack(columns)
+
+
+def lightly_damped_tracker() -> Scene:
+    scene = load("tracker_gravity")
+    return replace(scene, control=tuple(replace(law, damping=1.0) for law in scene.control))
+
+
+def sprung_four_bar() -> Scene:
+    scene = replace(load("four_bar"), initial_state=None)
+    return replace(scene, forces=(JointSpring("pivot_0", 60.0, 2.0, rest=0.4),))
+
+
+SMALL = [
+    (lightly_damped_tracker, ("slide_12", "slide_13"), 0.02, 1e-5),
+    (sprung_four_bar, ("pivot_0",), 0.2, 1e-3),
+    (lambda: load("stewart"), LEGS, 0.15, 1e-3),
+]
+"""Scene, coordinates, span (s, less than half a period) and amplitude (m or rad)."""
+
+
+@pytest.mark.parametrize(("scene_of", "names", "span", "amplitude"), SMALL)
+def test_modes_are_those_of_simulated_small_motions(scene_of, names, span, amplitude):
+    """Eigenvalues exp(lambda t) of the transition matrix, the square of the amplitude extrapolated away."""
+    scene = scene_of()
+    state = equilibrium(scene)
+    modes = linearize(scene, state, names).modes()
+    assert len(modes.eigenvalues) >= len(names)
+    first, second = (transition(scene, state, names, span, amplitude / k) for k in (1.0, 2.0))
+    matrix = (4.0 * second - first) / 3.0
+    found = np.log(np.linalg.eigvals(matrix).astype(complex)) / span
+    for each in modes.eigenvalues:
+        assert np.abs(found - each).min() < 1e-7 * abs(each)  # errors of runs over the amplitude
+
+
+def test_accelerations_by_coordinates_and_rates_are_pinocchios():
+    scene = replace(load("chain", N=5), forces=(), control=())
+    (state,) = random_states(scene, 1)
+    system = PinocchioSystem(scene)
+    q, v = system.coordinates(state)
+    own, data = system.closed.model, system.closed.model.createData()
+    pin_q, pin_v = system.map.q_to_pinocchio(q), system.map.v_to_pinocchio(v)
+    pin.computeABADerivatives(own, data, pin_q, pin_v, np.zeros(own.nv))
+    names = [joint.name for joint in scene.mechanism.joints]
+    places = [system._tree.place(name, 0)[1] for name in names]
+    order = np.argmax(np.abs([system.map.v_to_pinocchio(e) for e in np.eye(system.nv)[places]]), axis=1)
+    model = linearize(scene, state, names)
+    d, grid = len(names), np.ix_(order, order)
+    assert model.A[d:, :d] == pytest.approx(data.ddq_dq[grid], abs=1e-10 * np.abs(data.ddq_dq).max())
+    assert model.A[d:, d:] == pytest.approx(data.ddq_dv[grid], abs=1e-10 * np.abs(data.ddq_dv).max())
+    inverse = np.linalg.inv(system.mass_matrix(q)[np.ix_(places, places)])
+    assert linearize(scene, state, names, names).B[d:] == pytest.approx(inverse, rel=1e-9)
+
+
+def test_modes_have_twists_of_all_bodies_and_rigid_ones_are_zero():
+    scene = mass_on_rail()
+    modes = linearize(scene).modes()
+    assert isinstance(modes, Modes)
+    assert modes.eigenvalues.tolist() == [0.0]
+    assert np.abs(modes.twists[0, 1]).tolist() == [scene.mechanism.size, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert not modes.twists[0, 0].any()
+    scene = double_pendulum()
+    modes = linearize(scene, coordinates=["shoulder", "elbow"]).modes()
+    for shape, twist in zip(modes.shapes, modes.twists, strict=True):
+        turn = np.array([shape[0], shape.sum()])
+        assert twist[1:, 4] == pytest.approx(turn, abs=1e-14)
+        assert twist[1:, 0] == pytest.approx([-0.5 * turn[0], -turn[0] - 0.5 * turn[1]], abs=1e-14)
+        assert max(np.abs(twist[:, :3]).max() / scene.mechanism.size, np.abs(twist[:, 3:]).max()) == 1.0
+
+
+def test_models_go_to_scipy_and_control():
+    model = linearize(load("tracker"))
+    system = model.to_scipy()
+    for name in "ABCD":
+        assert np.array_equal(getattr(system, name), getattr(model, name))
+    if importlib.util.find_spec("control"):
+        assert list(model.to_control().input_labels) == list(model.inputs)
+
+
+def test_equilibrium_of_a_mass_on_a_spring_is_where_it_hangs():
+    rail = Prismatic("rail", "ground", "cart", np.zeros(3), axis=Z)
+    mechanism = Mechanism([Body.ground(), Body("cart", MASS, np.zeros(3), np.eye(3))], [rail])
+    scene = Scene("hanging", mechanism, 1.0, 0.1, gravity=-G * Z)
+    with pytest.raises(
+        NewtonEulerError, match="scene 'hanging': has no equilibrium nearby: coordinate 'rail'"
+    ):
+        equilibrium(scene)
+    state = equilibrium(replace(scene, forces=(JointSpring("rail", STIFFNESS),)))
+    assert state.position[1, 2] == pytest.approx(-MASS * G / STIFFNESS, rel=1e-12)
+
+
+def test_states_that_cannot_be(tracker):
+    state = initial_state(tracker)
+    apart = replace(state, position=state.position + 0.01 * np.arange(21).reshape(7, 3))
+    with pytest.raises(NewtonEulerError, match=r"joint '.*' is open by .* needed: closed loops"):
+        linearize(tracker, apart)
+    torn = replace(state, linear_velocity=state.linear_velocity + 0.01 * np.arange(21).reshape(7, 3))
+    with pytest.raises(NewtonEulerError, match=r"joint '.*' opens at .* needed: closed loops"):
+        linearize(tracker, torn)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"coordinates": ["slide_12"]}, "coordinates are slide_12; needed: 2 different ones for 2 degrees"),
+        ({"coordinates": ["slide_12", "slide_12"]}, "needed: 2 different ones for 2 degrees of freedom"),
+        ({"coordinates": ["slide_12", "ball_67"]}, "joint 'ball_67': coordinate is 0; needed: a joint with"),
+        ({"coordinates": ["slide_12", "slide_14"]}, "unknown joint 'slide_14'; did you mean"),
+        ({"inputs": ["slide_12.targets"]}, "unknown parameter 'slide_12.targets'; did you mean"),
+        ({"outputs": ["panel"]}, "unknown output 'panel'; did you mean 'panel_7'"),
+        ({"state": 3}, "state of scene 'tracker': is 3; needed: a State"),
+    ],
+)
+def test_choices_that_cannot_be(tracker, arguments, message):
+    with pytest.raises(NewtonEulerError, match=message):
+        linearize(tracker, **arguments)
+
+
+def test_coordinates_that_do_not_determine_the_motion_at_a_state():
+    """The slider of a crank at its dead center."""
+    crank = replace(load("slider_crank"), initial_state=None)
+    dead = start(crank, pivot=(np.pi - np.arctan2(0.1, 0.12), 0.0))
+    with pytest.raises(NewtonEulerError, match="singular at joint 'guide': the coordinate depends on loops"):
+        linearize(crank, initial_state(dead), ["guide"])
+    assert linearize(crank, initial_state(dead)).coordinates != ("guide",)
