@@ -23,7 +23,6 @@ from newton_euler.equations.parameters import numbered, pieces, with_values
 from newton_euler.equations.redundancy import mobility
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.servos import (
-    called,
     fault,
     independent_rows,
     measuring,
@@ -62,7 +61,8 @@ class Loads:
     Of a single state arrays are without their first axis.
 
     Attributes:
-        actuators: names of the coordinates that the actuators act on, `JOINT` or `JOINT.1`.
+        actuators: the coordinates that the actuators act on, by the name of the joint, or by (name, number)
+            where it has several.
         joint_names: of the reactions.
         actuator_force: (n, a) N or N m.
         reaction_force, reaction_torque: (n, j, 3) on the second body, about its joint point, world frame; not
@@ -74,7 +74,7 @@ class Loads:
         (True, (2,))
     """
 
-    actuators: tuple[str, ...]
+    actuators: tuple[str | Key, ...]
     joint_names: tuple[str, ...]
     actuator_force: Floats
     reaction_force: Floats
@@ -84,8 +84,8 @@ class Loads:
 def inverse_dynamics(
     scene: Scene,
     states: State | Trajectory,
-    accelerations: Mapping[str, Any],
-    actuators: Sequence[str] | None = None,
+    accelerations: Mapping[str | Key, Any],
+    actuators: Sequence[str | Key] | None = None,
     time: Any = 0.0,
 ) -> Loads:
     """Compute the forces of actuators that give joint coordinates wanted accelerations, and all reactions.
@@ -99,7 +99,8 @@ def inverse_dynamics(
         scene: the mechanism with its forces.
         states: a state, or n of them: a trajectory, or anything with positions (n, b, 3) and quaternions
             (n, b, 4) of bodies, and their velocities if they move. Loops are closed.
-        accelerations: m/s^2 or rad/s^2, one number or (n,), by names of coordinates, `JOINT` or `JOINT.1`.
+        accelerations: m/s^2 or rad/s^2, one number or (n,), by the name of the joint, or by (name, number)
+            for joints of several coordinates.
         actuators: coordinates that actuators act on; those of the scene's control laws if None, and if it
             has none those of `accelerations`.
         time: s, of prescribed motions, one number or (n,).
@@ -131,7 +132,7 @@ def inverse_dynamics(
     return compiled.loads(given, wanted, given.column("time", time)).loads
 
 
-def statics(scene: Scene, states: Any = None, actuators: Sequence[str] | None = None) -> Loads:
+def statics(scene: Scene, states: Any = None, actuators: Sequence[str | Key] | None = None) -> Loads:
     """Compute the forces of actuators that hold a mechanism at rest, and all reactions of joints.
 
     Gravity, springs and wrenches act; prescribed motions hold what they move; control laws are left out.
@@ -299,7 +300,7 @@ class InverseDynamics:
         for row in np.flatnonzero(~(pivot_ratio > 0.0) | ~np.isfinite(forces).all(axis=1))[:1]:
             at = fault(self.system, table[row, : self.system.nq], self.servos, NEAR)
             key, problem = at or (self.servos.coordinates[0], "is not determined")
-            raise SingularityError(called(key), f"at state {row} the coordinate {problem}")
+            raise SingularityError(key[0], f"at state {row} the coordinate {problem}")
         shapes = [(len(self.scene.mechanism.joints), 3)] * 2 + [(len(self.scene.mechanism.bodies), 3)] * 2
         ends = np.cumsum([j * k for j, k in shapes])
         if mobility(self.scene).redundant:  # the float form knows the smallest reactions
@@ -312,7 +313,7 @@ class InverseDynamics:
         ]
         if given.is_single:
             forces, arrays = forces[0], [array[0] for array in arrays]
-        names = tuple(map(called, self.servos.actuators))
+        names = tuple(map(self.scene.mechanism.coordinate_name, self.servos.actuators))
         loads = Loads(names, self.scene.mechanism.joint_names, forces, *arrays[:2])
         return Solved(loads, *arrays[2:])
 

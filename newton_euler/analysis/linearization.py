@@ -31,13 +31,14 @@ from newton_euler.equations.dense import largest, least_squares, orthonormal_nul
 from newton_euler.equations.parameters import (
     numbered,
     parameter_values,
+    pieces,
     unambiguous,
     with_laws,
     with_values,
 )
 from newton_euler.equations.redundancy import mobility, rows_in_use
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.servos import called, independent_rows, measuring
+from newton_euler.equations.servos import independent_rows, measuring
 from newton_euler.equations.sparse import dot
 from newton_euler.equations.system import (
     at_time,
@@ -49,7 +50,7 @@ from newton_euler.errors import MechanismError, SingularityError, check_choice, 
 from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.projection import project_position
-from newton_euler.integrators.sampling import holding, sample
+from newton_euler.integrators.sampling import Controllers, holding
 from newton_euler.model.control import PD
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import Polynomial
@@ -84,7 +85,7 @@ AXES = ("x", "y", "z")
 class Freedom(NamedTuple):
     """An independent coordinate."""
 
-    name: str
+    name: str | Key
     key: Key | None
     """The joint coordinate; None for a rotation of a ball."""
     place: int
@@ -93,6 +94,11 @@ class Freedom(NamedTuple):
     """In v, where the angular velocity begins that this is a component of; -1 for none."""
     unit: float
     """The size of the mechanism for slides, m, else 1."""
+
+
+def label(name: str | Key) -> str:
+    """Return the name of a coordinate, an input or an output as one word."""
+    return name if isinstance(name, str) else f"{name[0]}[{name[1]}]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +117,7 @@ class Modes:
     Examples:
         >>> modes = linearize(load("stewart")).modes()
         >>> isinstance(modes, Modes), modes.frequencies.round(1).tolist()
-        (True, [1.0])
+        (True, [0.9, 1.0, 1.3, 1.7, 1.9, 2.0])
     """
 
     eigenvalues: Array
@@ -160,9 +166,9 @@ class LinearModel:
 
     scene: str
     state: State
-    coordinates: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
+    coordinates: tuple[str | Key, ...]
+    inputs: tuple[str | Key, ...]
+    outputs: tuple[str | Key, ...]
     units: Floats
     size: float
     A: Floats
@@ -211,17 +217,17 @@ class LinearModel:
         """Return a `control.StateSpace` with names, of the package control."""
         from control import StateSpace  # type: ignore[import-not-found, unused-ignore]
 
-        rates = [f"{name} rate" for name in self.coordinates]
-        names = {"states": [*self.coordinates, *rates], "inputs": self.inputs, "outputs": self.outputs}
-        return StateSpace(self.A, self.B, self.C, self.D, **{k: list(v) for k, v in names.items()})
+        x, u, y = (list(map(label, each)) for each in (self.coordinates, self.inputs, self.outputs))
+        states = [*x, *(f"{name} rate" for name in x)]
+        return StateSpace(self.A, self.B, self.C, self.D, states=states, inputs=u, outputs=y)
 
 
 def linearize(
     scene: Scene,
     state: State | None = None,
-    coordinates: Sequence[str] | None = None,
-    inputs: Sequence[str] | None = None,
-    outputs: Sequence[str] | None = None,
+    coordinates: Sequence[str | Key] | None = None,
+    inputs: Sequence[str | Key] | None = None,
+    outputs: Sequence[str | Key] | None = None,
     *,
     closed_loop: bool = True,
     time: float = 0.0,
@@ -232,13 +238,14 @@ def linearize(
         scene: the mechanism with its forces and control laws.
         state: where; the scene's initial state if None. Loops are closed. It need not be at rest, nor in
             equilibrium: `LinearModel.f` and `LinearModel.is_equilibrium` say what it is.
-        coordinates: names of joint coordinates, `JOINT` or `JOINT.1`, or rotations of a ball about an axis of
-            the body that it moves, `JOINT.ball.x`; as many as there are degrees of freedom. If None they are
-            chosen: first those with control laws, then those that move the most.
-        inputs: names of coordinates for forces on them, N or N m, beside those that act, or of parameters
+        coordinates: joint coordinates, by the name of the joint, or by (name, number) where it has several,
+            or rotations of a ball about an axis of the body that it moves, `JOINT.ball.x`; as many as there
+            are degrees of freedom. If None they are chosen: first those with control laws, then those that
+            move the most.
+        inputs: joint coordinates for forces on them, N or N m, beside those that act, or of parameters
             (`newton_euler.equations.parameters`), as `slide_12.target` or `panel_7.mass`. The coordinates
             with control laws if None.
-        outputs: names of joint coordinates, or of bodies for six outputs each: position of the center of
+        outputs: joint coordinates, or bodies for six outputs each: position of the center of
             mass, m, and small rotation, rad, world frame. The `coordinates` if None.
         closed_loop: True for control laws that act as they do in a run, False for their forces held as they
             are at the state.
@@ -262,13 +269,13 @@ def linearize(
         problem = "has no derivative, being sampled"
         raise MechanismError(scene.sampled[0].element, problem, "closed_loop=False, or a law as PD")
     freedoms = _freedoms(scene, state, coordinates)
-    names = [called(law.key) for law in scene.control] if inputs is None else list(inputs)
+    mechanism, laws = scene.mechanism, tuple(law.key for law in scene.control)
+    names = list(map(mechanism.coordinate_name, laws)) if inputs is None else list(inputs)
     known = _inputs(with_laws(scene, scene.control if closed_loop else ()), names)
     rows = [freedom.name for freedom in freedoms] if outputs is None else list(outputs)
-    keys = [scene.mechanism.coordinate(name) for name in rows if _is_coordinate(scene, name)]
+    keys = [mechanism.coordinate(name) for name in rows if _is_coordinate(scene, name)]
     forces = [name for name in known if isinstance(name, tuple)]
     parameters = tuple(name for name in known if isinstance(name, str))
-    laws = tuple(law.key for law in scene.control)
     measured = tuple(dict.fromkeys([*(f.key for f in freedoms if f.key), *forces, *keys, *laws]))
     compiled = _compiled(scene, freedoms, measured, parameters, closed_loop)
     return compiled.linearized(state, known, names, rows, time)
@@ -322,16 +329,15 @@ def equilibrium(scene: Scene, state: State | None = None) -> State:
     raise MechanismError(f"scene {scene.name!r}", problem, "a state near one")
 
 
-def _is_coordinate(scene: Scene, name: str) -> bool:
+def _is_coordinate(scene: Scene, name: str | Key) -> bool:
     """True for the name of a joint coordinate, False for that of anything else."""
-    joints, (joint, _, number) = scene.mechanism.joint_names, name.rpartition(".")
-    return name in joints or (joint in joints and number.isdecimal())
+    return isinstance(name, tuple) or name in scene.mechanism.joint_names
 
 
-def _inputs(scene: Scene, names: Sequence[str]) -> list[Key | str]:
+def _inputs(scene: Scene, names: Sequence[str | Key]) -> list[Key | str]:
     """Find the coordinates and the parameters that inputs are."""
     return [
-        scene.mechanism.coordinate(name) if _is_coordinate(scene, name) else unambiguous(scene, name)
+        scene.mechanism.coordinate(name) if _is_coordinate(scene, name) else unambiguous(scene, str(name))
         for name in names
     ]
 
@@ -352,7 +358,7 @@ def _other_freedoms(system: Relative) -> list[Freedom]:
     return found
 
 
-def _freedoms(scene: Scene, state: State, names: Sequence[str] | None) -> tuple[Freedom, ...]:
+def _freedoms(scene: Scene, state: State, names: Sequence[str | Key] | None) -> tuple[Freedom, ...]:
     """Return the coordinates of these names, or choose some that are independent at a state."""
     mechanism, count = scene.mechanism, mobility(scene).degrees_of_freedom
     others = {freedom.name: freedom for freedom in _other_freedoms(Relative(scene))}
@@ -361,11 +367,11 @@ def _freedoms(scene: Scene, state: State, names: Sequence[str] | None) -> tuple[
     else:
         keys = [mechanism.coordinate(name) for name in names if name not in others]
     system = Relative(measuring(scene, keys))
-    of_joints = {key: Freedom(called(key), key, -1, -1, system.unit(key)) for key in keys}
+    of_joints = {key: Freedom(mechanism.coordinate_name(key), key, -1, -1, system.unit(key)) for key in keys}
     if names is not None:
         found = [others.get(name) or of_joints[mechanism.coordinate(name)] for name in names]
         if len(found) != count or len(set(found)) != count:
-            problem = f"coordinates are {', '.join(map(str, names)) or 'none'}"
+            problem = f"coordinates are {', '.join(map(repr, names)) or 'none'}"
             needed = f"{count} different ones for {count} degrees of freedom"
             raise MechanismError(f"scene {scene.name!r}", problem, needed)
         return tuple(found)
@@ -431,15 +437,17 @@ class Linearization:
         self._probes = {
             key: numbered("control", len(kept) + k, "feedforward") for k, key in enumerate(measured)
         }
-        self.values = parameter_values(self.scene, [*self._probes.values(), *parameters])
+        names = [*self._probes.values(), *parameters, *pieces(self.scene, 0.0)]
+        self.values = parameter_values(self.scene, names)
         self.system = Relative(self.scene)
         self.rows = rows_in_use(self.system)
 
     @cached_property
     def function(self) -> NativeFunction:
         """Of (q, v, inputs, directions of all three, time), see `_trace`."""
-        names = tuple(freedom.name for freedom in self.freedoms)
-        known = fingerprint(self.scene, names, self.measured, tuple(self.values), neutral=NEUTRAL)
+        begun = [float(motion.function.value(0.0)) for motion in self.scene.motions]
+        chosen = tuple(label(freedom.name) for freedom in self.freedoms), self.measured, tuple(self.values)
+        known = fingerprint(self.scene, *chosen, begun, neutral=NEUTRAL)
         return NativeFunction(self._trace, known and f"{known} linearization")
 
     def _trace(self) -> Traced:
@@ -488,7 +496,9 @@ class Linearization:
         if values[-1:] < SINGULAR:
             share = np.abs(left[len(closed) :, -1])
             name = self.freedoms[int(np.argmax(share))].name
-            raise SingularityError(name, "the coordinate depends on loops and the other coordinates there")
+            raise SingularityError(
+                label(name), "the coordinate depends on loops and the other coordinates there"
+            )
         units = np.concatenate([system.phi_units[self.rows.numbers], [each.unit for each in self.freedoms]])
         inverse = system.velocity_units[:, None] * np.linalg.inv(rows) / units
         return inverse, inverse[:, len(closed) :]
@@ -497,14 +507,14 @@ class Linearization:
         self,
         state: State,
         inputs: Sequence[Key | str],
-        names: Sequence[str],
-        outputs: Sequence[str],
+        names: Sequence[str | Key],
+        outputs: Sequence[str | Key],
         time: float,
     ) -> LinearModel:
         """Evaluate the matrices at a state and a time, s, for inputs and outputs of these names."""
         system, freedoms, d = at_time(self.system, time), self.freedoms, len(self.freedoms)
         q, v = system.coordinates(state)
-        values = dict(self.values)
+        values = self.values | pieces(self.scene, time)
         if not self.closed_loop:
             held = held_forces(self.original, state, time)
             values |= {self._probes[key]: np.array(force) for key, force in held.items()}
@@ -568,12 +578,16 @@ class Linearization:
                 raise MechanismError(where, problem, "closed loops, as newton_euler.assemble makes them")
 
     def _columns(
-        self, table: Array, values: Mapping[str, Array], inputs: Sequence[Key | str], names: Sequence[str]
-    ) -> tuple[Array, tuple[str, ...]]:
+        self,
+        table: Array,
+        values: Mapping[str, Array],
+        inputs: Sequence[Key | str],
+        names: Sequence[str | Key],
+    ) -> tuple[Array, tuple[str | Key, ...]]:
         """Select the columns (d, m) of the inputs from rows for all numbers, and name them."""
         sizes = [value.size for value in values.values()]
         starts = dict(zip(values, np.cumsum([0, *sizes]), strict=False))
-        columns, labels = [np.zeros((0, table.shape[1]))], list[str]()
+        columns, labels = [np.zeros((0, table.shape[1]))], list[str | Key]()
         for each, name in zip(inputs, names, strict=True):
             known = each if isinstance(each, str) else self._probes[each]
             count = values[known].size
@@ -582,12 +596,12 @@ class Linearization:
         return np.concatenate(columns).T, tuple(labels)
 
     def _outputs(
-        self, q: Array, tangent: Array, twists: Array, names: Sequence[str]
-    ) -> tuple[Array, tuple[str, ...]]:
+        self, q: Array, tangent: Array, twists: Array, names: Sequence[str | Key]
+    ) -> tuple[Array, tuple[str | Key, ...]]:
         """Compute rows (p, d) of the outputs for coordinates, and name them."""
         mechanism = self.scene.mechanism
         measured = self.system.measured(q, np.zeros(self.system.nv))
-        rows, labels = [np.zeros((0, tangent.shape[1]))], list[str]()
+        rows, labels = [np.zeros((0, tangent.shape[1]))], list[str | Key]()
         for name in names:
             if _is_coordinate(self.scene, name):
                 jacobian = measured[mechanism.coordinate(name)].jacobian
@@ -598,7 +612,7 @@ class Linearization:
                 labels.append(name)
             else:
                 check_choice("output", name, (*mechanism.joint_names, *mechanism.body_names))
-                body = mechanism.body_index(name)
+                body = mechanism.body_index(str(name))
                 rows.append(twists[6 * body : 6 * body + 6])
                 labels += [f"{name}.{kind}{axis}" for kind in ("", "r") for axis in AXES]
         return np.concatenate(rows), tuple(labels)
@@ -609,7 +623,6 @@ def held_forces(scene: Scene, state: State, time: float) -> dict[Key, float]:
     system = at_time(Relative(scene), time)
     q, v = system.coordinates(state)
     if scene.sampled:
-        x, rates = np.array(system.measure(q, v), dtype=float).T
-        system = holding(system, sample(scene.sampled, time, x, rates))
-    forces = system.joint_forces(system.measured(q, v))
-    return {law.key: float(u) for law, u in zip(scene.control, forces, strict=False)}
+        readings = np.array(system.measure(q, v), dtype=float)
+        system = holding(system, Controllers(scene).sample(scene.sampled, time, readings))
+    return {law.key: float(u) for law, u in zip(scene.control, system.joint_forces(q, v), strict=False)}

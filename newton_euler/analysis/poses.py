@@ -31,9 +31,8 @@ from newton_euler.analysis.continuation import (
 )
 from newton_euler.assemble import initial_state
 from newton_euler.equations.dense import RANK_TOLERANCE
-from newton_euler.errors import MechanismError, OptionError, check_key, check_type, finite_array
+from newton_euler.errors import OptionError, check_type, finite_array
 from newton_euler.model.joint import Key
-from newton_euler.model.mechanism import check_coordinate
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
@@ -179,7 +178,7 @@ def solve_poses(
     check_type("scene", scene, Scene)
     wanted = {name: _checked(scene, name, given) for name, given in (coordinates or {}).items()}
     names = (*wanted, *(name for name in measure if name not in wanted))
-    keys = [_key(scene, name) for name in names]
+    keys = [scene.mechanism.coordinate(name) for name in names]
     goal = _goal(wanted, axis, towards)
     if len(set(keys)) < len(keys):
         raise OptionError("coordinates", names, "each joint coordinate once")
@@ -227,21 +226,9 @@ def _poses(
     )
 
 
-def _key(scene: Scene, name: Any) -> Key:
-    """Return the joint coordinate of a name, or of a name and a number."""
-    joint, number = name if isinstance(name, tuple) and len(name) == 2 else (name, 0)
-    count = len(scene.mechanism.joint(joint).coordinate_kinds)
-    where = f"joint {joint!r}"
-    check_key(where, joint, number)
-    check_coordinate(where, scene.mechanism.joint(joint), number)
-    if count > 1 and not isinstance(name, tuple):
-        raise MechanismError(where, f"has {count} coordinates", f"which one, as ({joint!r}, 0)")
-    return joint, int(number)
-
-
-def _checked(scene: Scene, name: object, given: object) -> Array:
+def _checked(scene: Scene, name: str | Key, given: object) -> Array:
     """Return values (n,) or () of a joint coordinate."""
-    where = f"joint {_key(scene, name)[0]!r}"
+    where = f"joint {scene.mechanism.coordinate(name)[0]!r}"
     count = np.shape(given)[:1] if isinstance(given, np.ndarray | list | tuple) else ()
     return finite_array(where, "coordinate", given, count)
 

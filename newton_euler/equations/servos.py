@@ -29,11 +29,6 @@ ALIKE = 6
 """Digits to which such velocities are compared, so that no processor chooses by its last ones."""
 
 
-def called(key: Key) -> str:
-    """Name a joint coordinate as `newton_euler.model.mechanism.Mechanism.coordinate` reads it."""
-    return f"{key[0]}.{key[1]}" if key[1] else key[0]
-
-
 def measuring(scene: Scene, keys: Iterable[Key]) -> Scene:
     """Return the scene with laws of no force on these coordinates as its only control."""
     return with_laws(scene, [PD(joint, 0.0, 0.0, 0.0, k) for joint, k in dict.fromkeys(keys)])
@@ -56,12 +51,13 @@ def servos_of(
         MechanismError: naming a coordinate that is there twice, follows a prescribed motion, is moved by
             others, or that no actuator moves, and for coordinates that leave other motions to actuators.
     """
+    name = scene.mechanism.coordinate_name
     for what, keys in (("coordinate", coordinates), ("actuator", actuators)):
         for key in keys:
             if key in {motion.key for motion in scene.motions}:
-                raise MechanismError(f"{what} {called(key)!r}", "follows a prescribed motion", "another one")
+                raise MechanismError(f"{what} {name(key)!r}", "follows a prescribed motion", "another one")
             if list(keys).count(key) > 1:
-                raise MechanismError(f"{what} {called(key)!r}", "is named twice", f"each {what} once")
+                raise MechanismError(f"{what} {name(key)!r}", "is named twice", f"each {what} once")
     system = Relative(measuring(scene, [*coordinates, *actuators]))
     servos = Servos(tuple(coordinates), tuple(actuators), rows_in_use(system))
     decided, count = mobility(scene), len(coordinates)
@@ -72,7 +68,7 @@ def servos_of(
     faults = [fault(system, system.coordinates(state)[0], servos) for state in decided.states]
     if all(faults):
         key, problem = faults[0] or (("", 0), "")
-        raise MechanismError(f"coordinate {called(key)!r}", problem, "another choice")
+        raise MechanismError(f"coordinate {name(key)!r}", problem, "another choice")
     return servos if form is Relative else servos._replace(rows=rows_in_use(form(system.scene)))
 
 

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_choice, elements_of, set_arrays
+from newton_euler.errors import MechanismError, check_choice, check_key, elements_of, set_arrays
 from newton_euler.model.constraints import Frame
 from newton_euler.model.couplings import JointCoupling
 from newton_euler.model.description import ArrayField, description
@@ -298,16 +298,24 @@ class Mechanism:
         """Return True if the coordinate of a joint is a slide, in m, False for a hinge, in rad."""
         return self.joint(joint).coordinate_kinds[coordinate] == "slide"
 
-    def coordinate(self, name: str) -> Key:
-        """Return a joint coordinate by name: `JOINT`, or `JOINT.1` for its second one.
+    def coordinate(self, name: str | Key) -> Key:
+        """Return a joint coordinate by the name of its joint, or by (name, number) where it has several.
 
-        Raises `UnknownNameError` for an unknown joint, `MechanismError` for a coordinate that it has not.
+        Raises:
+            UnknownNameError: for an unknown joint.
+            MechanismError: for a joint without such a coordinate, and for one of several that is left open.
         """
-        joint, _, number = name.rpartition(".") if isinstance(name, str) else ("", "", "")
-        numbered = name not in self.joint_names and joint in self.joint_names and number.isdecimal()
-        key = (joint, int(number)) if numbered else (name, 0)
-        check_coordinate(f"joint {key[0]!r}", self.joint(key[0]), key[1])
-        return key
+        joint, number = name if isinstance(name, tuple) and len(name) == 2 else (name, 0)
+        count, where = len(self.joint(joint).coordinate_kinds), f"joint {joint!r}"
+        check_key(where, joint, number)
+        check_coordinate(where, self.joint(joint), number)
+        if count > 1 and not isinstance(name, tuple):
+            raise MechanismError(where, f"has {count} coordinates", f"which one, as ({joint!r}, 0)")
+        return joint, int(number)
+
+    def coordinate_name(self, key: Key) -> str | Key:
+        """Return the name of a joint coordinate: that of its joint, if it has no others."""
+        return key[0] if len(self.joint(key[0]).coordinate_kinds) == 1 else key
 
     def joint_equations(self, name: str) -> JointEquations:
         """Return the equations of a joint by its name; raises `UnknownNameError`."""

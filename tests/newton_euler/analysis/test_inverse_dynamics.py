@@ -17,6 +17,7 @@ from newton_euler.codegen.expression import Graph
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
 from newton_euler.equations.servos import measuring, servos_of
+from newton_euler.equations.system import at_time
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.model.control import PD
@@ -24,6 +25,7 @@ from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.forces import JointSpring, PointSpring, Wrench
 from newton_euler.model.joint_kinds import Prismatic, Revolute
 from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.motions import Polynomial, PrescribedMotion, Spline
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.simulate import simulate
@@ -32,7 +34,7 @@ from urdf.dynamics import PinocchioSystem
 G = 9.81
 X, Y, Z = np.eye(3)
 
-LEGS = tuple(f"leg_{k}" for k in range(1, 7))
+LEGS = tuple((f"leg_{k}", 0) for k in range(1, 7))
 
 ACTUATED = {
     "tracker_gravity": ("slide_12", "slide_13"),
@@ -59,22 +61,26 @@ def cart_pole() -> Scene:
 
 def controlled(scene: Scene, joints: tuple[str, ...], forces: np.ndarray) -> Scene:
     """The scene with constant forces on these joints as its control."""
+    keys = [scene.mechanism.coordinate(name) for name in joints]
+    driven = {joint for joint, _ in keys}
     actuated = [
-        replace(joint, actuated=True) if joint.name in joints else joint for joint in scene.mechanism.joints
+        replace(joint, actuated=True) if joint.name in driven else joint for joint in scene.mechanism.joints
     ]
     mechanism = Mechanism(scene.mechanism.bodies, actuated, scene.mechanism.couplings)
-    laws = tuple(PD(joint, 0.0, 0.0, 0.0, feedforward=u) for joint, u in zip(joints, forces, strict=True))
+    laws = tuple(
+        PD(joint, 0.0, 0.0, 0.0, k, feedforward=u) for (joint, k), u in zip(keys, forces, strict=True)
+    )
     return replace(scene, mechanism=mechanism, control=laws)
 
 
 def accelerations(scene: Scene, state: State, joints: tuple[str, ...]) -> np.ndarray:
     """Forward dynamics of joint coordinates, by the dense solver."""
-    known = Relative(scene).places
-    idle = tuple(JointSpring(joint, 0.0) for joint in joints if (joint, 0) not in known)  # to measure them
+    keys, known = [scene.mechanism.coordinate(name) for name in joints], Relative(scene).places
+    idle = tuple(JointSpring(*key[:1], 0.0) for key in keys if key not in known)  # to measure them
     system = Relative(replace(scene, forces=(*scene.forces, *idle)))
     q, v = system.coordinates(state)
     vdot, measured = system.acceleration(q, v), system.measured(q, v)
-    rows = [measured[joint, 0] for joint in joints]
+    rows = [measured[key] for key in keys]
     return np.array([sum(vdot[k] * x for k, x in row.jacobian.items()) - row.gamma for row in rows])
 
 
@@ -138,8 +144,8 @@ def test_forces_are_those_of_the_other_engines_equations(name, engine):
     joints = ACTUATED[name]
     scene = replace(load(name), control=())
     system = engine(scene)
-    on_v = [system._tree.place(joint, 0)[1] for joint in joints] if engine is PinocchioSystem else None
-    on_v = on_v or [system.tree.place(joint, 0)[1] for joint in joints]
+    tree = system._tree if engine is PinocchioSystem else system.tree
+    on_v = [tree.place(*scene.mechanism.coordinate(name))[1] for name in joints]
     rng = np.random.default_rng(2)
     for state in random_states(scene, 2):
         q, v = system.coordinates(state)
@@ -276,6 +282,27 @@ def test_static_reactions_are_those_of_the_other_engines(engine):
     assert np.abs(found.linear_acceleration).max() * weight < 1e-8 * scale
 
 
+def test_prescribed_motions_act_with_their_functions_at_each_time(tracker):
+    """A spline and a polynomial that is the same: the slider's force under one and under the other."""
+    times = np.linspace(0.0, 1.0, 21)
+    quadratic = Polynomial((0.0, 0.02, 0.01))
+    spline = Spline(times, [quadratic.value(t) for t in times])
+    forces = []
+    for function in (quadratic, spline):
+        motions = (PrescribedMotion("slide_13", function),)
+        scene = replace(tracker, control=(), motions=motions, gravity=-G * Z, duration=1.0, output_period=0.1)
+        run = simulate(scene)
+        forces.append(inverse_dynamics(scene, run, {"slide_12": 0.1}, time=run.time).actuator_force)
+        state = State(run.position[5], run.quaternion[5], run.linear_velocity[5], run.angular_velocity[5])
+        one = inverse_dynamics(scene, state, {"slide_12": 0.1}, time=0.5)
+        assert one.actuator_force == pytest.approx(forces[-1][5], rel=1e-12)
+        scene = controlled(scene, ("slide_12",), one.actuator_force)
+        system = at_time(Relative(scene), 0.5)
+        vdot = system.acceleration(*system.coordinates(state))
+        assert vdot[system.places["slide_12", 0][1]] == pytest.approx(0.1, rel=1e-10)
+    assert forces[1] == pytest.approx(forces[0], rel=1e-7)  # accelerations of a spline through round-off
+
+
 def test_static_loads_of_redundant_constraints_and_of_springs_alone(tracker):
     """Bricard's loop has multipliers to choose; the platform of 1.2 t rests on its springs."""
     bricard = load("bricard")
@@ -291,7 +318,18 @@ def test_static_loads_of_redundant_constraints_and_of_springs_alone(tracker):
     ("name", "wanted", "actuators", "message"),
     [
         ("tracker", {"slide_99": 0.0}, None, "unknown joint 'slide_99'"),
-        ("tracker", {"slide_12.3": 0.0}, None, "joint 'slide_12': coordinate is 3; needed: an index below 1"),
+        (
+            "tracker",
+            {("slide_12", 3): 0.0},
+            None,
+            "joint 'slide_12': coordinate is 3; needed: an index below 1",
+        ),
+        (
+            "tracker",
+            {"universal_47": 0.0},
+            None,
+            r"has 2 coordinates; needed: which one, as \('universal_47', 0",
+        ),
         ("tracker", {"slide_12": np.nan, "slide_13": 0.0}, None, "acceleration of 'slide_12' is nan"),
         ("tracker", {"slide_12": 0.0}, ["slide_12", "slide_13"], "has 2 degrees of freedom, and 1 coord"),
         (

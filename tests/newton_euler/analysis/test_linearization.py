@@ -18,11 +18,12 @@ from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
 from newton_euler.exercise import random_states
 from newton_euler.integrators.projection import project_position, project_velocity
-from newton_euler.model.control import PD, Sampled
+from newton_euler.model.control import PD
+from newton_euler.model.digital_control import Sampled
 from newton_euler.model.forces import JointSpring
 from newton_euler.model.joint_kinds import Prismatic, Revolute, Spherical
 from newton_euler.model.mechanism import Body, Mechanism
-from newton_euler.model.motions import Polynomial, PrescribedMotion
+from newton_euler.model.motions import Polynomial, PrescribedMotion, Spline
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.simulate import compile_scene
@@ -77,6 +78,15 @@ def test_mass_on_a_spring_under_a_law():
     held = linearize(scene, closed_loop=False)
     assert pytest.approx(held.A, rel=1e-14) == [[0.0, 1.0], [-STIFFNESS / MASS, -DAMPING / MASS]]
     assert pytest.approx(held.f, rel=1e-14) == [0.0, 6.0 / MASS]
+
+
+def test_laws_that_depend_on_time_are_those_of_the_time():
+    """A target along a spline: its value and rate at the time move the mass, not the model's matrices."""
+    times = np.linspace(0.0, 2.0, 41)
+    target = Spline(times, np.sin(times))
+    model = linearize(mass_on_rail(control=(PD("rail", 20.0, 1.0, target),)), time=1.5)
+    assert pytest.approx(model.A, rel=1e-14) == [[0.0, 1.0], [-20.0 / MASS, -1.0 / MASS]]
+    assert model.f[1] == pytest.approx((20.0 * np.sin(1.5) + np.cos(1.5)) / MASS, rel=1e-7)
 
 
 def test_sampled_controllers_are_held_or_refused():
@@ -147,11 +157,11 @@ def accelerations(scene: Scene, state: State, names: tuple[str, ...], change: np
     return np.array([sum(vdot[k] * x for k, x in row.jacobian.items()) - row.gamma for row in rows])
 
 
-LEGS = tuple(f"leg_{k}" for k in range(1, 7))
+LEGS = tuple((f"leg_{k}", 0) for k in range(1, 7))
 
 MOVING = [
     ("tracker", ("slide_12", "slide_13")),
-    ("tracker_gravity", ("hinge_14", "universal_47.1")),
+    ("tracker_gravity", ("hinge_14", ("universal_47", 1))),
     ("stewart", LEGS),
     ("slider_crank", ("guide",)),
     ("four_bar", ("hinge_0",)),
@@ -348,7 +358,7 @@ def test_states_that_cannot_be(tracker):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"coordinates": ["slide_12"]}, "coordinates are slide_12; needed: 2 different ones for 2 degrees"),
+        ({"coordinates": ["slide_12"]}, "coordinates are 'slide_12'; needed: 2 different ones for 2 degrees"),
         ({"coordinates": ["slide_12", "slide_12"]}, "needed: 2 different ones for 2 degrees of freedom"),
         ({"coordinates": ["slide_12", "ball_67"]}, "joint 'ball_67': coordinate is 0; needed: a joint with"),
         ({"coordinates": ["slide_12", "slide_14"]}, "unknown joint 'slide_14'; did you mean"),
