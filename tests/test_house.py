@@ -35,7 +35,7 @@ ROOMS: dict[str, set[str]] = {
 GROUND = {"newton_euler.errors", "newton_euler.limits", "newton_euler.scalars"}
 """Modules below all rooms."""
 
-HEAVY = {"coal", "dask", "llvmlite", "matplotlib", "mujoco", "pinocchio", "rerun", "scipy"}
+HEAVY = {"coal", "control", "dask", "llvmlite", "matplotlib", "mujoco", "pinocchio", "rerun", "scipy"}
 """Packages that are loaded when they are needed."""
 
 LIMITED = {"numpy", "resource"}
