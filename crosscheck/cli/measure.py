@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -16,7 +17,9 @@ from crosscheck.cli.shared import (
     say,
     scene_options,
     setting_options,
+    show,
     tell,
+    verbose_option,
     without_exercise,
 )
 from crosscheck.errors import CrosscheckError
@@ -53,6 +56,7 @@ def figures_command(output: Path) -> int:
 @click.option(
     "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/bench/SCENE]"
 )
+@verbose_option
 def bench_command(
     scene: str,
     settings: tuple[str, ...],
@@ -75,8 +79,8 @@ def bench_command(
     kind = "rhs" if rhs else "runs" if batch is None else "batch"
     with progress_shown() as progress:
         found, written = bench(wanted, kind, output, progress)
-    click.echo(terminal(found.parts), nl=False)
-    say("wrote " + ", ".join(str(path) for path in written))
+    folder = quote(str(written[0].parent))
+    show(found, f"wrote {', '.join(map(str, written))}", f"more  -v; crosscheck report {folder}")
     return AGREE
 
 

@@ -120,7 +120,8 @@ def show(report: Report, *after: str) -> None:
     """
     click.echo(terminal(everything(report)), nl=False)
     say(report.title, bold=True)
-    click.echo(click.style(wrapped(report.verdict), fg=COLORS[report.judged.verdict], bold=True))
+    if report.verdict:
+        click.echo(click.style(wrapped(report.verdict), fg=COLORS[report.judged.verdict], bold=True))
     click.echo()
     click.echo(terminal(report.summary), nl=False)
     say(*after)

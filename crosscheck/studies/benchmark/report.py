@@ -10,7 +10,7 @@ import numpy as np
 
 from crosscheck.palette import ENGINE_COLORS
 from crosscheck.report.plots import png
-from crosscheck.report.table import Cell, Lines, Part, Rows, Table, figures, texts
+from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.ladders import ENGINES, JUDGED
 from crosscheck.studies.benchmark.reference import Reference
 from crosscheck.studies.benchmark.timing import rounded, shown
@@ -118,6 +118,33 @@ def parts(result: Benchmark, error: float) -> Iterator[Part]:
     failures: Rows = [[x.engine, x.name, x.reason] for x in result.measured.failures]
     if failures:
         yield Table("what cannot run the scene", texts("engine", "setting", "reason"), failures, folded=True)
+
+
+def verdict(result: Benchmark, error: float) -> str:
+    """Word the time that each engine needs to reach an error."""
+    if result.reference.uncertainty > error:
+        return next(result.answer(error))
+    own, said = result.cheapest(JUDGED, error), list[str]()
+    for engine in ENGINES:
+        m = result.cheapest(engine, error)
+        if m is None:
+            said.append(f"{engine} does not reach it")
+        else:
+            longer = f", {rounded(m.ratio(own))} times as long" if own is not None and m is not own else ""
+            said.append(f"{engine} takes {shown(m.median)}{longer}")
+    return f"to an error of {error:g} (m, rad): {'; '.join(said)}"
+
+
+def summary(result: Benchmark, error: float) -> Table:
+    """Make a row per engine: its times for every other error, and its cheapest setting for the wanted one."""
+    errors = DECADES[::2]
+    rows: Rows = []
+    for engine in ENGINES:
+        wanted, every = result.cheapest(engine, error), [result.cheapest(engine, each) for each in errors]
+        times = ["-" if m is None else rounded(1e3 * m.median) for m in every]
+        rows.append([engine, *times, wanted.name if wanted else ""])
+    heads = [Column("ms for an error of"), *figures(*(f"{each:.0e}" for each in errors))]
+    return Table("", [*heads, Column(f"settings for {error:g}", brief=True)], rows)
 
 
 def _times(result: Benchmark) -> Table:

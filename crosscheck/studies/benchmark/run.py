@@ -47,11 +47,14 @@ class Wanted(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Results: everything measured, for JSON, what is shown of it, and a picture."""
+    """Results: everything measured, for JSON, what is shown of it, a picture, the verdict and a summary."""
 
     data: Mapping[str, Any]
     parts: list[Part]
     picture: bytes | None = None
+    verdict: str = ""
+    summary: list[Part] | None = None
+    """Of the parts; all of them if None."""
 
 
 def bench(wanted: Wanted, kind: str, output: Path | None, progress: Progress) -> tuple[Report, list[Path]]:
@@ -74,7 +77,9 @@ def bench(wanted: Wanted, kind: str, output: Path | None, progress: Progress) ->
     where = machine()
     found = measured(wanted, progress)
     head = f"{where['processor']}, {where['cores']} cores, load {where['load']:g} by others"
-    whole = Report(f"bench {wanted.title}", "", Cell(""), [Lines("", [head]), *found.parts])
+    parts = [Lines("", [head]), *found.parts]
+    summary = [*(found.parts if found.summary is None else found.summary), Lines("", [head])]
+    whole = Report(f"bench {wanted.title}", found.verdict, Cell(""), parts, summary=summary)
     beside = {paths[1]: found.picture} if found.picture else {}
     data = {"source": wanted.source, "options": dict(wanted.options), "machine": where, **found.data}
     write_files({paths[0]: as_json(data, whole, beside), **beside})
@@ -86,7 +91,13 @@ def _whole_runs(wanted: Wanted, progress: Progress) -> Found:
     motion = reference(scene, progress)
     measured = measure({name: engine(scene) for name, engine in ENGINES.items()}, motion.poses, progress)
     result = report.Benchmark(wanted.title, scene, motion, measured)
-    return Found(report.data(result), list(report.parts(result, wanted.error)), report.picture(result))
+    return Found(
+        report.data(result),
+        list(report.parts(result, wanted.error)),
+        report.picture(result),
+        report.verdict(result, wanted.error),
+        [report.summary(result, wanted.error)],
+    )
 
 
 def _right_hand_sides(wanted: Wanted, progress: Progress) -> Found:

@@ -20,7 +20,7 @@ from crosscheck.studies.benchmark import reference as benchmark_reference
 from crosscheck.studies.benchmark import work_precision
 from crosscheck.studies.benchmark.ladders import ENGINES, Ladder, Model, Run, intervals, poses_only
 from crosscheck.studies.benchmark.reference import Reference, pose_errors, reference
-from crosscheck.studies.benchmark.report import Benchmark, data, parts
+from crosscheck.studies.benchmark.report import Benchmark, data, parts, verdict
 from crosscheck.studies.benchmark.timing import machine
 from crosscheck.studies.benchmark.work_precision import Measured, Measurement
 from newton_euler.model.euler_parameters import from_rotation_vector, product
@@ -176,6 +176,8 @@ def test_the_answer_in_words(tracker):
     assert "  mujoco cannot run the scene" in absent.answer(1e-5)
     (unresolved,) = result(tracker, uncertainty=2e-11).answer(1e-11)
     assert unresolved == "error 1e-11 is below what the reference is known to, 2.0e-11"
+    assert verdict(result(tracker, uncertainty=2e-11), 1e-11) == unresolved
+    assert "; mujoco does not reach it; " in verdict(result(tracker), 1e-6)
 
 
 def test_times_within_each_others_spread_are_called_level(tracker):
@@ -203,7 +205,17 @@ def test_a_benchmark_is_written_as_json_and_picture(tracker, tmp_path, capsys, m
     monkeypatch.setattr("crosscheck.studies.benchmark.run.measure", lambda *_: result(tracker).measured)
     status, out, _ = run(capsys, "bench", "tracker", "--error", "1e-5", "--output", tmp_path / "new")
     assert status == 0
-    assert "\n".join(result(tracker).answer(1e-5)) in out
+    assert out.splitlines()[:6] == [
+        "bench tracker",
+        "to an error of 1e-05 (m, rad): newton_euler takes 200 us; mujoco takes 5 ms, 25 times as long; "
+        "pinocchio takes 4 ms, 20 times as long",
+        "",
+        "ms for an error of  1e-03  1e-05  1e-07  1e-09  1e-11  settings for 1e-05",
+        "newton_euler          0.1    0.2    0.2      -      -  fine",
+        "mujoco                  5      5      -      -      -  coarse",
+    ]
+    every = run(capsys, "bench", "tracker", "--error", "1e-5", "--output", tmp_path / "new", "-v")[1]
+    assert "\n".join(result(tracker).answer(1e-5)) in every
     starts = {path.name: path.read_bytes()[:4] for path in (tmp_path / "new").iterdir()}
     assert starts == {"bench.json": b'{\n "', "work_precision.png": b"\x89PNG"}
     page = write_report(tmp_path / "new", lambda _: None).read_text()
