@@ -38,7 +38,7 @@ from newton_euler.errors import check_type
 from newton_euler.model.control import PD, Readings
 from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
-from newton_euler.model.geometry import Box, Shape
+from newton_euler.model.geometry import Box, Shape, Sphere
 from newton_euler.model.joint import Key, Pose
 from newton_euler.model.joint_kinds import Rod, Spherical
 from newton_euler.model.mechanism import Body
@@ -256,13 +256,15 @@ def principal(inertia: Array) -> tuple[Array, Array]:
 def _geom(element: ET.Element, shape: Shape, color: str, pose: Pose, quaternion: Array) -> None:
     """A shape in the frame of its body."""
     geom = ET.SubElement(element, "geom")
+    geom.set("type", type(shape).__name__.lower())
     if isinstance(shape, Box):
-        geom.set("type", "box")
         geom.set("pos", numbers(pose.point_to_body(shape.center)))
         geom.set("quat", numbers(product(conjugate(quaternion), shape.quaternion)))
         geom.set("size", numbers(shape.half_sizes))
+    elif isinstance(shape, Sphere):
+        geom.set("pos", numbers(pose.point_to_body(shape.center)))
+        geom.set("size", number(shape.radius))
     else:
-        geom.set("type", "capsule")
         geom.set("fromto", numbers([*pose.point_to_body(shape.start), *pose.point_to_body(shape.end)]))
         geom.set("size", number(shape.radius))
     geom.set("rgba", color)

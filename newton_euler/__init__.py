@@ -17,6 +17,7 @@ from newton_euler.model.control import PD, StateFeedback
 from newton_euler.model.couplings import Gear, LinearCoupling
 from newton_euler.model.digital_control import Digital, Sampled
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
+from newton_euler.model.geometry import Box, Capsule, Cylinder, Mesh, Sphere
 from newton_euler.model.joint_kinds import (
     Cylindrical,
     Fixed,
@@ -47,7 +48,10 @@ __all__ = [
     "BallArmature",
     "BallSpring",
     "Body",
+    "Box",
+    "Capsule",
     "Compound",
+    "Cylinder",
     "Cylindrical",
     "Digital",
     "Fixed",
@@ -58,6 +62,7 @@ __all__ = [
     "LinearModel",
     "Loads",
     "Mechanism",
+    "Mesh",
     "Modes",
     "NearlyRedundantWarning",
     "NewtonEulerError",
@@ -74,6 +79,7 @@ __all__ = [
     "Scene",
     "Screw",
     "Sine",
+    "Sphere",
     "Spherical",
     "Spline",
     "State",

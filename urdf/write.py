@@ -27,7 +27,7 @@ from newton_euler.equations.couplings import couplings
 from newton_euler.errors import check_type
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.forces import JointSpring
-from newton_euler.model.geometry import Box, Shape
+from newton_euler.model.geometry import Box, Shape, Sphere
 from newton_euler.model.joint import Joint, Motion
 from newton_euler.model.joint_kinds import Fixed, Rod
 from newton_euler.model.mechanism import Body
@@ -274,15 +274,18 @@ def add_visual(link: Element, shape: Shape, origin: Array, material: str) -> Non
     visual = SubElement(link, "visual")
     if isinstance(shape, Box):
         center, rpy = shape.center, roll_pitch_yaw(rotation(shape.quaternion))
+    elif isinstance(shape, Sphere):
+        center, rpy = shape.center, (0.0, 0.0, 0.0)
     else:
         center, rpy = 0.5 * (shape.start + shape.end), _along(shape.end - shape.start)
     SubElement(visual, "origin", xyz=_rounded(center - origin), rpy=_rounded(rpy))
     geometry = SubElement(visual, "geometry")
     if isinstance(shape, Box):
         SubElement(geometry, "box", size=_rounded(2.0 * shape.half_sizes))
+    elif isinstance(shape, Sphere):
+        SubElement(geometry, "sphere", radius=_rounded([shape.radius]))
     else:
-        length = float(np.linalg.norm(shape.end - shape.start))
-        SubElement(geometry, "cylinder", radius=_rounded([shape.radius]), length=_rounded([length]))
+        SubElement(geometry, "cylinder", radius=_rounded([shape.radius]), length=_rounded([shape.length]))
     SubElement(visual, "material", name=material)
 
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
 
 from crosscheck.recording.plots import rotated
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
-from newton_euler.model.geometry import Box, Capsule, Mesh, Shape
+from newton_euler.model.geometry import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from newton_euler.model.joint import Pose, perpendicular_pair
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.trajectory import Trajectory
@@ -53,7 +54,7 @@ def log_shapes(
     meshes = mechanism.bodies[body].meshes
     shapes = drawn_shapes(mechanism, body)
     boxes = [shape for shape in shapes if isinstance(shape, Box)]
-    bars = [shape for shape in shapes if isinstance(shape, Capsule)]
+    balls = [shape for shape in shapes if isinstance(shape, Sphere)]
     if boxes:
         drawn = rr.Boxes3D(
             half_sizes=[box.half_sizes for box in boxes],
@@ -63,21 +64,34 @@ def log_shapes(
             fill_mode=style.fill,
         )
         recording.log(path, drawn, static=True)
-    if bars:
-        starts = [pose.point_to_body(bar.start) for bar in bars]
-        ends = [pose.point_to_body(bar.end) for bar in bars]
-        pairs = list(zip(starts, ends, strict=True))
-        capsules = rr.Capsules3D(
-            lengths=[float(np.linalg.norm(end - start)) for start, end in pairs],
-            radii=[bar.radius for bar in bars],
-            translations=starts,
-            quaternions=[xyzw(_from_z(end - start)) for start, end in pairs],
+    if balls:
+        spheres = rr.Ellipsoids3D(
+            radii=[ball.radius for ball in balls],
+            centers=[pose.point_to_body(ball.center) for ball in balls],
             colors=style.color,
             fill_mode=style.fill,
         )
-        recording.log(path, capsules, static=True)
+        recording.log(path, spheres, static=True)
+    for kind in (Capsule, Cylinder):
+        bars = [shape for shape in shapes if isinstance(shape, kind)]
+        if bars:
+            recording.log(path, _bars(bars, pose, style), static=True)
     for k, mesh in enumerate(meshes):
         recording.log(f"{path}/mesh_{k}", _mesh(mesh, pose, style), static=True)
+
+
+def _bars(bars: Sequence[Capsule | Cylinder], pose: Pose, style: Style) -> rr.Capsules3D | rr.Cylinders3D:
+    """Draw round bars of one kind in the frame of their body."""
+    looks: dict[str, Any] = {
+        "lengths": [bar.length for bar in bars],
+        "radii": [bar.radius for bar in bars],
+        "quaternions": [xyzw(_from_z(pose.vector_to_body(bar.end - bar.start))) for bar in bars],
+        "colors": style.color,
+        "fill_mode": style.fill,
+    }
+    if isinstance(bars[0], Capsule):
+        return rr.Capsules3D(translations=[pose.point_to_body(bar.start) for bar in bars], **looks)
+    return rr.Cylinders3D(centers=[pose.point_to_body(0.5 * (bar.start + bar.end)) for bar in bars], **looks)
 
 
 def drawn_shapes(mechanism: Mechanism, body: int) -> tuple[Shape, ...]:
@@ -104,7 +118,9 @@ def paths(mechanism: Mechanism, body: int, run: Trajectory) -> Array:
         low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
         points.append(0.5 * (low + high) + signs * 0.5 * (high - low))
     for shape in drawn:
-        if isinstance(shape, Capsule):
+        if isinstance(shape, Sphere):
+            points.append(shape.center + signs * shape.radius)
+        elif not isinstance(shape, Box):
             points.append(np.array([shape.start, shape.end]))
         else:
             points.append(shape.center + (signs * shape.half_sizes) @ rotation(shape.quaternion).T)

@@ -36,7 +36,7 @@ from newton_euler.errors import NewtonEulerError
 from newton_euler.model.control import PD
 from newton_euler.model.couplings import Gear, LinearCoupling
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
-from newton_euler.model.geometry import Box, Capsule
+from newton_euler.model.geometry import Box, Capsule, Cylinder, Sphere
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
@@ -147,7 +147,8 @@ def _one_of(entries: Iterable[Any]) -> Any:
 
 
 QUATERNION: dict[str, Any] = {"quaternion": Quaternion}
-SHAPE = _one_of([_entry(Box, "box", **QUATERNION), _entry(Capsule, "capsule")])
+BARS = [_entry(Capsule, "capsule"), _entry(Cylinder, "cylinder"), _entry(Sphere, "sphere")]
+SHAPE = _one_of([_entry(Box, "box", **QUATERNION), *BARS])
 BODY = _entry(Body, inertia=tuple[Vector, Vector, Vector], shapes=_several(SHAPE), meshes=None, **QUATERNION)
 ROWS: dict[str, Any] = dict.fromkeys(("slides", "hinges", "offsets"), list[Vector])
 JOINT = _one_of(_entry(made, kind, **ROWS) for kind, made in JOINT_KINDS.items())

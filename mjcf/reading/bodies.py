@@ -16,7 +16,7 @@ from mjcf.model import body_velocity
 from mjcf.reading.source import SourceError
 from mjcf.reading.start import Start
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.geometry import Box, Capsule, Mesh, Shape
+from newton_euler.model.geometry import Box, Capsule, Cylinder, Inertia, Mesh, Shape, Sphere, total
 from newton_euler.model.mechanism import REALISABLE_TOLERANCE, Body
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport, unique_name
@@ -74,29 +74,30 @@ class Bodies:
     def _body(self, root: int, path: str) -> Body:
         model, data = self._model, self._data
         members = self.members(root)
-        masses = model.body_mass[members]
-        mass = float(masses.sum())
         name = self.names[root]
-        if mass <= 0.0:
+        if model.body_mass[members].sum() <= 0.0:
             raise SourceError(path, f"body {name!r} has no mass")
-        center = masses @ data.xipos[members] / mass
-        inertia = np.zeros((3, 3))
-        for k, m in zip(members, masses, strict=True):
-            axes = data.ximat[k].reshape(3, 3)
-            arm = data.xipos[k] - center
-            inertia += axes @ np.diag(model.body_inertia[k]) @ axes.T
-            inertia += m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        axes = data.ximat.reshape(-1, 3, 3)
+        found = total(
+            [
+                Inertia(
+                    model.body_mass[k], data.xipos[k], axes[k] @ np.diag(model.body_inertia[k]) @ axes[k].T
+                )
+                for k in members
+            ]
+        )
         quaternion = data.xquat[root] / np.linalg.norm(data.xquat[root])
         into = rotation(quaternion).T
-        local = into @ inertia @ into.T
+        local = into @ found.inertia @ into.T
         local = 0.5 * (local + local.T)
         a, b, c = np.linalg.eigvalsh(local)
         unrealisable = bool(a + b < c * (1.0 - REALISABLE_TOLERANCE))
         drawn = meshes(model, data, members)
-        return Body(name, mass, center, local, quaternion, self._shapes(root), unrealisable, drawn)
+        where = found.mass, found.center_of_mass
+        return Body(name, *where, local, quaternion, self._shapes(root), unrealisable, drawn)
 
     def _shapes(self, root: int) -> tuple[Shape, ...]:
-        """Boxes and round bars among the visible geoms."""
+        """Boxes, balls and round bars among the visible geoms."""
         found = (self._shape(geom) for geom in visible_geoms(self._model, self.members(root)))
         return tuple(shape for shape in found if shape is not None)
 
@@ -108,8 +109,12 @@ class Bodies:
             quaternion = np.zeros(4)
             mujoco.mju_mat2Quat(quaternion, axes.ravel())
             return Box(size, center, quaternion / np.linalg.norm(quaternion))
-        if kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER) and size[0] > 0.0 and size[1] > 0.0:
-            return Capsule(center - size[1] * axes[:, 2], center + size[1] * axes[:, 2], float(size[0]))
+        if kind == kinds.mjGEOM_SPHERE and size[0] > 0.0:
+            return Sphere(center, float(size[0]))
+        bars: dict[Any, type[Capsule | Cylinder]]
+        bars = {kinds.mjGEOM_CAPSULE: Capsule, kinds.mjGEOM_CYLINDER: Cylinder}
+        if kind in bars and size[0] > 0.0 and size[1] > 0.0:
+            return bars[kind](center - size[1] * axes[:, 2], center + size[1] * axes[:, 2], float(size[0]))
         return None
 
     def root(self, name: str) -> int:

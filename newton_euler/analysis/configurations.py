@@ -24,6 +24,7 @@ from newton_euler.equations.redundancy import inherit_mobility, mobility, rows_l
 from newton_euler.errors import MechanismError
 from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import Rows, loops, map_rows
+from newton_euler.model.description import ArrayField, description
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.model.scene import Scene
@@ -50,7 +51,7 @@ def within_revolution(angles: Array) -> Array:
     return np.asarray(angles - 2.0 * np.pi * np.round(angles / (2.0 * np.pi)))
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class Axis:
     """An axis fixed in a body, as the normal of a panel.
 
@@ -67,7 +68,7 @@ class Axis:
     """
 
     body: str
-    axis: Array
+    axis: ArrayField
 
     def __post_init__(self) -> None:
         unit = unit_vectors(f"axis of body {self.body!r:.100}", "axis", self.axis)

@@ -63,6 +63,10 @@ class Poses:
         >>> poses = solve_poses(load("slider_crank"), {"guide": [0.0, 1.0]}, measure=["pivot"])
         >>> print(*poses.report())
         pose 1: out of reach, nearest pose, misses 'guide' by -0.90984
+        >>> def out_of_reach(poses: Poses) -> int:
+        ...     return len(poses) - int(poses.reached.sum())
+        >>> out_of_reach(poses)
+        1
     """
 
     position: Array

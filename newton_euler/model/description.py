@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Self, TypeVar, dataclass_transform, overload
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from newton_euler.scalars import Floats
 
@@ -28,13 +29,23 @@ if TYPE_CHECKING:
         def __get__(self, thing: object | None, owner: type) -> Self | Floats: ...
         def __set__(self, thing: object, value: ArrayLike) -> None: ...
 
+    class IndexField:
+        """A field that takes whatever NumPy makes an array of, and is an array of whole numbers."""
+
+        @overload
+        def __get__(self, thing: None, owner: type) -> Self: ...
+        @overload
+        def __get__(self, thing: object, owner: type) -> NDArray[np.int32]: ...
+        def __get__(self, thing: object | None, owner: type) -> Self | NDArray[np.int32]: ...
+        def __set__(self, thing: object, value: ArrayLike) -> None: ...
+
     class DefaultArrayField(ArrayField):
         """A field that is made from the others where it is not given, or None."""
 
         def __set__(self, thing: object, value: ArrayLike | None) -> None: ...
 
 else:
-    ArrayField = DefaultArrayField = Floats
+    ArrayField = DefaultArrayField = IndexField = NDArray
 
 
 @dataclass_transform(

@@ -1,18 +1,61 @@
-"""Shapes of bodies. They carry no mass; viewers and model files draw them.
+"""Shapes of bodies, and the inertia that they have if they are homogeneous solids.
 
-All coordinates are in the world at the mechanism's initial pose, meters, like those of joints.
+Viewers and model files draw shapes; a body has their inertia only if it is made of them, see `Body.solid`.
+All coordinates are in the world at the mechanism's initial pose, meters, like those of joints. Moments of
+inertia of homogeneous solids are those of Meriam and Kraige, Engineering Mechanics: Dynamics, table D/4.
 """
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
-from newton_euler.errors import MechanismError, set_arrays
-from newton_euler.model.description import ArrayField, description
+import numpy as np
+
+from newton_euler.errors import MechanismError, is_finite_number, set_arrays
+from newton_euler.model.description import ArrayField, IndexField, description
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.scalars import Floats
 
 UNIT_TOLERANCE = 1e-9
 """How far from 1 the norm of a quaternion may be."""
+
+
+class Inertia(NamedTuple):
+    """Mass properties of a rigid body, world axes.
+
+    Attributes:
+        mass: kg.
+        center_of_mass: (3,) m.
+        inertia: (3, 3) about the center of mass, kg m^2.
+    """
+
+    mass: float
+    center_of_mass: Floats
+    inertia: Floats
+
+
+def total(parts: Sequence[Inertia]) -> Inertia:
+    """Add up the mass properties of parts that move together."""
+    masses, centers = np.array([part.mass for part in parts]), [part.center_of_mass for part in parts]
+    mass = float(masses.sum())
+    center, inertia = masses @ centers / mass, np.zeros((3, 3))
+    for part in parts:
+        arm = part.center_of_mass - center
+        inertia += part.inertia
+        inertia += part.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return Inertia(mass, center, inertia)
+
+
+def _check_density(shape: str, density: float) -> None:
+    if not is_finite_number(density) or density <= 0.0:
+        raise MechanismError(shape, f"density is {density!r:.100}", "a positive number of kg/m^3")
+
+
+def _check_radius(shape: str, radius: float) -> None:
+    if radius <= 0.0:
+        raise MechanismError(shape, f"radius is {radius}", "a positive length")
 
 
 @description
@@ -21,6 +64,10 @@ class Box:
 
     Raises:
         MechanismError: naming the attribute at fault.
+
+    Examples:
+        >>> round(Box([0.5, 0.1, 0.1], center=[0.0, 0.0, 1.0]).inertia(density=1000.0).mass, 6)
+        40.0
     """
 
     half_sizes: ArrayField
@@ -35,26 +82,119 @@ class Box:
         if abs(norm - 1.0) > UNIT_TOLERANCE:
             raise MechanismError("box", f"quaternion has norm {norm:.9g}", "a unit quaternion, w-x-y-z")
 
+    def inertia(self, density: float) -> Inertia:
+        """Compute the mass properties of the solid of a density, kg/m^3."""
+        _check_density("box", density)
+        mass, squares = 8.0 * density * float(np.prod(self.half_sizes)), self.half_sizes**2
+        axes = rotation(self.quaternion)
+        moments = mass / 3.0 * (squares.sum() - squares)
+        return Inertia(mass, self.center, axes @ np.diag(moments) @ axes.T)
+
 
 @description
-class Capsule:
-    """A round bar of the given radius from `start` to `end`, (3,) each.
+class Sphere:
+    """A ball of the given center (3,) and radius.
 
     Raises:
         MechanismError: naming the attribute at fault.
+
+    Examples:
+        >>> round(Sphere([0.0, 0.0, 0.0], radius=0.1).inertia(density=1000.0).mass, 6)
+        4.18879
     """
+
+    center: ArrayField
+    radius: float
+
+    def __post_init__(self) -> None:
+        set_arrays(self, "sphere", center=(3,), radius=())
+        _check_radius("sphere", self.radius)
+
+    def inertia(self, density: float) -> Inertia:
+        """Compute the mass properties of the solid of a density, kg/m^3."""
+        _check_density("sphere", density)
+        mass = 4.0 / 3.0 * math.pi * density * self.radius**3
+        return Inertia(mass, self.center, 0.4 * mass * self.radius**2 * np.eye(3))
+
+
+@description
+class _Bar:
+    """A round bar of the given radius from `start` to `end`, (3,) each."""
 
     start: ArrayField
     end: ArrayField
     radius: float
 
     def __post_init__(self) -> None:
-        set_arrays(self, "capsule", start=(3,), end=(3,), radius=())
-        if self.radius <= 0.0:
-            raise MechanismError("capsule", f"radius is {self.radius}", "a positive length")
+        set_arrays(self, self._noun, start=(3,), end=(3,), radius=())
+        _check_radius(self._noun, self.radius)
+
+    @property
+    def _noun(self) -> str:
+        return type(self).__name__.lower()
+
+    @property
+    def length(self) -> float:
+        """From `start` to `end`, m."""
+        return math.dist(self.start, self.end)
+
+    def _about(self, mass: float, axial: float, transverse: float) -> Inertia:
+        """Mass properties with these moments of inertia, kg m^2, along and across the bar."""
+        along = (self.end - self.start) / (self.length or 1.0)
+        inertia = transverse * np.eye(3) + (axial - transverse) * np.outer(along, along)
+        return Inertia(mass, 0.5 * (self.start + self.end), inertia)
 
 
-Shape = Box | Capsule
+@description
+class Cylinder(_Bar):
+    """A round bar of the given radius with flat ends at `start` and `end`, (3,) each.
+
+    Raises:
+        MechanismError: naming the attribute at fault.
+
+    Examples:
+        >>> rod = Cylinder([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], radius=0.01)
+        >>> round(rod.inertia(density=7800.0).mass, 6)
+        2.450442
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.length == 0.0:
+            raise MechanismError("cylinder", "start and end are one point", "two ends")
+
+    def inertia(self, density: float) -> Inertia:
+        """Compute the mass properties of the solid of a density, kg/m^3."""
+        _check_density("cylinder", density)
+        mass, square = math.pi * density * self.radius**2 * self.length, self.radius**2
+        return self._about(mass, 0.5 * mass * square, mass * (3.0 * square + self.length**2) / 12.0)
+
+
+@description
+class Capsule(_Bar):
+    """A round bar of the given radius from `start` to `end`, (3,) each, with half a ball beyond each of them.
+
+    Raises:
+        MechanismError: naming the attribute at fault.
+
+    Examples:
+        >>> bar = Capsule([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], radius=0.01)
+        >>> round(bar.inertia(density=7800.0).mass, 6)
+        2.483115
+    """
+
+    def inertia(self, density: float) -> Inertia:
+        """Compute the mass properties of the solid of a density, kg/m^3."""
+        _check_density("capsule", density)
+        square, length = self.radius**2, self.length
+        bar, ball = math.pi * density * square * length, 4.0 / 3.0 * math.pi * density * square * self.radius
+        axial = (0.5 * bar + 0.4 * ball) * square
+        transverse = bar * (3.0 * square + length**2) / 12.0
+        transverse += ball * (0.4 * square + 0.25 * length**2 + 0.375 * length * self.radius)
+        return self._about(bar + ball, axial, transverse)
+
+
+Shape = Box | Capsule | Cylinder | Sphere
 
 
 @description
@@ -68,10 +208,16 @@ class Mesh:
 
     Raises:
         MechanismError: naming the attribute at fault.
+
+    Examples:
+        >>> faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
+        >>> tetrahedron = Mesh([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], faces)
+        >>> round(tetrahedron.inertia(density=6000.0).mass, 6)
+        1000.0
     """
 
     vertices: ArrayField
-    triangles: NDArray[np.int32]
+    triangles: IndexField
     color: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -88,3 +234,46 @@ class Mesh:
         for name, value in (("vertices", vertices), ("triangles", triangles)):
             value.flags.writeable = False
             object.__setattr__(self, name, value)
+
+    def inertia(self, density: float) -> Inertia:
+        """Compute the mass properties of the solid of a density, kg/m^3, that the triangles enclose.
+
+        By the divergence theorem integrals over the solid are sums of those over tetrahedra between an origin
+        and the triangles, negative ones where a triangle is seen from inside. With a, b, c its corners and
+        s = a + b + c, a tetrahedron has volume V = a . (b x c) / 6, first moment V s / 4 and second moments
+        V (a a^T + b b^T + c c^T + s s^T) / 20 (Tonon, Explicit Exact Formulas for the 3-D Tetrahedron Inertia
+        Tensor, J. Math. Stat. 1, 2004).
+
+        Raises:
+            MechanismError: for triangles that leave holes, or that are clockwise seen from outside.
+        """
+        _check_density("mesh", density)
+        self._check_closed()
+        origin = self.vertices.mean(axis=0)  # near to the solid, so that little cancels
+        corners = (self.vertices - origin)[self.triangles]
+        volumes, sums = np.linalg.det(corners) / 6.0, corners.sum(axis=1)
+        volume = float(volumes.sum())
+        if not volume > 0.0:
+            needed = "a positive volume, its triangles counterclockwise seen from outside"
+            raise MechanismError("mesh", f"encloses {volume:.6g} m^3", needed)
+        center = volumes @ sums / (4.0 * volume)
+        second = np.einsum("n,nki,nkj", volumes, corners, corners) + np.einsum("n,ni,nj", volumes, sums, sums)
+        second = second / 20.0 - volume * np.outer(center, center)
+        inertia = density * (np.trace(second) * np.eye(3) - second)
+        return Inertia(density * volume, origin + center, 0.5 * (inertia + inertia.T))
+
+    def _check_closed(self) -> None:
+        """Raise `MechanismError` unless triangles pass each edge as often one way as the other."""
+        _, same = np.unique(self.vertices, axis=0, return_inverse=True)  # files repeat vertices
+        rows = same.reshape(-1)[self.triangles]
+        edges = np.concatenate([rows[:, [0, 1]], rows[:, [1, 2]], rows[:, [2, 0]]])
+        ways = np.where(edges[:, 0] < edges[:, 1], 1, -1)
+        _, number = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+        balance = np.bincount(number.reshape(-1), np.where(edges[:, 0] == edges[:, 1], 0, ways))
+        if not len(edges) or np.any(balance):
+            found = f"{np.count_nonzero(balance)} edges are not between two triangles of one orientation"
+            raise MechanismError("mesh", found if len(edges) else "no triangles", "a closed surface")
+
+
+Solid = Shape | Mesh
+"""Shapes that have an inertia."""

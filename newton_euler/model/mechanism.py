@@ -10,15 +10,23 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 
-from newton_euler.errors import MechanismError, check_choice, check_key, elements_of, set_arrays
+from newton_euler.errors import (
+    MechanismError,
+    check_choice,
+    check_key,
+    elements_of,
+    is_finite_number,
+    set_arrays,
+)
 from newton_euler.model.constraints import Frame
 from newton_euler.model.couplings import JointCoupling
 from newton_euler.model.description import ArrayField, description
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.geometry import UNIT_TOLERANCE, Capsule, Mesh, Shape
+from newton_euler.model.geometry import UNIT_TOLERANCE, Capsule, Mesh, Shape, Solid, total
 from newton_euler.model.joint import Joint, JointEquations, Key, Pose
 from newton_euler.scalars import Array
 
@@ -101,6 +109,52 @@ class Body:
     ) -> Body:
         """The fixed body of a mechanism: the world frame itself. Its mass counts for nothing."""
         return cls(name, 0.0, np.zeros(3), np.zeros((3, 3)), shapes=shapes, meshes=meshes)
+
+    @classmethod
+    def solid(
+        cls, name: str, *solids: Solid, density: float | None = None, mass: float | None = None
+    ) -> Body:
+        """Make a body of homogeneous solids, which are also what it looks like.
+
+        What several of them have in common counts as often. The body frame is parallel to the world.
+
+        Args:
+            name: of the body.
+            solids: boxes, spheres, cylinders, capsules and closed meshes, in the world at the initial pose.
+            density: kg/m^3; or
+            mass: kg, of all of them together, of one density.
+
+        Raises:
+            MechanismError: naming the body, and the shape at fault.
+
+        Examples:
+            >>> link = Cylinder([0.0, 0.0, 0.0], [0.5, 0.0, 0.0], radius=0.01)
+            >>> pendulum = Body.solid("pendulum", link, Sphere([0.5, 0.0, 0.0], 0.05), density=7800.0)
+            >>> print(f"{pendulum.mass:.3f} kg at {pendulum.center_of_mass[0]:.3f} m")
+            5.309 kg at 0.442 m
+        """
+        where = f"body {name!r:.100}"
+        if (density is None) == (mass is None):
+            given = "no density and no mass" if mass is None else "a density and a mass"
+            raise MechanismError(where, f"is given {given}", "one of them")
+        if mass is not None and (not is_finite_number(mass) or mass <= 0.0):
+            raise MechanismError(where, f"mass is {mass!r:.100}", "a positive number of kg")
+        solids = elements_of(where, "solids", solids, *get_args(Solid))
+        if not solids:
+            raise MechanismError(where, "has no solids", "one or more")
+        try:
+            found = total([solid.inertia(1.0 if density is None else density) for solid in solids])
+        except MechanismError as error:
+            raise MechanismError(f"{where}: {error.element}", error.problem, error.needed) from error
+        scale = 1.0 if mass is None else mass / found.mass
+        return cls(
+            name,
+            scale * found.mass,
+            found.center_of_mass,
+            scale * found.inertia,
+            shapes=tuple(solid for solid in solids if not isinstance(solid, Mesh)),
+            meshes=tuple(solid for solid in solids if isinstance(solid, Mesh)),
+        )
 
     def check(self) -> None:
         """Raise `MechanismError` unless a moving rigid body can have these values."""

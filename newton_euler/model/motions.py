@@ -242,7 +242,7 @@ class Spline(Piecewise):
         MechanismError: for samples that are too few, not in order, or no finite numbers.
 
     Examples:
-        >>> spline = Spline(times=[0.0, 1.0, 2.0], values=[0.0, 1.0, 4.0])
+        >>> spline = Spline(times=(0.0, 1.0, 2.0), values=(0.0, 1.0, 4.0))
         >>> round(spline.value(1.5), 9), round(spline.acceleration(1.5), 9)
         (2.25, 2.0)
     """
@@ -288,7 +288,7 @@ class Steps(Piecewise):
         MechanismError: for samples that are too few, not in order, or no finite numbers.
 
     Examples:
-        >>> steps = Steps(times=[0.0, 60.0, 120.0], values=[0.0, 0.1, 0.3])
+        >>> steps = Steps(times=(0.0, 60.0, 120.0), values=(0.0, 0.1, 0.3))
         >>> steps.value(59.0), steps.value(60.0)
         (0.0, 0.1)
     """

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.geometry import Box, Capsule, Mesh, Shape
+from newton_euler.model.geometry import Box, Cylinder, Mesh, Shape, Sphere
 from newton_euler.model.mechanism import Body
 from newton_euler.scalars import Array
 from newton_euler.verification.import_report import ImportReport
@@ -127,9 +127,11 @@ def origin(element: ET.Element | None) -> Any:
 
 
 def _primitive(visual: _Visual) -> Shape | None:
-    """The box or round bar of a visual; None if it has neither."""
+    """The box, cylinder or sphere of a visual; None if it has none of them."""
     geometry = visual.element.find("geometry")
-    box, cylinder = (None if geometry is None else geometry.find(kind) for kind in ("box", "cylinder"))
+    box, cylinder, sphere = (
+        None if geometry is None else geometry.find(kind) for kind in ("box", "cylinder", "sphere")
+    )
     pose = visual.pose
     if box is not None:
         quaternion = pin.SE3ToXYZQUAT(pose)[[6, 3, 4, 5]]
@@ -138,7 +140,9 @@ def _primitive(visual: _Visual) -> Shape | None:
     if cylinder is not None:
         arm = 0.5 * _numbers(cylinder, "length", 1) * pose.rotation[:, 2]
         radius = float(_numbers(cylinder, "radius", 1)[0])
-        return Capsule(pose.translation - arm, pose.translation + arm, radius)
+        return Cylinder(pose.translation - arm, pose.translation + arm, radius)
+    if sphere is not None:
+        return Sphere(pose.translation, float(_numbers(sphere, "radius", 1)[0]))
     return None
 
 
@@ -157,7 +161,7 @@ def _mesh(urdf: Path, visual: _Visual) -> tuple[Path, Array]:
     """The file of a visual's mesh, and its scale (3,)."""
     mesh = visual.element.find("geometry/mesh")
     if mesh is None:
-        raise _Unusable("no box, cylinder or mesh, which are what is drawn")
+        raise _Unusable("no box, cylinder, sphere or mesh, which are what is drawn")
     scale = _numbers(mesh, "scale", 3) if mesh.get("scale") else np.ones(3)
     name = mesh.get("filename", "")
     home = urdf.resolve().parent

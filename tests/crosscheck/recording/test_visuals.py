@@ -15,7 +15,7 @@ import urdf
 from crosscheck.recording.shapes import GHOST_OPACITY
 from newton_euler.errors import MechanismError
 from newton_euler.model.euler_parameters import rotation
-from newton_euler.model.geometry import Box, Capsule, Mesh
+from newton_euler.model.geometry import Box, Capsule, Cylinder, Mesh
 from newton_euler.model.mechanism import Mechanism
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.2]])
@@ -124,7 +124,7 @@ def test_visuals_of_a_urdf(folder, name):
     assert volume(mesh) == pytest.approx(2.0 * 0.3 * 0.1 * 0.2 / 6.0, rel=1e-5)  # mirrored, not inside out
     assert mesh.color == (0.0, 0.0, 1.0, 1.0)
     (bar,) = arm.shapes
-    assert isinstance(bar, Capsule)
+    assert isinstance(bar, Cylinder)
     np.testing.assert_allclose([bar.start, bar.end], [[0.0, 0.0, 0.7], [0.0, 0.0, 1.3]], atol=1e-15)
     (box,) = ground.shapes
     assert isinstance(box, Box)
@@ -144,7 +144,8 @@ def test_visuals_of_a_urdf(folder, name):
         ('<mesh filename="meshes/t.obj" scale="1 nan 1"/>', "scale='1 nan 1'; needed: 3 numbers"),
         ('<box size="1 2"/>', "size='1 2'; needed: 3 numbers"),
         ('<box size="1 2 -3"/>', "three positive lengths"),
-        ('<sphere radius="1"/>', "no box, cylinder or mesh"),
+        ('<sphere radius="-1"/>', "sphere: radius is -1.0; needed: a positive length"),
+        ('<capsule radius="1"/>', "no box, cylinder, sphere or mesh"),
     ],
 )
 def test_what_cannot_be_drawn_is_reported_and_the_rest_is(folder, geometry, why):

@@ -155,7 +155,8 @@ def test_everything_that_a_scene_file_can_hold(tmp_path, good):
     content = copy.deepcopy(good)
     box = {"kind": "box", "half_sizes": [0.01, 0.02, 0.1], "center": [0.0, 0.0, 0.1]}
     bar = {"kind": "capsule", "start": [0.0, 0.0, 0.0], "end": [0.0, 0.0, 0.2], "radius": 0.01}
-    content["bodies"][0]["shapes"] = [box, bar]
+    rod, ball = bar | {"kind": "cylinder"}, {"kind": "sphere", "center": [0.0, 0.0, 0.1], "radius": 0.02}
+    content["bodies"][0]["shapes"] = [box, bar, rod, ball]
     content["bodies"][0]["inertia"][2][2] = 0.01
     content["bodies"][0]["allow_unrealisable_inertia"] = True
     content["outputs"] = ["energy", "velocities"]
@@ -166,7 +167,8 @@ def test_everything_that_a_scene_file_can_hold(tmp_path, good):
     del content["joints"][2]["axis_on_first"], content["joints"][2]["axis_on_second"]
     content["initial_state"] = {"coupler": {"angular_velocity": line}}
     scene = load(str(scene_file(tmp_path, content)))
-    assert [type(shape).__name__ for shape in scene.mechanism.bodies[1].shapes] == ["Box", "Capsule"]
+    kinds = [type(shape).__name__ for shape in scene.mechanism.bodies[1].shapes]
+    assert kinds == ["Box", "Capsule", "Cylinder", "Sphere"]
     assert scene.outputs == {"energy", "velocities"}
     assert initial_state(scene).angular_velocity.tolist() == [[0.0] * 3, [0.0] * 3, line, [0.0] * 3]
     assert initial_state(scene).position[2].tolist() == [0.3, 0.05, 0.25]

@@ -33,7 +33,7 @@ from newton_euler import (
 )
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.forces import Armature
-from newton_euler.model.geometry import Box, Capsule
+from newton_euler.model.geometry import Box, Capsule, Cylinder, Sphere
 from newton_euler.model.joint_kinds import JOINT_KINDS
 
 ORIGIN, Y, Z = [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
@@ -54,6 +54,8 @@ ELEMENTS: tuple[Any, ...] = (
     Body("a", 1.0, ORIGIN, np.eye(3)),
     Box([1.0, 1.0, 1.0], ORIGIN),
     Capsule(ORIGIN, Z, 0.1),
+    Cylinder(ORIGIN, Z, 0.1),
+    Sphere(ORIGIN, 0.1),
     Gear("g", "a", "b", 2.0),
     Polynomial((1.0,)),
     Sine(1.0, 2.0, 0.1, 0.2),
