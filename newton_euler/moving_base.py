@@ -20,6 +20,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from newton_euler.assemble import initial_state
 from newton_euler.errors import MechanismError, check_type, choices, finite_array, plain_number
@@ -45,7 +46,7 @@ def on_moving_base(
     scene: Scene,
     motions: Mapping[str, TimeFunction] | None = None,
     hull: Body | None = None,
-    point: Sequence[float] = (0.0, 0.0, 0.0),
+    point: ArrayLike = (0.0, 0.0, 0.0),
     world: str = "world",
     joint: str = "base_motion",
 ) -> Scene:

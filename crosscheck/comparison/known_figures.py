@@ -57,7 +57,7 @@ class Measured(Figure):
         return {"engine": self.engine} | known | measured | {"agrees": self.agrees}
 
 
-def known_of(source: str, options: Mapping[str, str | int]) -> list[Known]:
+def known_of(source: str, options: Mapping[str, str | float]) -> list[Known]:
     """The known figures of a scene of the library under the options set; none for a scene file."""
     if source not in FIGURES:
         return []

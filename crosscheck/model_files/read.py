@@ -103,7 +103,7 @@ def is_urdf(name: str) -> bool:
 
 
 def read_model(
-    model: str | MujocoModel | PinocchioModel, options: Mapping[str, str | int], verified: bool = True
+    model: str | MujocoModel | PinocchioModel, options: Mapping[str, str | float], verified: bool = True
 ) -> tuple[Scene, ImportReport]:
     """Read a model file, or a model of MuJoCo's or Pinocchio's.
 

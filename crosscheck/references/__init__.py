@@ -32,7 +32,7 @@ class Known:
     unit: str
     value: float
     uncertainty: float
-    options: Mapping[str, str | int] = field(default_factory=dict)
+    options: Mapping[str, str | float] = field(default_factory=dict)
     published: str = ""
 
 

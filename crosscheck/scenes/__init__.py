@@ -29,6 +29,7 @@ SCENES: dict[str, Callable[..., Scene]] = {
     "tracker": tracker.tracker,
     "tracker_gravity": tracker.tracker_gravity,
     "tracker_aligned": tracker.tracker_aligned,
+    "tracker_on_boat": tracker.tracker_on_boat,
     "pendulum": pendulum.pendulum,
     "free_top": free_top.free_top,
     "heavy_top": heavy_top.heavy_top,
@@ -56,7 +57,7 @@ FIGURES: dict[str, Quantities] = {
 """What is measured in runs of a scene and known from elsewhere, see `crosscheck.references`."""
 
 
-def load(name: str, /, **options: str | int) -> Scene:
+def load(name: str, /, **options: str | float) -> Scene:
     """The scene of that name, of that scene file (.yaml, .yml or .json) or of that model file.
 
     Args:
@@ -83,7 +84,7 @@ def load(name: str, /, **options: str | int) -> Scene:
     return read_scene(name)
 
 
-def _read(name: str, given: dict[str, str | int]) -> dict[str, str | int]:
+def _read(name: str, given: dict[str, str | float]) -> dict[str, str | float]:
     """The options that a scene takes, as it takes them."""
     known = options_of(SCENES[name])
     options = {}

@@ -9,19 +9,22 @@ doi:10.25046/aj050587. Body k of the paper is element k - 1 here.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
+from crosscheck.scenes.options import Between, Text
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.geometry import Box, Capsule, Mesh, Shape
 from newton_euler.model.joint import Joint
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
+from newton_euler.model.motions import Sine, TimeFunction
 from newton_euler.model.scene import Scene
+from newton_euler.moving_base import base_motion_from_csv, on_moving_base
 from newton_euler.scalars import Array
 
 BODY_NAMES = ("base", "slider_2", "slider_3", "column_4", "leg_5", "leg_6", "panel_7")
@@ -145,6 +148,45 @@ def tracker_aligned() -> Scene:
         "dual-axis solar tracker, inertias of the legs along the legs, no gravity",
         aligned_legs=True,
     )
+
+
+Amplitude = Annotated[float, Between(0.0, 0.5, "rad")]
+
+Height = Annotated[float, Between(0.0, 2.0, "m")]
+
+Period = Annotated[float, Between(1.0, 60.0, "s")]
+
+
+def tracker_on_boat(
+    roll: Amplitude = 0.15,
+    pitch: Amplitude = 0.08,
+    heave: Height = 0.1,
+    roll_period: Period = 4.0,
+    pitch_period: Period = 5.0,
+    heave_period: Period = 6.0,
+    poses: Annotated[str, Text("CSV")] = "",
+) -> Scene:
+    """The tracker under gravity on the deck of a boat, whose middle rolls, pitches and heaves in sines.
+
+    Args:
+        roll, pitch, heave: amplitudes.
+        roll_period, pitch_period, heave_period: of the sines, which begin at 0, rising.
+        poses: path of a CSV of the boat's poses instead, see `newton_euler.base_motion_from_csv`.
+    """
+    waves = {"roll": (roll, roll_period), "pitch": (pitch, pitch_period), "heave": (heave, heave_period)}
+    motions: dict[str, TimeFunction] = {}
+    motions |= (
+        base_motion_from_csv(poses)
+        if poses
+        else {name: Sine(amplitude, 2.0 * np.pi / period) for name, (amplitude, period) in waves.items()}
+    )
+    scene = tracker_gravity()
+    base = scene.mechanism.bodies[0]
+    middle = base.center_of_mass * [1.0, 1.0, 0.0] - [0.0, 0.0, 0.016]
+    hull = replace(base, shapes=(Box(np.array([0.2, 0.12, 0.01]), middle),), meshes=())
+    moving = on_moving_base(scene, motions, hull, middle)
+    description = "dual-axis solar tracker, PD control, under gravity, on a boat"
+    return replace(moving, name="tracker_on_boat", description=description)
 
 
 def _scene(

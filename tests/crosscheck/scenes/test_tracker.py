@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import root
 
+import newton_euler
+from crosscheck.comparison.energy import energy_balance
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load, tracker_geometry
 from crosscheck.scenes.tracker import TARGET_HEIGHT, Tables, corrected_tables, joint_data
 from newton_euler.equations.relative import Relative
+from newton_euler.errors import NewtonEulerError
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector, rotation
 
 
@@ -136,3 +141,26 @@ def test_identified_points_close_both_poses_and_are_those_in_use():
         assert np.linalg.norm(point - used[name]) < 5e-4
     assert points["ball_67"][1] == points["hinge_26"][1]
     assert corrected_tables().center_of_mass[6] == pytest.approx([-0.03428, 0.04289, 0.13656])
+
+
+def test_the_work_of_a_boat_closes_the_balance_of_energy():
+    """1e-9 of what is exchanged, at tolerances of 1e-10; the sea does more than the actuators take."""
+    scene = replace(load("tracker_on_boat", heave_period="2.5", roll=0.3), duration=2.0)
+    for run in (newton_euler.simulate(scene), newton_euler.simulate(scene, "cartesian")):
+        balance = energy_balance(scene, run)
+        assert np.abs(balance.residual).max() < 1e-9 * balance.exchanged
+        without = np.ptp(run.kinetic_energy + run.potential_energy)
+        assert without > 0.1 * balance.exchanged
+
+
+def test_a_boat_follows_its_options_and_files(tmp_path):
+    heave = load("tracker_on_boat", heave=0.2, heave_period=8).motions[0].function
+    assert (heave.amplitude, heave.angular_frequency) == (0.2, pytest.approx(np.pi / 4.0))
+    path = tmp_path / "poses.csv"
+    path.write_text("time,roll\n" + "".join(f"{t},{0.01 * t}\n" for t in range(8)))
+    (motion,) = load("tracker_on_boat", poses=str(path)).motions
+    assert motion.function.rate(2.5) == pytest.approx(0.01)
+    with pytest.raises(CrosscheckError, match=r"choose a number from 0 to 0\.5 rad"):
+        load("tracker_on_boat", roll="0.6")
+    with pytest.raises(NewtonEulerError, match=r"nowhere\.csv: cannot be read"):
+        load("tracker_on_boat", poses="nowhere.csv")
