@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -11,8 +12,11 @@ from mjcf.errors import ModelError
 from mjcf.forces import WIND_MOTORS, wind_loads, wind_site
 from mjcf.layout import Layout
 from mjcf.write import controls, welded_to_xml
+from newton_euler.analysis.controller_model import ControllerModel
 from newton_euler.equations.couplings import TreeCouplings
+from newton_euler.equations.model_control import roles
 from newton_euler.equations.system import MassProperties, Observation
+from newton_euler.model.control import NO_FORCES, Readings, commands
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import Mechanism
@@ -80,6 +84,8 @@ class CompiledScene:
         sites = [self.model.site(wind_site(load)).id for load in loads]
         motors = range(self.model.nu - count * len(loads), self.model.nu, count)
         self._winds = [(site, slice(k, k + count)) for site, k in zip(sites, motors, strict=True)]
+        # MuJoCo has no inverse dynamics with closed loops
+        self._controller = ControllerModel(scene) if roles(scene) else None
         self.actuate()
 
     def _restore_inertias(self) -> None:
@@ -130,8 +136,20 @@ class CompiledScene:
 
     def actuate(self) -> None:
         """Give MuJoCo's actuators the controls of the scene's laws at `time`."""
-        found = controls(self.scene, self.time, self.readings(self.data))
+        readings, model = self.readings(self.data), NO_FORCES
+        if self._controller:
+            mujoco.mj_fwdPosition(self.model, self.data)
+            mujoco.mj_fwdVelocity(self.model, self.data)
+            model = self.model_forces(readings, self.time)
+        found = controls(self.scene, self.time, readings, model)
         self.data.ctrl[: len(found)] = found
+
+    def model_forces(self, readings: Readings, time: float) -> Mapping[Key, float]:
+        """Forces (N or N m) that control laws get of newton_euler's model, where positions are worked out."""
+        if self._controller is None:
+            return NO_FORCES
+        wanted = commands(self.scene.control, readings, time)
+        return self._controller.forces(readings, wanted, time, self.read_state)
 
     def blow(self, data: Any) -> None:
         """Give MuJoCo's motors of wind their controls where bodies are, as it has worked out last."""

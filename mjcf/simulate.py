@@ -18,9 +18,9 @@ from newton_euler.equations.applied_forces import blamed, surroundings
 from newton_euler.equations.parameters import pieces
 from newton_euler.errors import OptionError, UnknownNameError, check_type
 from newton_euler.integrators.options import MOST_FIXED_STEPS
-from newton_euler.integrators.sampling import Controllers, Interval, holding, intervals
 from newton_euler.model.scene import Scene
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory
+from newton_euler.sampling import Controllers, Interval, holding, intervals
 from newton_euler.scalars import Array
 from newton_euler.simulate import trajectory_from
 

@@ -49,7 +49,7 @@ class SoftMuJoCo(CompiledScene):
     Attributes:
         moved: (m,) places in MuJoCo's velocities of the joint coordinates that follow prescribed motions.
         driven: the PD laws that depend on time; those that jump are held by the scene.
-        evaluated: numbers of the declared laws that no actuator of MuJoCo's is.
+        evaluated: declared laws that are more than an actuator of MuJoCo's, by their numbers.
     """
 
     name = "mujoco"
@@ -61,11 +61,8 @@ class SoftMuJoCo(CompiledScene):
         self._motions = np.arange(first, first + len(scene.motions))  # the first of the couplings
         self.moved = self.model.jnt_dofadr[self.model.eq_obj1id[self._motions]]
         self.driven = DrivenLaws(scene.control)
-        self.evaluated = {
-            k: law
-            for k, law in enumerate(scene.control)
-            if isinstance(law, DeclaredLaw) and not isinstance(law, PD)
-        }
+        declared = [(k, law) for k, law in enumerate(scene.control) if isinstance(law, DeclaredLaw)]
+        self.evaluated = {k: law for k, law in declared if law.uses_model or not isinstance(law, PD)}
         # of the evaluations in a step; shared by copies of this object, one of which MuJoCo calls
         self._asked: list[tuple[Array, Array]] = []
         self._stages: list[Array] = []
@@ -115,12 +112,13 @@ class SoftMuJoCo(CompiledScene):
 
     def _act(self, model: Any, data: Any) -> None:
         """Callback of MuJoCo in each evaluation."""
-        if self.evaluated:
-            readings = self.readings(data)
-            for k in self.evaluated:  # as the scene has them at present
-                data.ctrl[k] = control(self.scene.control[k], data.time, readings)
         if len(self.driven.places):  # of the others those that are sampled have changed since
             data.ctrl[self.driven.places] = self.driven.at(self.scene.control, data.time)
+        if self.evaluated:
+            readings = self.readings(data)
+            model = self.model_forces(readings, data.time)
+            for k in self.evaluated:  # as the scene has them at present
+                data.ctrl[k] = control(self.scene.control[k], data.time, readings, model)
         self.blow(data)
         if len(self.moved):
             self._follow(data)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -32,10 +33,12 @@ from mjcf.forces import (
     wrenches,
 )
 from mjcf.layout import Layout, number, numbers
+from newton_euler.analysis.controller_model import ControllerModel
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling, TreeCouplings, couplings
+from newton_euler.equations.model_control import roles
 from newton_euler.errors import check_type
-from newton_euler.model.control import PD, Readings
+from newton_euler.model.control import NO_FORCES, PD, Readings, commands
 from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.euler_parameters import conjugate, from_rotation, product, rotation
 from newton_euler.model.geometry import Box, Shape, Sphere
@@ -364,10 +367,11 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
             raise ModelError(scene.name, reason)
         element = ET.SubElement(actuator, "position", name=name, joint=name)
         gains = {"kp": number(law.stiffness), "kv": number(law.damping)}
-        if law.feedforward or law.is_driven:
+        changes = law.is_driven or law.uses_model
+        if law.feedforward or changes:
             # what a position actuator is made of, and a constant or the control
             element.tag = "general"
-            gain, constant = (1.0, 0.0) if law.is_driven else (law.stiffness, law.feedforward_at(0.0))
+            gain, constant = (1.0, 0.0) if changes else (law.stiffness, law.feedforward_at(0.0))
             bias = numbers([constant, -law.stiffness, -law.damping])
             gains = {"gainprm": number(gain), "biastype": "affine", "biasprm": bias}
         element.attrib.update(gains)
@@ -377,17 +381,24 @@ def _actuators(root: ET.Element, scene: Scene) -> None:
         root.append(actuator)
 
 
-def controls(scene: Scene, time: float, readings: Readings) -> list[float]:
+def controls(
+    scene: Scene, time: float, readings: Readings, model: Mapping[Key, float] = NO_FORCES
+) -> list[float]:
     """Return the ctrl of MuJoCo's actuators at a time in s, see `control`; 1 for wrenches, none for wind."""
-    return [control(law, time, readings) for law in scene.control] + [1.0] * len(wrenches(scene))
+    return [control(law, time, readings, model) for law in scene.control] + [1.0] * len(wrenches(scene))
 
 
-def control(law: Law, time: float, readings: Readings) -> float:
-    """A force (N or N m), the part of a driven PD law that no gain makes, or a target (m or rad)."""
+def control(law: Law, time: float, readings: Readings, model: Mapping[Key, float]) -> float:
+    """A force (N or N m), the part of a PD law that changes and no gain makes, or a target (m or rad).
+
+    `model` has the forces that laws get of a model of the mechanism.
+    """
     if isinstance(law, HeldLaw):
         return law.held
     if not isinstance(law, PD):
-        return float(law.towards(law.references(time), readings, time))
+        return float(law.towards(law.references(time), readings, time, model))
+    if law.uses_model:
+        return float(law.force(0.0, 0.0, time) + model[law.key])
     if law.is_driven:
         return float(law.force(0.0, 0.0, time))
     return float(law.references(time)[law.key].value)
@@ -403,9 +414,13 @@ def _start(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
         attributes["qvel"] = numbers(layout.to_qvel @ v)
     places = {key: welded.tree.place(*key) for key in scene.sensed}
     readings = {key: (q[place[0]], v[place[1]]) for key, place in places.items() if place}
+    model: dict[Key, float] = {}
+    if roles(scene):
+        known = ControllerModel(scene)
+        model = known.forces(readings, commands(scene.control, readings, 0.0), 0.0, lambda: state)
     acting = Wrenches(scene.mechanism, state)
     winds = [value for load in wind_loads(scene) for value in acting.wind(load)]
-    if ctrl := controls(scene, 0.0, readings) + winds:
+    if ctrl := controls(scene, 0.0, readings, model) + winds:
         attributes["ctrl"] = numbers(ctrl)
     if len(resting := rests(scene, welded.tree, layout)):
         attributes["plastic"] = numbers(resting)

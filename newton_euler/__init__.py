@@ -13,7 +13,7 @@ from newton_euler.assemble import assemble, initial_state, start
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
 from newton_euler.model.compound_joint import Compound
-from newton_euler.model.control import PD, StateFeedback
+from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import Gear, LinearCoupling
 from newton_euler.model.digital_control import Digital, Sampled
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
@@ -51,6 +51,7 @@ __all__ = [
     "Box",
     "Capsule",
     "Compound",
+    "ComputedTorque",
     "Cylinder",
     "Cylindrical",
     "Digital",

@@ -26,10 +26,10 @@ from newton_euler.integrators.options import (
 )
 from newton_euler.integrators.outputs import named
 from newton_euler.integrators.run import Integrator, load
-from newton_euler.integrators.sampling import integrate_intervals
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import IntegrationError, Trajectory
+from newton_euler.sampling import integrate_intervals
 from newton_euler.scalars import Array, Floats
 from newton_euler.simulate import CompiledScene, native_trajectory
 

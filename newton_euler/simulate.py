@@ -34,12 +34,12 @@ from newton_euler.integrators.options import (
 )
 from newton_euler.integrators.outputs import named
 from newton_euler.integrators.run import load
-from newton_euler.integrators.sampling import Controllers, holding, integrate_intervals, intervals
 from newton_euler.model.euler_parameters import continuous
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State, stacked_frames
 from newton_euler.model.trajectory import IntegrationError, StoppedError, Trajectory, check_finite
+from newton_euler.sampling import Controllers, holding, integrate_intervals, intervals
 from newton_euler.scalars import Array, unstacked
 
 KEPT = 8

@@ -316,7 +316,7 @@ MISTAKES = {
         "newton_euler/equations/test_revolutions.py",
     ),
     "a held force that outlives its run": (
-        "newton_euler/integrators/sampling.py",
+        "newton_euler/sampling.py",
         "changed = copy.copy(system)",
         "changed = system",
         "newton_euler/integrators/test_sampled.py::test_a_run_leaves_the_system_as_it_was",

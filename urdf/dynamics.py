@@ -9,6 +9,9 @@ eliminated with Pinocchio's own mass matrix, Jacobians and bias forces.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,10 +20,13 @@ import pinocchio as pin
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
+from newton_euler.equations.model_control import known_scene, roles, without_control
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without
 from newton_euler.equations.system import Evaluation, MassProperties, Observation
 from newton_euler.errors import SingularityError
+from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import from_rotation
+from newton_euler.model.joint import Key
 from newton_euler.model.joint_geometry import NOWHERE, JointGeometry, closing, in_tree
 from newton_euler.model.joint_kinds import Rod
 from newton_euler.model.scene import Scene
@@ -103,6 +109,12 @@ class PinocchioSystem:
         self._measured_q, self._measured_v = on.T
         self._actuated_v = self._measured_v[: len(acting)]
         self._sensed = [keys.index(key) for key in scene.sensed]
+        self._roles = roles(scene)
+        self._known: tuple[Any, dict[Key, float]] = None, {}
+        self._of_torque = self._model_for(self._roles.torque)
+        self._of_holding = self._model_for(self._roles.holding)
+        if self._of_holding:
+            self._of_holding._still()
         self._alpha = alpha
         self._eliminates = bool(len(self._rows.units)) or mobility(scene).residual > 0.0
         self._moving = bool(self._forces) or self._eliminates
@@ -151,7 +163,7 @@ class PinocchioSystem:
 
     def power(self, q: Array, v: Array) -> float:
         """Power of what is not in the potential energy, W."""
-        power = self._laws.power(self.scene.joint_forces, *self._measured(q, v), self.time)
+        power = self._laws.power(self.actuation(q, v), self._measured(q, v)[1])
         if self._balls:
             power += self._balls.power(v)
         if self._forces:
@@ -176,7 +188,67 @@ class PinocchioSystem:
 
     def actuation(self, q: Array, v: Array) -> Array:
         """Forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""
-        return self._laws.force(self.scene.joint_forces, *self._measured(q, v), self.time)
+        model = self._model_forces(q, v) if self._roles else {}
+        return self._laws.force(self.scene.joint_forces, *self._measured(q, v), self.time, model)
+
+    def _model_for(self, keys: Sequence[Key]) -> PinocchioSystem | None:
+        """Return Pinocchio's model of the mechanism as laws on these coordinates know it; None for none."""
+        known = known_scene(self.scene, self._roles.model)
+        return PinocchioSystem(without_control(known, keys)) if keys else None
+
+    def _model_forces(self, q: Array, v: Array) -> dict[Key, float]:
+        """Forces on joint coordinates, N or N m, that control laws get of models by Pinocchio."""
+        state = q.tobytes(), v.tobytes(), self.time
+        if self._known[0] == state:  # as the power has asked for
+            return self._known[1]
+        found: dict[Key, float] = {}
+        if self._of_holding:
+            holding, still = self._roles.holding, np.zeros(self.nv)
+            forces = self._of_holding._servo_forces(q, still, self.time, holding, np.zeros(len(holding)))
+            own = {law.key for law in self.scene.control if isinstance(law, PD) and law.gravity_compensation}
+            found |= {key: force for key, force in zip(holding, forces, strict=True) if key in own}
+        if self._of_torque:
+            torque = self._roles.torque
+            commands = self._laws.commands(self.scene.control, *self._measured(q, v), self.time)
+            forces = self._of_torque._servo_forces(q, v, self.time, torque, np.array(commands))
+            found |= dict(zip(torque, forces, strict=True))
+        self._known = state, found
+        return found
+
+    def _servo_forces(
+        self, q: Array, v: Array, time: float, keys: Sequence[Key], accelerations: Array
+    ) -> Array:
+        """Forces on joint coordinates, N or N m, for their accelerations, which are further constraints."""
+        self.time, q = time, q[: self._tree.nq]
+        mass, force = self.mass_and_force(q, v)
+        self._move(q, v)
+        gamma = [self._closures.gamma(self._data), self._rows.gamma(self._data, self.time)]
+        rows = np.zeros((len(keys), self.nv))
+        on = [self._tree.place(*key) for key in keys]  # none is cut
+        rows[np.arange(len(keys)), [place[1] for place in on if place]] = 1.0
+        units = [self.mechanism.size if self.mechanism.is_slide(*key) else 1.0 for key in keys]
+        try:
+            _, multipliers = solve_constrained(
+                mass,
+                force,
+                np.concatenate([without(self._jacobian(), self._left_out), rows]),
+                np.concatenate([without(np.concatenate(gamma), self._left_out), accelerations]),
+                np.concatenate([self.phi_units, units]),
+                self.velocity_units,
+            )
+        except np.linalg.LinAlgError as error:
+            reason = "control laws cannot choose the accelerations there"
+            raise SingularityError(keys[0][0], reason) from error
+        return np.asarray(multipliers[len(self.phi_units) :])
+
+    def _still(self) -> None:
+        """Leave the functions of prescribed motions out."""
+        still = tuple(replace(coupling, function=None) for coupling in self._couplings.couplings)
+        self._couplings.couplings = still
+
+    @cached_property
+    def _left_out(self) -> list[int]:
+        return rows_left_out(self)
 
     def _move(self, q: Array, v: Array) -> None:
         """Give Pinocchio's joints, Jacobians and frames a state, at accelerations of joints of zero."""

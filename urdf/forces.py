@@ -6,7 +6,7 @@ All are worked out here from their numbers, so that a mistake in newton_euler's 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from newton_euler.model.balls import ends, spin_rate
 from newton_euler.model.constraints import Frame
-from newton_euler.model.control import PD, DrivenLaws, StateFeedback
+from newton_euler.model.control import PD, ComputedTorque, DeclaredLaw, DrivenLaws
 from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.forces import BallArmature, BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint import Key
@@ -51,13 +51,21 @@ class JointLaws:
             elif not law.is_driven:
                 self._rest[k], self._constant[k] = law.references(0.0)[law.key].value, law.feedforward_at(0.0)
 
-    def force(self, laws: Sequence[Law | JointSpring], x: Array, rate: Array, time: float) -> Array:
+    def force(
+        self,
+        laws: Sequence[Law | JointSpring],
+        x: Array,
+        rate: Array,
+        time: float,
+        model: Mapping[Key, float],
+    ) -> Array:
         """Compute forces (a,), N or N m.
 
         Args:
             laws: with the forces that sampled controllers hold at present.
             x, rate: joint coordinates of `keys`, m or rad, and their rates.
             time: s.
+            model: forces that laws get of a model of the mechanism, by coordinates.
         """
         at, rates = x[: len(laws)], rate[: len(laws)]
         force = self._constant - (self._stiffness * (at - self._rest) + self._damping * rates)
@@ -65,25 +73,36 @@ class JointLaws:
             force[self._driven.places] += self._driven.at(laws, time)
         for k in self._others:
             law = laws[k]
-            if isinstance(law, StateFeedback):
+            if isinstance(law, DeclaredLaw):
                 force[k] = self._feedback(law, x, rate, time)
             else:
                 assert isinstance(law, HeldLaw)
                 force[k] = law.held
+        for key, known in model.items():
+            force[self._places[key]] += known
         return force
 
-    def _feedback(self, law: StateFeedback, x: Array, rate: Array, time: float) -> float:
+    def _feedback(self, law: DeclaredLaw, x: Array, rate: Array, time: float) -> float:
         force = float(law.feedforward_at(time))
-        for key, wanted in law.references(time).items():
-            k, (k_p, k_d) = self._places[key], law.feedback[key]
+        for key, (k_p, k_d) in law.feedback.items():
+            k, wanted = self._places[key], law.references(time)[key]
             force += k_p * (wanted.value - x[k]) + k_d * (wanted.rate - rate[k])
         return force
 
-    def power(self, laws: Sequence[Law | JointSpring], x: Array, rate: Array, time: float) -> float:
-        """Compute the power, W, of control laws and dampers; arguments as of `force`."""
-        rates = rate[: len(laws)]
-        force = np.where(self._is_spring, -self._damping * rates, self.force(laws, x, rate, time))
-        return float(force @ rates)
+    def commands(self, laws: Sequence[Law], x: Array, rate: Array, time: float) -> list[float]:
+        """Compute the accelerations (m/s^2 or rad/s^2) that laws of computed torque ask for, in order."""
+        found = []
+        for law in laws:
+            if isinstance(law, ComputedTorque):
+                k, wanted = self._places[law.key], law.references(time)[law.key]
+                error, error_rate = wanted.value - x[k], wanted.rate - rate[k]
+                found.append(wanted.acceleration + law.damping * error_rate + law.stiffness * error)
+        return found
+
+    def power(self, force: Array, rate: Array) -> float:
+        """Compute the power, W, of control laws and dampers from what `force` has computed."""
+        rates = rate[: len(force)]
+        return float(np.where(self._is_spring, -self._damping * rates, force) @ rates)
 
     def energy(self, x: Array) -> float:
         """Compute the energy of the springs, J, at joint coordinates x of `keys`."""

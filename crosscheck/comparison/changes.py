@@ -22,7 +22,7 @@ from newton_euler.model.compound_joint import Compound
 from newton_euler.model.constraints import Frame, Jacobian
 from newton_euler.model.control import ControlLaw
 from newton_euler.model.couplings import Gear, JointCoupling, LinearCoupling
-from newton_euler.model.digital_control import Controller, Digital, HeldLaw, Law, Sampled
+from newton_euler.model.digital_control import Controller, Digital, HeldLaw, Law, Model, Sampled
 from newton_euler.model.euler_parameters import from_rotation_vector, rotation
 from newton_euler.model.joint import Joint, JointEquations
 from newton_euler.model.joint_kinds import Fixed, Screw
@@ -107,8 +107,8 @@ def _with_controller(scene: Scene, number: int) -> Scene:
 class _Stronger(Digital):
     """A digital law whose force is `MORE` times what it was, beyond its limits too."""
 
-    def controller_of(self, laws: Sequence[ControlLaw]) -> Controller:
-        own = super().controller_of(laws)
+    def controller_of(self, laws: Sequence[ControlLaw], model: Model | None = None) -> Controller:
+        own = super().controller_of(laws, model)
         return lambda time, x, x_rate: MORE * own(time, x, x_rate)
 
 

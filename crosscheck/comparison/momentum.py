@@ -41,7 +41,7 @@ def _residual(scene: Scene, found: Evaluation) -> Array:
     """(b - 1, 6): m a - f of each body that moves, and J' domega' + omega' x J' omega' - n' over the size."""
     mechanism = scene.mechanism
     applied = Wrenches(mechanism, found.state)
-    applied.add_forces(scene)
+    applied.add_forces(scene, found.actuator_force)
     applied.add_rotors(scene, found.linear_acceleration, found.angular_acceleration)
     reactions = _reaction_wrenches(mechanism, found)
     left = []

@@ -16,7 +16,7 @@ of their own.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from newton_euler.equations import dense, sparse
 from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.joint_coordinates import Measured
+from newton_euler.equations.model_control import model_control
 from newton_euler.equations.reactions import at_joint_points, pushes
 from newton_euler.equations.redundancy import rows_left_out, without
 from newton_euler.equations.sparse import Equations, Rows, RowsInUse, Solution, add, spread, to_array
@@ -216,6 +217,9 @@ class Cartesian(Formulation):
         for wrench, frame in zip(wrenches[1:], frames[1:], strict=True):
             parts += [wrench[:3], frame.rotation.T @ wrench[3:]]
         return np.concatenate(parts)
+
+    def model_forces(self, q: Array, v: Array) -> Mapping[Key, Scalar]:
+        return model_control(self).forces(self, q, v)
 
     # Extension: rotors
 

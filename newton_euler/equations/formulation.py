@@ -8,6 +8,7 @@ Extensions of the paper, the same in both forms: couplings and prescribed motion
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -124,6 +125,7 @@ class Formulation(System):
         self.work = slice(nq + carried, nq + carried + int(scene.tracks_work))
         self.nq, self.nv = self.work.stop, nv
         self._last: tuple[Any, tuple[Array, Array], Any] | None = None
+        self.model_control: list[Any] = []  # one `newton_euler.equations.model_control.ModelControl` at most
 
     def unit(self, key: Key) -> float:
         """Return the unit of a joint coordinate: the mechanism's size, m, for a slide, 1 for an angle."""
@@ -150,6 +152,10 @@ class Formulation(System):
 
     def measured(self, q: Array, v: Array) -> Mapping[Key, Measured]:
         """Compute the joint coordinates that something acts on."""
+        raise NotImplementedError
+
+    def model_forces(self, q: Array, v: Array) -> Mapping[Key, Scalar]:
+        """Compute the forces that control laws get of a model of the mechanism, N or N m."""
         raise NotImplementedError
 
     def own_coordinates(self, state: State) -> tuple[Array, Array]:
@@ -328,7 +334,8 @@ class Formulation(System):
 
     def seen(self, q: Array, v: Array) -> Surroundings:
         """Compute what the forces depend on."""
-        return Surroundings(self.mechanism, self.poses, self.frames(q, v), self.measured(q, v), self.time)
+        frames, measured, model = self.frames(q, v), self.measured(q, v), partial(self.model_forces, q, v)
+        return Surroundings(self.mechanism, self.poses, frames, measured, self.time, model)
 
     def energies(self, at: Surroundings) -> tuple[Scalar, Scalar]:
         """Compute the kinetic and the potential energy, J."""

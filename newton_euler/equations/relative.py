@@ -20,13 +20,14 @@ Beyond that: couplings and prescribed motions are further rows of J, rotors furt
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from newton_euler.equations import dense, sparse
 from newton_euler.equations.applied_forces import body_wrenches
 from newton_euler.equations.kinematics import Link, TreeKinematics, drift
+from newton_euler.equations.model_control import model_control
 from newton_euler.equations.reactions import tree_reactions
 from newton_euler.equations.redundancy import rows_left_out, without
 from newton_euler.equations.sparse import Block, Equations, Rows, RowsInUse, Solution
@@ -107,6 +108,9 @@ class Relative(TreeKinematics):
         """Compute the shares of bodies and rotors in M and f."""
         yield from self.body_blocks(q, v)
         yield from self.rotor_blocks(q, v)
+
+    def model_forces(self, q: Array, v: Array) -> Mapping[Key, Scalar]:
+        return model_control(self).forces(self, q, v)
 
     # J, Phi and gamma
 

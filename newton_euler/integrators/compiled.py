@@ -22,6 +22,7 @@ from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import Formulation
+from newton_euler.equations.model_control import ModelControl, model_control, roles
 from newton_euler.equations.parameters import parameter_values, pieces, with_values
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.equations.relative import Relative
@@ -269,10 +270,16 @@ class Code:
         """Return the float form at the time and the parameters in x (inputs,)."""
         system = self.system
         if self.parameters:
-            scene = with_values(self.scene, self._values(x))
-            system = formulate(scene, self.formulation, self._alpha)
+            system = self._formulated(with_values(self.scene, self._values(x)))
         system.omitted = self.omitted
         return at_time(system, x[self.size])
+
+    def _formulated(self, scene: Scene) -> Formulation:
+        """Return the equations of the scene with other values of its parameters."""
+        system = formulate(scene, self.formulation, self._alpha)
+        if roles(self.scene):
+            system.model_control.append(ModelControl(system, model_control(self.system)))
+        return system
 
     def parametrized(self, x: Array) -> Scene:
         """Return the scene with the values in x (inputs,) of the parameters that were asked for."""
@@ -323,7 +330,7 @@ class Code:
         names = self._of_motions if name in KINEMATIC else tuple(self.parameters)
         x = graph.variables(self.size + 1 + sum(int(np.prod(self.parameters[each])) for each in names))
         scene = with_values(self.scene, self._values(x, names))
-        system = at_time(formulate(scene, self.formulation, self._alpha), x[self.size])
+        system = at_time(self._formulated(scene), x[self.size])
         if self.scene.motions:
             system.in_use = self.rows
         q, v = x[: system.nq], x[system.nq : self.size]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -17,6 +17,8 @@ from newton_euler.scalars import Array, Scalar
 
 DRIVEN = ("target", "feedforward")
 """Attributes of laws that may be functions of time."""
+
+NO_FORCES: Mapping[Key, Scalar] = {}
 
 Readings = Mapping[Key, Sequence[Any]]
 """Joint coordinates (m or rad), their rates, and further values that are not used here."""
@@ -96,16 +98,31 @@ class DeclaredLaw(ControlLaw):
         u_0 = self.feedforward
         return u_0.value(time) if isinstance(u_0, TimeFunction) else u_0
 
-    def towards(self, references: Mapping[Key, Reference], readings: Readings, time: Scalar) -> Scalar:
-        """Compute the force (N or N m) at some readings, where other values may be wanted than its own."""
+    @property
+    def uses_model(self) -> bool:
+        """True if a part of the force comes from a model of the mechanism."""
+        return False
+
+    def towards(
+        self,
+        references: Mapping[Key, Reference],
+        readings: Readings,
+        time: Scalar,
+        model: Mapping[Key, Scalar] = NO_FORCES,
+    ) -> Scalar:
+        """Compute the force (N or N m) at some readings, where other values may be wanted than its own.
+
+        `model` has the forces that come from a model of the mechanism.
+        """
         force = self.feedforward_at(time)
         for key, (k_p, k_d) in self.feedback.items():
             r, (x, x_rate) = references[key], readings[key][:2]
             force = force - (k_p * (x - r.value) + k_d * (x_rate - r.rate))
-        return force
+        return force + model.get(self.key, 0.0) if self.uses_model else force
 
     def at_joint(self, at: Surroundings) -> Scalar:
-        return self.towards(self.references(at.time), at.measured, at.time)
+        model = at.model() if self.uses_model else NO_FORCES
+        return self.towards(self.references(at.time), at.measured, at.time, model)
 
 
 @dataclass(frozen=True)
@@ -120,6 +137,8 @@ class PD(DeclaredLaw):
             that.
         coordinate: which of the joint's coordinates, from 0.
         feedforward: u_0 in N or N m, a number or a function of time.
+        gravity_compensation: True adds the force with which the coordinates of all control laws of the scene
+            hold the mechanism at rest where it is, against gravity, springs and wrenches.
 
     Raises:
         MechanismError: naming the joint and the value at fault.
@@ -136,6 +155,7 @@ class PD(DeclaredLaw):
     target: float | TimeFunction
     coordinate: int = 0
     feedforward: float | TimeFunction = 0.0
+    gravity_compensation: bool = False
 
     parameters = ("stiffness", "damping", "target", "feedforward")
     functions = DRIVEN
@@ -144,12 +164,20 @@ class PD(DeclaredLaw):
     def __post_init__(self) -> None:
         self._set_numbers(self.parameters)
         check_key(self.element, self.joint, self.coordinate)
+        if not isinstance(self.gravity_compensation, bool):
+            problem = f"gravity_compensation is {self.gravity_compensation!r:.100}"
+            raise MechanismError(self.element, problem, "True or False")
+
+    @property
+    def uses_model(self) -> bool:
+        return self.gravity_compensation
 
     @property
     def feedback(self) -> Mapping[Key, tuple[float, float]]:
         return {self.key: (self.stiffness, self.damping)}
 
     def force(self, x: Scalar, x_rate: Scalar, time: Scalar) -> Scalar:
+        """Compute the force (N or N m) without gravity compensation."""
         return self.towards(self.references(time), {self.key: (x, x_rate)}, time)
 
 
@@ -230,6 +258,74 @@ class StateFeedback(DeclaredLaw):
     def references(self, time: Scalar) -> dict[Key, Reference]:
         targets = {**self.targets, self.key: self.target}
         return {key: reference(targets.get(key, 0.0), time) for key in self.reads}
+
+
+@dataclass(frozen=True)
+class ComputedTorque(DeclaredLaw):
+    """Inverse dynamics for the acceleration d2r/dt2 - d (dx/dt - dr/dt) - k (x - r).
+
+    All such laws of a scene act together: their forces are those that give their coordinates these
+    accelerations in the controller's model, which knows poses and velocities, gravity, springs, dampers,
+    wrenches, rotors and prescribed motions, but no other control law.
+
+    Attributes:
+        joint: name of the joint it drives.
+        stiffness: k in 1/s^2, the square of the angular frequency with which errors vanish.
+        damping: d in 1/s; 2 sqrt(k) is critical.
+        target: r, the wanted joint coordinate, m or rad from the initial pose, or a function of time for
+            that.
+        coordinate: which of the joint's coordinates, from 0.
+        feedforward: u_0 in N or N m, added to the force, a number or a function of time.
+        model: values of the controller's model that are not the scene's, by names of parameters, such as
+            `{"panel.mass": 0.9}`; all such laws of a scene have the same.
+
+    Raises:
+        MechanismError: naming the joint and the value at fault.
+
+    Examples:
+        >>> law = ComputedTorque("hinge", stiffness=100.0, damping=20.0, target=Sine(0.1, 2.0))
+        >>> float(law.command(law.references(0.0), {("hinge", 0): (0.0, 0.0)}))  # rad/s^2
+        4.0
+    """
+
+    joint: str
+    stiffness: float
+    damping: float
+    target: float | TimeFunction
+    coordinate: int = 0
+    feedforward: float | TimeFunction = 0.0
+    model: Mapping[str, Any] = field(default_factory=dict)
+
+    parameters = ("stiffness", "damping", "target", "feedforward")
+    functions = DRIVEN
+    strengths: ClassVar = {"actuator": ("stiffness", "damping", "feedforward")}
+    uses_model = True
+
+    def __post_init__(self) -> None:
+        self._set_numbers(self.parameters)
+        check_key(self.element, self.joint, self.coordinate)
+        if not isinstance(self.model, Mapping):
+            needed = "a mapping from names of parameters to their values"
+            raise MechanismError(self.element, f"model is {self.model!r:.100}", needed)
+
+    @property
+    def feedback(self) -> Mapping[Key, tuple[float, float]]:
+        return {}
+
+    @property
+    def reads(self) -> tuple[Key, ...]:
+        return (self.key,)
+
+    def command(self, references: Mapping[Key, Reference], readings: Readings) -> Scalar:
+        """Compute the acceleration that it asks for, m/s^2 or rad/s^2."""
+        r, (x, x_rate) = references[self.key], readings[self.key][:2]
+        return r.acceleration - self.damping * (x_rate - r.rate) - self.stiffness * (x - r.value)
+
+
+def commands(laws: Sequence[object], readings: Readings, time: float) -> list[float]:
+    """Compute the accelerations (m/s^2 or rad/s^2) that the laws of computed torque among others ask for."""
+    torque = (law for law in laws if isinstance(law, ComputedTorque))
+    return [float(law.command(law.references(time), readings)) for law in torque]
 
 
 def sensed(laws: Sequence[ControlLaw]) -> tuple[Key, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral
 from typing import ClassVar
@@ -11,7 +11,17 @@ from typing import ClassVar
 import numpy as np
 
 from newton_euler.errors import MechanismError, check_key, is_finite_number, set_numbers
-from newton_euler.model.control import PD, ControlLaw, DeclaredLaw, Reference, StateFeedback, sensed
+from newton_euler.model.control import (
+    NO_FORCES,
+    PD,
+    ComputedTorque,
+    ControlLaw,
+    DeclaredLaw,
+    Readings,
+    Reference,
+    StateFeedback,
+    sensed,
+)
 from newton_euler.model.joint import Key
 from newton_euler.scalars import Array, Floats, Scalar
 
@@ -19,6 +29,11 @@ Controller = Callable[[float, Floats, Floats], float]
 """time (s), coordinates (a,) and their rates (a,) of all laws of the scene, in order -> force, N or N m.
 
 Coordinates that other laws read, and that have none of their own, come after these."""
+
+
+Model = Callable[[Readings, Sequence[float], float], Mapping[Key, float]]
+"""Readings, accelerations that the laws of computed torque command, in order, and time (s) -> the forces that
+laws get of a model of the mechanism, N or N m."""
 
 
 SHORTEST_PERIOD = 1e-6
@@ -49,8 +64,11 @@ class HeldLaw(ControlLaw):
         """Return the force (N or N m) that is held."""
         return self.held
 
-    def controller_of(self, laws: Sequence[ControlLaw]) -> Controller:
-        """Return what is called in one run of a scene with these laws; its state is that of time 0."""
+    def controller_of(self, laws: Sequence[ControlLaw], model: Model | None = None) -> Controller:
+        """Return what is called in one run of a scene with these laws; its state is that of time 0.
+
+        `model` is for laws that know the mechanism.
+        """
         raise NotImplementedError
 
 
@@ -88,7 +106,7 @@ class Sampled(HeldLaw):
         self._check_period()
         check_key(where, self.joint, self.coordinate)
 
-    def controller_of(self, laws: Sequence[ControlLaw]) -> Controller:
+    def controller_of(self, laws: Sequence[ControlLaw], model: Model | None = None) -> Controller:
         return self.controller
 
 
@@ -161,8 +179,8 @@ class Digital(HeldLaw):
     def reads(self) -> tuple[Key, ...]:
         return self.law.reads
 
-    def controller_of(self, laws: Sequence[ControlLaw]) -> Controller:
-        return Computer(self, laws)
+    def controller_of(self, laws: Sequence[ControlLaw], model: Model | None = None) -> Controller:
+        return Computer(self, laws, model)
 
     def within_stroke(self, wanted: Reference) -> Reference:
         """Move a set-point into the stroke."""
@@ -175,8 +193,8 @@ class Digital(HeldLaw):
 class Computer:
     """The computer of a `Digital` law in one run: what it has read and commanded."""
 
-    def __init__(self, law: Digital, laws: Sequence[ControlLaw]) -> None:
-        self._law, self._keys = law, sensed(laws)
+    def __init__(self, law: Digital, laws: Sequence[ControlLaw], model: Model | None) -> None:
+        self._law, self._keys, self._model = law, sensed(laws), model
         self._others = {each.key: each for each in laws if isinstance(each, Digital)}
         self._resolution = np.array(
             [self._others[key].resolution if key in self._others else 0.0 for key in self._keys]
@@ -188,16 +206,26 @@ class Computer:
     def __call__(self, time: float, x: Array, x_rate: Array) -> float:
         law = self._law
         readings = dict(zip(self._keys, zip(*self._read(x, x_rate), strict=True), strict=True))
-        references = {
-            key: self._others[key].within_stroke(wanted) if key in self._others else wanted
-            for key, wanted in law.law.references(time).items()
-        }
-        force = float(law.law.towards(references, readings, time))
+        known = NO_FORCES
+        if law.law.uses_model:
+            assert self._model is not None
+            others = [each.law for each in self._others.values()]
+            torque = [each for each in others if isinstance(each, ComputedTorque)]
+            commands = [float(each.command(self._references(each, time), readings)) for each in torque]
+            known = self._model(readings, commands, time)
+        force = float(law.law.towards(self._references(law.law, time), readings, time, known))
         force = float(np.clip(force, -law.force_limit, law.force_limit))
         change = law.slew_limit * law.period
         self._force = float(np.clip(force, self._force - change, self._force + change))
         self._under_way.append(self._force)
         return self._under_way.popleft()
+
+    def _references(self, law: DeclaredLaw, time: float) -> dict[Key, Reference]:
+        """Return the wanted values of the coordinates that a law reads, within their strokes."""
+        return {
+            key: self._others[key].within_stroke(wanted) if key in self._others else wanted
+            for key, wanted in law.references(time).items()
+        }
 
     def _read(self, x: Array, x_rate: Array) -> tuple[Array, Array]:
         """Return what encoders make of coordinates (a,) and rates (a,)."""
@@ -209,4 +237,4 @@ class Computer:
         return x, np.where(coarse, (x - before) / self._law.period, x_rate)
 
 
-Law = PD | StateFeedback | Sampled | Digital
+Law = PD | StateFeedback | ComputedTorque | Sampled | Digital

@@ -7,7 +7,7 @@ Control laws, forces (`newton_euler.model.forces`) and armatures are such elemen
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -32,6 +32,8 @@ class Surroundings(NamedTuple):
         frames: of all bodies, ground first.
         measured: joint coordinates (m or rad), their rates, and further values that are not used here.
         time: s.
+        model: computes the forces (N or N m) that control laws get of a model of the mechanism; there are
+            none where no equations of motion are asked.
     """
 
     mechanism: Mechanism
@@ -39,6 +41,7 @@ class Surroundings(NamedTuple):
     frames: Sequence[Frame]
     measured: Mapping[Key, Sequence[Any]]
     time: Scalar
+    model: Callable[[], Mapping[Key, Scalar]] = dict
 
 
 class Element:

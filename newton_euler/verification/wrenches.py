@@ -6,8 +6,11 @@ the reading's of a file nor another engine's.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from newton_euler.model.control import DeclaredLaw
 from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.mechanism import Mechanism
@@ -44,11 +47,15 @@ class Wrenches:
         """Return (3,) m from the center of mass to a point given at the initial pose."""
         return np.asarray(self._turn(body) @ (point - self.mechanism.bodies[body].pose.position))
 
-    def add_forces(self, scene: Scene) -> None:
-        """Add all forces of a scene but gravity, at time 0."""
-        for law in scene.joint_forces:
+    def add_forces(self, scene: Scene, control: Sequence[float] | Array = ()) -> None:
+        """Add all forces of a scene but gravity, at time 0.
+
+        `control` has those of all control laws, for laws that get theirs of a model of the mechanism.
+        """
+        for k, law in enumerate(scene.joint_forces):
             first, second, rows, x, rate = self._coordinate(*law.key)
-            push = self._law(law, x, rate) * rows
+            known = isinstance(law, DeclaredLaw) and law.uses_model
+            push = (control[k] if known else self._law(law, x, rate)) * rows
             self._add(first, push[:3], push[3:6])
             self._add(second, push[6:9], push[9:])
         for force in scene.forces:

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from newton_euler.analysis.controller_model import ControllerModel
+from newton_euler.equations.model_control import roles
 from newton_euler.equations.parameters import pieces, with_values
 from newton_euler.errors import OptionError, is_finite_number
 from newton_euler.integrators.compiled import Code
@@ -89,7 +91,8 @@ class Controllers:
     """The controllers of a scene in one run."""
 
     def __init__(self, scene: Scene) -> None:
-        self._controllers = {law.key: law.controller_of(scene.control) for law in scene.sampled}
+        model = ControllerModel(scene, digital=True).forces if roles(scene, digital=True) else None
+        self._controllers = {law.key: law.controller_of(scene.control, model) for law in scene.sampled}
 
     def sample(self, due: tuple[HeldLaw, ...], time: float, readings: Array) -> dict[str, float]:
         """Call controllers, and return their forces (N or N m) by the names of `equations.parameters`.

@@ -1,0 +1,161 @@
+"""Forces of control laws that know the mechanism: computed torque, and gravity compensation.
+
+Both are inverse dynamics of the controller's model, which is the scene without its control laws
+(`newton_euler.equations.formulation.Formulation.servo_forces`): with the accelerations that the laws command,
+and at rest with none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from newton_euler.equations.formulation import Formulation, Servos
+from newton_euler.equations.parameters import checked, with_laws, with_values
+from newton_euler.equations.redundancy import rows_in_use
+from newton_euler.equations.system import at_time
+from newton_euler.errors import MechanismError, SingularityError
+from newton_euler.model.control import PD, ComputedTorque, DeclaredLaw
+from newton_euler.model.digital_control import Digital
+from newton_euler.model.joint import Key
+from newton_euler.model.scene import Scene
+from newton_euler.scalars import Array, Scalar
+
+
+class Roles(NamedTuple):
+    """The coordinates whose control laws know the mechanism, and what they know of it.
+
+    Attributes:
+        torque: of the laws of computed torque.
+        holding: of all control laws, if one compensates gravity: all of them together hold the mechanism.
+        model: values of parameters of the controller's model that are not the scene's own.
+    """
+
+    torque: tuple[Key, ...]
+    holding: tuple[Key, ...]
+    model: Mapping[str, Any]
+
+    def __bool__(self) -> bool:
+        return bool(self.torque or self.holding)
+
+
+def roles(scene: Scene, digital: bool = False) -> Roles:
+    """Find the laws that know the mechanism: those of computers if `digital`, else all others.
+
+    Raises:
+        MechanismError: for laws whose models differ, as they act together.
+    """
+    laws: list[DeclaredLaw] = []
+    for law in scene.control:
+        if isinstance(law, Digital) and digital:
+            laws.append(law.law)
+        elif isinstance(law, DeclaredLaw) and not digital:
+            laws.append(law)
+    torque = [law for law in laws if isinstance(law, ComputedTorque)]
+    for law in torque[1:]:
+        if law.model != torque[0].model:
+            problem = (
+                f"model is {law.model!r:.100}, and {torque[0].model!r:.100} at joint {torque[0].joint!r}"
+            )
+            raise MechanismError(law.element, problem, "one model of the mechanism for all laws")
+    holds = any(isinstance(law, PD) and law.gravity_compensation for law in laws)
+    holding = tuple(law.key for law in scene.control) if holds else ()
+    return Roles(tuple(law.key for law in torque), holding, torque[0].model if torque else {})
+
+
+def known_scene(scene: Scene, model: Mapping[str, Any]) -> Scene:
+    """Return the scene with the values of the controller's model.
+
+    Raises:
+        NewtonEulerError: for an unknown parameter, or a value that it cannot have.
+    """
+    values = checked(scene, model)
+    return with_values(scene, {name: value if value.ndim else float(value) for name, value in values.items()})
+
+
+def without_control(scene: Scene, keys: Sequence[Key]) -> Scene:
+    """Return the scene with laws of no force on these coordinates alone."""
+    return with_laws(scene, [PD(joint, 0.0, 0.0, 0.0, k) for joint, k in keys])
+
+
+class ModelControl:
+    """Inverse dynamics for the control laws of a formulation, in its coordinates.
+
+    Attributes:
+        roles: of the laws.
+        torque, holding: coordinates with constraint rows in use; None for those without laws.
+    """
+
+    def __init__(self, system: Formulation, known: ModelControl | None = None) -> None:
+        """`known` is that of the same laws in floats where the system's parameters are generic scalars."""
+        self.roles: Roles = known.roles if known else roles(system.scene)
+        form: Any = type(system)
+        # generic scalars cannot be checked, and have been in floats
+        scene = (with_values if known else known_scene)(system.scene, self.roles.model)
+        self._moving, self._resting = (
+            form(without_control(scene, keys), 0.0) if keys else None for keys in self.roles[:2]
+        )
+        if self._resting:
+            still = tuple(replace(each, function=None) for each in self._resting.couplings)
+            self._resting.couplings = still
+        self.torque: Servos | None = known.torque if known else _servos(self._moving, self.roles.torque)
+        self.holding: Servos | None = known.holding if known else _servos(self._resting, self.roles.holding)
+        self._last: tuple[Any, Any, dict[Key, Scalar]] = (None, None, {})
+
+    def forces(self, system: Formulation, q: Array, v: Array) -> dict[Key, Scalar]:
+        """Compute the forces (N or N m) by coordinates at q (nq,) and v (nv,) of the system.
+
+        Raises:
+            SingularityError: in floats, where the coordinates do not determine the motion.
+        """
+        # over generic scalars the bytes tell which objects they are, which the copies keep alive
+        state = q.dtype, q.tobytes(), v.tobytes(), id(system.time), id(system.scene)
+        if self._last[0] != state:
+            kept = q.copy(), v.copy(), system.time, system.scene
+            self._last = state, kept, self._forces(system, q, v)
+        return self._last[2]
+
+    def _forces(self, system: Formulation, q: Array, v: Array) -> dict[Key, Scalar]:
+        readings, laws = system.measured(q, v), {law.key: law for law in system.scene.control}
+        commands = []
+        for key in self.roles.torque:
+            law = laws[key]
+            assert isinstance(law, ComputedTorque)
+            commands.append(law.command(law.references(system.time), readings))
+        moving = _solve(system, self._moving, self.torque, q, v, commands)
+        at_rest = np.zeros(len(v)), [0.0] * len(self.roles.holding)
+        return _solve(system, self._resting, self.holding, q, *at_rest) | moving
+
+
+def _servos(model: Formulation | None, keys: tuple[Key, ...]) -> Servos | None:
+    return Servos(keys, keys, rows_in_use(model)) if model else None
+
+
+def _solve(
+    system: Formulation,
+    model: Formulation | None,
+    servos: Servos | None,
+    q: Array,
+    v: Array,
+    accelerations: Sequence[Scalar],
+) -> dict[Key, Scalar]:
+    """Compute the forces on coordinates for their accelerations."""
+    if model is None or servos is None:
+        return {}
+    now = at_time(model, system.time)
+    forces, pivot_ratio = now.servo_forces(now.coordinates_from(system, q), v, servos, accelerations)
+    if isinstance(pivot_ratio, float) and not pivot_ratio > 0.0:
+        joint = servos.coordinates[0][0]
+        raise SingularityError(joint, "control laws cannot choose the accelerations there")
+    return dict(zip(servos.coordinates, forces, strict=True))
+
+
+def model_control(system: Formulation) -> ModelControl:
+    """Return the inverse dynamics for a formulation's laws, made once for all of its copies."""
+    if not system.model_control:
+        system.model_control.append(ModelControl(system))
+    found: ModelControl = system.model_control[0]
+    return found
