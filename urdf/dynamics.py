@@ -24,7 +24,6 @@ from newton_euler.equations.model_control import known_scene, roles, without_con
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without
 from newton_euler.equations.system import Evaluation, MassProperties, Observation
 from newton_euler.errors import SingularityError
-from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import from_rotation
 from newton_euler.model.joint import Key
 from newton_euler.model.joint_geometry import NOWHERE, JointGeometry, closing, in_tree
@@ -205,8 +204,7 @@ class PinocchioSystem:
         if self._of_holding:
             holding, still = self._roles.holding, np.zeros(self.nv)
             forces = self._of_holding._servo_forces(q, still, self.time, holding, np.zeros(len(holding)))
-            own = {law.key for law in self.scene.control if isinstance(law, PD) and law.gravity_compensation}
-            found |= {key: force for key, force in zip(holding, forces, strict=True) if key in own}
+            found |= dict(zip(holding, forces, strict=True))
         if self._of_torque:
             torque = self._roles.torque
             commands = self._laws.commands(self.scene.control, *self._measured(q, v), self.time)

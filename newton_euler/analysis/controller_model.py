@@ -86,7 +86,8 @@ class ControllerModel:
                 q, v = model.system.coordinates(state())
             else:
                 q, v = model.system.coordinates_from(self.encoders.system, own[0]), own[1]
-            values = model.forces(np.concatenate([q, moves * v, own_wanted, [time]]))
+            knots = pieces(model.scene, time).values()
+            values = model.forces(np.concatenate([q, moves * v, own_wanted, [time], *knots]))
             keys = model.servos.actuators
             if not (values[-2] > 0.0 and np.isfinite(values[:-2]).all()):
                 raise SingularityError(keys[0][0], "control laws cannot choose the accelerations there")

@@ -28,6 +28,7 @@ from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, differentiate_along
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.equations.dense import largest, least_squares, orthonormal_null, singular_values
+from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import (
     numbered,
     parameter_values,
@@ -50,12 +51,12 @@ from newton_euler.errors import MechanismError, SingularityError, check_choice, 
 from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.projection import project_position
-from newton_euler.integrators.sampling import Controllers, holding
 from newton_euler.model.control import PD
 from newton_euler.model.joint import Key
 from newton_euler.model.motions import Polynomial
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.sampling import Controllers, holding
 from newton_euler.scalars import Array, Floats, minimum, tilde
 
 SINGULAR = 1e-9
@@ -462,6 +463,7 @@ class Linearization:
             for (name, own), part in zip(self.values.items(), parts, strict=True)
         }
         system = at_time(Relative(with_values(self.scene, values)), time)
+        share_model_control(system, self.system)
         solution = system.sparse_solution(q, v, self.rows)
         keys = [freedom.key for freedom in self.freedoms if freedom.key]
         rows, gamma = system.sparse_coordinates(q, v, keys)

@@ -30,7 +30,7 @@ class Roles(NamedTuple):
 
     Attributes:
         torque: of the laws of computed torque.
-        holding: of all control laws, if one compensates gravity: all of them together hold the mechanism.
+        holding: of the laws that compensate gravity.
         model: values of parameters of the controller's model that are not the scene's own.
     """
 
@@ -61,8 +61,7 @@ def roles(scene: Scene, digital: bool = False) -> Roles:
                 f"model is {law.model!r:.100}, and {torque[0].model!r:.100} at joint {torque[0].joint!r}"
             )
             raise MechanismError(law.element, problem, "one model of the mechanism for all laws")
-    holds = any(isinstance(law, PD) and law.gravity_compensation for law in laws)
-    holding = tuple(law.key for law in scene.control) if holds else ()
+    holding = tuple(law.key for law in laws if isinstance(law, PD) and law.gravity_compensation)
     return Roles(tuple(law.key for law in torque), holding, torque[0].model if torque else {})
 
 
@@ -119,13 +118,10 @@ class ModelControl:
         return self._last[2]
 
     def _forces(self, system: Formulation, q: Array, v: Array) -> dict[Key, Scalar]:
-        readings, laws = system.measured(q, v), {law.key: law for law in system.scene.control}
-        commands = []
-        for key in self.roles.torque:
-            law = laws[key]
-            assert isinstance(law, ComputedTorque)
-            commands.append(law.command(law.references(system.time), readings))
-        moving = _solve(system, self._moving, self.torque, q, v, commands)
+        readings, time = system.measured(q, v), system.time
+        torque = [law for law in system.scene.control if isinstance(law, ComputedTorque)]
+        wanted = [law.command(law.references(time), readings) for law in torque]
+        moving = _solve(system, self._moving, self.torque, q, v, wanted)
         at_rest = np.zeros(len(v)), [0.0] * len(self.roles.holding)
         return _solve(system, self._resting, self.holding, q, *at_rest) | moving
 
@@ -159,3 +155,9 @@ def model_control(system: Formulation) -> ModelControl:
         system.model_control.append(ModelControl(system))
     found: ModelControl = system.model_control[0]
     return found
+
+
+def share_model_control(system: Formulation, floats: Formulation) -> None:
+    """Give a formulation over generic scalars what only floats can choose for its control laws."""
+    if roles(floats.scene):
+        system.model_control.append(ModelControl(system, model_control(floats)))

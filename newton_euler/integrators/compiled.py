@@ -22,7 +22,7 @@ from newton_euler.codegen.expression import Graph, Program, differentiate
 from newton_euler.codegen.fingerprint import fingerprint
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.formulation import Formulation
-from newton_euler.equations.model_control import ModelControl, model_control, roles
+from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import parameter_values, pieces, with_values
 from newton_euler.equations.redundancy import NearlyRedundant, loosely_closed, mobility, residual, rows_in_use
 from newton_euler.equations.relative import Relative
@@ -277,8 +277,7 @@ class Code:
     def _formulated(self, scene: Scene) -> Formulation:
         """Return the equations of the scene with other values of its parameters."""
         system = formulate(scene, self.formulation, self._alpha)
-        if roles(self.scene):
-            system.model_control.append(ModelControl(system, model_control(self.system)))
+        share_model_control(system, self.system)
         return system
 
     def parametrized(self, x: Array) -> Scene:

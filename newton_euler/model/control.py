@@ -137,8 +137,8 @@ class PD(DeclaredLaw):
             that.
         coordinate: which of the joint's coordinates, from 0.
         feedforward: u_0 in N or N m, a number or a function of time.
-        gravity_compensation: True adds the force with which the coordinates of all control laws of the scene
-            hold the mechanism at rest where it is, against gravity, springs and wrenches.
+        gravity_compensation: True adds the force with which all such laws of the scene hold their coordinates
+            at rest where they are, against gravity, springs and wrenches.
 
     Raises:
         MechanismError: naming the joint and the value at fault.

@@ -46,7 +46,8 @@ def on_reference(scene: Scene) -> Scene:
 
 def tracker(duration: float = 0.5, **settings) -> Scene:
     """The tracker under gravity, computed torque on both sliders, from the reference."""
-    laws = tuple(ComputedTorque(name, STIFFNESS, DAMPING, r, **settings) for name, r in REFERENCES.items())
+    settings = {"stiffness": STIFFNESS, "damping": DAMPING} | settings
+    laws = tuple(ComputedTorque(name, target=r, **settings) for name, r in REFERENCES.items())
     return on_reference(replace(load("tracker_gravity"), control=laws, duration=duration))
 
 
@@ -87,6 +88,14 @@ def test_errors_vanish_as_the_gains_say():
     found = errors(run)
     assert np.min(np.abs(found[0])) > 1e-3
     assert np.max(np.abs(found - decay[:, None] * found[0])) < 1e-10  # m, at rtol 1e-10
+
+
+def test_linear_models_know_the_gains():
+    """Eigenvalues of e'' + 40 e' + 4 e = 0, of both sliders, whatever the mechanism and where it is."""
+    scene = tracker(stiffness=4.0)
+    eigenvalues = np.sort(np.linalg.eigvals(newton_euler.linearize(scene).A).real)
+    roots = np.sort(np.roots([1.0, DAMPING, 4.0]))
+    assert eigenvalues == pytest.approx(np.repeat(roots, 2), rel=1e-9)  # of matrices of some 1e2
 
 
 def test_a_sampled_law_agrees_in_all_engines():
