@@ -19,6 +19,7 @@ from crosscheck.scenes import (
     slider_crank,
     stewart,
     tracker,
+    tracker_wind,
 )
 from crosscheck.scenes.measure import Quantities
 from crosscheck.scenes.options import options_of
@@ -30,6 +31,7 @@ SCENES: dict[str, Callable[..., Scene]] = {
     "tracker_gravity": tracker.tracker_gravity,
     "tracker_aligned": tracker.tracker_aligned,
     "tracker_on_boat": tracker.tracker_on_boat,
+    "tracker_wind": tracker_wind.tracker_wind,
     "pendulum": pendulum.pendulum,
     "free_top": free_top.free_top,
     "heavy_top": heavy_top.heavy_top,

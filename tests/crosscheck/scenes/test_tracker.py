@@ -13,6 +13,7 @@ from crosscheck.comparison.energy import energy_balance
 from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load, tracker_geometry
 from crosscheck.scenes.tracker import TARGET_HEIGHT, Tables, corrected_tables, joint_data
+from newton_euler import simulate
 from newton_euler.equations.relative import Relative
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.euler_parameters import angle_between, from_rotation_vector, rotation
@@ -97,6 +98,26 @@ def test_options_of_the_scene():
         load("tracker", panel_inertia="round")
     with pytest.raises(CrosscheckError, match="unknown option 'color'"):
         load("tracker", color="red")
+
+
+@pytest.mark.parametrize("wind", ["turbulent", "gust", "steady"])
+def test_stiff_laws_hold_the_panel_in_the_wind(wind):
+    """Gravity sags them by a millimetre, its sudden start by two, and a wind of 10 m/s by as much again."""
+    scene = load("tracker_wind", wind=wind, direction=225, seed=7)
+    (load_of_wind,) = scene.forces
+    assert load_of_wind.area == pytest.approx(0.14 * 0.11)
+    assert load_of_wind.velocity(0.0)[:2] @ [1.0, 1.0] < 0.0
+    run = simulate(scene)
+    for law in scene.control:
+        wanted = [law.target.value(t) for t in run.time]
+        assert np.abs(run.joint(law.joint).coordinates[:, 0] - wanted).max() < 0.005
+    calm = simulate(load("tracker_wind", speed=0))
+    assert np.abs(run.reaction_force - calm.reaction_force).max() > 0.5  # N
+
+
+def test_seeds_of_the_wind():
+    winds = [load("tracker_wind", seed=seed).forces[0].speed for seed in (1, 1, 2)]
+    assert winds[0] == winds[1] != winds[2]
 
 
 def test_horizontal_pose_closes_exactly():
