@@ -84,6 +84,47 @@ def bench_command(
     return AGREE
 
 
+@cli.command("modes")
+@click.argument("scene", default="tracker")
+@setting_options
+@click.option("--at-start", is_flag=True, help="Linearize at the start, not at the equilibrium near it.")
+@click.option("--open-loop", is_flag=True, help="Hold the forces of control laws as they are there.")
+@click.option(
+    "--save",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Recording.  [default: output/modes/SCENE.rrd]",
+)
+def modes_command(
+    scene: str, settings: tuple[str, ...], at_start: bool, open_loop: bool, save: Path | None
+) -> int:
+    """Compute natural frequencies, damping and mode shapes, and record these.
+
+    SCENE is a name or a file, as of run.
+    """
+    from crosscheck.files import check_no_source, check_writable, write_files
+    from crosscheck.recording.modes import recorded, table
+    from newton_euler.analysis.linearization import equilibrium, linearize
+
+    options = without_exercise(scene_options(settings), "modes are those of the scene as it stands")
+    loaded = load_and_tell(scene, options)
+    path = save or Path("output/modes") / f"{loaded.name}.rrd"
+    check_no_source([path], [scene])
+    check_writable(path)
+    with progress_shown() as progress:
+        progress("linearizing")
+        model = linearize(loaded, None if at_start else equilibrium(loaded), closed_loop=not open_loop)
+        modes = model.modes()
+        progress("recording")
+        write_files({path: recorded(loaded, model, modes)})
+    where = "an equilibrium" if model.is_equilibrium else "a state that is no equilibrium"
+    count = len(model.coordinates)
+    say(f"{loaded.name} about {where}: {count} degree{'s' * (count != 1)} of freedom", bold=True)
+    click.echo(terminal([table(loaded.mechanism, modes)]), nl=False)
+    say(f"wrote {path}")
+    return AGREE
+
+
 @cli.command("stress")
 @click.option(
     "--full/--ci", "full", default=True, show_default=True, help="All cases, or a short form of them."

@@ -54,7 +54,7 @@ def blueprint(
         moments: whether there is a log of the worst ones, in a tab behind the verdict: its times can be
             clicked, and links to times, beside those to entities, do not exist in text.
     """
-    eye, grid = _sight(mechanism, run)
+    eye, grid = sight(mechanism, run)
     scene_view = rrb.Spatial3DView(
         origin="/",
         contents=["+ /**", "- /plots/**", "- /verdict", "- /worst"],
@@ -69,12 +69,19 @@ def blueprint(
         told.append(rrb.TextLogView(origin="/worst", name="Worst moments: click a time", columns=columns))
     rows = [[plot for plot in plots if plot.judges is judges] for judges in (False, True)]
     plotted = [_row(row) for row in rows if row]
-    return rrb.Blueprint(
+    return laid_out(
         rrb.Horizontal(
             rrb.Vertical(scene_view, rrb.Tabs(*told, active_tab=0), row_shares=[1.0, LOWER]),
             rrb.Vertical(*plotted, row_shares=[1.0, LOWER][: len(plotted)]),
             column_shares=[1.0, 1.2],
-        ),
+        )
+    )
+
+
+def laid_out(views: rrb.Container) -> rrb.Blueprint:
+    """Show these views with all panels out of the way, over and over again."""
+    return rrb.Blueprint(
+        views,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIME, loop_mode="all"),
@@ -83,7 +90,7 @@ def blueprint(
     )
 
 
-def _sight(mechanism: Mechanism, run: Trajectory) -> tuple[rrb.EyeControls3D, rrb.LineGrid3D]:
+def sight(mechanism: Mechanism, run: Trajectory) -> tuple[rrb.EyeControls3D, rrb.LineGrid3D]:
     """Place the camera so that all of a run is seen, face on if it is in a plane, and a grid behind it."""
     ways = [paths(mechanism, k, run) for k in range(len(mechanism.bodies))]
     moving = np.concatenate([way.reshape(-1, 3) for way in ways[1:]])

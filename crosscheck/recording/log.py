@@ -128,7 +128,7 @@ def log_run(
         times, lines = zip(*moments, strict=True)
         _send(recording, "/worst", np.array(times), rr.TextLog.columns, text=lines)
     log_shapes(recording, "/ground", mechanism, 0, Style(GROUND_COLOR))
-    _send_pose(recording, "/ground", first.time[:1], first.position[:1, 0], first.quaternion[:1, 0])
+    send_pose(recording, "/ground", first.time[:1], first.position[:1, 0], first.quaternion[:1, 0])
     for engine, run in trajectories.items():
         _log_bodies(recording, mechanism, engine, run, styles[engine])
         _log_joints(recording, mechanism, engine, run, arrow_scale)
@@ -206,9 +206,10 @@ def _send(
     recording.send_columns(path, [rr.TimeColumn(TIME, duration=nanoseconds)], columns(**values))
 
 
-def _send_pose(
+def send_pose(
     recording: rr.RecordingStream, path: str, time: Array, position: Array, quaternion: Array
 ) -> None:
+    """Log poses (n, 3) and (n, 4) at times (n,), s."""
     pose = rr.Transform3D.columns
     _send(recording, path, time, pose, translation=position, quaternion=xyzw(quaternion))
 
@@ -223,7 +224,7 @@ def _log_bodies(
     for k in range(1, len(mechanism.bodies)):
         path = rr.new_entity_path(["mechanism", engine, mechanism.body_names[k]])
         log_shapes(recording, path, mechanism, k, style)
-        _send_pose(recording, path, run.time, run.position[:, k], run.quaternion[:, k])
+        send_pose(recording, path, run.time, run.position[:, k], run.quaternion[:, k])
 
 
 def _log_labels(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
@@ -234,7 +235,7 @@ def _log_labels(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajec
         label = rr.Points3D(np.zeros(3), labels=name, colors=PLAIN_COLOR, radii=0.0)
         recording.log(path, label, static=True)
         position = run.position[:, k] if k else ground[[np.argmin(ground[:, 2])]]
-        _send_pose(recording, path, run.time[: len(position)], position, run.quaternion[: len(position), k])
+        send_pose(recording, path, run.time[: len(position)], position, run.quaternion[: len(position), k])
 
 
 def _log_tilt(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
@@ -248,7 +249,7 @@ def _log_tilt(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajecto
     ):
         arrow = rr.Arrows3D(vectors=[0.0, 0.0, length], labels=name, colors=color, radii=0.02 * size)
         recording.log(f"/tilt/{name}", arrow, static=True)
-        _send_pose(recording, f"/tilt/{name}", run.time, position, turn)
+        send_pose(recording, f"/tilt/{name}", run.time, position, turn)
 
 
 def _arrow_scale(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> float | None:

@@ -1,0 +1,51 @@
+"""`crosscheck modes`: its table and its recording."""
+
+from __future__ import annotations
+
+import numpy as np
+from command_line import run
+from rerun.chunk import RrdReader
+
+from crosscheck.recording.modes import AMPLITUDE, swinging
+from crosscheck.scenes import load
+from newton_euler.analysis.linearization import equilibrium, linearize
+from newton_euler.model.euler_parameters import rotation
+
+
+def test_modes_prints_a_table_and_writes_a_recording(capsys, tmp_path):
+    path = tmp_path / "modes.rrd"
+    status, out, err = run(capsys, "modes", "pendulum", "--save", path)
+    assert (status, err) == (0, "")
+    assert "pendulum about an equilibrium: 1 degree of freedom" in out
+    frequency = np.sqrt(9.81) / (2.0 * np.pi)  # all of its mass at 1 m
+    assert out.splitlines()[3].split()[:5] == ["1", f"{frequency:.6g}", "0", "-", "dumbbell:"]
+    assert max(map(len, out.splitlines())) <= 80
+    (recording,) = RrdReader(path).recordings()
+    assert recording.application_id == "crosscheck_pendulum"
+
+
+def test_modes_about_a_state_that_is_no_equilibrium(capsys, tmp_path):
+    save = ("--save", tmp_path / "modes.rrd")
+    status, out, _ = run(capsys, "modes", "tracker", "--at-start", "--open-loop", *save)
+    assert status == 0
+    assert "tracker about a state that is no equilibrium: 2 degrees of freedom" in out
+    status, out, err = run(capsys, "modes", "tracker_gravity", *save, "--set", "exercise=on")
+    assert (status, out) == (2, "")
+    assert "modes are those of the scene as it stands" in err
+
+
+def test_drawn_motion_keeps_hinges_closed_to_first_order():
+    scene = load("stewart")
+    model = linearize(scene, equilibrium(scene))
+    modes = model.modes()
+    for twist in modes.twists:
+        run_of_mode = swinging(scene.mechanism, model, twist)
+        for equations in scene.mechanism.equations:
+            joint, ends = equations.joint, []
+            for body, point in ((equations.first, joint.point), (equations.second, joint.reaction_point)):
+                arm = scene.mechanism.bodies[body].pose.point_to_body(point)
+                turn = np.array([rotation(p) for p in run_of_mode.quaternion[:, body]])
+                ends.append(run_of_mode.position[:, body] + turn @ arm)
+            if joint.kind == "universal":
+                opening = np.linalg.norm(ends[0] - ends[1], axis=1).max()
+                assert opening < AMPLITUDE**2 * scene.mechanism.size
