@@ -6,23 +6,20 @@ import os
 import time
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from crosscheck.comparison.figure import Figure
 from crosscheck.engines import choose
 from crosscheck.errors import reason_of
 from crosscheck.files import check_writable
 from crosscheck.report.output import write
 from crosscheck.report.run import FAILS, judged_word, report
-from crosscheck.report.table import Cell, Column, Table, figures, judged, texts
+from crosscheck.report.summary import judged_figures, nearest
+from crosscheck.report.table import Cell, Column, Table, figures, texts
 from crosscheck.run import Crosscheck, Progress, crosscheck
 from crosscheck.scenes import SCENES, load
 from crosscheck.workers import LostError, in_processes
-
-HEADS = ("between engines", "against reference", "drift, m or rad", "energy, rel")
-"""Of columns of figures: those of pairs of engines, known ones, and those of each engine by itself."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +31,7 @@ class Outcome:
         wall_time: s, of everything.
         agrees: whether it ran and all its figures are within what is allowed.
         verdict: one line.
-        engines: those that ran.
-        left_out: those that cannot express the scene, and why.
-        worst: by the heading of the table, the figure that is the most of its tolerance.
+        nearest: the figure that is nearest its tolerance or exceeds it most, in words.
         word: the verdict in one word.
     """
 
@@ -44,9 +39,7 @@ class Outcome:
     wall_time: float
     agrees: bool
     verdict: str
-    engines: tuple[str, ...] = ()
-    left_out: dict[str, str] = field(default_factory=dict)
-    worst: dict[str, Figure] = field(default_factory=dict)
+    nearest: Cell | str = ""
     word: Cell = FAILS
 
 
@@ -87,48 +80,18 @@ def outcome(name: str, engines: Sequence[str], folder: Path) -> Outcome:
 
 
 def _outcome(name: str, result: Crosscheck, wall_time: float) -> Outcome:
-    judged_rows = [row for row in result.figures if not row.informs]
-    own = [row for row in judged_rows if len(row.between) == 1]
-    pairs = [row for row in judged_rows if len(row.between) > 1]
-    found: tuple[Sequence[Figure], ...] = (
-        pairs,
-        result.measured,
-        [row for row in own if row.level == "drift"],
-        [row for row in own if row.level == "energy"],
-    )
-    return Outcome(
-        name,
-        wall_time,
-        result.agrees,
-        result.verdict,
-        tuple(result.trajectories),
-        result.left_out,
-        {head: max(rows, key=lambda row: row.share) for head, rows in zip(HEADS, found, strict=True) if rows},
-        judged_word(result),
-    )
+    figure = nearest(judged_figures(result))
+    return Outcome(name, wall_time, result.agrees, result.verdict, figure, judged_word(result))
 
 
 def outcomes_table(outcomes: Sequence[Outcome]) -> Table:
-    """A row per scene; a figure beside what it may be is the worst of its kind."""
-    heads = figures(*HEADS, "time, s")
+    """A row per scene, with the figure that is nearest its tolerance."""
+    heads = [*texts("scene", "verdict"), *figures("time, s")]
     return Table(
-        "library of scenes",
-        [*texts("scene", "engines"), *heads, Column("verdict")],
-        [
-            [
-                found.scene,
-                ", ".join(found.engines) if found.left_out else "all" if found.engines else "",
-                *(_cell(found.worst.get(head)) for head in HEADS),
-                f"{found.wall_time:.1f}",
-                found.word,
-            ]
-            for found in outcomes
-        ],
+        "",
+        [*heads, Column("share of tolerance, where", brief=True)],
+        [[found.scene, found.word, f"{found.wall_time:.1f}", found.nearest] for found in outcomes],
     )
-
-
-def _cell(worst: Figure | None) -> str | Cell:
-    return "" if worst is None else judged(worst.value, worst.tolerance, worst.agrees)
 
 
 def outcome_lines(outcomes: Sequence[Outcome]) -> Iterator[str]:

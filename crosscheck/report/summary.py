@@ -35,6 +35,17 @@ def summary(result: Crosscheck, notes: Sequence[str]) -> list[Part]:
     return parts
 
 
+def judged_figures(result: Crosscheck) -> list[Figure]:
+    """All figures with a tolerance, those against the reference among them."""
+    found = [row for row in result.figures if not row.informs]
+    for each in result.measured:
+        place = f"{each.known.time:g} s"
+        found.append(
+            Figure(REFERENCE, each.known.quantity, (each.engine,), each.value, each.tolerance, place)
+        )
+    return found
+
+
 def levels_table(result: Crosscheck) -> Table:
     """Make a row per level: how many figures hold, each engine's worst, and the one nearest its tolerance.
 
@@ -43,12 +54,7 @@ def levels_table(result: Crosscheck) -> Table:
     """
     first, *others = [engine.name for engine in result.engines]
     columns = others or [first]
-    found = [row for row in result.figures if not row.informs]
-    for each in result.measured:
-        place = f"{each.known.time:g} s"
-        found.append(
-            Figure(REFERENCE, each.known.quantity, (each.engine,), each.value, each.tolerance, place)
-        )
+    found = judged_figures(result)
     rows: Rows = []
     for level in (READING, "model", START, *OF_EQUATIONS[1:], *OF_RUNS, REFERENCE):
         at_level = [row for row in found if row.level == level]
@@ -62,7 +68,7 @@ def levels_table(result: Crosscheck) -> Table:
             [row for row in at_level if name in row.between and {*row.between} <= {name, first, FILE}]
             for name in columns
         ]
-        rows.append([level.partition(" and ")[0], held, *map(_worst, of_each), _nearest(at_level)])
+        rows.append([level.partition(" and ")[0], held, *map(_worst, of_each), nearest(at_level)])
     heads = [Column("worst of level"), *figures("figures", *columns)]
     return Table("", [*heads, Column("share of tolerance, where", brief=True)], rows)
 
@@ -74,8 +80,8 @@ def _worst(rows: Sequence[Figure]) -> Cell:
     return Cell(f"{worst.value:.1e}", "" if worst.agrees else "fails")
 
 
-def _nearest(rows: Sequence[Figure]) -> Cell:
-    """The figure that is nearest its tolerance or exceeds it most, in words."""
+def nearest(rows: Sequence[Figure]) -> Cell:
+    """Word the figure that is nearest its tolerance or exceeds it most."""
     worst = max(rows, key=lambda row: row.share)
     share, (quantity, _, unit) = worst.share, worst.quantity.rpartition(", ")
     text = f"{100.0 * share:.0f} %" if share >= LEAST_SHARE else "<1 %"
