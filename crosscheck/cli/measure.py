@@ -172,6 +172,7 @@ def stress_command(full: bool, output: Path, letters: str) -> int:
 @click.option(
     "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/faults/SCENE]"
 )
+@verbose_option
 def faults_command(
     scene: str,
     settings: tuple[str, ...],
@@ -207,10 +208,7 @@ def faults_command(
     wall_time = time.perf_counter() - start
     found = report(loaded.name, search, wall_time)
     write_files({path: as_json(data(loaded.name, options, search), found)})
-    click.echo(terminal(found.parts), nl=False)
-    planted = " and ".join(search.engines)
-    say(f"wrote {path}; {len(search.found)} faults in {planted} in {wall_time:.0f} s")
-    say(found.verdict, bold=True)
+    show(found, f"wrote {path}", f"more  -v; crosscheck report {quote(str(path.parent))}")
     return AGREE if holds(search) else DISAGREE
 
 

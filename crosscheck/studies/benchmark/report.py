@@ -10,7 +10,7 @@ import numpy as np
 
 from crosscheck.palette import ENGINE_COLORS
 from crosscheck.report.plots import png
-from crosscheck.report.table import Cell, Column, Lines, Part, Rows, Table, figures, texts
+from crosscheck.report.table import Cell, Lines, Part, Rows, Table, figures, texts
 from crosscheck.studies.benchmark.ladders import ENGINES, JUDGED
 from crosscheck.studies.benchmark.reference import Reference
 from crosscheck.studies.benchmark.timing import rounded, shown
@@ -135,16 +135,16 @@ def verdict(result: Benchmark, error: float) -> str:
     return f"to an error of {error:g} (m, rad): {'; '.join(said)}"
 
 
-def summary(result: Benchmark, error: float) -> Table:
-    """Make a row per engine: its times for every other error, and its cheapest setting for the wanted one."""
+def summary(result: Benchmark, error: float) -> Iterator[Part]:
+    """A row per engine with its times for every other error, and its cheapest setting for the wanted one."""
     errors = DECADES[::2]
     rows: Rows = []
     for engine in ENGINES:
-        wanted, every = result.cheapest(engine, error), [result.cheapest(engine, each) for each in errors]
-        times = ["-" if m is None else rounded(1e3 * m.median) for m in every]
-        rows.append([engine, *times, wanted.name if wanted else ""])
-    heads = [Column("ms for an error of"), *figures(*(f"{each:.0e}" for each in errors))]
-    return Table("", [*heads, Column(f"settings for {error:g}", brief=True)], rows)
+        every = [result.cheapest(engine, each) for each in errors]
+        rows.append([engine, *("-" if m is None else rounded(1e3 * m.median) for m in every)])
+    yield Table("", [*texts("ms for an error of"), *figures(*(f"{each:.0e}" for each in errors))], rows)
+    wanted = [m for engine in ENGINES if (m := result.cheapest(engine, error))]
+    yield Lines("", [f"{m.engine} for {error:g}: {m.name}" for m in wanted])
 
 
 def _times(result: Benchmark) -> Table:

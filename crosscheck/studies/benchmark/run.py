@@ -96,7 +96,7 @@ def _whole_runs(wanted: Wanted, progress: Progress) -> Found:
         list(report.parts(result, wanted.error)),
         report.picture(result),
         report.verdict(result, wanted.error),
-        [report.summary(result, wanted.error)],
+        list(report.summary(result, wanted.error)),
     )
 
 

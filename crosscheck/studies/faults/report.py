@@ -69,11 +69,17 @@ def report(title: str, search: Search, wall_time: float) -> Report:
         Table(f"all {len(rows)} faults", heads, rows, folded=True),
     ]
     word = Cell("FOUND", "holds") if holds(search) else Cell("MISSED", "fails")
-    return Report("planted faults", verdict(title, search), word, parts, wall_time)
+    planted = f"{len(search.found)} faults planted in {', '.join(search.engines)}, in {wall_time:.0f} s"
+    few: list[Part] = [table(search, every=False), Lines("", [*unable, *lines(search, every=False)])]
+    return Report(planted, verdict(title, search), word, parts, wall_time, few)
 
 
-def table(search: Search) -> Table:
-    """Faults found and blamed right: a row per kind and per size."""
+def table(search: Search, every: bool = True) -> Table:
+    """Faults found and blamed right: a row per kind and per size.
+
+    Args:
+        every: whether kinds have rows of which all are found and blamed right.
+    """
     sizes = dict.fromkeys(found.fault.size for found in search.found)
     kinds = dict.fromkeys(found.fault.kind for found in search.found)
     groups = {kind: [found for found in search.found if found.fault.kind == kind] for kind in kinds}
@@ -83,13 +89,16 @@ def table(search: Search) -> Table:
         ]
         for size in sizes
     }
+    if not every:
+        groups = {kind: faults for kind, faults in groups.items() if list(_misses(faults, search))}
     rows: Rows = []
     for group in (groups, by_size):
         rows += [_row(name, faults, search) for name, faults in group.items()]
     names = ["faults", "found", "blamed right"]
     if search.engines != (READING,):
         names += ["moving", "by motion", "blamed"]
-    return Table("", [*texts("kind, and size"), *figures(*names)], rows)
+    head = "kind, and size" if groups else "size"
+    return Table("", [*texts(head), *figures(*names)], rows)
 
 
 def _row(name: str, faults: Sequence[Found], search: Search) -> list[str | Cell]:
@@ -105,9 +114,19 @@ def _judged(sighting: Sighting | None, right: bool) -> str | Cell:
     return Cell(text, "holds" if right else "doubtful")
 
 
-def lines(search: Search) -> Iterator[str]:
-    """Lines on faults not found or blamed wrongly, and on those that cannot be observed."""
-    faults = search.found
+def lines(search: Search, every: bool = True) -> Iterator[str]:
+    """Lines on faults not found or blamed wrongly, and on those that cannot be observed, all or how many."""
+    yield from _misses(search.found, search)
+    hidden = [found for found in search.found if not found.observable and found.lost is None]
+    names = dict.fromkeys(" ".join(filter(None, found.fault.alike)) for found in hidden)
+    if names and every:
+        yield f"unobservable, {PROOF}: {'; '.join(names)}"
+    elif names:
+        yield f"unobservable as they change nothing: {len(hidden)} faults"
+
+
+def _misses(faults: Sequence[Found], search: Search) -> Iterator[str]:
+    """Lines on faults not found or blamed wrongly."""
     for found in faults:
         if (found.counts and not found.blamed) or found.lost:
             yield _outcome(found, found.seen)
@@ -117,10 +136,6 @@ def lines(search: Search) -> Iterator[str]:
         }
         for found in blurred.values():  # the largest of each, which is the first
             yield f"by motion alone, {_outcome(found, found.moves)}"
-    hidden = [found for found in faults if not found.observable and found.lost is None]
-    if hidden:
-        names = dict.fromkeys(" ".join(filter(None, found.fault.alike)) for found in hidden)
-        yield f"unobservable, {PROOF}: {'; '.join(names)}"
 
 
 def _outcome(found: Found, sighting: Sighting | None) -> str:

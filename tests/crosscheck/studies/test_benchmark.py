@@ -205,14 +205,17 @@ def test_a_benchmark_is_written_as_json_and_picture(tracker, tmp_path, capsys, m
     monkeypatch.setattr("crosscheck.studies.benchmark.run.measure", lambda *_: result(tracker).measured)
     status, out, _ = run(capsys, "bench", "tracker", "--error", "1e-5", "--output", tmp_path / "new")
     assert status == 0
-    assert out.splitlines()[:6] == [
+    assert out.splitlines()[:9] == [
         "bench tracker",
         "to an error of 1e-05 (m, rad): newton_euler takes 200 us; mujoco takes 5 ms, 25 times as long; "
         "pinocchio takes 4 ms, 20 times as long",
         "",
-        "ms for an error of  1e-03  1e-05  1e-07  1e-09  1e-11  settings for 1e-05",
-        "newton_euler          0.1    0.2    0.2      -      -  fine",
-        "mujoco                  5      5      -      -      -  coarse",
+        "ms for an error of  1e-03  1e-05  1e-07  1e-09  1e-11",
+        "newton_euler          0.1    0.2    0.2      -      -",
+        "mujoco                  5      5      -      -      -",
+        "pinocchio            0.05      4      4      4      -",
+        "",
+        "newton_euler for 1e-05: fine",
     ]
     every = run(capsys, "bench", "tracker", "--error", "1e-5", "--output", tmp_path / "new", "-v")[1]
     assert "\n".join(result(tracker).answer(1e-5)) in every

@@ -211,6 +211,7 @@ def test_misses_are_listed():
     assert second == f"by motion alone, {first}"
     assert hidden.startswith("unobservable, with and without the fault newton_euler has the same poses")
     assert hidden.endswith(": mass bar")
+    assert list(lines(search_of(nothing), every=False)) == ["unobservable as they change nothing: 1 faults"]
     lost = a_fault(seen=None, moves=None, lost=Sighting("model", "inertia, rel", (), 1e-6, 1e-12, "bar"))
     (line,) = lines(search_of(lost))
     assert line.startswith("missed: mass of bar by 0.0001, in mujoco: mujoco's own model does not hold it")
@@ -257,12 +258,10 @@ def test_the_command_tells_what_is_missed(capsys, tmp_path, monkeypatch):
 
 def test_the_table_has_a_row_per_kind_and_size():
     of_mass, other = a_fault(), a_fault(1e-5, seen=None)
-    table = report("bar", search_of(of_mass, other), 1.0).parts[0]
-    assert table.rows == [
-        ["mass", *"211222"],
-        ["by 0.0001", *"111111"],
-        ["by 1e-05", *"100111"],
-    ]
+    sizes = [["by 0.0001", *"111111"], ["by 1e-05", *"100111"]]
+    found = report("bar", search_of(of_mass, other), 1.0)
+    assert found.parts[0].rows == found.summary[0].rows == [["mass", *"211222"], *sizes]
+    assert report("bar", search_of(of_mass), 1.0).summary[0].rows == sizes[:1]  # no kind with misses
     reading = Search((replace(of_mass, engine=READING),), (READING,), {}, smallest=0.0)
     assert report("bar", reading, 1.0).parts[0].rows[0] == ["mass", "1", "1", "0"]
     assert report("bar", reading, 1.0).verdict.startswith("bar: faults in the reading that change a motion")
