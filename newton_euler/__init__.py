@@ -9,6 +9,7 @@ from newton_euler.analysis.configurations import Axis
 from newton_euler.analysis.inverse_dynamics import Loads, inverse_dynamics, statics
 from newton_euler.analysis.linearization import LinearModel, Modes, equilibrium, linearize
 from newton_euler.analysis.poses import Poses, solve_poses
+from newton_euler.analysis.regulator import lqr
 from newton_euler.assemble import assemble, initial_state, start
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
@@ -99,6 +100,7 @@ __all__ = [
     "initial_state",
     "inverse_dynamics",
     "linearize",
+    "lqr",
     "on_moving_base",
     "simulate",
     "simulate_batch",
