@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from newton_euler.analysis.poses import Poses
 from newton_euler.assemble import initial_state
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph
@@ -83,9 +84,10 @@ class Loads:
 
 def inverse_dynamics(
     scene: Scene,
-    states: State | Trajectory,
+    states: State | Trajectory | Poses,
     accelerations: Mapping[str | Key, Any],
     actuators: Sequence[str | Key] | None = None,
+    rates: Mapping[str | Key, Any] | None = None,
     time: Any = 0.0,
 ) -> Loads:
     """Compute the forces of actuators that give joint coordinates wanted accelerations, and all reactions.
@@ -97,12 +99,14 @@ def inverse_dynamics(
 
     Args:
         scene: the mechanism with its forces.
-        states: a state, or n of them: a trajectory, or anything with positions (n, b, 3) and quaternions
-            (n, b, 4) of bodies, and their velocities if they move. Loops are closed.
+        states: a state, or n of them: a trajectory, or poses of `newton_euler.solve_poses`, which are at
+            rest. Loops are closed.
         accelerations: m/s^2 or rad/s^2, one number or (n,), by the name of the joint, or by (name, number)
             for joints of several coordinates.
         actuators: coordinates that actuators act on; those of the scene's control laws if None, and if it
             has none those of `accelerations`.
+        rates: m/s or rad/s of the same coordinates, 0 for those that are left out, in place of the velocities
+            of the states. Other freedoms move with the least kinetic energy.
         time: s, of prescribed motions, one number or (n,).
 
     Raises:
@@ -119,20 +123,35 @@ def inverse_dynamics(
         (('slide_12', 'slide_13'), (501, 2))
     """
     check_type("scene", scene, Scene)
-    coordinates = tuple(scene.mechanism.coordinate(name) for name in accelerations)
+    mechanism = scene.mechanism
+    coordinates = tuple(mechanism.coordinate(name) for name in accelerations)
     if actuators is None:
         acting = tuple(law.key for law in scene.control) or coordinates
     else:
-        acting = tuple(scene.mechanism.coordinate(name) for name in actuators)
+        acting = tuple(mechanism.coordinate(name) for name in actuators)
     if set(acting) == set(coordinates):
         acting = coordinates
     compiled = _compiled(scene, coordinates, acting)
-    given = States.of(scene, states)
+    given = States(scene, states)
     wanted = [given.column(f"acceleration of {name!r}", value) for name, value in accelerations.items()]
-    return compiled.loads(given, wanted, given.column("time", time)).loads
+    times = given.column("time", time)
+    q, v = given.coordinates(compiled.system)
+    if rates is not None:
+        moving = {mechanism.coordinate(name): (name, value) for name, value in rates.items()}
+        for key in moving:
+            if key not in coordinates:
+                name = mechanism.coordinate_name(key)
+                raise MechanismError(f"rate of {name!r}", "has no acceleration beside it", "both of them")
+        pairs = [moving.get(key, (key, 0.0)) for key in coordinates]
+        v = compiled.velocities(q, [given.column(f"rate of {name!r}", value) for name, value in pairs], times)
+    return compiled.loads(given, (q, v), wanted, times).loads
 
 
-def statics(scene: Scene, states: Any = None, actuators: Sequence[str | Key] | None = None) -> Loads:
+def statics(
+    scene: Scene,
+    states: State | Trajectory | Poses | None = None,
+    actuators: Sequence[str | Key] | None = None,
+) -> Loads:
     """Compute the forces of actuators that hold a mechanism at rest, and all reactions of joints.
 
     Gravity, springs and wrenches act; prescribed motions hold what they move; control laws are left out.
@@ -152,16 +171,17 @@ def statics(scene: Scene, states: Any = None, actuators: Sequence[str | Key] | N
         (('slide_12', 'slide_13'), (8, 3))
     """
     check_type("scene", scene, Scene)
-    given = States.of(scene, initial_state(scene) if states is None else states).at_rest()
+    given = States(scene, initial_state(scene) if states is None else states)
+    given.velocities = None
     if scene.motions:
         still = tuple(replace(motion, function=Polynomial((0.0,))) for motion in scene.motions)
-        scene = replace(scene, motions=still, initial_state=given.states[0])
+        scene = replace(scene, motions=still, initial_state=given.state(0))
     keys = tuple(law.key for law in scene.control)
     if actuators is not None:
         keys = tuple(scene.mechanism.coordinate(name) for name in actuators)
-    compiled = _compiled(scene, _independent(scene, given.states[0], keys), keys)
-    zeros = [np.zeros(len(given.states))] * len(compiled.servos.coordinates)
-    found = compiled.loads(given, zeros, np.zeros(len(given.states)))
+    compiled = _compiled(scene, _independent(scene, given.state(0), keys), keys)
+    zeros = [np.zeros(len(given))] * len(compiled.servos.coordinates)
+    found = compiled.loads(given, given.coordinates(compiled.system), zeros, np.zeros(len(given)))
     compiled.check_at_rest(found)
     return found.loads
 
@@ -176,14 +196,16 @@ def _independent(scene: Scene, state: State, keys: tuple[Key, ...]) -> tuple[Key
     return tuple(keys[k] for k in sorted(chosen))
 
 
-class States(NamedTuple):
-    """States of a scene, checked."""
+class States:
+    """States of a scene, checked.
 
-    states: list[State]
-    is_single: bool
+    Attributes:
+        position, quaternion: (n, b, 3) and (n, b, 4).
+        velocities: linear and angular ones (n, b, 3); None at rest.
+        is_single: True for one that was given alone.
+    """
 
-    @classmethod
-    def of(cls, scene: Scene, given: Any) -> States:
+    def __init__(self, scene: Scene, given: Any) -> None:
         """Take states from a state or poses; raises `MechanismError` for anything else."""
         where = f"states of scene {scene.name!r}"
         arrays: list[Any] = [getattr(given, name, None) for name in ("position", "quaternion")]
@@ -191,26 +213,36 @@ class States(NamedTuple):
             raise MechanismError(
                 where, f"is {given!r:.100}", "a State, a Trajectory or other poses of bodies"
             )
-        is_single = arrays[0].ndim == 2
-        for name in ("linear_velocity", "angular_velocity"):
-            array = getattr(given, name, None)
-            arrays.append(np.zeros_like(arrays[0]) if array is None else array)
-        rows = [arrays] if is_single else zip(*arrays, strict=True)
-        states = [State(*row) for row in rows]
-        for state in states:
-            scene.check_numbers(state, where)
-        return cls(states, is_single)
+        moving = [getattr(given, name, None) for name in ("linear_velocity", "angular_velocity")]
+        arrays += [each for each in moving if each is not None]
+        self.is_single = arrays[0].ndim == 2
+        self.position, self.quaternion, *both = (a[None] for a in arrays) if self.is_single else arrays
+        self.velocities = both if len(both) == len(moving) else None
+        self._solved = given if isinstance(given, Poses) else None
+        if self._solved is None:
+            for row in range(len(self)):
+                scene.check_numbers(self.state(row), where)
 
-    def at_rest(self) -> States:
-        """Return the same poses without velocities."""
-        still = np.zeros_like(self.states[0].position)
-        rows = [State(state.position, state.quaternion, still, still) for state in self.states]
-        return self._replace(states=rows)
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def state(self, row: int) -> State:
+        """Return one of the states."""
+        still = np.zeros_like(self.position[row])
+        moving = (still, still) if self.velocities is None else (each[row] for each in self.velocities)
+        return State(self.position[row], self.quaternion[row], *moving)
+
+    def coordinates(self, system: Relative) -> tuple[Array, Array]:
+        """Compute q (n, nq) and v (n, nv) of a system of the scene."""
+        if self._solved is not None and system.nq == system.tree.nq:
+            return self._solved.tree_coordinates, np.zeros((len(self), system.nv))
+        q, v = zip(*(system.coordinates(self.state(row)) for row in range(len(self))), strict=True)
+        return np.array(q), np.array(v)
 
     def column(self, name: str, value: Any) -> Array:
         """Return a number for each state, (n,); raises `MechanismError`."""
-        shape = (len(self.states),) if np.ndim(value) else ()
-        return np.broadcast_to(finite_array("inverse dynamics", name, value, shape), len(self.states))
+        shape = (len(self),) if np.ndim(value) else ()
+        return np.broadcast_to(finite_array("inverse dynamics", name, value, shape), len(self))
 
 
 class Solved(NamedTuple):
@@ -246,6 +278,11 @@ class InverseDynamics:
         return self._function("forces", self._trace_forces, len(self.servos.coordinates))
 
     @cached_property
+    def motion(self) -> NativeFunction:
+        """Of (q, anything, rates, time, pieces): v (nv,) and pivot ratio."""
+        return self._function("motion", self._trace_motion, len(self.servos.coordinates))
+
+    @cached_property
     def evaluation(self) -> NativeFunction:
         """Of (q, v, actuator forces, time, pieces): `Solved` arrays, one after the other."""
         return self._function("loads", self._trace_evaluation, len(self.servos.actuators))
@@ -275,6 +312,11 @@ class InverseDynamics:
         phi = (system.phi(q) / system.phi_units)[:loops]
         return [*forces, minimum(pivot_ratio, 1.0), phi @ phi]
 
+    def _trace_motion(self, scene: Scene, q: Array, v: Array, rates: Array, time: Scalar) -> list[Scalar]:
+        system = at_time(Relative(scene), time)
+        found, pivot_ratio = system.servo_velocities(q, self.servos, list(rates))
+        return [*found, minimum(pivot_ratio, 1.0)]
+
     def _trace_evaluation(
         self, scene: Scene, q: Array, v: Array, forces: Array, time: Scalar
     ) -> list[Scalar]:
@@ -286,21 +328,38 @@ class InverseDynamics:
         values = {numbered("control", k, "feedforward"): u for k, u in enumerate(forces)}
         return at_time(Relative(with_values(scene, values)), time)
 
-    def loads(self, given: States, accelerations: Sequence[Array], time: Array) -> Solved:
-        """Solve for wanted accelerations (n,) of each coordinate at n states and times."""
-        rows = [np.concatenate(self.system.coordinates(state)) for state in given.states]
-        table = np.array(rows).reshape(len(rows), -1)
-        moments = [np.concatenate([[t], *pieces(self.scene, t).values()]) for t in time.tolist()]
+    def _moments(self, time: Array) -> Array:
+        """Return times (n,), s, with the pieces of functions there."""
+        if not pieces(self.scene, 0.0):
+            return time[:, None]
+        return np.array([np.concatenate([[t], *pieces(self.scene, t).values()]) for t in time.tolist()])
+
+    def velocities(self, q: Array, rates: Sequence[Array], time: Array) -> Array:
+        """Compute v (n, nv) of rates (n,) of each coordinate at q (n, nq) and times (n,)."""
+        nothing = np.zeros((len(q), self.system.nv))
+        found = at_rows(self.motion, np.column_stack([q, nothing, *rates, self._moments(time)]))
+        self._check_pivots(found[:, -1], found, q)
+        return found[:, :-1]
+
+    def _check_pivots(self, pivot_ratio: Array, found: Array, q: Array) -> None:
+        """Raise `SingularityError` for the first state whose pivot ratio (n,) or results are no good."""
+        for row in np.flatnonzero(~(pivot_ratio > 0.0) | ~np.isfinite(found).all(axis=1))[:1]:
+            at = fault(self.system, q[row], self.servos, NEAR)
+            key, problem = at or (self.servos.coordinates[0], "is not determined")
+            raise SingularityError(key[0], f"at state {row} the coordinate {problem}")
+
+    def loads(
+        self, given: States, own: tuple[Array, Array], accelerations: Sequence[Array], time: Array
+    ) -> Solved:
+        """Solve for wanted accelerations (n,) of each coordinate at n states, with own q and v, and times."""
+        table, moments = np.column_stack(own), self._moments(time)
         found = at_rows(self.forces, np.column_stack([table, *accelerations, moments]))
         forces, pivot_ratio, opening = found[:, :-2], found[:, -2], found[:, -1]
         for row in np.flatnonzero(~(opening <= OPEN**2))[:1]:
-            joint, distance = worst_joint(self.system, given.states[row])
+            joint, distance = worst_joint(self.system, given.state(row))
             problem = f"joint {joint!r} is open by {distance:.3g} (m or rad)"
             raise MechanismError(f"state {row}", problem, f"closed loops, to {OPEN:g} sizes of the mechanism")
-        for row in np.flatnonzero(~(pivot_ratio > 0.0) | ~np.isfinite(forces).all(axis=1))[:1]:
-            at = fault(self.system, table[row, : self.system.nq], self.servos, NEAR)
-            key, problem = at or (self.servos.coordinates[0], "is not determined")
-            raise SingularityError(key[0], f"at state {row} the coordinate {problem}")
+        self._check_pivots(pivot_ratio, forces, own[0])
         shapes = [(len(self.scene.mechanism.joints), 3)] * 2 + [(len(self.scene.mechanism.bodies), 3)] * 2
         ends = np.cumsum([j * k for j, k in shapes])
         if mobility(self.scene).redundant:  # the float form knows the smallest reactions

@@ -101,6 +101,11 @@ class Poses:
         rest = np.zeros_like(self.position[number])
         return State(self.position[number], self.quaternion[number], rest, rest)
 
+    @property
+    def tree_coordinates(self) -> Array:
+        """Coordinates (n, nq) of the spanning tree of the mechanism."""
+        return self._at.q[:, : self._at.chain.system.tree.nq]
+
     def jacobian(self, of: Sequence[str | Key | Axis], by: Sequence[str | Key | Axis]) -> Array:
         """Compute derivatives (n, rows, columns) of some quantities by others, on the closed loops.
 

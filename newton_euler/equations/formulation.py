@@ -381,13 +381,9 @@ class Formulation(System):
         coordinates, actuators, rows = servos
         equations = self.sparse_equations(q, v, rows)
         wanted, gamma = self.sparse_coordinates(q, v, coordinates)
-        first = len(equations.jacobian)
-        places = range(first, first + len(wanted))
-        equations = equations._replace(
-            jacobian=[*equations.jacobian, *wanted],
-            gamma=np.concatenate([equations.gamma, gamma + np.array(accelerations)]),
-            rows=RowsInUse([*equations.rows.numbers, *places]),
-        )
+        gamma = np.concatenate([equations.gamma, gamma + np.array(accelerations)])
+        equations = equations.extended(wanted, gamma)
+        places = range(len(gamma) - len(wanted), len(gamma))
         solution = solve_constrained(equations)
         forces = np.array([solution.multipliers.get(place, 0.0) for place in places])
         if actuators == coordinates:

@@ -26,6 +26,7 @@ import numpy as np
 
 from newton_euler.equations import dense, sparse
 from newton_euler.equations.applied_forces import body_wrenches
+from newton_euler.equations.formulation import Servos
 from newton_euler.equations.kinematics import Link, TreeKinematics, drift
 from newton_euler.equations.model_control import model_control
 from newton_euler.equations.reactions import tree_reactions
@@ -197,6 +198,15 @@ class Relative(TreeKinematics):
     def sparse_vdot(self, q: Array, v: Array, solution: Solution) -> Array:
         """Compute qddot (nv,) from a sparse solution."""
         return np.array([solution.acceleration.get(k, 0.0) for k in range(self.nv)])
+
+    def servo_velocities(self, q: Array, servos: Servos, rates: Sequence[Scalar]) -> tuple[Array, Scalar]:
+        """Compute v (nv,) of least kinetic energy for rates (d,) of coordinates, and the pivot ratio."""
+        rest = np.zeros(self.nv)
+        equations = self.sparse_equations(q, rest, servos.rows)
+        wanted, _ = self.sparse_coordinates(q, rest, servos.coordinates)
+        gamma = np.concatenate([-self.phi_t(), np.array(rates)])
+        solution = sparse.solve_constrained(equations.extended(wanted, gamma)._replace(force={}))
+        return self.sparse_vdot(q, rest, solution), solution.pivot_ratio
 
     # Bodies and reactions at a solution
 

@@ -250,6 +250,11 @@ class Equations(NamedTuple):
     refine: bool
     softness: Mapping[int, Scalar] | None = None
 
+    def extended(self, rows: Rows, gamma: Array) -> Equations:
+        """Return the same with further rows of J, all in use, and another gamma (k,)."""
+        numbers = [*self.rows.numbers, *range(len(self.jacobian), len(self.jacobian) + len(rows))]
+        return self._replace(jacobian=[*self.jacobian, *rows], gamma=gamma, rows=RowsInUse(numbers))
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:

@@ -12,6 +12,7 @@ from mechanisms import bar
 from crosscheck.scenes import load
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.analysis.inverse_dynamics import inverse_dynamics, statics
+from newton_euler.analysis.poses import solve_poses
 from newton_euler.assemble import initial_state, start
 from newton_euler.codegen.expression import Graph
 from newton_euler.equations.cartesian import Cartesian
@@ -280,6 +281,40 @@ def test_static_reactions_are_those_of_the_other_engines(engine):
     assert held.reaction_torque == pytest.approx(found.reaction_torque, abs=1e-8 * scale)
     weight = sum(body.mass for body in scene.mechanism.bodies)
     assert np.abs(found.linear_acceleration).max() * weight < 1e-8 * scale
+
+
+def test_poses_with_rates_are_the_states_of_a_run(tracker):
+    """Forces of the laws from coordinates, rates and accelerations alone, no state of the run."""
+    run = simulate(replace(tracker, duration=1.0, output_period=0.1))
+    names, wanted = ("slide_12", "slide_13"), []
+    for k in range(len(run.time)):
+        row = run.position[k], run.quaternion[k], run.linear_velocity[k], run.angular_velocity[k]
+        wanted.append(accelerations(tracker, State(*row), names))
+    motion = {name: run.joint(name) for name in names}
+    poses = solve_poses(tracker, {name: motion[name].coordinates[:, 0] for name in names})
+    rates = {name: motion[name].rates[:, 0] for name in names}
+    found = inverse_dynamics(tracker, poses, dict(zip(names, np.transpose(wanted), strict=True)), rates=rates)
+    scale = np.abs(run.actuator_force).max()
+    # poses are solved to 1e-12 of the mechanism's size, and forces have its stiffness
+    assert found.actuator_force == pytest.approx(run.actuator_force, abs=1e-9 * scale)
+    assert found.reaction_force == pytest.approx(run.reaction_force, abs=1e-9 * scale)
+    held = statics(load("tracker_gravity"), poses)
+    again = statics(load("tracker_gravity"), run)
+    assert held.actuator_force == pytest.approx(again.actuator_force, rel=1e-9)
+
+
+def test_rates_of_some_coordinates_move_others_with_the_least_energy():
+    """The pole of a cart turns so that the energy at a given rate of the cart is the least."""
+    scene = cart_pole()
+    still = initial_state(scene)
+    a, inertia = rotation(scene.mechanism.bodies[2].quaternion), scene.mechanism.bodies[2].inertia
+    about = (a @ inertia @ a.T)[1, 1] + 0.5**2
+    turning = start(scene, rail=(0.0, 1.0), pin=(0.0, -0.5 * np.cos(0.3) / about))
+    found = inverse_dynamics(scene, still, {"rail": 0.5}, rates={"rail": 1.0})
+    expected = inverse_dynamics(scene, initial_state(turning), {"rail": 0.5})
+    assert found.actuator_force == pytest.approx(expected.actuator_force, rel=1e-12)
+    with pytest.raises(NewtonEulerError, match="rate of 'pin': has no acceleration beside it"):
+        inverse_dynamics(scene, still, {"rail": 0.5}, rates={"pin": 1.0})
 
 
 def test_prescribed_motions_act_with_their_functions_at_each_time(tracker):
