@@ -98,7 +98,7 @@ def bench_command(
 def modes_command(
     scene: str, settings: tuple[str, ...], at_start: bool, open_loop: bool, save: Path | None
 ) -> int:
-    """Compute natural frequencies, damping and mode shapes, and record these.
+    """Compute natural frequencies, damping and shapes of modes.
 
     SCENE is a name or a file, as of run.
     """

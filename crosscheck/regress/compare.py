@@ -80,9 +80,10 @@ class Comparison:
     @property
     def verdict(self) -> str:
         """One line."""
-        made = f"the baseline of {self.made.date} ({self.made.reason})"
+        made = f"the baseline of {self.made.date}"
         if not self.moved:
             return f"{self.scene}: quiet: all {len(self.checked)} figures are as in {made}"
+        made += f" ({self.made.reason})"
         since = ", ".join(self.changed_versions) or "no version changed"
         when = "" if self.diverges is None else f"; poses part at {self.diverges:.6g} s"
         moved = f"{len(self.moved)} of {len(self.checked)} figures"

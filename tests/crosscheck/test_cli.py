@@ -73,6 +73,12 @@ def test_list_names_scenes_options_and_engines(capsys):
     assert "engines: newton_euler, mujoco, pinocchio" in out
 
 
+def test_help_is_not_cut_off(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    status, out, _ = run(capsys, "--help")
+    assert (status, "..." in out) == (0, False)
+
+
 def test_module_and_version():
     command = [sys.executable, "-m", "crosscheck", "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
