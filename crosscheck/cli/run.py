@@ -168,17 +168,25 @@ def _models(*named: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:
     from newton_euler.verification.import_report import unique_name
 
     paths = [Path(source) for source, *_ in named]
-    alike = paths[0].stem == paths[1].stem
     found: list[Model] = []
-    for path, prefix, (source, settings) in zip(paths, ("", "against-"), named, strict=True):
+    for path, other, prefix, (source, settings) in zip(
+        paths, paths[::-1], ("", "against-"), named, strict=True
+    ):
         options = scene_options(settings, prefix)
         for option in ("duration", "output_period"):
             if prefix and option in options:
                 raise CrosscheckError(f"--against-set {option}: both models have the first's, see --set")
-        name = unique_name(path.name if alike else path.stem, "model", [model.name for model in found])
+        name = unique_name(_short_name(path, other), "model", [model.name for model in found])
         found.append(Model(name, source, options, *load_scene(source, options)))
     first, second = found
     return first, second
+
+
+def _short_name(path: Path, other: Path) -> str:
+    """Return the part of a path that tells it from another: its stem, its name, or its folder, too."""
+    if path.name == other.name and path.parent.name:
+        return f"{path.parent.name}_{path.name}"
+    return path.name if path.stem == other.stem else path.stem
 
 
 def _run_against(models: tuple[Model, Model], output: Path | None, save: Path | None) -> int:

@@ -19,6 +19,7 @@ from crosscheck.against import compare
 from crosscheck.against.align import alignments
 from crosscheck.against.compare import Against, Model, against
 from crosscheck.against.levels import functions_apart
+from crosscheck.cli.run import _short_name
 from crosscheck.comparison.figure import OF_EQUATIONS, OF_RUNS, START
 from crosscheck.comparison.reactions import undetermined, undetermined_in_both
 from crosscheck.scenes.scene_file import write_scene
@@ -324,6 +325,19 @@ def test_a_converted_model_is_the_same_on_the_command_line(capsys, tmp_path, fil
     assert summary["agrees"] is True
     assert [part["source"] for part in summary["models"]] == [str(model), str(converted)]
     assert {figure["level"] for figure in summary["figures"]} == {*OF_EQUATIONS, *OF_RUNS, START} - {"drift"}
+
+
+@pytest.mark.parametrize(
+    ("path", "other", "name"),
+    [
+        ("new/arm.xml", "leg.xml", "arm"),
+        ("new/arm.xml", "arm.urdf", "arm.xml"),
+        ("new/arm.xml", "arm.xml", "new_arm.xml"),
+        ("arm.xml", "new/arm.xml", "arm.xml"),
+    ],
+)
+def test_models_are_named_by_what_tells_them_apart(path: str, other: str, name: str) -> None:
+    assert _short_name(Path(path), Path(other)) == name
 
 
 @pytest.mark.parametrize(
