@@ -38,7 +38,7 @@ from mjcf.reading.loops import Loops
 from mjcf.reading.source import UNNAMED, SourceError, compiled, given, model_name
 from mjcf.reading.start import Start
 from newton_euler.assemble import assemble
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.exercise import HIGHEST, LOWEST, moving
 from newton_euler.model.forces import Armature, BallArmature
 from newton_euler.model.mechanism import Mechanism
@@ -96,6 +96,7 @@ def read(
 
     Raises:
         MjcfError: naming the file or model and the element at fault, one that was not read right among them.
+        OptionError: for the root of a model in memory.
 
     Examples:
         >>> found = mjcf.read("examples/linkage.xml", key="go", duration=2.0)
@@ -109,6 +110,8 @@ def read(
             made = compiled(where, root)
         else:
             where, made = given(model)
+            if root is not None:
+                raise OptionError("root", root, "none, as a model in memory refers to no files")
         found = _reading(where, copy.copy(made), key, request)
         try:
             originals = [_original(copy.copy(made), key, found)]

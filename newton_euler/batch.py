@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from newton_euler.assemble import initial_state
 from newton_euler.equations.parameters import checked
 from newton_euler.errors import MechanismError, OptionError, UnknownNameError, check_type, is_count
-from newton_euler.integrators.compiled import PAPER_ALPHA
 from newton_euler.integrators.options import (
     FormulationName,
     IntegratorName,
@@ -98,7 +97,7 @@ def simulate_batch(
     formulation: FormulationName | None = None,
     integrator: IntegratorName = "DOP853",
     stabilization: StabilizationName = "projection",
-    alpha: float = PAPER_ALPHA,
+    alpha: float | None = None,
     **control: Unpack[StepControl],
 ) -> Batch:
     """Run a scene many times, from other states or with other parameters; compiled once.
@@ -123,7 +122,7 @@ def simulate_batch(
         (2, (2, 1001, 2, 3))
     """
     check_type("scene", scene, Scene)
-    options = Options(integrator, **control)
+    options = Options.of(integrator, control)
     options.check_steps(scene.duration)
     if not isinstance(parameters, Mapping | None):
         raise OptionError("parameters", _short(parameters), "values, one per run, by name")

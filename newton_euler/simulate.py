@@ -23,7 +23,7 @@ from newton_euler.errors import (
     OptionError,
     check_type,
 )
-from newton_euler.integrators.compiled import PAPER_ALPHA, Code, baumgarte_alpha, check_formulation
+from newton_euler.integrators.compiled import Code, baumgarte_alpha, check_formulation
 from newton_euler.integrators.interpreted import integrate
 from newton_euler.integrators.options import (
     FormulationName,
@@ -55,7 +55,7 @@ def simulate(
     integrator: IntegratorName = "DOP853",
     *,
     stabilization: StabilizationName = "projection",
-    alpha: float = PAPER_ALPHA,
+    alpha: float | None = None,
     **control: Unpack[StepControl],
 ) -> Trajectory:
     """Run a scene with this package's own equations, in native code.
@@ -67,7 +67,7 @@ def simulate(
             trajectory's settings say which it is.
         integrator: one of `newton_euler.integrators.options.INTEGRATORS`.
         stabilization: "projection", "baumgarte" or "none".
-        alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2.
+        alpha: 1/s, of Baumgarte's gains K_D = 2 alpha, K_P = alpha^2; the paper's 10 if None.
         control: of steps: rtol and atol of adaptive integrators, step (s) of those with fixed steps,
             most_steps; see `newton_euler.integrators.options.Options`.
 
@@ -80,10 +80,9 @@ def simulate(
         ('cartesian', (1001, 2, 3))
     """
     check_type("scene", scene, Scene)
-    options = Options(integrator, **control)
+    options = Options.of(integrator, control)
     check_formulation(formulation)
-    baumgarte_alpha(stabilization, alpha)
-    return _compiled(scene, formulation, stabilization, float(alpha))._run(options)
+    return _compiled(scene, formulation, stabilization, baumgarte_alpha(stabilization, alpha))._run(options)
 
 
 @lru_cache(maxsize=KEPT)
@@ -96,7 +95,7 @@ def compile_scene(
     scene: Scene,
     formulation: FormulationName | None = None,
     stabilization: StabilizationName = "projection",
-    alpha: float = PAPER_ALPHA,
+    alpha: float | None = None,
     parameters: Sequence[str] = (),
 ) -> CompiledScene:
     """Trace and compile a scene, for many runs; arguments as of `simulate`.
@@ -154,7 +153,7 @@ class CompiledScene(Code):
         **control: Unpack[StepControl],
     ) -> Trajectory:
         """Run the scene; arguments and errors as of `newton_euler.simulate`."""
-        return self._run(Options(integrator, **control))
+        return self._run(Options.of(integrator, control))
 
     def _run(self, options: Options) -> Trajectory:
         for weak in self.nearly_redundant:

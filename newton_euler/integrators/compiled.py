@@ -67,12 +67,16 @@ OPEN_TOLERANCE = 1e-9
 """Sizes of the mechanism, or rad, that a constraint may stay open after projection."""
 
 
-def baumgarte_alpha(stabilization: str, alpha: float) -> float:
+def baumgarte_alpha(stabilization: str, alpha: float | None) -> float:
     """Return the alpha that equations take; raises `OptionError` for impossible choices."""
+    check_choice("stabilization", stabilization, STABILIZATIONS)
+    if alpha is None:
+        return PAPER_ALPHA if stabilization == "baumgarte" else 0.0
     if not is_finite_number(alpha) or alpha < 0.0:
         raise OptionError("alpha", alpha, "a number of 1/s, zero or more")
-    check_choice("stabilization", stabilization, STABILIZATIONS)
-    return alpha if stabilization == "baumgarte" else 0.0
+    if stabilization != "baumgarte" and alpha > 0.0:
+        raise OptionError("alpha", alpha, f"none: stabilization is {stabilization!r}, not 'baumgarte'")
+    return float(alpha)
 
 
 def cheaper_formulation(mechanism: Mechanism) -> str:
@@ -118,7 +122,7 @@ class Code:
         scene: Scene,
         formulation: str | None = None,
         stabilization: str = "projection",
-        alpha: float = PAPER_ALPHA,
+        alpha: float | None = None,
         parameters: Sequence[str] = (),
         independent: Sequence[int] | None = None,
     ) -> None:
@@ -127,9 +131,9 @@ class Code:
         self.scene = scene
         formulation = formulation or cheaper_formulation(scene.mechanism)
         self._independent, self._named = independent, tuple(parameters)
-        self.formulation, self.stabilization, self.alpha = formulation, stabilization, alpha
-        self._alpha = baumgarte_alpha(stabilization, alpha)
-        self.system = formulate(scene, formulation, self._alpha)
+        self.formulation, self.stabilization = formulation, stabilization
+        self.alpha = baumgarte_alpha(stabilization, alpha)
+        self.system = formulate(scene, formulation, self.alpha)
         of_functions = list(pieces(scene, 0.0))
         self._of_motions = tuple(name for name in of_functions if name.startswith("motions"))
         self.piecewise = len(of_functions) > 0
@@ -203,7 +207,7 @@ class Code:
     @cached_property
     def _fingerprint(self) -> Callable[[tuple[str, ...], frozenset[str]], str | None]:
         """Fingerprint of the scene with parameters, but for neutral fields, worked out once."""
-        chosen: list[Any] = [self.formulation, self.stabilization, self._alpha, self.scene.tracks_work]
+        chosen: list[Any] = [self.formulation, self.stabilization, self.alpha, self.scene.tracks_work]
         if self._independent is not None:
             chosen.append(tuple(self._independent))
         # the choice of rows begins where the scene does
@@ -276,7 +280,7 @@ class Code:
 
     def _formulated(self, scene: Scene) -> Formulation:
         """Return the equations of the scene with other values of its parameters."""
-        system = formulate(scene, self.formulation, self._alpha)
+        system = formulate(scene, self.formulation, self.alpha)
         share_model_control(system, self.system)
         return system
 

@@ -91,6 +91,15 @@ class Options:
         elif self.step is not None:
             raise OptionError("step", self.step, f"none: {self.integrator} chooses its own steps")
 
+    @classmethod
+    def of(cls, integrator: str, control: StepControl) -> Options:
+        """Make the options of a method; raises `OptionError` for tolerances of a method with fixed steps."""
+        check_choice("integrator", integrator, INTEGRATORS)
+        for name in ("rtol", "atol") if integrator in FIXED else ():
+            if name in control:
+                raise OptionError(name, control[name], f"none: {integrator} takes fixed steps")
+        return cls(integrator, **control)
+
     def check_steps(self, duration: float) -> None:
         """Raise `OptionError` for fixed steps that are too many in a duration, s."""
         most = self.most_steps or MOST_FIXED_STEPS

@@ -14,6 +14,7 @@ from mjcf.errors import MjcfError
 from mjcf.model import CompiledScene
 from mjcf.reader import Reading
 from mjcf.reading.joints import Ties
+from newton_euler import NewtonEulerError
 from newton_euler.assemble import initial_state
 from newton_euler.integrators.compiled import FORMULATIONS, formulate
 from newton_euler.model.compound_joint import Compound
@@ -350,5 +351,9 @@ def test_models_in_memory_that_cannot_be_read_are_named():
         read(spec)
     with pytest.raises(MjcfError, match=r"^MjSpec 'two_bars': no keyframe 'home'"):
         read(mujoco.MjSpec.from_string(TWO_BARS), "home")
+    with pytest.raises(
+        NewtonEulerError, match=r"root is '\.'; needed: none, as a model in memory refers to no"
+    ):
+        read(mujoco.MjSpec.from_string(TWO_BARS), root=".")
     with pytest.raises(MjcfError, match=r"needed: a path of a file, a mujoco.MjSpec or a mujoco.MjModel"):
         read(5)

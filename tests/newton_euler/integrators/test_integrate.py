@@ -10,6 +10,7 @@ from mechanisms import ball_loop, pendulum, spinning_top
 from scipy.special import ellipj, ellipk
 
 import newton_euler
+import urdf
 from crosscheck.scenes import load
 from newton_euler.assemble import initial_state
 from newton_euler.equations.relative import Relative
@@ -99,15 +100,23 @@ def test_projection_restores_positions_and_velocities():
         ({"integrator": "RK4", "step": True}, "step is True"),
         ({"integrator": "Euler", "step": 1e-25}, "step is 1e-25"),
         ({"step": 0.1}, "chooses its own steps"),
+        (
+            {"integrator": "RK4", "step": 0.1, "rtol": 1e-6},
+            "rtol is 1e-06; needed: none: RK4 takes fixed",
+        ),
         ({"alpha": float("inf")}, "alpha is inf"),
+        ({"alpha": 5.0}, "alpha is 5.0; needed: none: stabilization is 'projection', not 'baumgarte'"),
         ({"most_steps": 0}, "most_steps is 0"),
         ({"most_steps": 1e6}, "most_steps is 1000000.0"),
     ],
 )
 def test_impossible_options_are_refused(options, message):
-    with pytest.raises((OptionError, UnknownNameError)) as caught:
-        newton_euler.simulate(pendulum(), **options)
-    assert message in str(caught.value)
+    for simulate in (newton_euler.simulate, newton_euler.simulate_batch, urdf.simulate):
+        if simulate is urdf.simulate and "formulation" in options:
+            continue
+        with pytest.raises((OptionError, UnknownNameError)) as caught:
+            simulate(pendulum(), **options)
+        assert message in str(caught.value)
 
 
 def test_a_run_that_gets_nowhere_says_so():

@@ -93,14 +93,14 @@ GOOD: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
             "rtol": 1e-3,
             "atol": 1e-3,
             "step": None,
-            "stabilization": "none",
+            "stabilization": "baumgarte",
             "alpha": 1.0,
             "most_steps": 100,
         },
     ),
     "compile_scene": (
         lambda **options: newton_euler.compile_scene(pendulum(), **options),
-        {"formulation": "relative", "stabilization": "projection", "alpha": 1.0, "parameters": ()},
+        {"formulation": "relative", "stabilization": "baumgarte", "alpha": 1.0, "parameters": ()},
     ),
 }
 
