@@ -165,7 +165,7 @@ def integrate_intervals(code: Code, x: Array, options: Options, stopped: Sequenc
     parts: list[Array] = []
     total: Counter[str] = Counter()
     error: IntegrationError | None = None
-    controllers = Controllers(scene)
+    controllers, integrators = Controllers(scene), dict[int, Integrator]()
     for interval in intervals(scene, scene.knots):
         values: dict[str, Any] = pieces(scene, interval.middle)
         if interval.due:
@@ -178,7 +178,10 @@ def integrate_intervals(code: Code, x: Array, options: Options, stopped: Sequenc
         for name, value in values.items():
             place = code.place(name)
             x[place : place + np.size(value)] = value
-        integrator = Integrator(code, interval.times, options, stopped)
+        if len(interval.times) not in integrators:
+            integrators[len(interval.times)] = Integrator(code, interval.times, options, stopped)
+        integrator = integrators[len(interval.times)]
+        integrator.times[:] = interval.times
         if not values:  # one integrator for all of the run, which others make once for many
             start = time.perf_counter()
         results, error = integrator.attempt(x)

@@ -378,8 +378,8 @@ MISTAKES = {
     ),
     "a limit that is not checked": (
         "crosscheck/scenes/size.py",
-        '{"terms": terms, "cycles": cycles}',
-        '{"cycles": cycles}',
+        '{"terms": terms, "cycles": cycles, "knots": knots}',
+        '{"cycles": cycles, "knots": knots}',
         "crosscheck/scenes/test_size.py",
     ),
     "a unit lost from a known figure": (

@@ -239,8 +239,8 @@ def first_step(system: Equations, method: Dop853, span: float) -> float:
         d1 += (k[i] / scale) * (k[i] / scale)
     d0 = sqrt(d0 / n)
     d1 = sqrt(d1 / n)
-    h = 1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1
-    h = min(max(h, LEAST * SPACING * abs(now[n])), span)  # next to the origin the state says little
+    h = min(1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1, span)
+    h = max(h, min(LEAST * SPACING * abs(now[n]), span))  # next to the origin the state says little
     for i in range(n):
         at[i] = now[i] + h * k[i]
     at[n] = now[n] + h

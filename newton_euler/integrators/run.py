@@ -163,6 +163,7 @@ class Integrator:
     """A method on a compiled scene over given times, ready to run from many starts; one thread at a time.
 
     Attributes:
+        times: (n,) s, its own copy, to be overwritten for a run over other times.
         x: (inputs,) the state with time and parameters: the start, and after the run where it ended.
         table: (n, size) the states at all times after a run, as far as `outputs` needs them.
         outputs: the arrays that the scene asks for.
@@ -172,15 +173,15 @@ class Integrator:
     def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
         """Make everything ready; a run stops if `stopped`, which other threads may fill, holds something."""
         self._code, self._python, self._integrator = code, Fallback(code, stopped), options.integrator
-        self._times, self._most = times, min(options.most_steps or MOST_STEPS, COUNTED)
+        self.times, self._most = times.copy(), min(options.most_steps or MOST_STEPS, COUNTED)
         self.x, self.counts = np.zeros(code.inputs), np.zeros(m.COUNTS)
         self.table = np.zeros((len(times), code.size))
         marked = marks(code, options.integrator)
         system = equations(code, self._python, code.function("derivative"), marked, self.counts)
-        table = m.Table(len(times), code.kept, times, self.table)
-        method = _method(code, self.x, times, options, self._most)
+        table = m.Table(len(times), code.kept, self.times, self.table)
+        method = _method(code, self.x, options, self._most)
         self._copies = [getattr(method, name) for name in ("at", "end") if hasattr(method, name)]
-        self.outputs = Outputs(code, times, self.x, self.table)
+        self.outputs = Outputs(code, self.times, self.x, self.table)
         integrate = METHODS[options.integrator]
         self._run = native_method(integrate).bind(integrate, system, table, method)
 
@@ -216,7 +217,7 @@ class Integrator:
                 self.outputs(results, rows)
                 break
             except IntegrationError as error:
-                stopped, rows = stopped or error, int(np.searchsorted(self._times, error.time))
+                stopped, rows = stopped or error, int(np.searchsorted(self.times, error.time))
         return results[:rows], stopped
 
     @property
@@ -257,7 +258,7 @@ def equations(
     )
 
 
-def _method(code: Code, x: Array, times: Array, options: Options, most: int) -> Record:
+def _method(code: Code, x: Array, options: Options, most: int) -> Record:
     """Return a method that begins at x (inputs,), with its scratch."""
     n, like = code.size, np.zeros_like
     if options.step is not None:
