@@ -6,6 +6,7 @@ Examples in docstrings, here and in the other packages, follow `from newton_eule
 """
 
 from newton_euler.analysis.configurations import Axis
+from newton_euler.analysis.envelope import LoadEnvelope, LoadRange, load_envelope, rest_case
 from newton_euler.analysis.inverse_dynamics import Loads, inverse_dynamics, statics
 from newton_euler.analysis.linearization import LinearModel, Modes, equilibrium, linearize
 from newton_euler.analysis.poses import Poses, solve_poses
@@ -62,6 +63,8 @@ __all__ = [
     "JointSpring",
     "LinearCoupling",
     "LinearModel",
+    "LoadEnvelope",
+    "LoadRange",
     "Loads",
     "Mechanism",
     "Mesh",
@@ -100,8 +103,10 @@ __all__ = [
     "initial_state",
     "inverse_dynamics",
     "linearize",
+    "load_envelope",
     "lqr",
     "on_moving_base",
+    "rest_case",
     "simulate",
     "simulate_batch",
     "solve_poses",

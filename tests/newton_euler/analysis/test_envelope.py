@@ -1,0 +1,188 @@
+"""Loads of joints and actuators: equilibrium with weight and wind, other engines, and ranges over cases."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mechanisms import mass_on_rail, pendulum
+
+import newton_euler
+import urdf
+from crosscheck.scenes import load
+from mjcf.rigid import RigidMuJoCo
+from newton_euler import PD, load_envelope, rest_case, statics
+from newton_euler.analysis.envelope import Load, joint_loads
+from newton_euler.equations.system import at_time
+from newton_euler.errors import MechanismError, UnknownNameError
+from newton_euler.exercise import random_states
+from newton_euler.model.euler_parameters import rotation
+from newton_euler.model.state import State
+from newton_euler.verification.wrenches import Wrenches
+
+TURNED = np.array([[0.5, 0.5, 0.5, 0.5], [1.0, 0.0, 0.0, 0.0], [0.0, 0.6, 0.8, 0.0]])
+
+
+def on_the_ground(scene, state, held):
+    """Sums of the force, and of the moment about the world's origin, that the ground exerts."""
+    mechanism, force, moment = scene.mechanism, np.zeros(3), np.zeros(3)
+    pushes = list(zip(mechanism.joints, held.reaction_force, held.reaction_torque, strict=True))
+    for name, u in zip(held.actuators, held.actuator_force, strict=True):
+        joint = mechanism.joint(name)
+        pushes.append((joint, u * joint.axis, np.zeros(3)))  # slides of the ground along z, which stays
+    for joint, push, torque in pushes:
+        if joint.first == mechanism.body_names[0]:
+            body = mechanism.body_index(joint.second)
+            arm = mechanism.bodies[body].pose.point_to_body(joint.reaction_point)
+            point = state.position[body] + rotation(state.quaternion[body]) @ arm
+            force += push
+            moment += torque + np.cross(point, push)
+    return force, moment
+
+
+def test_static_reactions_of_the_ground_are_weight_and_wind():
+    """At poses all over the workspace; the wind by its own writing. 1e-10 of the weight of 14.5 N."""
+    scene = load("tracker_wind", wind="steady", speed=15, direction=200)
+    for state in random_states(scene, 6):
+        still = State.initial(scene.mechanism)
+        still = replace(still, position=state.position, quaternion=state.quaternion)
+        acting = Wrenches(scene.mechanism, still)
+        acting.add_forces(replace(scene, control=()))
+        wind, torque = np.split(acting.total[6], 2)
+        assert np.linalg.norm(wind) > 0.1
+        forces = np.outer([body.mass for body in scene.mechanism.bodies], scene.gravity)
+        forces[0] = 0.0  # the ground's own weight
+        forces[6] += wind
+        force, moment = on_the_ground(scene, still, statics(scene, still))
+        assert force == pytest.approx(-forces.sum(axis=0), abs=1e-10)
+        moments = np.cross(still.position, forces).sum(axis=0) + torque
+        assert moment == pytest.approx(-moments, abs=1e-10)
+
+
+@pytest.mark.parametrize("name", ["tracker_wind", "slider_crank"])
+def test_reactions_of_three_engines_over_a_run(name):
+    """1e-8 of the largest; Pinocchio by a run of its own, MuJoCo's model where newton_euler's run is."""
+    scene = replace(load(name), duration=0.4, output_period=0.02)
+    run, other = newton_euler.simulate(scene), urdf.simulate(scene)
+    rigid, found = RigidMuJoCo(scene), []
+    for k, time in enumerate(run.time):
+        state = State(run.position[k], run.quaternion[k], run.linear_velocity[k], run.angular_velocity[k])
+        now = at_time(rigid, float(time))
+        found.append(now.evaluate(*now.coordinates(state)))
+    for array in ("reaction_force", "reaction_torque"):
+        own = getattr(run, array)
+        scale = 1e-8 * np.abs(own).max()
+        assert np.abs(getattr(other, array) - own).max() < scale
+        assert np.abs([getattr(each, array) for each in found] - own).max() < scale
+
+
+def test_axes_of_joints_turn_with_their_first_bodies():
+    scene = load("slider_crank")
+    run = replace(newton_euler.simulate(replace(scene, duration=0.2, output_period=0.1)))
+    turns = np.repeat(TURNED[:, None], len(run.body_names), axis=1)
+    run = replace(run, quaternion=turns)
+    found = joint_loads(scene, run)
+    joint = next(joint for joint in scene.mechanism.joints if joint.kind == "prismatic")
+    k = scene.mechanism.joint_index(joint.name)
+    first = scene.mechanism.body(joint.first)
+    for row, p in enumerate(TURNED):
+        axis = rotation(p) @ first.pose.vector_to_body(joint.axis)
+        force, torque = run.reaction_force[row, k], run.reaction_torque[row, k]
+        parts = {
+            "axial force": axis @ force,
+            "shear force": np.linalg.norm(force - axis @ force * axis),
+            "axial torque": axis @ torque,
+            "bending torque": np.linalg.norm(torque - axis @ torque * axis),
+        }
+        for quantity, value in parts.items():
+            unit = "N" if "force" in quantity else "N m"
+            assert found[Load(joint.name, quantity, unit)][row] == pytest.approx(value, abs=1e-12)
+        across = [found[Load(joint.name, f"force {axis}", "N")][row] for axis in "uw"]
+        assert np.hypot(*across) == pytest.approx(parts["shear force"], abs=1e-12)
+    assert all(load.quantity != "axial force" for load in found if load.element == "universal")
+
+
+def swinging(amplitude: float, frequency: float = 2.0):
+    """A mass whose position and forces are those of a sine."""
+    scene = mass_on_rail(control=(PD("rail", 0.0, 0.0, 0.0),), duration=1.0)
+    run = newton_euler.simulate(replace(scene, output_period=0.001))
+    w, t = 2.0 * np.pi * frequency, run.time
+    z = np.outer(np.sin(w * t), [0.0, 0.0, 1.0])
+    moved, rates = run.position.copy(), run.linear_velocity.copy()
+    moved[:, 1], rates[:, 1] = amplitude * z, amplitude * w * np.outer(np.cos(w * t), [0.0, 0.0, 1.0])
+    force = np.full((len(t), 1, 3), [3.0, 0.0, 0.0]) + 5.0 * amplitude * z[:, None]
+    arrays = {"position": moved, "linear_velocity": rates, "reaction_force": force}
+    return scene, replace(run, **arrays, actuator_force=np.cos(w * t)[:, None])
+
+
+def test_ranges_of_sines():
+    """Peaks, root mean squares, power and energy of F = cos wt at v = A w cos wt; 1 ms of 0.5 s."""
+    scene, weak = swinging(0.1)
+    _, strong = swinging(0.2)
+    envelope = load_envelope(scene, {"weak": weak, "strong": strong})
+    axial = envelope.of("rail", "axial force")
+    assert (axial.most, axial.most_time, axial.most_case) == (pytest.approx(1.0, abs=1e-4), 0.125, "strong")
+    assert (axial.least, axial.least_time) == (pytest.approx(-1.0, abs=1e-4), 0.375)
+    assert (axial.rms, axial.rms_case) == (pytest.approx(np.sqrt(0.5), abs=1e-6), "strong")
+    assert envelope.of("rail", "shear force").least == 3.0
+    total = envelope.of("rail", "force")
+    assert (total.peak, total.governing[0]) == (pytest.approx(np.sqrt(10.0), abs=1e-4), "strong")
+    peak = 0.2 * 4.0 * np.pi
+    assert envelope.of("rail", "speed").peak == pytest.approx(peak)
+    assert envelope.of("rail", "power").rms == pytest.approx(peak * np.sqrt(3.0 / 8.0), rel=1e-6)
+    assert envelope.of("rail", "work").most == pytest.approx(0.5 * peak, rel=1e-6)
+    assert envelope.of("rail", "energy").most_time == 1.0
+
+
+def test_brakes_do_not_give_energy_back():
+    scene, run = swinging(0.1)
+    run = replace(run, actuator_force=np.sin(4.0 * np.pi * run.time)[:, None])
+    envelope = load_envelope(scene, run)
+    assert envelope.cases == ("run",)
+    # 0.1 w sin wt cos wt: 0.05 J to and fro in each of four quarters of two periods, by steps of 1 ms
+    assert envelope.of("rail", "work").most == pytest.approx(0.05, rel=1e-4)
+    assert envelope.of("rail", "energy").most == pytest.approx(0.2, rel=1e-4)
+
+
+def test_at_rest_all_is_at_time_zero():
+    scene = load("tracker_gravity")
+    envelope = load_envelope(scene, {"weight": rest_case(scene)})
+    held = statics(scene)
+    assert envelope.of("slide_12", "actuator force").rms == pytest.approx(held.actuator_force[0])
+    assert envelope.of("hinge_14", "force z").most == held.reaction_force[2, 2]
+    assert {each.most_time for each in envelope.joints} == {0.0}
+
+
+def test_the_csv_has_all_ranges():
+    scene = pendulum()
+    envelope = load_envelope(scene, newton_euler.simulate(scene))
+    rows = list(csv.DictReader(envelope.to_csv().splitlines()))
+    assert len(rows) == len(envelope.joints) == 16
+    found = next(row for row in rows if row["quantity"] == "bending torque")
+    assert (found["element"], found["unit"]) == ("pivot", "N m")
+    assert float(found["most"]) == envelope.of("pivot", "bending torque").most
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda run: {}, "load envelope: has no cases; needed: one run or more"),
+        (lambda run: {"a": replace(run, reaction_force=None)}, "case 'a': has no reaction_force"),
+        (lambda run: {"a": replace(run, joint_names=("axle",))}, "case 'a': has other bodies or joints"),
+    ],
+)
+def test_runs_that_tell_no_loads(change, message):
+    scene = pendulum()
+    with pytest.raises(MechanismError, match=message):
+        load_envelope(scene, change(newton_euler.simulate(scene)))
+
+
+def test_unknown_loads_are_named():
+    scene = pendulum()
+    envelope = load_envelope(scene, newton_euler.simulate(scene))
+    with pytest.raises(UnknownNameError, match="unknown joint or actuator 'pivoo'; did you mean 'pivot'"):
+        envelope.of("pivoo", "force")
+    with pytest.raises(UnknownNameError, match="unknown load 'shear'"):
+        envelope.of("pivot", "shear")
