@@ -5,12 +5,14 @@ Examples in docstrings, here and in the other packages, follow `from newton_eule
 `import numpy as np` and `import mjcf, urdf`.
 """
 
+from newton_euler.analysis.branches import Branches, assembly_branches
 from newton_euler.analysis.configurations import Axis
 from newton_euler.analysis.envelope import LoadEnvelope, LoadRange, load_envelope, rest_case
 from newton_euler.analysis.inverse_dynamics import Loads, inverse_dynamics, statics
 from newton_euler.analysis.linearization import LinearModel, Modes, equilibrium, linearize
 from newton_euler.analysis.poses import Poses, solve_poses
 from newton_euler.analysis.regulator import lqr
+from newton_euler.analysis.workspace import Workspace, singular_poses, workspace
 from newton_euler.assemble import assemble, initial_state, start
 from newton_euler.batch import simulate_batch
 from newton_euler.errors import NearlyRedundantWarning, NewtonEulerError
@@ -51,6 +53,7 @@ __all__ = [
     "BallSpring",
     "Body",
     "Box",
+    "Branches",
     "Capsule",
     "Compound",
     "ComputedTorque",
@@ -95,8 +98,10 @@ __all__ = [
     "Translational",
     "Universal",
     "WindLoad",
+    "Workspace",
     "Wrench",
     "assemble",
+    "assembly_branches",
     "base_motion_from_csv",
     "compile_scene",
     "equilibrium",
@@ -109,9 +114,11 @@ __all__ = [
     "rest_case",
     "simulate",
     "simulate_batch",
+    "singular_poses",
     "solve_poses",
     "start",
     "statics",
     "wind_gust",
     "wind_turbulence",
+    "workspace",
 ]

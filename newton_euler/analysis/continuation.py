@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from newton_euler.analysis.configurations import LONGEST_STEP, Configurations, Goal, products
+from newton_euler.analysis.configurations import LONGEST_STEP, Chain, Configurations, Goal, products
 from newton_euler.equations.dense import RANK_TOLERANCE
 from newton_euler.scalars import Array
 
 NEAR = 0.25
 """rad, or sizes of the mechanism, between a goal and the solved pose that Newton's method begins at."""
 
-NEWTON_STEPS = 12
+NEWTON_STEPS, RANDOM_STEPS = 12, 60
+"""From a solved configuration next to the goal, and from a random one."""
 
 ROUND_OFF = 16.0 * np.finfo(float).eps
 """Dimensionless residuals below this are what evaluating them loses."""
@@ -45,11 +46,11 @@ WALKERS, WALK = 64, 20
 """Number of random paths that look for configurations near to goals, and of their steps."""
 
 
-def newton(at: Configurations, goal: Goal) -> tuple[Configurations, Array]:
+def newton(at: Configurations, goal: Goal, steps: int = NEWTON_STEPS) -> tuple[Configurations, Array]:
     """Move configurations to goals by steps of least length; also returns True (n,) for those that arrive."""
     values, error = at.values.copy(), np.full(len(at), np.inf)
     active, here = np.arange(len(at)), at
-    for _ in range(NEWTON_STEPS):
+    for _ in range(steps):
         misses, rows = here.misses(goal[active])
         left = largest(here.phi, misses)
         on = (left >= ROUND_OFF) & ((left >= CLOSED) | (left < 0.5 * error[active]))
@@ -129,6 +130,20 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
     return Configurations(chain, found), reached
 
 
+def random_coordinates(chain: Chain, count: int, rng: np.random.Generator) -> Array:
+    """Draw coordinates (n, nq), loops open: any angles and orientations, slides within two sizes."""
+    q = np.repeat(chain.start[None], count, axis=0)
+    for motion, place, _ in chain.system.tree.motions:
+        shape = count, place.stop - place.start
+        if motion.kind == "ball":
+            drawn = rng.standard_normal(shape)
+            q[:, place] = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+        else:
+            reach = np.pi if motion.kind == "hinge" else 2.0 * chain.scene.mechanism.size
+            q[:, place] = rng.uniform(-reach, reach, shape)
+    return q
+
+
 def wander(start: Configurations) -> Configurations:
     """Find closed configurations all over the branch of one, by random paths that pass no singular one."""
     rng, chain = np.random.default_rng(0), start.chain
@@ -136,7 +151,7 @@ def wander(start: Configurations) -> Configurations:
     visited = [start.values]
     for _ in range(WALK):
         along = rng.standard_normal((WALKERS, chain.freedoms))
-        after = _moved_closed(here, LONGEST_STEP * products(np.swapaxes(here.tangent, 1, 2), along))
+        after = moved_closed(here, LONGEST_STEP * products(np.swapaxes(here.tangent, 1, 2), along))
         good = (largest(after.phi) < CLOSED) & np.all(sides(here, after) > 0.0, axis=1)
         here = Configurations(chain, np.where(good[:, None], after.values, here.values))
         visited.append(after.values[good])
@@ -168,7 +183,7 @@ def approach(at: Configurations, others: Configurations, goal: Goal) -> tuple[Co
             if not rest.size:
                 break
             before = here[rest]
-            after = _moved_closed(before, 0.5**k * products(np.swapaxes(before.tangent, 1, 2), along[rest]))
+            after = moved_closed(before, 0.5**k * products(np.swapaxes(before.tangent, 1, 2), along[rest]))
             good = _is_better(after, before, own[rest])
             moved = active[rest[good]]
             passed[moved] *= sides(before[good], after[good])
@@ -207,11 +222,11 @@ def _descent(at: Configurations, goal: Goal) -> Array:
     return -products(modes, steepest / np.maximum(np.abs(curvature), FLAT))
 
 
-def _moved_closed(at: Configurations, step: Array) -> Configurations:
+def moved_closed(at: Configurations, step: Array) -> Configurations:
     """Move configurations by dimensionless steps (n, nv) and close the loops again."""
     after = at.moved(step)
     for _ in range(CHORDS):
-        if np.max(largest(after.phi)) < ROUND_OFF:
+        if np.all(largest(after.phi) < ROUND_OFF):
             break
         after = after.moved(products(at.back, -after.phi))
     return after

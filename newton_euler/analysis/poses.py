@@ -184,14 +184,7 @@ def solve_poses(
         >>> print(up.reached, up.coordinates["slide_12"].round(6))
         [ True] [0.0214]
     """
-    check_type("scene", scene, Scene)
-    wanted = {name: _checked(scene, name, given) for name, given in (coordinates or {}).items()}
-    names = (*wanted, *(name for name in measure if name not in wanted))
-    keys = [scene.mechanism.coordinate(name) for name in names]
-    goal = _goal(wanted, axis, towards)
-    if len(set(keys)) < len(keys):
-        raise OptionError("coordinates", names, "each joint coordinate once")
-    chain = Chain(scene, keys, len(wanted), axis, towards is not None, _start(scene, start))
+    chain, names, goal = goals_of(scene, coordinates, axis, towards, measure, start)
     begin = chain.at(chain.start[None])
     at, reached = follow(begin, goal)
     left = np.flatnonzero(~reached)
@@ -205,10 +198,10 @@ def solve_poses(
         values = at.values.copy()
         values[left] = near.values
         at = Configurations(chain, values)
-    return _poses(at, goal, names, reached, beyond)
+    return poses_of(at, goal, names, reached, beyond)
 
 
-def _poses(
+def poses_of(
     at: Configurations, goal: Goal, names: tuple[str | Key, ...], reached: Array, beyond: Array
 ) -> Poses:
     """Return solved configurations as poses."""
@@ -233,6 +226,38 @@ def _poses(
         names,
         at,
     )
+
+
+def goals_of(
+    scene: Scene,
+    coordinates: Mapping[str | Key, Any] | None,
+    axis: Axis | None,
+    towards: Any,
+    measure: Sequence[str | Key],
+    start: State | None,
+) -> tuple[Chain, tuple[str | Key, ...], Goal]:
+    """Check goals as of `solve_poses`; returns their chain, the names of its coordinates, and themselves."""
+    check_type("scene", scene, Scene)
+    wanted = {name: _checked(scene, name, given) for name, given in (coordinates or {}).items()}
+    names = (*wanted, *(name for name in measure if name not in wanted))
+    goal = _goal(wanted, axis, towards)
+    return chain_of(scene, names, len(wanted), axis, towards is not None, start), names, goal
+
+
+def chain_of(
+    scene: Scene,
+    names: Sequence[str | Key],
+    goals: int,
+    axis: Axis | None,
+    pointing: bool,
+    start: State | None,
+) -> Chain:
+    """Return the chain with these joint coordinates, the first of which have goals."""
+    check_type("scene", scene, Scene)
+    keys = [scene.mechanism.coordinate(name) for name in names]
+    if len(set(keys)) < len(keys):
+        raise OptionError("coordinates", names, "each joint coordinate once")
+    return Chain(scene, keys, goals, axis, pointing, _start(scene, start))
 
 
 def _checked(scene: Scene, name: str | Key, given: object) -> Array:
