@@ -56,6 +56,9 @@ class Batch(Sequence[Trajectory]):
     def __len__(self) -> int:
         return len(self._results)
 
+    def __repr__(self) -> str:
+        return f"<Batch of {self.scene.name!r}: runs: {len(self)}, errors: {len(self.errors)}>"
+
     @overload
     def __getitem__(self, run: int) -> Trajectory: ...
     @overload

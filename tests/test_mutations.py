@@ -251,8 +251,8 @@ MISTAKES = {
     ),
     "the code of the same scene with other gains": (
         "newton_euler/simulate.py",
-        "return _compiled(scene, formulation, stabilization, float(alpha))._run(options)",
-        'return _compiled(scene, formulation, "projection", float(alpha))._run(options)',
+        "_compiled(scene, formulation, stabilization, baumgarte_alpha(stabilization, alpha))",
+        '_compiled(scene, formulation, "projection", 0.0)',
         "newton_euler/integrators/test_simulate.py::test_drift_is_bounded_with_baumgarte_and_grows_without",
     ),
     "outputs at the time of the first of several rows": (

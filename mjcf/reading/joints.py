@@ -11,7 +11,8 @@ from mjcf.reading.bodies import GROUND, Bodies
 from mjcf.reading.start import Start
 from newton_euler.model.couplings import Gear, JointCoupling
 from newton_euler.model.joint import Joint, Key
-from newton_euler.model.joint_kinds import Free, Part, combined, common_name
+from newton_euler.model.joint_kinds import Free
+from newton_euler.model.joint_parts import Part, combined, common_name
 from newton_euler.verification.import_report import ImportReport, unique_name
 
 BALL, FREE = mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_FREE

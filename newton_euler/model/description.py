@@ -7,8 +7,8 @@ is no descriptor when a program runs: constructors make the arrays, see `newton_
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Self, TypeVar, dataclass_transform, overload
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, Self, TypeVar, dataclass_transform, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from newton_euler.scalars import Floats
 
 C = TypeVar("C")
+
+LONGEST = 9
+"""Numbers of an array that are shown one by one."""
 
 if TYPE_CHECKING:
 
@@ -53,4 +56,24 @@ else:
 )  # mypy gives heirs of frozen ones other types
 def description(kind: type[C]) -> type[C]:
     """Make a class a frozen dataclass whose instances equal nothing else, as they hold arrays."""
-    return dataclass(frozen=True, eq=False)(kind)
+    if "__repr__" not in vars(kind):
+        kind.__repr__ = _in_one_line  # type: ignore[method-assign]
+    return dataclass(frozen=True, eq=False, repr=False)(kind)
+
+
+def _in_one_line(thing: Any) -> str:
+    """Return a constructor with what is not as by default; long arrays are told by their shapes."""
+    found = []
+    for each in fields(thing):
+        value, default = getattr(thing, each.name), each.default
+        if not np.array_equal(value, default):  # type: ignore[arg-type]
+            found.append(f"{each.name}={_text(value)}")
+    return f"{type(thing).__name__}({', '.join(found)})"
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, np.ndarray):
+        return repr(value)
+    if value.size > LONGEST:
+        return f"<{' by '.join(map(str, value.shape))} numbers>"
+    return str(value.tolist())

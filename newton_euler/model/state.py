@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from newton_euler.model.constraints import Frame
+from newton_euler.model.description import description
 from newton_euler.model.euler_parameters import rotation
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.scalars import Array, Floats, Stack, objects
 
 
-@dataclass(frozen=True, eq=False)
+@description
 class State:
     """Poses and velocities of all b bodies, ground first; world frame, SI.
 

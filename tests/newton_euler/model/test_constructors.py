@@ -33,7 +33,7 @@ from newton_euler import (
 )
 from newton_euler.errors import NewtonEulerError
 from newton_euler.model.forces import Armature
-from newton_euler.model.geometry import Box, Capsule, Cylinder, Sphere
+from newton_euler.model.geometry import Box, Capsule, Cylinder, Mesh, Sphere
 from newton_euler.model.joint_kinds import JOINT_KINDS
 
 ORIGIN, Y, Z = [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
@@ -71,6 +71,21 @@ ELEMENTS: tuple[Any, ...] = (
     Scene("s", MECHANISM, 1.0, 0.1, initial_state=State.initial(MECHANISM)),
     *(make("j", "ground", "rod", ORIGIN, **AXES.get(kind, {})) for kind, make in JOINT_KINDS.items()),
 )
+
+
+@pytest.mark.parametrize("element", ELEMENTS, ids=lambda each: type(each).__name__)
+def test_elements_are_shown_in_one_line(element):
+    assert "\n" not in repr(element)
+    assert len(repr(element)) < 300
+
+
+def test_long_arrays_and_defaults_are_not_shown():
+    mesh = Mesh(np.zeros((100, 3)), [[0, 1, 2]])
+    assert repr(mesh) == "Mesh(vertices=<100 by 3 numbers>, triangles=[[0, 1, 2]])"
+    assert repr(Sphere(ORIGIN, 1.0)) == "Sphere(center=[0.0, 0.0, 0.0], radius=1.0)"
+    assert repr(Wrench("w", "rod", ORIGIN)) == "Wrench(name='w', body='rod', point=[0.0, 0.0, 0.0])"
+
+
 UNCHECKED = {("Body", "shapes"), ("Body", "meshes"), ("Sampled", "held")}
 """Attributes that readers and runs of the package fill alone."""
 
