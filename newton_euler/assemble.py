@@ -122,7 +122,7 @@ def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] 
     longest = max(abs(d) / (size if scene.mechanism.is_slide(*key) else 1.0) for key, (_, d) in way.items())
     steps = min(MOST_STEPS, max(1, math.ceil(longest / STEP)))
     try:
-        held = [replace(each, function=Polynomial((each.function.value(0.0),))) for each in scene.motions]
+        held = [motion.held() for motion in scene.motions]
         moving = Relative(replace(scene, motions=(*held, *_motions(way)), initial_state=state))
         q, v = moving.coordinates(state)
         for k in range(1, steps + 1):

@@ -104,7 +104,7 @@ def modes_command(
     """
     from crosscheck.files import check_no_source, check_writable, write_files
     from crosscheck.recording.modes import recorded, table
-    from newton_euler.analysis.linearization import equilibrium, linearize
+    from newton_euler.analysis.linearization import at_rest, equilibrium, linearize
 
     options = without_exercise(scene_options(settings), "modes are those of the scene as it stands")
     loaded = load_and_tell(scene, options)
@@ -113,7 +113,10 @@ def modes_command(
     check_writable(path)
     with progress_shown() as progress:
         progress("linearizing")
-        model = linearize(loaded, None if at_start else equilibrium(loaded), closed_loop=not open_loop)
+        if not at_start:
+            loaded = at_rest(loaded)
+        state = None if at_start else equilibrium(loaded)
+        model = linearize(loaded, state, closed_loop=not open_loop)
         modes = model.modes()
         progress("recording")
         write_files({path: recorded(loaded, model, modes)})

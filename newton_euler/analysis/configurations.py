@@ -147,11 +147,7 @@ class Chain:
     ) -> None:
         self.scene, self.keys, self.axis = scene, tuple(keys), axis
         self.goals, self.pointing = goals, pointing
-        held = tuple(
-            replace(motion, function=Polynomial((motion.function.value(0.0),)))
-            for motion in scene.motions
-            if motion.key not in self.keys[:goals]
-        )
+        held = tuple(motion.held() for motion in scene.motions if motion.key not in self.keys[:goals])
         values = {motion.key: motion.function.value(0.0) for motion in held}
         chosen = tuple(
             PrescribedMotion(joint, Polynomial((0.0,)), k)

@@ -23,7 +23,7 @@ from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.run import Projection
 from newton_euler.model.control import Readings
 from newton_euler.model.joint import Key
-from newton_euler.model.motions import Polynomial, PrescribedMotion, Spline
+from newton_euler.model.motions import PrescribedMotion, Spline
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
@@ -102,9 +102,7 @@ def _compiled(
     """Return roles, inverse dynamics of computed torque and of holding, and what encoders move."""
     found = roles(scene, digital)
     known = known_scene(scene, found.model)
-    still = tuple(
-        replace(motion, function=Polynomial((float(motion.function.value(0.0)),))) for motion in scene.motions
-    )
+    still = tuple(motion.held() for motion in scene.motions)
     torque, holding = (
         InverseDynamics(each, keys, keys) if keys else None
         for each, keys in ((known, found.torque), (replace(known, motions=still), found.holding))

@@ -36,7 +36,6 @@ from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.projection import worst_joint
 from newton_euler.model.joint import Key
-from newton_euler.model.motions import Polynomial
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
@@ -174,7 +173,7 @@ def statics(
     given = States(scene, initial_state(scene) if states is None else states)
     given.velocities = None
     if scene.motions:
-        still = tuple(replace(motion, function=Polynomial((0.0,))) for motion in scene.motions)
+        still = tuple(motion.held() for motion in scene.motions)
         scene = replace(scene, motions=still, initial_state=given.state(0))
     keys = tuple(law.key for law in scene.control)
     if actuators is not None:

@@ -15,6 +15,7 @@ omega x dtheta.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -53,7 +54,6 @@ from newton_euler.integrators.outputs import at_rows
 from newton_euler.integrators.projection import project_position
 from newton_euler.model.control import PD
 from newton_euler.model.joint import Key
-from newton_euler.model.motions import Polynomial
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.sampling import Controllers, holding
@@ -215,11 +215,12 @@ class LinearModel:
         return StateSpace(self.A, self.B, self.C, self.D)
 
     def to_control(self) -> Any:
-        """Return a `control.StateSpace` with names, of the package control."""
+        """Return a `control.StateSpace` of the package control; in its names all but letters is `_`."""
         from control import StateSpace  # type: ignore[import-not-found, unused-ignore]
 
-        x, u, y = (list(map(label, each)) for each in (self.coordinates, self.inputs, self.outputs))
-        states = [*x, *(f"{name} rate" for name in x)]
+        named = self.coordinates, self.inputs, self.outputs
+        x, u, y = ([re.sub(r"\W+", "_", label(name)).strip("_") for name in each] for each in named)
+        states = [*x, *(f"{name}_rate" for name in x)]
         return StateSpace(self.A, self.B, self.C, self.D, states=states, inputs=u, outputs=y)
 
 
@@ -282,11 +283,21 @@ def linearize(
     return compiled.linearized(state, known, names, rows, time)
 
 
+def at_rest(scene: Scene) -> Scene:
+    """Return the scene with a start at rest, and prescribed motions that stay where they are at time 0."""
+    start = initial_state(scene)
+    still = np.zeros_like(start.position)
+    motions = tuple(motion.held() for motion in scene.motions)
+    return replace(
+        scene, motions=motions, initial_state=State(start.position, start.quaternion, still, still)
+    )
+
+
 def equilibrium(scene: Scene, state: State | None = None) -> State:
     """Find a pose near a state in which the mechanism stays at rest, by Newton's method in linear models.
 
     Control laws, springs, wrenches and gravity balance there, stable or not; prescribed motions hold the
-    values they have at time 0.
+    values that they have at time 0, as in the scene that `at_rest` returns.
 
     Args:
         scene: the mechanism with its forces and control laws.
@@ -302,13 +313,12 @@ def equilibrium(scene: Scene, state: State | None = None) -> State:
         True
     """
     check_type("scene", scene, Scene)
-    state = initial_state(scene) if state is None else state
-    scene.check_numbers(state, f"state of scene {scene.name!r}")
-    if scene.motions:
-        held = [replace(each, function=Polynomial((each.function.value(0.0),))) for each in scene.motions]
-        scene = replace(scene, motions=tuple(held))
-    still = np.zeros_like(state.position)
-    state = State(state.position, state.quaternion, still, still)
+    scene = at_rest(scene)
+    start = initial_state(scene)
+    if state is not None:
+        scene.check_numbers(state, f"state of scene {scene.name!r}")
+        start = replace(start, position=state.position, quaternion=state.quaternion)
+    state = start
     names = [freedom.name for freedom in _freedoms(scene, state, None)]
     system, model = Relative(scene), linearize(scene, state, names, [], [])
     for _ in range(MOST_STEPS):

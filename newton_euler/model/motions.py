@@ -447,3 +447,7 @@ class PrescribedMotion(OnCoordinate):
             problem = f"function jumps at {self.function.jumps[0]:.9g} s"
             raise MechanismError(where, problem, f"{needed}, which has accelerations")
         check_key(where, self.joint, self.coordinate)
+
+    def held(self) -> PrescribedMotion:
+        """Return a motion that stays where this one is at time 0."""
+        return replace(self, function=Polynomial((float(self.function.value(0.0)),)))
