@@ -140,6 +140,8 @@ class CompiledScene:
         if self._controller:
             mujoco.mj_fwdPosition(self.model, self.data)
             mujoco.mj_fwdVelocity(self.model, self.data)
+            if self._controller.encoders:
+                self._controller.encoders.move_to(self.read_state(), readings)
             model = self.model_forces(readings, self.time)
         found = controls(self.scene, self.time, readings, model)
         self.data.ctrl[: len(found)] = found

@@ -25,6 +25,7 @@ from crosscheck.cli.shared import (
 from crosscheck.errors import CrosscheckError
 from crosscheck.report.render import as_json, terminal
 from crosscheck.studies.faults import PLANTED_IN
+from newton_euler.errors import check_choice
 
 
 @cli.command("figures")
@@ -81,6 +82,28 @@ def bench_command(
         found, written = bench(wanted, kind, output, progress)
     folder = quote(str(written[0].parent))
     show(found, f"wrote {', '.join(map(str, written))}", f"more  -v; crosscheck report {folder}")
+    return AGREE
+
+
+@cli.command("controllers")
+@click.argument("scene", default="tracker_computed_torque")
+@setting_options
+@click.option("--engines", help="Names, separated by commas.  [default: all]")
+def controllers_command(scene: str, settings: tuple[str, ...], engines: str | None) -> int:
+    """Compare tracking error, effort and energy of controllers in all engines.
+
+    SCENE is a name or a file, as of run; one with the option controller is run with each of its values.
+    """
+    from crosscheck.controllers import compared
+    from crosscheck.engines import ENGINES
+
+    chosen = list(ENGINES) if engines is None else engines.split(",")
+    for engine in chosen:
+        check_choice("engine", engine, ENGINES)
+    options = without_exercise(scene_options(settings), "controllers are those of the scene")
+    with progress_shown() as progress:
+        table = compared(scene, options, chosen, progress)
+    click.echo(terminal([table]), nl=False)
     return AGREE
 
 

@@ -19,6 +19,7 @@ from crosscheck.scenes import (
     slider_crank,
     stewart,
     tracker,
+    tracker_control,
     tracker_wind,
 )
 from crosscheck.scenes.measure import Quantities
@@ -32,6 +33,7 @@ SCENES: dict[str, Callable[..., Scene]] = {
     "tracker_aligned": tracker.tracker_aligned,
     "tracker_on_boat": tracker.tracker_on_boat,
     "tracker_wind": tracker_wind.tracker_wind,
+    "tracker_computed_torque": tracker_control.tracker_computed_torque,
     "pendulum": pendulum.pendulum,
     "free_top": free_top.free_top,
     "heavy_top": heavy_top.heavy_top,

@@ -139,10 +139,21 @@ class Encoders:
         self.system: Formulation = code.system
         self._code, self._project = code, Projection(code)
         self._x = code.packed(*code.system.coordinates(initial_state(scene)))
+        self._scene, self._turned = scene, dict.fromkeys(keys, 0.0)
         first = len(code.scene.motions) - len(keys)
         names = [numbered("motions", first + k, "function") + PIECE for k in range(len(keys))]
         self._places = {key: code.place(name) for key, name in zip(keys, names, strict=True)}
         self._others = [name for name in code.parameters if name not in names]
+
+    def move_to(self, state: State, readings: Readings) -> None:
+        """Begin anew at a state that has these readings, angles in whatever revolution."""
+        q, v = self.system.coordinates(state)
+        self._x[: self._code.size] = np.concatenate([q, v])
+        measured = surroundings(self._scene, state).measured
+        for key in self._turned:
+            if not self._scene.mechanism.is_slide(*key):
+                revolutions = (readings[key][0] - measured[key][0]) / (2.0 * np.pi)
+                self._turned[key] = 2.0 * np.pi * float(np.round(revolutions))
 
     def coordinates(self, readings: Readings, time: float) -> tuple[Array, Array]:
         """Return q (nq,) and v (nv,) of the pose with these coordinates and rates, at a time in s.
@@ -157,7 +168,8 @@ class Encoders:
             for name in self._others:
                 x[code.place(name) :][: len(values[name])] = values[name]
         for key, place in self._places.items():
-            x[place : place + 3] = time, *readings[key][:2]
+            angle, rate = readings[key][:2]
+            x[place : place + 3] = time, angle - self._turned[key], rate
         if not self._project(x):
             read = ", ".join(f"{key[0]} {float(readings[key][0]):.6g}" for key in self._places)
             raise MechanismError("encoders", f"no pose is near with {read}", "coordinates within reach")

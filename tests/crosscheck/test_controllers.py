@@ -1,0 +1,84 @@
+"""`crosscheck controllers`: its figures against closed forms, its table, and its scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command_line import run
+from mechanisms import mass_on_rail
+
+from crosscheck.controllers import performance
+from crosscheck.errors import CrosscheckError
+from crosscheck.scenes import load
+from newton_euler import simulate
+from newton_euler.model.control import PD, ComputedTorque, StateFeedback
+from newton_euler.model.digital_control import Digital
+from newton_euler.model.motions import Sine
+
+
+def test_figures_of_a_mass_that_follows_a_sine():
+    """2 kg on 0.1 sin(5 t) m, a constant 0.01 m off by a wrong feedforward, over one period."""
+    w, period = 5.0, 2.0 * np.pi / 5.0
+    law = ComputedTorque("rail", 100.0, 20.0, Sine(0.1, w), feedforward=2.0)
+    scene = mass_on_rail(duration=period, control=(law,))
+    scene = replace(scene, gravity=np.zeros(3), output_period=period / 1000)
+    found = performance(scene, simulate(scene))
+    # e'' + 20 e' + 100 e = 1 from e' = -0.5 m/s: the start at rest is off the reference
+    time = np.linspace(0.0, period, 100_001)
+    decay = np.exp(-10.0 * time)
+    error = 0.01 - 0.01 * decay - 0.6 * time * decay
+    rate = -0.5 * decay + 6.0 * time * decay
+    force = 2.0 * (-2.5 * np.sin(w * time) - 20.0 * rate - 100.0 * error) + 2.0
+    power = np.abs(force * (0.5 * np.cos(w * time) + rate))
+    expected = [
+        np.sqrt(np.trapezoid(error**2, time) / period),
+        np.abs(error).max(),
+        np.sqrt(np.trapezoid(force**2, time) / period),
+        np.abs(force).max(),
+        np.trapezoid(power, time),
+    ]
+    assert found == pytest.approx(expected, rel=1e-4)  # the trapezoidal rule at a thousand outputs
+
+
+def test_the_table_has_a_row_per_controller_and_engine(capsys):
+    status, out, err = run(capsys, "controllers", "--engines", "newton_euler")
+    assert (status, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 80
+    rows = [line.split() for line in out.splitlines()[2:] if line]
+    assert [row[0] for row in rows[::2]] == ["computed_torque", "pd", "pd_gravity", "lqr"]
+    errors = dict(zip([row[0] for row in rows[::2]], [float(row[1]) for row in rows[1::2]], strict=True))
+    assert errors["computed_torque"] < 1e-12 < errors["pd_gravity"] < errors["lqr"] < errors["pd"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["four_bar"], "has no control law that follows a target"),
+        (["--engines", "newton"], "unknown engine 'newton'"),
+        (["--set", "delay=2"], "delay is one of a computer; needed: its period as well"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(capsys, arguments, words):
+    status, out, err = run(capsys, "controllers", *arguments)
+    assert (status, out) == (2, "")
+    assert words in err
+
+
+def test_the_scene_has_the_controller_that_is_asked_for():
+    kinds = {"computed_torque": ComputedTorque, "pd": PD, "pd_gravity": PD, "lqr": StateFeedback}
+    for name, kind in kinds.items():
+        scene = load("tracker_computed_torque", controller=name)
+        assert all(type(law) is kind for law in scene.control)
+    assert all(
+        law.gravity_compensation for law in load("tracker_computed_torque", controller="pd_gravity").control
+    )
+    scene = load("tracker_computed_torque", period=0.01, delay=2, resolution=1e-5, force_limit=30)
+    for law in scene.control:
+        assert isinstance(law, Digital)
+        assert (law.period, law.delay, law.resolution, law.force_limit) == (0.01, 2, 1e-5, 30.0)
+    heavier = load("tracker_computed_torque", mass_error=0.1)
+    assert heavier.control[0].model == {"panel_7.mass": pytest.approx(1.1 * 0.8905)}
+    with pytest.raises(CrosscheckError, match="a model, which pd does not have"):
+        load("tracker_computed_torque", controller="pd", mass_error=0.1)
