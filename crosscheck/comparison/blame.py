@@ -210,7 +210,12 @@ def _multiples(pushes: Array, residuals: Array) -> Array | None:
 
 
 def _parameter(law: ForceAtJoint, forces: Array, places: Sequence[Surroundings]) -> str:
-    """The parameter of a law that alone explains forces (n, k) beside its own, and its value; or nothing."""
+    """The parameter of a law that alone explains forces (n, k) beside its own, and its value; or nothing.
+
+    Forces that are the same in all states say nothing of what they depend on.
+    """
+    if np.ptp(forces, axis=0).max() < EXPLAINED * np.abs(forces).max():
+        return ""
     own = np.array([np.atleast_1d(law.at_joint(at)) for at in places])
     for name in law.parameters:
         value = getattr(law, name)
