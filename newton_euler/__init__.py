@@ -8,8 +8,10 @@ Examples in docstrings, here and in the other packages, follow `from newton_eule
 from newton_euler.analysis.branches import Branches, assembly_branches
 from newton_euler.analysis.configurations import Axis
 from newton_euler.analysis.envelope import LoadEnvelope, LoadRange, load_envelope, rest_case
+from newton_euler.analysis.equilibrium import equilibrium
 from newton_euler.analysis.inverse_dynamics import Loads, inverse_dynamics, statics
-from newton_euler.analysis.linearization import LinearModel, Modes, equilibrium, linearize
+from newton_euler.analysis.linear_model import LinearModel, Modes
+from newton_euler.analysis.linearization import linearize
 from newton_euler.analysis.poses import Poses, solve_poses
 from newton_euler.analysis.regulator import lqr
 from newton_euler.analysis.workspace import Workspace, singular_poses, workspace

@@ -127,7 +127,8 @@ def modes_command(
     """
     from crosscheck.files import check_no_source, check_writable, write_files
     from crosscheck.recording.modes import recorded, table
-    from newton_euler.analysis.linearization import at_rest, equilibrium, linearize
+    from newton_euler.analysis.equilibrium import at_rest, equilibrium
+    from newton_euler.analysis.linearization import linearize
 
     options = without_exercise(scene_options(settings), "modes are those of the scene as it stands")
     loaded = load_and_tell(scene, options)

@@ -18,7 +18,7 @@ from crosscheck.recording.log import GROUND_COLOR, new_recording, send_pose
 from crosscheck.recording.shapes import Style, log_shapes
 from crosscheck.report.render import markdown_table
 from crosscheck.report.table import Column, Rows, Table
-from newton_euler.analysis.linearization import LinearModel, Modes
+from newton_euler.analysis.linear_model import LinearModel, Modes
 from newton_euler.model.euler_parameters import from_rotation_vector, product
 from newton_euler.model.mechanism import Mechanism
 from newton_euler.model.scene import Scene

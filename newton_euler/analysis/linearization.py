@@ -15,20 +15,19 @@ omega x dtheta.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from newton_euler.analysis.inverse_dynamics import KEPT
+from newton_euler.analysis.linear_model import LinearModel, label
 from newton_euler.assemble import initial_state
 from newton_euler.codegen.compile import LARGE, NativeFunction, Traced
 from newton_euler.codegen.expression import Graph, differentiate_along
 from newton_euler.codegen.fingerprint import fingerprint
-from newton_euler.equations.dense import largest, least_squares, orthonormal_null, singular_values
+from newton_euler.equations.dense import largest, orthonormal_null, singular_values
 from newton_euler.equations.model_control import share_model_control
 from newton_euler.equations.parameters import (
     numbered,
@@ -51,34 +50,19 @@ from newton_euler.equations.system import (
 from newton_euler.errors import MechanismError, SingularityError, check_choice, check_type
 from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import at_rows
-from newton_euler.integrators.projection import project_position
 from newton_euler.model.control import PD
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.sampling import Controllers, holding
-from newton_euler.scalars import Array, Floats, minimum, tilde
+from newton_euler.scalars import Array, minimum, tilde
 
 SINGULAR = 1e-9
 """Dimensionless singular value of [J; J_z] below which the coordinates do not determine the motion."""
 
-RIGID = 1e-7
-"""Share of the largest eigenvalue below which one is zero: the root of round-off, as it is a double root."""
-
-STILL = 1e-9
-"""Share of a unit per period of the fastest mode below which rates and accelerations are round-off."""
-
 OPEN = 1e-6
 """Sizes of the mechanism, or rad, that loops of a state may be open by, and open in the time of its fastest
 joint: more than engines leave."""
-
-LONGEST_STEP = 0.2
-"""rad, or sizes of the mechanism, of one step towards an equilibrium."""
-
-MOST_STEPS = 100
-
-CONVERGED = 1e-10
-"""rad, or sizes of the mechanism, of the step at which an equilibrium is found: its square is left."""
 
 AXES = ("x", "y", "z")
 
@@ -95,133 +79,6 @@ class Freedom(NamedTuple):
     """In v, where the angular velocity begins that this is a component of; -1 for none."""
     unit: float
     """The size of the mechanism for slides, m, else 1."""
-
-
-def label(name: str | Key) -> str:
-    """Return the name of a coordinate, an input or an output as one word."""
-    return name if isinstance(name, str) else f"{name[0]}[{name[1]}]"
-
-
-@dataclass(frozen=True, eq=False)
-class Modes:
-    """Modes of a linear model, the slowest first: m modes, d coordinates, b bodies; SI.
-
-    A pair of conjugate eigenvalues is one mode, the one with the positive imaginary part. Eigenvalues that
-    are zero belong to motions that nothing drives back.
-
-    Attributes:
-        eigenvalues: (m,) 1/s.
-        shapes: (m, d) of the coordinates, complex, by the same numbers as `twists`.
-        twists: (m, b, 6) displacement of the centers of mass, m, and small rotation, rad, of all bodies,
-            world frame; the largest component is 1 rad, or one size of the mechanism, and real.
-
-    Examples:
-        >>> modes = linearize(load("stewart")).modes()
-        >>> isinstance(modes, Modes), modes.frequencies.round(1).tolist()
-        (True, [0.9, 1.0, 1.3, 1.7, 1.9, 2.0])
-    """
-
-    eigenvalues: Array
-    shapes: Array
-    twists: Array
-
-    @property
-    def frequencies(self) -> Floats:
-        """(m,) Hz, of the oscillation; 0 for a mode that does not swing."""
-        return np.abs(self.eigenvalues.imag) / (2.0 * np.pi)
-
-    @property
-    def angular_frequencies(self) -> Floats:
-        """(m,) rad/s, without damping: the magnitudes of the eigenvalues."""
-        return np.abs(self.eigenvalues)
-
-    @property
-    def damping_ratios(self) -> Floats:
-        """(m,) 1 for a mode that does not swing, negative for one that grows, 0 for an eigenvalue of zero."""
-        size = np.abs(self.eigenvalues)
-        return np.where(size > 0.0, -self.eigenvalues.real / np.where(size > 0.0, size, 1.0), 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class LinearModel:
-    """xdot = f + A x + B u, y = C x + D u next to a state of a scene; d coordinates, b bodies.
-
-    x (2 d,) are deviations of independent coordinates and of their rates, u those of the inputs and y those
-    of the outputs.
-
-    Attributes:
-        scene: name of the scene.
-        state: where it was linearized.
-        coordinates, inputs, outputs: names.
-        units: (d,) of the coordinates: the size of the mechanism for slides, m, else 1.
-        size: of the mechanism, m.
-        A, B, C, D: (2 d, 2 d), (2 d, m), (p, 2 d) and (p, m).
-        f: (2 d,) rates of coordinates and their accelerations at the state itself; zero at an equilibrium.
-        twists: (b, 6, d) velocities and angular velocities of all bodies for the rates of coordinates.
-
-    Examples:
-        >>> model = linearize(load("tracker"))
-        >>> isinstance(model, LinearModel), model.coordinates, model.A.shape
-        (True, ('slide_12', 'slide_13'), (4, 4))
-    """
-
-    scene: str
-    state: State
-    coordinates: tuple[str | Key, ...]
-    inputs: tuple[str | Key, ...]
-    outputs: tuple[str | Key, ...]
-    units: Floats
-    size: float
-    A: Floats
-    B: Floats
-    C: Floats
-    D: Floats
-    f: Floats
-    twists: Floats
-
-    @property
-    def is_equilibrium(self) -> bool:
-        """True if the mechanism stays where it is; else the model is of motions next to one that moves on."""
-        size = np.tile(self.units, 2)
-        fastest = max(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0), 1.0)
-        rates, accelerations = np.split(np.abs(self.f / size), 2)
-        return bool(np.all(rates <= STILL * fastest) and np.all(accelerations <= STILL * fastest**2))
-
-    def modes(self) -> Modes:
-        """Compute eigenvalues and mode shapes; those of a state in motion are of that instant."""
-        d, size = len(self.units), np.tile(self.units, 2)
-        matrix = self.A * size / size[:, None]
-        values, vectors = np.linalg.eig(matrix)
-        fastest = np.abs(values).max(initial=0.0)
-        swings = (np.abs(values) > RIGID * fastest) & (values.imag >= 0.0)
-        order = np.flatnonzero(swings)[np.argsort(np.abs(values[swings]), kind="stable")]
-        _, strengths, directions = np.linalg.svd(matrix[d:, :d]) if d else (0, np.zeros(0), np.zeros((0, 0)))
-        still = directions[strengths <= RIGID**2 * fastest**2]
-        found = np.concatenate([np.zeros(len(still)), values[order]]).astype(complex)
-        shapes = np.concatenate([still, vectors[:d, order].T]).astype(complex) * self.units
-        twists = np.einsum("bid,md->mbi", self.twists, shapes)
-        scales = np.repeat([self.size, 1.0], 3)
-        for shape, twist in zip(shapes, twists, strict=True):
-            moves = (twist / scales).ravel()
-            most = moves[np.argmax(np.abs(moves).round(9))]
-            shape /= most
-            twist /= most
-        return Modes(found, shapes, twists)
-
-    def to_scipy(self) -> Any:
-        """Return a `scipy.signal.StateSpace` of A, B, C and D."""
-        from scipy.signal import StateSpace
-
-        return StateSpace(self.A, self.B, self.C, self.D)
-
-    def to_control(self) -> Any:
-        """Return a `control.StateSpace` of the package control; in its names all but letters is `_`."""
-        from control import StateSpace  # type: ignore[import-not-found, unused-ignore]
-
-        named = self.coordinates, self.inputs, self.outputs
-        x, u, y = ([re.sub(r"\W+", "_", label(name)).strip("_") for name in each] for each in named)
-        states = [*x, *(f"{name}_rate" for name in x)]
-        return StateSpace(self.A, self.B, self.C, self.D, states=states, inputs=u, outputs=y)
 
 
 def linearize(
@@ -270,7 +127,7 @@ def linearize(
     if closed_loop and scene.sampled:
         problem = "has no derivative, being sampled"
         raise MechanismError(scene.sampled[0].element, problem, "closed_loop=False, or a law as PD")
-    freedoms = _freedoms(scene, state, coordinates)
+    freedoms = chosen_freedoms(scene, state, coordinates)
     mechanism, laws = scene.mechanism, tuple(law.key for law in scene.control)
     names = list(map(mechanism.coordinate_name, laws)) if inputs is None else list(inputs)
     known = _inputs(with_laws(scene, scene.control if closed_loop else ()), names)
@@ -281,63 +138,6 @@ def linearize(
     measured = tuple(dict.fromkeys([*(f.key for f in freedoms if f.key), *forces, *keys, *laws]))
     compiled = _compiled(scene, freedoms, measured, parameters, closed_loop)
     return compiled.linearized(state, known, names, rows, time)
-
-
-def at_rest(scene: Scene) -> Scene:
-    """Return the scene with a start at rest, and prescribed motions that stay where they are at time 0."""
-    start = initial_state(scene)
-    still = np.zeros_like(start.position)
-    motions = tuple(motion.held() for motion in scene.motions)
-    return replace(
-        scene, motions=motions, initial_state=State(start.position, start.quaternion, still, still)
-    )
-
-
-def equilibrium(scene: Scene, state: State | None = None) -> State:
-    """Find a pose near a state in which the mechanism stays at rest, by Newton's method in linear models.
-
-    Control laws, springs, wrenches and gravity balance there, stable or not; prescribed motions hold the
-    values that they have at time 0, as in the scene that `at_rest` returns.
-
-    Args:
-        scene: the mechanism with its forces and control laws.
-        state: where to begin, its velocities left out; the scene's initial state if None.
-
-    Raises:
-        MechanismError: for a scene without an equilibrium nearby, naming a coordinate that accelerates.
-        NewtonEulerError: as of `linearize`.
-
-    Examples:
-        >>> scene = load("stewart")
-        >>> linearize(scene, equilibrium(scene)).is_equilibrium
-        True
-    """
-    check_type("scene", scene, Scene)
-    scene = at_rest(scene)
-    start = initial_state(scene)
-    if state is not None:
-        scene.check_numbers(state, f"state of scene {scene.name!r}")
-        start = replace(start, position=state.position, quaternion=state.quaternion)
-    state = start
-    names = [freedom.name for freedom in _freedoms(scene, state, None)]
-    system, model = Relative(scene), linearize(scene, state, names, [], [])
-    for _ in range(MOST_STEPS):
-        stiffness, accelerations = (part[len(names) :] for part in (model.A, model.f))
-        values, vectors = np.linalg.eig(stiffness[:, : len(names)] * model.units / model.units[:, None])
-        along = least_squares(vectors, accelerations / model.units)
-        step = (vectors @ (along / np.maximum(np.abs(values), RIGID))).real
-        if model.is_equilibrium and largest(step) < CONVERGED:
-            return state
-        step *= min(1.0, LONGEST_STEP / max(largest(step), LONGEST_STEP))
-        q, _ = system.coordinates(state)
-        motion = model.twists.reshape(-1, len(names)) @ (model.units * step)
-        v = least_squares(system.velocity_transformation(q), motion)
-        q = project_position(system, system.retract(q, v))
-        state = system.state(q, np.zeros(system.nv))
-        model = linearize(scene, state, names, [], [])
-    worst = names[int(np.argmax(np.abs(accelerations / model.units)))]
-    problem = f"has no equilibrium nearby: coordinate {worst!r} still accelerates"
-    raise MechanismError(f"scene {scene.name!r}", problem, "a state near one")
 
 
 def _is_coordinate(scene: Scene, name: str | Key) -> bool:
@@ -369,7 +169,7 @@ def _other_freedoms(system: Relative) -> list[Freedom]:
     return found
 
 
-def _freedoms(scene: Scene, state: State, names: Sequence[str | Key] | None) -> tuple[Freedom, ...]:
+def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | None) -> tuple[Freedom, ...]:
     """Return the coordinates of these names, or choose some that are independent at a state."""
     mechanism, count = scene.mechanism, mobility(scene).degrees_of_freedom
     others = {freedom.name: freedom for freedom in _other_freedoms(Relative(scene))}

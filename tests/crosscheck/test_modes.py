@@ -8,7 +8,8 @@ from rerun.chunk import RrdReader
 
 from crosscheck.recording.modes import AMPLITUDE, swinging
 from crosscheck.scenes import load
-from newton_euler.analysis.linearization import equilibrium, linearize
+from newton_euler.analysis.equilibrium import equilibrium
+from newton_euler.analysis.linearization import linearize
 from newton_euler.model.euler_parameters import rotation
 
 

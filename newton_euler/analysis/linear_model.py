@@ -1,0 +1,146 @@
+"""Linear models and their modes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from newton_euler.model.joint import Key
+from newton_euler.model.state import State
+from newton_euler.scalars import Array, Floats
+
+RIGID = 1e-7
+"""Share of the largest eigenvalue below which one is zero: the root of round-off, as it is a double root."""
+
+STILL = 1e-9
+"""Share of a unit per period of the fastest mode below which rates and accelerations are round-off."""
+
+
+def label(name: str | Key) -> str:
+    """Return the name of a coordinate, an input or an output as one word."""
+    return name if isinstance(name, str) else f"{name[0]}[{name[1]}]"
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Modes of a linear model, the slowest first: m modes, d coordinates, b bodies; SI.
+
+    A pair of conjugate eigenvalues is one mode, the one with the positive imaginary part. Eigenvalues that
+    are zero belong to motions that nothing drives back.
+
+    Attributes:
+        eigenvalues: (m,) 1/s.
+        shapes: (m, d) of the coordinates, complex, by the same numbers as `twists`.
+        twists: (m, b, 6) displacement of the centers of mass, m, and small rotation, rad, of all bodies,
+            world frame; the largest component is 1 rad, or one size of the mechanism, and real.
+
+    Examples:
+        >>> modes = linearize(load("stewart")).modes()
+        >>> isinstance(modes, Modes), modes.frequencies.round(1).tolist()
+        (True, [0.9, 1.0, 1.3, 1.7, 1.9, 2.0])
+    """
+
+    eigenvalues: Array
+    shapes: Array
+    twists: Array
+
+    @property
+    def frequencies(self) -> Floats:
+        """(m,) Hz, of the oscillation; 0 for a mode that does not swing."""
+        return np.abs(self.eigenvalues.imag) / (2.0 * np.pi)
+
+    @property
+    def angular_frequencies(self) -> Floats:
+        """(m,) rad/s, without damping: the magnitudes of the eigenvalues."""
+        return np.abs(self.eigenvalues)
+
+    @property
+    def damping_ratios(self) -> Floats:
+        """(m,) 1 for a mode that does not swing, negative for one that grows, 0 for an eigenvalue of zero."""
+        size = np.abs(self.eigenvalues)
+        return np.where(size > 0.0, -self.eigenvalues.real / np.where(size > 0.0, size, 1.0), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """xdot = f + A x + B u, y = C x + D u next to a state of a scene; d coordinates, b bodies.
+
+    x (2 d,) are deviations of independent coordinates and of their rates, u those of the inputs and y those
+    of the outputs.
+
+    Attributes:
+        scene: name of the scene.
+        state: where it was linearized.
+        coordinates, inputs, outputs: names.
+        units: (d,) of the coordinates: the size of the mechanism for slides, m, else 1.
+        size: of the mechanism, m.
+        A, B, C, D: (2 d, 2 d), (2 d, m), (p, 2 d) and (p, m).
+        f: (2 d,) rates of coordinates and their accelerations at the state itself; zero at an equilibrium.
+        twists: (b, 6, d) velocities and angular velocities of all bodies for the rates of coordinates.
+
+    Examples:
+        >>> model = linearize(load("tracker"))
+        >>> isinstance(model, LinearModel), model.coordinates, model.A.shape
+        (True, ('slide_12', 'slide_13'), (4, 4))
+    """
+
+    scene: str
+    state: State
+    coordinates: tuple[str | Key, ...]
+    inputs: tuple[str | Key, ...]
+    outputs: tuple[str | Key, ...]
+    units: Floats
+    size: float
+    A: Floats
+    B: Floats
+    C: Floats
+    D: Floats
+    f: Floats
+    twists: Floats
+
+    @property
+    def is_equilibrium(self) -> bool:
+        """True if the mechanism stays where it is; else the model is of motions next to one that moves on."""
+        size = np.tile(self.units, 2)
+        fastest = max(np.abs(np.linalg.eigvals(self.A)).max(initial=0.0), 1.0)
+        rates, accelerations = np.split(np.abs(self.f / size), 2)
+        return bool(np.all(rates <= STILL * fastest) and np.all(accelerations <= STILL * fastest**2))
+
+    def modes(self) -> Modes:
+        """Compute eigenvalues and mode shapes; those of a state in motion are of that instant."""
+        d, size = len(self.units), np.tile(self.units, 2)
+        matrix = self.A * size / size[:, None]
+        values, vectors = np.linalg.eig(matrix)
+        fastest = np.abs(values).max(initial=0.0)
+        swings = (np.abs(values) > RIGID * fastest) & (values.imag >= 0.0)
+        order = np.flatnonzero(swings)[np.argsort(np.abs(values[swings]), kind="stable")]
+        _, strengths, directions = np.linalg.svd(matrix[d:, :d]) if d else (0, np.zeros(0), np.zeros((0, 0)))
+        still = directions[strengths <= RIGID**2 * fastest**2]
+        found = np.concatenate([np.zeros(len(still)), values[order]]).astype(complex)
+        shapes = np.concatenate([still, vectors[:d, order].T]).astype(complex) * self.units
+        twists = np.einsum("bid,md->mbi", self.twists, shapes)
+        scales = np.repeat([self.size, 1.0], 3)
+        for shape, twist in zip(shapes, twists, strict=True):
+            moves = (twist / scales).ravel()
+            most = moves[np.argmax(np.abs(moves).round(9))]
+            shape /= most
+            twist /= most
+        return Modes(found, shapes, twists)
+
+    def to_scipy(self) -> Any:
+        """Return a `scipy.signal.StateSpace` of A, B, C and D."""
+        from scipy.signal import StateSpace
+
+        return StateSpace(self.A, self.B, self.C, self.D)
+
+    def to_control(self) -> Any:
+        """Return a `control.StateSpace` of the package control; in its names all but letters is `_`."""
+        from control import StateSpace  # type: ignore[import-not-found, unused-ignore]
+
+        named = self.coordinates, self.inputs, self.outputs
+        x, u, y = ([re.sub(r"\W+", "_", label(name)).strip("_") for name in each] for each in named)
+        states = [*x, *(f"{name}_rate" for name in x)]
+        return StateSpace(self.A, self.B, self.C, self.D, states=states, inputs=u, outputs=y)
