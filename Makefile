@@ -27,7 +27,7 @@ docs: $(VENV)/docs-installed
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,sun]"
 	touch $@
 
 $(VENV)/docs-installed: $(VENV)/installed

@@ -15,7 +15,7 @@ from typing import NoReturn, TextIO
 
 import click
 
-from crosscheck.cli import measure, regress, run
+from crosscheck.cli import measure, regress, run, sun
 from crosscheck.cli.shared import BAD_INPUT, cli
 from crosscheck.errors import CrosscheckError, reason_of, short_of_memory
 from crosscheck.report.render import wrapped
@@ -26,7 +26,7 @@ NOT_READ = 128 + 13
 LEAST_MEMORY = 2_000_000_000
 """Bytes of addresses; most of them are of libraries, and never used."""
 
-__all__ = ["main", "measure", "regress", "run"]
+__all__ = ["main", "measure", "regress", "run", "sun"]
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:

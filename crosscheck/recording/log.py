@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -89,6 +89,7 @@ def log_run(
     title: str,
     tolerances: Tolerances,
     moments: Sequence[tuple[float, str]] = (),
+    directions: Mapping[str, Array] | None = None,
 ) -> None:
     """Log all there is to see of a run, and how the viewer lays it out.
 
@@ -103,6 +104,7 @@ def log_run(
         title: of the recording, to tell it from others of the scene.
         tolerances: of differences and of drift, drawn beside them.
         moments: times, s, and what is worst there.
+        directions: unit vectors (n, 3) in the world by name, drawn beside the axis whose tilt is plotted.
     """
     mechanism = scene.mechanism
     engines = list(trajectories)
@@ -134,7 +136,7 @@ def log_run(
         _log_joints(recording, mechanism, engine, run, arrow_scale)
     _log_labels(recording, mechanism, first)
     if any(plot.path[0] == "tilt" for plot in shown):
-        _log_tilt(recording, mechanism, first)
+        _log_tilt(recording, mechanism, first, directions or {})
     outputs = {engine: run.time for engine, run in trajectories.items()}
     for plot in shown:
         _log_plot(recording, plot, outputs, styles)
@@ -147,11 +149,12 @@ def recorded(
     title: str,
     tolerances: Tolerances | None = None,
     moments: Sequence[tuple[float, str]] = (),
+    directions: Mapping[str, Array] | None = None,
 ) -> bytes:
     """The content of an .rrd; arguments as of `log_run`."""
     recording = new_recording(scene)
     memory = recording.memory_recording()
-    log_run(recording, scene, trajectories, verdict, title, tolerances or {}, moments)
+    log_run(recording, scene, trajectories, verdict, title, tolerances or {}, moments, directions)
     return bytes(memory.drain_as_bytes())
 
 
@@ -238,8 +241,10 @@ def _log_labels(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajec
         send_pose(recording, path, run.time[: len(position)], position, run.quaternion[: len(position), k])
 
 
-def _log_tilt(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory) -> None:
-    """Draw the axis whose tilt is plotted and the vertical, from the body's center of mass."""
+def _log_tilt(
+    recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory, directions: Mapping[str, Array]
+) -> None:
+    """Draw the axis whose tilt is plotted, the vertical and given directions, from the center of mass."""
     body, size = platforms(mechanism)[-1], mechanism.size
     position, quaternion = run.position[:, body], run.quaternion[:, body]
     upright = np.broadcast_to([1.0, 0.0, 0.0, 0.0], quaternion.shape)
@@ -250,6 +255,11 @@ def _log_tilt(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajecto
         arrow = rr.Arrows3D(vectors=[0.0, 0.0, length], labels=name, colors=color, radii=0.02 * size)
         recording.log(f"/tilt/{name}", arrow, static=True)
         send_pose(recording, f"/tilt/{name}", run.time, position, turn)
+    for name, vectors in directions.items():
+        look = rr.Arrows3D.from_fields(labels=[name], colors=ARROW_COLOR, radii=0.02 * size)
+        recording.log(f"/tilt/{name}", look, static=True)
+        ends = {"origins": position, "vectors": 1.2 * size * vectors}
+        _send(recording, f"/tilt/{name}", run.time, rr.Arrows3D.columns, **ends)
 
 
 def _arrow_scale(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> float | None:

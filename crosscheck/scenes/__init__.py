@@ -20,6 +20,7 @@ from crosscheck.scenes import (
     stewart,
     tracker,
     tracker_control,
+    tracker_sun,
     tracker_wind,
 )
 from crosscheck.scenes.measure import Quantities
@@ -34,6 +35,7 @@ SCENES: dict[str, Callable[..., Scene]] = {
     "tracker_on_boat": tracker.tracker_on_boat,
     "tracker_wind": tracker_wind.tracker_wind,
     "tracker_computed_torque": tracker_control.tracker_computed_torque,
+    "tracker_sun_day": tracker_sun.tracker_sun_day,
     "pendulum": pendulum.pendulum,
     "free_top": free_top.free_top,
     "heavy_top": heavy_top.heavy_top,

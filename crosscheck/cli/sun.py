@@ -1,0 +1,63 @@
+"""`crosscheck sun`: days of a solar tracker."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+
+import click
+
+from crosscheck.cli.shared import AGREE, cli, progress_shown, say, show, verbose_option
+
+
+@cli.command("sun")
+@click.option(
+    "--latitude", "latitudes", type=float, multiple=True, required=True, help="Degrees north; repeatable."
+)
+@click.option("--longitude", type=float, default=0.0, show_default=True, help="Degrees east.")
+@click.option("--altitude", type=float, default=0.0, show_default=True, help="Meters above the sea.")
+@click.option(
+    "--date", "dates", multiple=True, required=True, metavar="YYYY-MM-DD", help="Day there; repeatable."
+)
+@click.option(
+    "--zone", metavar="ZONE", help="As Asia/Phnom_Penh.  [default: hours from Greenwich by longitude]"
+)
+@click.option("--period", type=float, default=60.0, show_default=True, help="Seconds between set-points.")
+@click.option("--deadband", type=float, default=0.0, show_default=True, help="Degrees off before it moves.")
+@click.option("--most-tilt", type=float, default=30.0, show_default=True, help="Degrees from the horizontal.")
+@click.option("--pitch", type=float, default=float("inf"), help="Distance of rows in lengths of the panel.")
+@click.option(
+    "--output", type=click.Path(path_type=Path), default=Path("output/sun"), show_default=True, help="Folder."
+)
+@verbose_option
+def sun_command(
+    latitudes: tuple[float, ...],
+    dates: tuple[str, ...],
+    zone: str | None,
+    period: float,
+    output: Path,
+    **numbers: float,
+) -> int:
+    """Follow the sun with the tracker for a day: set-points, motion, error, sunlight.
+
+    Of several latitudes or dates a table compares the days.
+    """
+    from crosscheck.scenes.tracker_sun import PANEL_NORMAL, sun_tracker
+    from crosscheck.solar.day import tracker_day
+    from crosscheck.solar.place import Place
+    from crosscheck.solar.report import day_report, survey_report, write
+    from crosscheck.solar.tracking import Tracking
+
+    tracking = Tracking(numbers["deadband"], numbers["most_tilt"], numbers["pitch"])
+    places = [Place(latitude, numbers["longitude"], numbers["altitude"]) for latitude in latitudes]
+    scene, days, written = sun_tracker(), [], list[Path]()
+    with progress_shown() as progress:
+        for place, date in product(places, dates):
+            progress(f"{place}, {date}")
+            days.append(tracker_day(scene, PANEL_NORMAL, place, date, zone, tracking, period))
+        if len(days) == 1:
+            written = write(days[0], day_report(days[0]), output)
+    show(day_report(days[0]) if written else survey_report(days))
+    for path in written:
+        say(f"wrote {path}")
+    return AGREE

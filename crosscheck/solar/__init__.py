@@ -1,0 +1,1 @@
+"""The sun over a place, set-points that face it, and a tracker's day: motion, error and energy."""

@@ -1,0 +1,87 @@
+"""Sunlight on panels over a day, by pvlib's clear-sky model: a tracker beside panels that others would build.
+
+Assumptions: a clear sky of the climatological turbidity (Ineichen and Perez, Solar Energy 73, 2002), diffuse
+light of Hay and Davies, ground of albedo 0.2, no losses at glancing angles, by heat, dirt or shadows.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from crosscheck.solar.place import Place, Sun, solar_library
+from newton_euler.scalars import Array
+
+ALBEDO = 0.2
+
+ROW_TILT = 60.0
+"""Degrees that a horizontal single-axis tracker, from east to west, turns at most; common in fields."""
+
+
+THIS, FIXED, FACING = "this tracker", "tilted by the latitude", "facing the sun"
+FLAT, ONE_AXIS = "flat", f"one axis, {ROW_TILT:g} deg"
+"""Panels."""
+
+
+class ClearSky:
+    """Clear-sky light over a place at n times.
+
+    Attributes:
+        place: where.
+        sun: positions of the sun.
+    """
+
+    def __init__(self, place: Place, sun: Sun) -> None:
+        self.place, self.sun = place, sun
+        self._pvlib = solar_library()
+        location = self._pvlib.location.Location(place.latitude, place.longitude, altitude=place.altitude)
+        self._light: Any = location.get_clearsky(sun.times, model="ineichen")
+        self._beyond = self._pvlib.irradiance.get_extra_radiation(sun.times)
+
+    def on(self, normals: Array) -> Array:
+        """Compute the irradiance (n,), W/m^2, on panels with these normals (n, 3): east, north, up."""
+        tilt = np.degrees(np.arccos(np.clip(normals[:, 2], -1.0, 1.0)))
+        azimuth = np.degrees(np.arctan2(normals[:, 0], normals[:, 1])) % 360.0
+        total = self._pvlib.irradiance.get_total_irradiance(
+            tilt,
+            azimuth,
+            90.0 - np.degrees(self.sun.elevation),
+            np.degrees(self.sun.azimuth),
+            self._light["dni"].to_numpy(),
+            self._light["ghi"].to_numpy(),
+            self._light["dhi"].to_numpy(),
+            dni_extra=self._beyond.to_numpy(),
+            albedo=ALBEDO,
+            model="haydavies",
+        )
+        return np.nan_to_num(np.asarray(total["poa_global"], dtype=float))
+
+    def alternatives(self) -> dict[str, Array]:
+        """Return the normals (n, 3) of other panels by name.
+
+        One that lies flat, one that is tilted by the latitude towards the equator, one on a horizontal axis
+        from north to south that turns up to `ROW_TILT`, and one that always faces the sun.
+        """
+        count, latitude = len(self.sun.times), np.radians(self.place.latitude)
+        fixed = np.array([0.0, -np.sin(latitude), np.cos(latitude)])
+        zenith, azimuth = 90.0 - np.degrees(self.sun.elevation), np.degrees(self.sun.azimuth)
+        row = self._pvlib.tracking.singleaxis(zenith, azimuth, max_angle=ROW_TILT, backtrack=False)
+        tilt, towards = (np.radians(np.nan_to_num(row[f"surface_{name}"])) for name in ("tilt", "azimuth"))
+        return {
+            FLAT: np.tile([0.0, 0.0, 1.0], (count, 1)),
+            FIXED: np.tile(fixed, (count, 1)),
+            ONE_AXIS: tilted(tilt, towards),
+            FACING: self.sun.direction,
+        }
+
+
+def tilted(tilt: Array, azimuth: Array) -> Array:
+    """Return normals (n, 3), east, north and up, of panels tilted (n,) towards an azimuth (n,), rad."""
+    across = np.sin(tilt)
+    return np.stack([across * np.sin(azimuth), across * np.cos(azimuth), np.cos(tilt)], axis=1)
+
+
+def over_day(times: Array, power: Array) -> float:
+    """Integrate power (n,), W, over times (n,), s, by the trapezoidal rule: W h."""
+    return float(np.trapezoid(power, times)) / 3600.0

@@ -1,0 +1,141 @@
+"""Places on the globe, days there, and the sun's directions; positions of the sun are pvlib's.
+
+Directions are in the world frame of a scene whose x is east, y north and z up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from crosscheck.errors import CrosscheckError
+from newton_euler.errors import is_finite_number
+from newton_euler.scalars import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+RANGES = {"latitude": (-90.0, 90.0, "degrees north"), "longitude": (-180.0, 180.0, "degrees east")}
+HEIGHTS = (-500.0, 9000.0)
+"""m above the sea."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place on the globe.
+
+    Attributes:
+        latitude: degrees north.
+        longitude: degrees east.
+        altitude: m above the sea.
+
+    Raises:
+        CrosscheckError: for a place off the globe.
+    """
+
+    latitude: float
+    longitude: float
+    altitude: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, (low, high, unit) in {**RANGES, "altitude": (*HEIGHTS, "m")}.items():
+            value = getattr(self, name)
+            if not is_finite_number(value) or not low <= value <= high:
+                raise CrosscheckError(f"{name} {value!r:.100} is off the globe: {low:g} to {high:g} {unit}")
+
+    def __str__(self) -> str:
+        north, east = "N" if self.latitude >= 0.0 else "S", "E" if self.longitude >= 0.0 else "W"
+        return f"{abs(self.latitude):g} {north}, {abs(self.longitude):g} {east}"
+
+    @property
+    def zone(self) -> str:
+        """The nautical time zone: whole hours from Greenwich, 15 degrees wide."""
+        return f"UTC{round(self.longitude / 15.0):+03d}:00"
+
+
+def solar_library() -> Any:
+    """Import pvlib; raises `CrosscheckError` where it is not installed."""
+    try:
+        import pvlib
+    except ImportError as error:
+        raise CrosscheckError("pvlib is not installed: pip install 'crosscheck[sun]'") from error
+    return pvlib
+
+
+def day_times(date: str, zone: str, period: float) -> pd.DatetimeIndex:
+    """Return the times from a midnight on for 24 hours, every `period` s.
+
+    Args:
+        date: YYYY-MM-DD.
+        zone: name of a time zone, as "Asia/Phnom_Penh" or "UTC+07:00".
+        period: s.
+
+    Raises:
+        CrosscheckError: for what is no date or no time zone.
+    """
+    import pandas as pd
+
+    try:
+        start = pd.Timestamp(date)
+    except (ValueError, TypeError) as error:
+        raise CrosscheckError(f"date {date!r:.100} is none: YYYY-MM-DD") from error
+    if start is pd.NaT or start != start.normalize() or start.tz is not None:
+        raise CrosscheckError(f"date {date!r:.100} is no day: YYYY-MM-DD, its time zone apart")
+    try:
+        begin = start.tz_localize(zone)
+    except Exception as error:  # of zoneinfo, dateutil or pandas, by the kind of mistake
+        raise CrosscheckError(
+            f"time zone {zone!r:.100} is unknown: as Asia/Phnom_Penh or UTC+07:00"
+        ) from error
+    seconds = np.arange(0.0, 86400.0 + 0.5 * period, period)
+    return begin + pd.to_timedelta(seconds, unit="s")
+
+
+@dataclass(frozen=True, eq=False)
+class Sun:
+    """Positions of the sun at n times.
+
+    Attributes:
+        times: n times with a zone.
+        azimuth: (n,) rad from north to the east.
+        elevation: (n,) rad above the horizon, refraction included.
+    """
+
+    times: pd.DatetimeIndex
+    azimuth: Array
+    elevation: Array
+
+    @property
+    def direction(self) -> Array:
+        """(n, 3) unit vectors to the sun: east, north, up."""
+        across = np.cos(self.elevation)
+        return np.stack(
+            [across * np.sin(self.azimuth), across * np.cos(self.azimuth), np.sin(self.elevation)], axis=1
+        )
+
+    @property
+    def is_up(self) -> Array:
+        """(n,) True where the sun is above the horizon."""
+        return self.elevation > 0.0
+
+
+def sun_over(place: Place, times: pd.DatetimeIndex) -> Sun:
+    """Compute where the sun is, by NREL's algorithm (Reda and Andreas, Solar Energy 76, 2004), through pvlib.
+
+    Refraction is that of the pressure at the place's altitude and 12 degrees Celsius.
+
+    Raises:
+        CrosscheckError: for times without a zone.
+    """
+    if times.tz is None:
+        raise CrosscheckError(f"times from {times[0]} on have no time zone")
+    found = solar_library().solarposition.get_solarposition(
+        times, place.latitude, place.longitude, place.altitude, method="nrel_numpy"
+    )
+    return Sun(
+        times,
+        np.radians(found["azimuth"].to_numpy()),
+        np.radians(found["apparent_elevation"].to_numpy()),
+    )

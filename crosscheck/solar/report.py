@@ -1,0 +1,202 @@
+"""Tables, plots and files of a tracker's day, and of days at several places and dates."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from crosscheck.files import check_writable, write_files
+from crosscheck.report.plots import png
+from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
+from crosscheck.solar.day import Day
+from crosscheck.solar.energy import FACING, FIXED, ONE_AXIS, THIS
+from newton_euler.scalars import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_ROWS = 9
+"""Of the table of a day, so that all fits 25 lines."""
+
+SURVEYED = ("faces\nsun, h", "off\ndeg", "fixed\nkWh/m^2", "this\n%", "1 axis\n%", "facing\n%", "work\nmWh")
+"""Columns of several days."""
+
+FILES = ("commands.csv", "day.png", "day.rrd")
+
+
+def hours(day: Day, step: int) -> Iterator[list[str | Cell]]:
+    """Rows of the hours, every `step`, in which the sun is up."""
+    whole = [
+        k for k, time in enumerate(day.sun.times) if time.minute == time.second == 0 and day.sun.is_up[k]
+    ]
+    for k in whole[::step]:
+        yield [
+            f"{day.sun.times[k]:%H:%M}",
+            f"{np.degrees(day.sun.azimuth[k]):.1f}",
+            f"{np.degrees(day.sun.elevation[k]):.1f}",
+            *(f"{1e3 * values[k]:.2f}" for values in day.commands.values()),
+            f"{np.degrees(np.arccos(day.normals[k, 2])):.1f}",
+            f"{np.degrees(day.errors[k]):.2f}",
+        ]
+
+
+def day_report(day: Day) -> Report:
+    """Report on one day: the sun, the set-points, what is left between panel and sun, and the light."""
+    units = {"azimuth": "deg", "elevation": "deg"}
+    units |= {name: "mm" if day.is_slide(name) else "mrad" for name in day.commands}
+    units |= {"tilt": "deg", "off sun": "deg"}
+    columns = [*texts("time"), *(Column(f"{name}\n{unit}", numeric=True) for name, unit in units.items())]
+    count = sum(1 for _ in hours(day, 1))
+    tables = [
+        Table("sun, set-points and panel", columns, list(hours(day, step)))
+        for step in (1, -(-count // MOST_ROWS))
+    ]
+    light = Table(
+        "clear sky over the day",
+        [*texts("panel"), *figures("kWh/m^2", "of fixed, %")],
+        [
+            [name, f"{1e-3 * value:.3f}", f"{100.0 * value / day.light[FIXED]:.1f}"]
+            for name, value in day.light.items()
+        ],
+    )
+    parts: list[Part] = [tables[0], light, Lines("assumptions", list(assumptions(day)))]
+    summary: list[Part] = [tables[1], light]
+    where = f"{day.scene.name} on {day.sun.times[0]:%Y-%m-%d} at {day.place} ({day.sun.times.tz})"
+    return Report(where, verdict(day), Cell("followed", "holds"), parts, day.run.wall_time, summary)
+
+
+def verdict(day: Day) -> str:
+    """Sum up in one sentence how well the sun was followed."""
+    faces = day.faces
+    found = f"faces the sun for {np.sum(faces) * day.period / 3600.0:.1f} h"
+    if faces.any():
+        found += f" to {np.degrees(np.max(day.errors[faces])):.2f} deg"
+    low = np.sum(day.sun.is_up & ~faces) * day.period / 3600.0
+    if low > 0.0:
+        found += f", for {low:.1f} h as nearly as its tilt allows"
+    missed = int(np.sum(~day.poses.reached))
+    if missed:
+        found += (
+            f"; {missed} set-points are out of reach, by up to {np.degrees(np.max(day.poses.angle)):.2f} deg"
+        )
+    return f"{found}; actuators do {1e3 * day.work:.3g} mWh of work"
+
+
+def assumptions(day: Day) -> Iterator[str]:
+    """List what the figures rest on."""
+    yield "x is east, y north, z up; sun by NREL's algorithm, refraction at 12 degrees Celsius included"
+    yield (
+        f"set-points every {day.period:g} s, held by PD laws with the weight fed forward; tilt at most "
+        f"{day.tracking.most_tilt:g} degrees; dead band {day.tracking.deadband:g} degrees"
+    )
+    yield "at night the panel waits where it faces the sun first; the base stands still, no wind"
+    yield "clear sky (Ineichen, pvlib's turbidity), diffuse light of Hay and Davies, ground of albedo 0.2"
+    yield "work of actuators is mechanical; what comes back while the panel sinks is lost, friction is none"
+
+
+def survey_report(days: Sequence[Day]) -> Report:
+    """Report on days at several places or dates, a row each."""
+    names = (THIS, ONE_AXIS, FACING)
+    columns = [
+        *texts("place", "date"),
+        *(Column(name, numeric=True) for name in SURVEYED),
+    ]
+    rows: Rows = [
+        [
+            str(day.place),
+            f"{day.sun.times[0]:%Y-%m-%d}",
+            f"{np.sum(day.faces) * day.period / 3600.0:.1f}",
+            f"{np.degrees(np.max(day.errors[day.faces], initial=0.0)):.2f}",
+            f"{1e-3 * day.light[FIXED]:.2f}",
+            *(f"{100.0 * day.light[name] / day.light[FIXED] - 100.0:+.1f}" for name in names),
+            f"{1e3 * day.work:.2g}",
+        ]
+        for day in days
+    ]
+    gains = [100.0 * day.light[FACING] / day.light[FIXED] - 100.0 for day in days]
+    parts: list[Part] = [
+        Table("days of clear sky, gains over a panel fixed at the latitude's tilt", columns, rows),
+        Lines("assumptions", list(assumptions(days[0]))),
+    ]
+    found = f"always facing the sun gains {min(gains):.0f} to {max(gains):.0f} % over a fixed panel"
+    return Report(
+        f"{days[0].scene.name} over {len(days)} days", found, Cell("followed", "holds"), parts, None, parts
+    )
+
+
+def table_of_commands(day: Day) -> bytes:
+    """The set-points as CSV: times, sun, joint coordinates in m or rad, and what came of them."""
+    units = ("m" if day.is_slide(name) else "rad" for name in day.commands)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["time", "seconds", "sun_azimuth_deg", "sun_elevation_deg"]
+        + [f"{name}_{unit}" for name, unit in zip(day.commands, units, strict=True)]
+        + ["off_sun_deg", "reached"]
+    )
+    for k, time in enumerate(day.sun.times):
+        angles = np.degrees([day.sun.azimuth[k], day.sun.elevation[k]])
+        commands = [f"{values[k]:.9g}" for values in day.commands.values()]
+        off = f"{np.degrees(day.errors[k]):.6f}"
+        writer.writerow(
+            [
+                time.isoformat(),
+                f"{day.seconds[k]:g}",
+                *(f"{angle:.6f}" for angle in angles),
+                *commands,
+                off,
+                int(day.poses.reached[k]),
+            ]
+        )
+    return text.getvalue().encode()
+
+
+def picture(day: Day) -> Figure:
+    """Draw the sun and the panel, the set-points, and the light over the day."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 7.0), layout="constrained")
+    figure.suptitle(f"{day.scene.name}, {day.sun.times[0]:%Y-%m-%d}, {day.place}")
+    hour = day.seconds / 3600.0
+    above, commands, light = figure.subplots(3, 1, sharex=True)
+
+    def draw(ax: object, lines: dict[str, Array], label: str) -> None:
+        for name, values in lines.items():
+            ax.plot(hour, values, label=name, linewidth=1.4)  # type: ignore[attr-defined]
+        ax.set_ylabel(label)  # type: ignore[attr-defined]
+        ax.grid(alpha=0.3)  # type: ignore[attr-defined]
+        ax.legend(loc="upper right", fontsize="small")  # type: ignore[attr-defined]
+
+    up = np.where(day.sun.is_up, np.degrees(day.sun.elevation), np.nan)
+    off = np.where(day.sun.is_up, np.degrees(day.errors), np.nan)
+    panel = np.degrees(np.arcsin(np.clip(day.normals[:, 2], -1.0, 1.0)))
+    draw(above, {"sun's elevation": up, "normal's elevation": panel, "between both": off}, "deg")
+    draw(commands, {name: 1e3 * values for name, values in day.commands.items()}, "set-points, mm or mrad")
+    draw(light, dict(day.irradiance), "clear sky, W/m^2")
+    light.set_xlabel("time of day, h")
+    light.set_xlim(0.0, 24.0)
+    return figure
+
+
+def write(day: Day, report: Report, folder: Path) -> list[Path]:
+    """Write the set-points, the plots and the recording; all or none.
+
+    Raises:
+        CrosscheckError: naming the path that cannot be written.
+    """
+    from crosscheck.recording.log import recorded
+
+    paths = [folder / name for name in FILES]
+    check_writable(*paths)
+    text = f"# {report.title}\n\n{report.verdict}\n"
+    recording = recorded(
+        day.scene, {"newton_euler": day.run}, text, report.title, directions={"sun": day.sun_seen}
+    )
+    contents = (table_of_commands(day), png(picture(day)), recording)
+    write_files(dict(zip(paths, contents, strict=True)))
+    return paths
