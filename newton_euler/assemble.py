@@ -116,7 +116,7 @@ def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] 
     check_type("scene", scene, Scene)
     wanted = _wanted(scene, joints)
     state = initial_state(scene)
-    begin = {key: _measured(scene, state, key)[0] for key in wanted}
+    begin, begun = {key: _measured(scene, state, key)[0] for key in wanted}, _speed(scene, state)
     way = {key: (begin[key], x - begin[key]) for key, (x, _) in wanted.items()}
     size = scene.mechanism.size
     longest = max(abs(d) / (size if scene.mechanism.is_slide(*key) else 1.0) for key, (_, d) in way.items())
@@ -132,6 +132,8 @@ def start(scene: Scene, /, **joints: Sequence[float] | Sequence[Sequence[float] 
         system = Relative(replace(scene, motions=motions, initial_state=state))
         q = project_position(system, system.coordinates(state)[0])
         state = system.state(q, project_velocity(system, q, v))
+        if _speed(scene, state) < VELOCITY_TOLERANCE * begun:  # round-off of what is to rest
+            state = system.state(q, np.zeros_like(v))
     except AssemblyError as error:
         reason = f"joint {error.joint!r} stays open by {error.violation:.3g} m or rad"
         raise _unreachable(wanted, reason) from error

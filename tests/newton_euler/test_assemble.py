@@ -61,6 +61,13 @@ def test_a_loop_starts_at_the_angle_and_the_rate_of_its_crank(angle):
     assert motion.rates[0, 0] == pytest.approx(2.0, rel=VELOCITY_TOLERANCE)
 
 
+def test_a_moving_loop_starts_at_rest():
+    scene = start(load("slider_crank"), pivot=(0.3, 0.0))
+    run = simulate(replace(scene, duration=0.1))
+    assert run.linear_velocity is not None
+    assert np.abs(run.linear_velocity[0]).max() < 1e-12  # of 0.5 m/s before
+
+
 def test_joints_of_several_coordinates_start_and_others_stay():
     scene = start(slider_tree(), sleeve_on_cart=[(0.2, -0.1), (1.5, 3.0)])
     assert scene.initial_state is not None
