@@ -1,4 +1,4 @@
-"""`crosscheck bench`, `stress`, `faults`, `figures`, and `report` on what they wrote."""
+"""`crosscheck bench`, `loads`, `stress`, `faults`, `figures`, and `report` on what they wrote."""
 
 from __future__ import annotations
 
@@ -104,6 +104,45 @@ def controllers_command(scene: str, settings: tuple[str, ...], engines: str | No
     with progress_shown() as progress:
         table = compared(scene, options, chosen, progress)
     click.echo(terminal([table]), nl=False)
+    return AGREE
+
+
+@cli.command("loads")
+@click.argument("scene", default="tracker_wind")
+@setting_options
+@click.option(
+    "--case",
+    "cases",
+    multiple=True,
+    metavar="NAME:OPTION=VALUE,...",
+    help="A load case, and its options beside those of --set; repeatable.  [default: one, as --set has it]",
+)
+@click.option("--at-rest", is_flag=True, help="Hold cases at rest in their initial poses instead of runs.")
+@click.option(
+    "--output", type=click.Path(path_type=Path), default=None, help="Folder.  [default: output/loads/SCENE]"
+)
+def loads_command(
+    scene: str, settings: tuple[str, ...], cases: tuple[str, ...], at_rest: bool, output: Path | None
+) -> int:
+    """Compute loads of joints and actuators over load cases.
+
+    By newton_euler; reactions of all engines agree where a crosscheck does.
+
+    SCENE is a name or a file, as of run.
+    """
+    from crosscheck.load import load_scene
+    from crosscheck.loads import loads, parse_cases
+
+    scenes = {}
+    for name, own in parse_cases(cases).items():
+        options = scene_options(settings) | scene_options(own, f"--case {name}:")
+        scenes[name], mapping = load_scene(scene, options)
+        if len(scenes) == 1:
+            tell(scene, mapping)
+    folder = output or Path("output/loads") / next(iter(scenes.values())).name
+    with progress_shown() as progress:
+        found, written = loads(scenes, at_rest, folder, progress)
+    show(found, "wrote " + ", ".join(map(str, written)), f"look  crosscheck view {quote(str(written[-1]))}")
     return AGREE
 
 

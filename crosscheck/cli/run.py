@@ -169,13 +169,13 @@ def _models(*named: tuple[str, tuple[str, ...]]) -> tuple[Model, Model]:
 
     paths = [Path(source) for source, *_ in named]
     found: list[Model] = []
-    for path, other, prefix, (source, settings) in zip(
-        paths, paths[::-1], ("", "against-"), named, strict=True
+    for path, other, given_as, (source, settings) in zip(
+        paths, paths[::-1], ("--set", "--against-set"), named, strict=True
     ):
-        options = scene_options(settings, prefix)
+        options = scene_options(settings, given_as)
         for option in ("duration", "output_period"):
-            if prefix and option in options:
-                raise CrosscheckError(f"--against-set {option}: both models have the first's, see --set")
+            if found and option in options:
+                raise CrosscheckError(f"{given_as} {option}: both models have the first's, see --set")
         name = unique_name(_short_name(path, other), "model", [model.name for model in found])
         found.append(Model(name, source, options, *load_scene(source, options)))
     first, second = found

@@ -61,15 +61,15 @@ def _heed_limits(context: click.Context, _: click.Parameter, settings: tuple[str
     return tuple(setting for setting, name in named if name not in LIMITS)
 
 
-def scene_options(settings: tuple[str, ...], prefix: str = "") -> dict[str, str]:
-    """Parse values of `--set`, whose name may have a prefix, into options of a scene by name."""
+def scene_options(settings: tuple[str, ...], given_as: str = "--set") -> dict[str, str]:
+    """Parse values of `--set`, or of what they are given as, into options of a scene by name."""
     options = {}
     for setting in settings:
         key, equals, value = setting.partition("=")
         if not (key and equals and value):
-            raise CrosscheckError(f"--{prefix}set {setting!r} is not of the form OPTION=VALUE")
+            raise CrosscheckError(f"{given_as} {setting!r} is not of the form OPTION=VALUE")
         if key in options:
-            raise CrosscheckError(f"--{prefix}set {key} is given twice")
+            raise CrosscheckError(f"{given_as} {key} is given twice")
         options[key] = value
     return options
 

@@ -1,0 +1,189 @@
+"""Loads for design of a scene: its load cases are run, and what joints and actuators get becomes tables,
+CSV, a plot and a recording."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.files import check_writable, write_files
+from crosscheck.limit import limited
+from crosscheck.palette import palette
+from crosscheck.report.plots import png
+from crosscheck.report.render import markdown
+from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
+from newton_euler.analysis.envelope import (
+    Load,
+    LoadEnvelope,
+    LoadRange,
+    joint_loads,
+    load_envelope,
+    rest_case,
+)
+from newton_euler.equations.redundancy import mobility
+from newton_euler.model.scene import OUTPUTS, Scene
+from newton_euler.model.trajectory import Trajectory
+from newton_euler.simulate import simulate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CASE = re.compile(r"[A-Za-z0-9_.\-]+")
+"""Names of load cases."""
+
+ALONE = "run"
+"""Name of the case where none is named."""
+
+MOST_DRAWN = 12
+"""Joints in the plot, those with the largest forces."""
+
+ADVICE = "a shorter duration, or fewer cases"
+"""What to do about one that takes too long."""
+
+ROUND_OFF = 1e-9
+"""Share of the largest load of a table below which loads are printed as 0."""
+
+SHARED = "constraints are redundant: joints share some loads as stiffness decides, which is not known here"
+
+GOVERNS = Column("governed by", brief=True)
+
+PARTS = {"force": ("axial force", "shear force"), "torque": ("axial torque", "bending torque")}
+"""Of loads of joints with one axis."""
+
+
+def parse_cases(given: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Parse `NAME:OPTION=VALUE,OPTION=VALUE` into settings by the names of cases; one if none is given.
+
+    Raises:
+        CrosscheckError: naming the case at fault.
+    """
+    cases: dict[str, tuple[str, ...]] = {}
+    for case in given:
+        name, _, settings = case.partition(":")
+        if not CASE.fullmatch(name):
+            needed = "letters, digits, _, . and - before the colon"
+            raise CrosscheckError(f"--case {case!r} is not of the form NAME:OPTION=VALUE; needed: {needed}")
+        if name in cases:
+            raise CrosscheckError(f"--case {name} is given twice")
+        cases[name] = tuple(filter(None, settings.split(",")))
+    return cases or {ALONE: ()}
+
+
+def loads(
+    scenes: Mapping[str, Scene], at_rest: bool, folder: Path, progress: Callable[[str], None]
+) -> tuple[Report, list[Path]]:
+    """Run load cases and write their loads to a folder.
+
+    Args:
+        scenes: by the names of the cases; of one mechanism.
+        at_rest: whether to hold them at rest in their initial poses instead of running them.
+        folder: of `loads.csv`, `loads.png` and `loads.rrd`.
+        progress: is told what is going on.
+
+    Returns:
+        A report, and the files.
+
+    Raises:
+        CrosscheckError: naming the path that cannot be written, or a case that takes too long.
+        NewtonEulerError: for a scene that cannot be run.
+    """
+    from crosscheck.recording.log import recorded
+
+    table, plot, recording = (folder / f"loads.{suffix}" for suffix in ("csv", "png", "rrd"))
+    check_writable(table, plot, recording)
+    runs = {}
+    for name, scene in scenes.items():
+        with limited(f"case {name}", ADVICE, progress):
+            complete = replace(scene, outputs=frozenset(OUTPUTS))
+            runs[name] = rest_case(scene) if at_rest else simulate(complete)
+    first = next(iter(scenes.values()))
+    envelope = load_envelope(first, runs)
+    report = _report(first, envelope, at_rest)
+    progress("plot and recording")
+    drawn = recorded(first, runs, markdown(report), report.title)
+    write_files({table: envelope.to_csv().encode(), plot: png(_figure(first, runs)), recording: drawn})
+    return report, [table, plot, recording]
+
+
+def _report(scene: Scene, envelope: LoadEnvelope, at_rest: bool) -> Report:
+    named = envelope.cases != (ALONE,)
+    cases = f"cases {', '.join(envelope.cases)}" if named else "initial pose" if at_rest else "its run"
+    title = f"{scene.name}: loads {'at rest,' if at_rest else 'over'} {cases}"
+    most = max(_of(envelope, "force"), key=lambda each: each.peak)
+    verdict = f"largest force {most.peak:.3g} N at joint {most.element!r}, {_when(most)}"
+    parts: list[Part] = [_of_joints(envelope, "force", "N"), _of_joints(envelope, "torque", "N m")]
+    if envelope.actuators:
+        parts.append(_of_actuators(envelope))
+    if mobility(scene).redundant:
+        parts.append(Lines("", [SHARED]))
+    return Report(title, verdict, Cell(""), parts, summary=parts)
+
+
+def _of(envelope: LoadEnvelope, quantity: str) -> list[LoadRange]:
+    return [each for each in (*envelope.joints, *envelope.actuators) if each.quantity == quantity]
+
+
+def _when(load: LoadRange) -> str:
+    case, time = load.governing
+    return f"{case} at {time:.4g} s"
+
+
+def _of_joints(envelope: LoadEnvelope, quantity: str, unit: str) -> Table:
+    """The peaks of forces or torques, and of their parts along and across axes."""
+    names = [part.removesuffix(f" {quantity}") for part in PARTS[quantity]]
+    columns = [*texts("joint"), *figures(f"{quantity}, {unit}", *names, "rms"), GOVERNS]
+    known, loads = {(each.element, each.quantity): each for each in envelope.joints}, _of(envelope, quantity)
+    least = ROUND_OFF * max(load.peak for load in loads)
+    rows: Rows = []
+    for load in loads:
+        parts = [known.get((load.element, part)) for part in PARTS[quantity]]
+        values = [load.peak, *(part.peak if part else None for part in parts), load.rms]
+        cells = ["" if value is None else f"{value if value > least else 0.0:.3g}" for value in values]
+        rows.append([load.element, *cells, _when(load) if load.peak > least else ""])
+    return Table("", columns, rows)
+
+
+def _of_actuators(envelope: LoadEnvelope) -> Table:
+    columns = [*texts("actuator"), *figures("force", "rms", "speed", "power, W", "energy, J"), GOVERNS]
+    rows: Rows = []
+    for load in _of(envelope, "actuator force"):
+        speed, power, energy = (envelope.of(load.element, what) for what in ("speed", "power", "energy"))
+        forces = [f"{value:.3g} {load.unit}" for value in (load.peak, load.rms)]
+        motion = [f"{speed.peak:.3g} {speed.unit}", f"{power.peak:.3g}", f"{energy.peak:.3g}"]
+        rows.append([load.element, *forces, *motion, _when(load)])
+    return Table("", columns, rows)
+
+
+def _figure(scene: Scene, runs: Mapping[str, Trajectory]) -> Figure:
+    """Forces and torques of joints over time, a line a case."""
+    from matplotlib.figure import Figure
+
+    found = {case: joint_loads(scene, run) for case, run in runs.items()}
+    forces = {
+        joint: max(float(loads[Load(joint, "force", "N")].max()) for loads in found.values())
+        for joint in scene.mechanism.joint_names
+    }
+    chosen = sorted(forces, key=lambda joint: -forces[joint])[:MOST_DRAWN]
+    joints = [joint for joint in forces if joint in chosen]
+    figure = Figure(figsize=(9.0, 0.8 + 1.3 * len(joints)), layout="constrained")
+    axes = figure.subplots(len(joints), 2, sharex=True, squeeze=False)
+    colors = palette(list(runs))
+    for row, joint in zip(axes, joints, strict=True):
+        for ax, quantity, unit in zip(row, ("force", "torque"), ("N", "N m"), strict=True):
+            for case, loads in found.items():
+                mark = "." if len(runs[case].time) == 1 else ""
+                values = loads[Load(joint, quantity, unit)]
+                ax.plot(runs[case].time, values, color=colors[case], marker=mark, label=case)
+            ax.set_ylim(bottom=0.0)
+            ax.grid(alpha=0.3)
+        row[0].set_ylabel(joint, fontsize="small")
+    for ax, label in zip(axes[0], ("force, N", "torque, N m"), strict=True):
+        ax.set_title(label, fontsize="medium")
+    for ax in axes[-1]:
+        ax.set_xlabel("time, s")
+    axes[0, 0].legend(loc="best", fontsize="small")
+    return figure

@@ -1,0 +1,73 @@
+"""The command `loads`: cases, its table, and what it writes."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+from command_line import run
+
+EXAMPLE = str(Path(__file__).parents[2] / "examples" / "four_bar.yaml")
+
+
+def ranges(folder: Path) -> dict[tuple[str, str], dict[str, str]]:
+    with (folder / "loads.csv").open() as file:
+        return {(row["element"], row["quantity"]): row for row in csv.DictReader(file)}
+
+
+def test_cases_of_a_scene(capsys, monkeypatch, tmp_path):
+    monkeypatch.setenv("COLUMNS", "80")
+    cases = ("--case", "calm:speed=0", "--case", "windy:speed=15,direction=90")
+    status, out, err = run(
+        capsys, "loads", "tracker_wind", "--set", "wind=steady", *cases, "--output", tmp_path
+    )
+    assert (status, err) == (0, "")
+    assert out.startswith("tracker_wind: loads over cases calm, windy\nlargest force ")
+    assert max(map(len, out.splitlines())) <= 80 + len(str(tmp_path)) * 3
+    found = ranges(tmp_path)
+    assert {row["most_case"] for row in found.values()} == {"calm", "windy"}
+    row = found["universal_47", "force"]
+    (line,) = [line for line in out.splitlines() if line.startswith("universal_47") and "N" not in line][:1]
+    assert line.split()[1] == f"{float(row['most']):.3g}"
+    assert f"{row['most_case']} at {float(row['most_time']):.4g} s" in line
+    assert (tmp_path / "loads.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "loads.rrd").stat().st_size > 10_000
+
+
+def test_a_file_at_rest_has_one_case(capsys, tmp_path):
+    status, out, _ = run(capsys, "loads", EXAMPLE, "--at-rest", "--output", tmp_path)
+    assert status == 0
+    assert out.startswith("four_bar: loads at rest, initial pose\n")
+    assert {row["most_time"] for row in ranges(tmp_path).values()} == {"0.0"}
+
+
+def test_shared_loads_are_told(capsys, tmp_path):
+    _, out, _ = run(capsys, "loads", "bricard", "--output", tmp_path)
+    assert "constraints are redundant: joints share some loads" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--case", "a b:speed=3"), "--case 'a b:speed=3' is not of the form NAME:OPTION=VALUE"),
+        (("--case", "a", "--case", "a"), "--case a is given twice"),
+        (("--case", "a:speed"), "--case a: 'speed' is not of the form OPTION=VALUE"),
+        (("--case", "a:sped=1"), "unknown option 'sped' of scene 'tracker_wind'; did you mean 'speed'?"),
+        (
+            ("--case", "a:speed=99"),
+            "speed of scene 'tracker_wind' is '99'; choose a whole number from 0 to 60",
+        ),
+    ],
+)
+def test_bad_cases_are_one_line(capsys, tmp_path, arguments, message):
+    status, out, err = run(capsys, "loads", "tracker_wind", *arguments, "--output", tmp_path / "out")
+    assert (status, out, len(err.splitlines())) == (2, "", 1)
+    assert message in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_nothing_holds_is_named(capsys, tmp_path):
+    status, _, err = run(capsys, "loads", "pendulum", "--at-rest", "--output", tmp_path)
+    assert status == 2
+    assert "needed: actuators that hold it" in err
