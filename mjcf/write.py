@@ -174,7 +174,7 @@ def _world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
     world = ET.SubElement(root, "worldbody")
     in_world = Pose(np.zeros(3), np.eye(3))
     for shape in scene.mechanism.shapes(0):
-        _geom(world, shape, GROUND_COLOR, in_world, np.array([1.0, 0.0, 0.0, 0.0]))
+        add_geom(world, shape, GROUND_COLOR, in_world, np.array([1.0, 0.0, 0.0, 0.0]))
     elements = {0: world}
     springs = joint_attributes(scene)
     for kept in layout.order:
@@ -184,7 +184,7 @@ def _world(root: ET.Element, scene: Scene, welded: WeldedMechanism, layout: Layo
             body = scene.mechanism.bodies[kept.child]
             color = COLORS[(kept.child - 1) % len(COLORS)]
             for shape in scene.mechanism.shapes(kept.child):
-                _geom(element, shape, color, body.pose, body.quaternion)
+                add_geom(element, shape, color, body.pose, body.quaternion)
     add_sites(elements, scene)
     for rod in rods(welded):
         for end, point in ((rod.first, rod.point), (rod.second, rod.reaction_point)):
@@ -256,7 +256,7 @@ def principal(inertia: Array) -> tuple[Array, Array]:
     return moments, axes
 
 
-def _geom(element: ET.Element, shape: Shape, color: str, pose: Pose, quaternion: Array) -> None:
+def add_geom(element: ET.Element, shape: Shape, color: str, pose: Pose, quaternion: Array) -> None:
     """A shape in the frame of its body."""
     geom = ET.SubElement(element, "geom")
     geom.set("type", type(shape).__name__.lower())

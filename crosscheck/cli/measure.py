@@ -191,6 +191,49 @@ def modes_command(
     return AGREE
 
 
+@cli.command("workspace")
+@click.argument("scene", default="tracker")
+@setting_options
+@click.option(
+    "--vary",
+    "ranges",
+    multiple=True,
+    required=True,
+    metavar="JOINT=LOW:HIGH[:POINTS]",
+    help="Range of a joint coordinate from the initial pose, m or rad; one for each degree of freedom.",
+)
+@click.option("--axis", metavar="BODY=X,Y,Z", help="Axis in the frame of a body whose direction is mapped.")
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Folder.  [default: output/workspace/SCENE]",
+)
+def workspace_command(
+    scene: str, settings: tuple[str, ...], ranges: tuple[str, ...], axis: str | None, output: Path | None
+) -> int:
+    """Map the poses that joint coordinates reach, and what bounds them.
+
+    SCENE is a name or a file, as of run.
+    """
+    from crosscheck import workspace
+    from crosscheck.files import check_writable
+
+    options = without_exercise(scene_options(settings), "a workspace is that of the scene as it stands")
+    loaded = load_and_tell(scene, options)
+    grid = dict(workspace.range_of(loaded, each) for each in ranges)
+    pointing = None if axis is None else workspace.axis_of(axis)
+    folder = output or Path("output/workspace") / loaded.name
+    check_writable(*(folder / name for name in workspace.FILES))
+    with progress_shown() as progress:
+        found = workspace.measure(loaded, grid, pointing, progress)
+        progress("writing")
+        written = workspace.write(found, folder)
+    click.echo(terminal([workspace.table(found)]), nl=False)
+    say("wrote " + ", ".join(str(path) for path in written))
+    return AGREE
+
+
 @cli.command("stress")
 @click.option(
     "--full/--ci", "full", default=True, show_default=True, help="All cases, or a short form of them."

@@ -48,7 +48,7 @@ class Branches:
     Examples:
         >>> found: Branches = assembly_branches(load("four_bar"), {"pivot_0": 0.3})
         >>> found.labels, found.blocks
-        (('0++', '1+-', '2-0'), (('pivot_1', 'hinge_0'), ('pivot_2', 'hinge_1')))
+        (('0 ++', '1 +-', '2 -0'), (('pivot_1', 'hinge_0'), ('pivot_2', 'hinge_1')))
     """
 
     poses: Poses
@@ -92,7 +92,7 @@ def assembly_branches(
     Examples:
         >>> found = assembly_branches(load("slider_crank"), {"pivot": 0.3}, measure=("guide",))
         >>> print(found.labels, found.poses.coordinates["guide"].round(3))
-        ('0+', '1-', '2-', '3+') [ 0.014  0.014 -0.414 -0.414]
+        ('0 +', '1 -', '2 -', '3 +') [ 0.014  0.014 -0.414 -0.414]
     """
     chain, names, goal = goals_of(scene, coordinates, axis, towards, measure, start)
     rows = chain.goals + 2 * chain.pointing
@@ -115,7 +115,7 @@ def assembly_branches(
     alone = (found < OFTEN) & np.any(signs == 0.0, axis=1)
     order = _order(at, begin)
     order = order[~alone[order]]
-    labels = [f"{k}" + "".join("-0+"[int(sign) + 1] for sign in signs[row]) for k, row in enumerate(order)]
+    labels = [f"{k} " + "".join("-0+"[int(sign) + 1] for sign in signs[row]) for k, row in enumerate(order)]
     at = at[order]
     every = np.ones(len(at), dtype=bool)
     return Branches(

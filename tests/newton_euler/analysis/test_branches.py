@@ -47,7 +47,7 @@ def test_each_branch_is_followed_from_its_pose():
         assert near.reached.all()
         np.testing.assert_allclose(near.position[0], branches.poses.position[k], rtol=0.0, atol=1e-9)
         signs.append(branches.labels[k][-1])
-    assert branches.labels[0] == "0+"  # the one of the published pose
+    assert branches.labels[0] == "0 +"  # the one of the published pose
     assert signs.count("+") == signs.count("-")  # sheets join in pairs, one of each sign
     assert branches.labels == assembly_branches(scene, heights).labels
 
@@ -64,7 +64,7 @@ def test_elbows_of_a_flat_four_bar():
     up = np.sqrt(coupler**2 - along**2) * np.array([1.0, -1.0])
     joints = pin + (along * reach + up[:, None] * np.array([-reach[1], reach[0]])) / distance
     angles = np.arctan2(joints[:, 0] - 1.0, joints[:, 1]) - np.arctan2(-0.1, 0.7)
-    assert branches.labels == ("0+", "1-")
+    assert branches.labels == ("0 +", "1 -")
     assert branches.blocks == (("at_d", "at_b"),)
     np.testing.assert_allclose(branches.poses.coordinates["at_d"], angles, rtol=0.0, atol=1e-12)
 
@@ -74,12 +74,12 @@ def test_slider_crank_has_both_sides_and_both_turns_of_its_rod():
     x = np.sqrt(0.3**2 - (0.1 - 0.08 * np.sin(0.3)) ** 2 - (0.12 + 0.08 * np.cos(0.3)) ** 2)
     expected = np.array([x, x, -x, -x]) - 0.2
     np.testing.assert_allclose(branches.poses.coordinates["guide"], expected, rtol=0.0, atol=1e-12)
-    assert branches.labels == ("0+", "1-", "2-", "3+")
+    assert branches.labels == ("0 +", "1 -", "2 -", "3 +")
 
 
 def test_windows_have_a_sign_each_and_folded_ones_none():
     branches = assembly_branches(load("four_bar"), {"pivot_0": 0.3})
-    assert branches.labels == ("0++", "1+-", "2-0")
+    assert branches.labels == ("0 ++", "1 +-", "2 -0")
     assert branches.blocks == (("pivot_1", "hinge_0"), ("pivot_2", "hinge_1"))
     assert branches.complete
 
@@ -99,7 +99,7 @@ def test_a_direction_has_branches_of_its_own():
 @pytest.mark.slow  # 5,000 starts, for a continuous family never lets the search end early
 def test_continuous_families_are_told_from_branches():
     branches = assembly_branches(load("bricard"), {"hinge_1": 0.1})
-    assert branches.labels == ("0+", "1+")
+    assert branches.labels == ("0 +", "1 +")
     assert branches.complete
     assert branches.scattered > 1000
 
