@@ -121,8 +121,8 @@ def read(
 
     Args:
         model: path of the URDF; or a `pinocchio.Model`, or a pair of one and the `RigidConstraintModel`s that
-            close its loops. Those whose second placement is the world's own, as by default, hold where they
-            start.
+            close its loops, or its anchors of points and frames. Those whose second placement is the world's
+            own, as by default, hold where they start.
         loops: path of a URDF's loop file; none if None.
         base: "fixed" or "free", whether the root link of a URDF is the ground or floats.
         gravity: (3,) of the scene, m/s^2; (0, 0, -9.81) for a URDF and the model's own otherwise, if None.

@@ -88,6 +88,21 @@ def test_a_scene_moves_as_pinocchio_moves_the_model(four_bar):
         np.testing.assert_allclose(rotation(run.quaternion[-1, k]), pose.rotation, rtol=0.0, atol=1e-7)
 
 
+def test_anchors_are_rigid_constraints(four_bar):
+    model, (tip,) = four_bar
+    ends = tip.joint1_id, tip.joint1_placement, tip.joint2_id, tip.joint2_placement
+    for anchor, kind in (
+        (pin.PointAnchorConstraintModel, "spherical"),
+        (pin.FrameAnchorConstraintModel, "fixed"),
+    ):
+        found = anchor(model, *ends)
+        found.name = "tip"
+        if kind == "fixed":  # the bodies are held as they are at the start
+            found = anchor(model, 3, at(0.3, 0.0, 0.0))
+        joint = urdf.read((model, [found]), q=Q).scene.mechanism.joints[-1]
+        assert (joint.name, joint.kind) == ("tip" if kind == "spherical" else "constraint_1", kind)
+
+
 def test_a_model_is_left_as_it_was(four_bar):
     before = four_bar[0].saveToString()
     urdf.read(four_bar, q=Q, gravity=[0.0, 0.0, -1.62])
@@ -206,3 +221,14 @@ def test_options_of_files_are_not_of_models(four_bar, tmp_path):
             urdf.read(four_bar, **options)
     with pytest.raises(NewtonEulerError, match="needed: none, as a URDF starts from coordinates 0"):
         urdf.read(tmp_path / "robot.urdf", q=[0.0])
+
+
+def test_constraints_with_offsets_and_broken_placements_are_named(four_bar):
+    model, (tip,) = four_bar
+    tip.desired_contact_placement = at(0.0, 0.0, 0.1)
+    with pytest.raises(NewtonEulerError, match="constraint 0 has a desired offset; needed: none"):
+        urdf.read(four_bar)
+    broken = pin.SE3(2.0 * np.eye(3), np.zeros(3))
+    anchor = pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, model, 1, broken)
+    with pytest.raises(NewtonEulerError, match="constraint 0 has a placement that is no rotation"):
+        urdf.read((model, [anchor]))

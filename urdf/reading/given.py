@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -25,8 +25,17 @@ JOINTS = (
 )
 """Kinds of joints, after `JointModel`, that a scene has."""
 
+ANCHORS = {
+    "PointAnchorConstraintModel": pin.ContactType.CONTACT_3D,
+    "FrameAnchorConstraintModel": pin.ContactType.CONTACT_6D,
+}
+"""Constraints that are rigid ones under other names, by their classes."""
+
 KINDS = {pin.ContactType.CONTACT_3D: "3d", pin.ContactType.CONTACT_6D: "6d"}
 """Types of closures in loop files by those of rigid constraints."""
+
+ORTHONORMAL = 1e-9
+"""Largest entry of R^T R - 1 of a placement, which rounding leaves."""
 
 FARTHEST = 1e300
 """Limits beyond are none: Pinocchio has infinity or the largest double."""
@@ -36,7 +45,8 @@ class Given:
     """A model in memory, taken over.
 
     Attributes:
-        model, constraints: as they were given.
+        model: as it was given.
+        constraints: rigid ones.
         where: a name for messages.
         name: of the model.
         closed: a copy of it, with a frame for each end of each constraint.
@@ -49,13 +59,16 @@ class Given:
     def __init__(self, given: object, q: Sequence[float] | Array | None) -> None:
         """Raises `SourceError` for anything but a `PinocchioModel` that a scene can be made of."""
         model, constraints = given if isinstance(given, tuple) and len(given) == 2 else (given, ())
-        if not isinstance(model, pin.Model):
+        if not isinstance(model, pin.Model) or not isinstance(constraints, Iterable):
             needed = "a path of a file, a pinocchio.Model or a pair of one and its RigidConstraintModels"
             raise SourceError(f"{given!r:.200}", f"cannot be read; needed: {needed}")
         self.name = str(model.name)
         self.where = f"pinocchio.Model {self.name!r:.100}" if self.name else "pinocchio.Model"
-        self.model, self.constraints = model, list(constraints)
-        self._check(model, self.constraints)
+        self.model = model
+        self._check(model)
+        self.constraints = [self._rigid(each, number) for number, each in enumerate(constraints)]
+        if problem := exceeded("closures", len(self.constraints)):
+            raise SourceError(self.where, problem)
         own, pairs = model.copy(), []
         self.loops = loops_of(model, self.constraints)
         for names, constraint in zip(self.loops.closed_loop, self.constraints, strict=True):
@@ -76,9 +89,8 @@ class Given:
         self._hold()
         self.joints = [self._properties(k) for k in range(1, own.njoints)]
 
-    def _check(self, model: Any, constraints: list[Any]) -> None:
-        counts = {"bodies": model.njoints, "velocities": model.nv, "closures": len(constraints)}
-        for name, count in counts.items():
+    def _check(self, model: Any) -> None:
+        for name, count in (("bodies", model.njoints), ("velocities", model.nv)):
             if problem := exceeded(name, count):
                 raise SourceError(self.where, problem)
         if model.nv == 0:
@@ -88,16 +100,39 @@ class Given:
             if kind not in JOINTS:
                 problem = f"joint {name!r} is a {joint.shortname()}"
                 raise SourceError(self.where, f"{problem}; needed: one of {', '.join(JOINTS)}")
-        for number, constraint in enumerate(constraints):
-            if not isinstance(constraint, pin.RigidConstraintModel) or constraint.type not in KINDS:
-                problem = f"constraint {number} is a {type(constraint).__name__}"
-                needed = "a RigidConstraintModel of type CONTACT_3D or CONTACT_6D"
-                raise SourceError(self.where, f"{problem}; needed: {needed}")
         numbers = [model.gravity.linear, model.armature, model.damping]
         for inertia, pose in zip(model.inertias, model.jointPlacements, strict=True):
             numbers += [[inertia.mass], inertia.lever, inertia.inertia.ravel(), pose.homogeneous.ravel()]
         if not all(np.all(np.isfinite(each)) for each in numbers):
             raise SourceError(self.where, "it has numbers that are not finite")
+
+    def _rigid(self, given: Any, number: int) -> Any:
+        """Copy a constraint, as a rigid one."""
+        kind = type(given).__name__
+        is_rigid = isinstance(given, pin.RigidConstraintModel)
+        if not (is_rigid and given.type in KINDS) and kind not in ANCHORS:
+            needed = (
+                f"a RigidConstraintModel of type CONTACT_3D or CONTACT_6D, or one of {', '.join(ANCHORS)}"
+            )
+            raise SourceError(self.where, f"constraint {number} is a {kind}; needed: {needed}")
+        placements = given.joint1_placement, given.joint2_placement
+        for placement in placements:
+            excess = np.abs(placement.rotation.T @ placement.rotation - np.eye(3))
+            if not np.max(excess) <= ORTHONORMAL or not np.all(np.isfinite(placement.translation)):
+                problem = f"constraint {number} has a placement that is no rotation and finite translation"
+                raise SourceError(self.where, problem)
+        offset = given.desired_contact_placement.homogeneous - np.eye(4) if is_rigid else None
+        if np.any(given.desired_constraint_offset if offset is None else offset):
+            raise SourceError(self.where, f"constraint {number} has a desired offset; needed: none")
+        (first, second), ends = placements, (int(given.joint1_id), int(given.joint2_id))
+        rigid = pin.RigidConstraintModel(
+            given.type if is_rigid else ANCHORS[kind],
+            self.model,
+            *(ends[0], first, ends[1], second),
+            pin.ReferenceFrame.LOCAL,
+        )
+        rigid.name = given.name
+        return rigid
 
     def _configuration(self, model: Any, q: Sequence[float] | Array) -> Array:
         try:
