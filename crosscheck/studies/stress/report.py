@@ -1,4 +1,4 @@
-"""The report of a stress run: how many cases each engine passes, and all cases."""
+"""The report of a stress run: how many cases each engine passes, and which do not."""
 
 from __future__ import annotations
 
@@ -9,19 +9,11 @@ from pathlib import Path
 
 from crosscheck.files import write_files
 from crosscheck.report import render
-from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, Verdict, figures, texts
+from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
 from crosscheck.studies.stress.cases import PROCESSES, Row
 from crosscheck.studies.stress.topics import TOPICS
 
 FILES = ("stress.json", "stress.md")
-
-JUDGED: dict[str, Verdict] = {
-    "survives": "holds",
-    "degrades": "doubtful",
-    "fails": "fails",
-    "refuses": "fails",
-}
-"""Of a case whose verdict is not what one would want."""
 
 OWN, ALL = "newton_euler", "all"
 """The first column, and the last: what all engines share."""
@@ -30,7 +22,7 @@ PACKAGES = ("numpy", "scipy", "mujoco", "pin")
 
 
 def report(rows: Sequence[Row], full: bool, wall_time: float) -> Report:
-    """Cases that each engine passes, and on demand all cases by topic."""
+    """Cases that each engine passes, and on demand by topic what does not pass."""
     form = "full" if full else "ci"
     versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
     preface = (
@@ -38,7 +30,7 @@ def report(rows: Sequence[Row], full: bool, wall_time: float) -> Report:
         f"({platform.machine()}; {versions}). Each case measures one figure of one engine at one setting: "
         "within its bound the engine survives, up to a laxer one it degrades, beyond that it fails. "
         "It refuses when it stops with a stated reason, which is right where there is no answer and a "
-        "shortcoming where there is one. What fails is listed like what passes."
+        "shortcoming where there is one. All cases, with figures and reasons, are in stress.json."
     )
     parts: list[Part] = [_summary(rows), Lines("about", [preface], folded=True)]
     for letter, (topic, _) in TOPICS.items():
@@ -46,7 +38,7 @@ def report(rows: Sequence[Row], full: bool, wall_time: float) -> Report:
         if of_topic:
             bounds = dict.fromkeys(map(_bound, of_topic))
             parts.append(Lines(f"bounds of ({letter})", list(bounds), folded=True))
-            parts.append(_cases(f"({letter}) {topic}", of_topic))
+            parts.append(_cases(f"({letter}) {topic}", of_topic, _engines(of_topic)))
     passes = sum(row.passes for row in rows)
     return Report("Stress", f"{passes} of {len(rows)} cases pass", Cell(""), parts, wall_time)
 
@@ -58,43 +50,45 @@ def _bound(row: Row) -> str:
     return f"{what}: {bound.reason}"
 
 
-def _cases(title: str, rows: Sequence[Row]) -> Table:
-    """A row per case."""
-    heads = [
-        *texts("case", "engine", "setting", "measured"),
-        *figures("figure", "bound"),
-        Column("verdict"),
-        Column("", brief=True),
-    ]
-    cells: Rows = [
-        [
-            row.case.name,
-            row.case.setting.engine,
-            str(row.case.setting),
-            ", ".join(filter(None, (row.case.bound.quantity, row.case.bound.unit))),
-            "" if row.figure is None else f"{row.figure:.1e}",
-            str(row.case.bound),
-            Cell(row.verdict, "holds" if row.passes else JUDGED[row.verdict]),
-            row.reason,
-        ]
-        for row in rows
-    ]
+def _cases(title: str, rows: Sequence[Row], engines: Sequence[str]) -> Table:
+    """Make a row per case of which something does not pass, and one row of all others."""
+    heads = [*texts("case"), *figures(*engines), Column("what does not pass", brief=True)]
+    cells: Rows = []
+    lost = dict.fromkeys(row.case.name for row in rows if not row.passes)
+    for name in lost:
+        of_case = [row for row in rows if row.case.name == name]
+        told = "; ".join(_told(row) for row in of_case if not row.passes)
+        cells.append([name, *(_passes(of_case, engine) for engine in engines), told])
+    if others := [row for row in rows if row.case.name not in lost]:
+        count = len({row.case.name for row in others})
+        cells.append([f"{count} others", *(_passes(others, engine) for engine in engines), ""])
     return Table(title, heads, cells, folded=True)
+
+
+def _told(row: Row) -> str:
+    """Word a case that does not pass: engine, setting, verdict and figure."""
+    setting, figure = row.case.setting, "" if row.figure is None else f" {row.figure:.1e}"
+    return f"{setting.engine}, {setting}: {row.verdict}{figure}"
+
+
+def _passes(rows: Sequence[Row], engine: str) -> str:
+    """Word how many cases of an engine pass; nothing if there are none."""
+    passes = [row.passes for row in rows if row.case.setting.engine == engine]
+    return f"{sum(passes)} of {len(passes)}" if passes else ""
+
+
+def _engines(rows: Sequence[Row]) -> list[str]:
+    found = {row.case.setting.engine for row in rows}
+    return sorted(found, key=lambda name: (name == ALL, name != OWN, name))
 
 
 def counts(rows: Sequence[Row]) -> dict[str, dict[str, str]]:
     """By topic and engine, how many of the cases pass: "3 of 4"."""
-    found = {row.case.setting.engine for row in rows}
-    engines = sorted(found, key=lambda name: (name == ALL, name != OWN, name))
     table = {}
     for letter, (topic, _) in TOPICS.items():
         of_topic = [row for row in rows if row.case.topic == letter]
-        cells = {}
-        for engine in engines:
-            passes = [row.passes for row in of_topic if row.case.setting.engine == engine]
-            cells[engine] = f"{sum(passes)} of {len(passes)}" if passes else ""
         if of_topic:
-            table[f"({letter}) {topic}"] = cells
+            table[f"({letter}) {topic}"] = {engine: _passes(of_topic, engine) for engine in _engines(rows)}
     return table
 
 
