@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test test-slow lint figures docs clean
+.PHONY: run test test-slow lint figures pictures docs clean
 
 run: $(VENV)/installed
 	$(BIN)/crosscheck run tracker
@@ -11,7 +11,7 @@ run: $(VENV)/installed
 test: lint
 	$(BIN)/python -m pytest -n auto
 
-test-slow: $(VENV)/installed
+test-slow: $(VENV)/docs-installed
 	$(BIN)/python -m pytest -m slow
 
 lint: $(VENV)/installed
@@ -21,6 +21,10 @@ lint: $(VENV)/installed
 
 figures: $(VENV)/installed
 	$(BIN)/crosscheck figures
+
+# needs Chromium and, for Rerun, a Vulkan driver, as Debian's chromium, mesa-vulkan-drivers and libvulkan1
+pictures: $(VENV)/docs-installed
+	$(BIN)/python tests/support/pictures.py
 
 docs: $(VENV)/docs-installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict

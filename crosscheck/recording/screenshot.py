@@ -25,7 +25,7 @@ LOOPBACK = "127.0.0.1"
 PATIENCE = 30.0
 """s that the viewer may take to start, and again to load a recording."""
 
-WINDOW = "1280x900"
+WINDOW = "1280x940"
 SETTLE = 2.0
 """s until the notices that a starting viewer shows over its views are gone."""
 

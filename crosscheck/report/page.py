@@ -203,7 +203,7 @@ def _index_line(folder: Path, file: Path, report: Report) -> dict[str, object]:
         "name": file.parent.relative_to(folder).as_posix(),
         "judged": report.judged,
         "time": "" if report.wall_time is None else f"{report.wall_time:.1f}",
-        "verdict": report.verdict or report.title,
+        "verdict": report.headline[1] or report.title,
         "command": f"crosscheck report {shlex.quote(str(file.parent))}",
     }
 

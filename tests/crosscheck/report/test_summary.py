@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from types import SimpleNamespace
 
-import pytest
 from command_line import run
 
 from crosscheck.comparison.figure import FILE, REFERENCE, Figure
@@ -109,11 +108,9 @@ def test_few_notes_are_shown_each_cut_to_a_line(monkeypatch):
     assert failing.count("…") == MOST_OF_FAILING
 
 
-@pytest.mark.parametrize("arguments", [("tracker",), ("linkage.xml", "--set", "key=go")])
-def test_a_run_is_told_in_25_lines_of_80_columns(capsys, tmp_path, monkeypatch, arguments):
+def test_a_run_of_a_file_is_told_in_25_lines_of_80_columns(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "linkage.xml").write_text(LINKAGE.read_text())
-    status, out, _ = run(capsys, "run", *arguments)
+    status, out, _ = run(capsys, "run", LINKAGE, "--set", "key=go")
     lines = out.splitlines()
     assert (status, len(lines) <= 25, max(map(len, lines)) <= 80) == (0, True, True), out

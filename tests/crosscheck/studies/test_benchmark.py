@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from command_line import run
 from mechanisms import slider_tree, spinning_top
+from pictures import STALE, digest, made_from, words
 
 import newton_euler
 from crosscheck.errors import CrosscheckError
@@ -195,6 +196,19 @@ def test_tables_show_errors_below_the_uncertainty_as_such(tracker):
     assert times[2] == ["1e-05", "0.2", "0%", "5", "0%", "25", "4", "0%", "20"]
     assert times[3][3:6] == ["-", "", ""]
     assert len(times) == 9
+
+
+def test_pictures_are_of_what_is_printed(tracker, tmp_path, capsys, monkeypatch):
+    found = result(tracker, [*MADE_UP, made_up("mujoco", "fine", 1e-8, 5e-3)])
+    monkeypatch.setattr("crosscheck.studies.benchmark.run.reference", lambda *_: found.reference)
+    monkeypatch.setattr("crosscheck.studies.benchmark.run.measure", lambda *_: found.measured)
+    where = {"processor": "one", "cores": 2, "load": 0.0}
+    monkeypatch.setattr("crosscheck.studies.benchmark.run.machine", lambda: where)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    content = digest(words(run(capsys, "bench", "tracker")[1]))
+    for picture in ("bench.svg", "work_precision.png"):
+        assert made_from(picture) == content, f"{picture} {STALE}"
 
 
 def test_a_benchmark_is_written_as_json_and_picture(tracker, tmp_path, capsys, monkeypatch):
