@@ -38,7 +38,7 @@ def test_representations_are_short(verdict):
     assert str(verdict).splitlines()[1] == repr(verdict)[1:-1]
     page = verdict._repr_html_()
     assert '<strong class="holds">AGREE</strong><br>newton_euler, pinocchio agree' in page
-    assert page.count("<table>") == 2
+    assert page.count("<table") == 2
 
 
 def test_results_are_saved(verdict, tmp_path):

@@ -27,7 +27,6 @@ def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     assert "wrote out/regress.json" in text
     quiet = report(tmp_path / "out")
     assert "QUIET\nall " in quiet.words
-    assert "(as delivered)" in quiet.words
     assert quiet.images == {}
     write_scene(replace(swing, gravity=1.1 * swing.gravity), model)
     assert run(capsys, "regress", model, "--output", "out")[0] == 1
