@@ -37,6 +37,10 @@ MOST_COLUMNS = 3
 """Plots side by side in one group."""
 
 
+QUICKEST, SLOWEST = 4.0, 60.0
+"""s that a recording is played, if the motion takes less or more."""
+
+
 def blueprint(
     mechanism: Mechanism,
     run: Trajectory,
@@ -68,23 +72,29 @@ def blueprint(
         columns = rrb.TextLogColumns(timeline_columns=[TIME], text_log_columns=["body"])
         told.append(rrb.TextLogView(origin="/worst", name="Worst moments: click a time", columns=columns))
     rows = [[plot for plot in plots if plot.judges is judges] for judges in (False, True)]
-    plotted = [_row(row) for row in rows if row]
+    end = float(run.time[-1])
+    plotted = [_row(row, end) for row in rows if row]
     return laid_out(
         rrb.Horizontal(
             rrb.Vertical(scene_view, rrb.Tabs(*told, active_tab=0), row_shares=[1.0, LOWER]),
             rrb.Vertical(*plotted, row_shares=[1.0, LOWER][: len(plotted)]),
             column_shares=[1.0, 1.2],
-        )
+        ),
+        end,
     )
 
 
-def laid_out(views: rrb.Container) -> rrb.Blueprint:
-    """Show these views with all panels out of the way, over and over again."""
+def laid_out(views: rrb.Container, duration: float = QUICKEST) -> rrb.Blueprint:
+    """Show these views with all panels out of the way, over and over again.
+
+    Days are played in a minute, milliseconds in seconds.
+    """
+    shown = min(max(duration, QUICKEST), SLOWEST)
     return rrb.Blueprint(
         views,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIME, loop_mode="all"),
+        rrb.TimePanel(state="collapsed", timeline=TIME, playback_speed=duration / shown, loop_mode="all"),
         auto_layout=False,
         auto_views=False,
     )
@@ -117,19 +127,23 @@ def sight(mechanism: Mechanism, run: Trajectory) -> tuple[rrb.EyeControls3D, rrb
     return eye, rrb.LineGrid3D(spacing=10.0 ** np.floor(np.log10(np.max(high - low))), plane=plane)
 
 
-def _row(plots: list[Plot]) -> rrb.Tabs:
+def _row(plots: list[Plot], end: float) -> rrb.Tabs:
     groups: dict[str, list[Plot]] = {}
     for plot in plots:
         groups.setdefault(plot.group, []).append(plot)
-    return rrb.Tabs(*(_group(name, members) for name, members in groups.items()), active_tab=0)
+    return rrb.Tabs(*(_group(name, members, end) for name, members in groups.items()), active_tab=0)
 
 
-def _group(name: str, plots: list[Plot]) -> rrb.Grid:
-    """Plots side by side; engines have the same colors in all, so one legend is enough."""
+def _group(name: str, plots: list[Plot], end: float) -> rrb.Grid:
+    """Plots side by side, of all times to the end, s; engines have the same colors in all, so one legend is
+    enough."""
+    bounds = (rr.TimeRangeBoundary.absolute(seconds=seconds) for seconds in (0.0, end))
+    axis = rrb.TimeAxis(view_range=rr.TimeRange(*bounds))
     views = [
         rrb.TimeSeriesView(
             origin=rr.new_entity_path(["plots", *plot.path]),
             name=plot.title,
+            axis_x=axis,
             plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=plot is plots[0]),
         )
         for plot in plots

@@ -49,6 +49,9 @@ PLAIN_COLOR = (220, 220, 220)
 ARROW_COLOR = (240, 228, 66)
 """Of reactions and of the vertical."""
 
+DIRECTION_COLOR = (230, 159, 0)
+"""Of directions that a recording is given."""
+
 PIXEL = 0.002
 """Difference that is seen, in multiples of the mechanism's size."""
 
@@ -256,7 +259,7 @@ def _log_tilt(
         recording.log(f"/tilt/{name}", arrow, static=True)
         send_pose(recording, f"/tilt/{name}", run.time, position, turn)
     for name, vectors in directions.items():
-        look = rr.Arrows3D.from_fields(labels=[name], colors=ARROW_COLOR, radii=0.02 * size)
+        look = rr.Arrows3D.from_fields(labels=[name], colors=DIRECTION_COLOR, radii=0.02 * size)
         recording.log(f"/tilt/{name}", look, static=True)
         ends = {"origins": position, "vectors": 1.2 * size * vectors}
         _send(recording, f"/tilt/{name}", run.time, rr.Arrows3D.columns, **ends)
