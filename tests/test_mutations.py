@@ -44,6 +44,24 @@ MISTAKES = {
         "acceleration = acceleration + 0.0 * coriolis",
         "newton_euler/equations/test_systems.py",
     ),
+    "accelerations of coordinates without their velocity terms": (
+        "newton_euler/equations/formulation.py",
+        "gamma + np.array(accelerations)",
+        "0.0 * gamma + np.array(accelerations)",
+        "newton_euler/analysis/test_inverse_dynamics.py",
+    ),
+    "a sign in how velocities change along a coordinate": (
+        "newton_euler/analysis/linearization.py",
+        "on_v = -still[:, 2 * d : -1]",
+        "on_v = still[:, 2 * d : -1]",
+        "newton_euler/analysis/test_linearization.py",
+    ),
+    "a ball whose small rotations do not turn with it": (
+        "newton_euler/analysis/linearization.py",
+        "row[:d] -= (tilde(v[place])",
+        "row[:d] -= 0.0 * (tilde(v[place])",
+        "newton_euler/analysis/test_linearization.py",
+    ),
     "products that fold a constant wrongly": (
         "newton_euler/codegen/expression.py",
         "return _scaled(self, x * known, second)",
