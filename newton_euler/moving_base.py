@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from newton_euler.assemble import initial_state
 from newton_euler.errors import MechanismError, check_type, choices, finite_array, plain_number
 from newton_euler.model.compound_joint import Compound
-from newton_euler.model.euler_parameters import from_rotation, product, rotation
+from newton_euler.model.euler_parameters import from_rotation, from_rotation_vector, product, rotation
 from newton_euler.model.joint_kinds import Free
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import PrescribedMotion, Spline, TimeFunction
@@ -86,24 +86,22 @@ def on_moving_base(
             raise MechanismError(where, f"{what} is {name!r:.100}, a name that is in use", "another name")
     base = _base(where, mechanism, hull, center, floats=motions is None)
     carrier: Free | Compound
-    prescribed: tuple[PrescribedMotion, ...] = ()
+    given = {} if motions is None else _checked(where, motions)
     if motions is None:
         carrier = Free(joint, world, base.name, center)
     else:
-        given = _checked(where, motions)
         axes: dict[str, Any] = {
             "slides": [axis for name, axis in SLIDES.items() if name in given],
             "hinges": [axis for name, axis in HINGES.items() if name in given],
         }
         carrier = Compound(joint, world, base.name, center, **axes)
-        prescribed = tuple(PrescribedMotion(joint, function, k) for k, function in enumerate(given.values()))
+    prescribed = [PrescribedMotion(joint, function, k) for k, function in enumerate(given.values())]
     bodies = [Body.ground(world), base, *mechanism.bodies[1:]]
-    state = _on_base(initial_state(scene), base)
     return replace(
         scene,
         mechanism=Mechanism(bodies, [*mechanism.joints, carrier], mechanism.couplings),
         motions=(*scene.motions, *prescribed),
-        initial_state=state if motions is None else _moved(state, given, center),
+        initial_state=_carried(initial_state(scene), base, given, center),
     )
 
 
@@ -138,37 +136,30 @@ def _base(where: str, mechanism: Mechanism, hull: Body | None, center: Floats, f
     return replace(ground, mass=mass, center_of_mass=center, inertia=inertia)
 
 
-def _on_base(state: State, base: Body) -> State:
-    """Return a state with the world before the base, which is at its own pose at rest like the world."""
-    still = np.zeros((2, 3))
-    return State(
-        np.vstack([np.zeros(3), base.center_of_mass, state.position[1:]]),
-        np.vstack([[1.0, 0.0, 0.0, 0.0], base.quaternion, state.quaternion[1:]]),
-        np.vstack([still, state.linear_velocity[1:]]),
-        np.vstack([still, state.angular_velocity[1:]]),
-    )
-
-
-def _moved(state: State, motions: Mapping[str, TimeFunction], center: Floats) -> State:
-    """Return a state with all but the world moved as the base is at time 0."""
+def _carried(state: State, base: Body, motions: Mapping[str, TimeFunction], center: Floats) -> State:
+    """Return a state that bodies have against the base, with the base as it is at time 0, and the world."""
     shift, velocity, omega, turn = np.zeros(3), np.zeros(3), np.zeros(3), np.eye(3)
     for name, function in motions.items():
         x, rate = float(function.value(0.0)), float(function.rate(0.0))
         if name in SLIDES:
             shift, velocity = shift + x * SLIDES[name], velocity + rate * SLIDES[name]
         else:
-            axis = HINGES[name]
-            omega = omega + rate * (turn @ axis)
-            turn = turn @ rotation(np.array([np.cos(0.5 * x), *(np.sin(0.5 * x) * axis)]))
-    arms = (state.position[1:] - center) @ turn.T
-    linear = velocity + np.cross(omega, arms) + state.linear_velocity[1:] @ turn.T
-    angular = omega + state.angular_velocity[1:] @ turn.T
-    quaternion = [product(from_rotation(turn), p) for p in state.quaternion[1:]]
+            omega = omega + rate * (turn @ HINGES[name])
+            turn = turn @ rotation(from_rotation_vector(x * HINGES[name]))
+    still, quaternion = np.zeros(3), from_rotation(turn)
+    arms = (np.vstack([base.center_of_mass, state.position[1:]]) - center) @ turn.T
+    own_velocities = np.vstack([still, state.linear_velocity[1:]]) @ turn.T
+    own_spins = np.vstack([still, state.angular_velocity[1:]]) @ turn.T
     return State(
-        np.vstack([state.position[:1], center + shift + arms]),
-        np.vstack([state.quaternion[:1], quaternion]),
-        np.vstack([state.linear_velocity[:1], linear]),
-        np.vstack([state.angular_velocity[:1], angular]),
+        np.vstack([still, center + shift + arms]),
+        np.vstack(
+            [
+                [1.0, 0.0, 0.0, 0.0],
+                *(product(quaternion, p) for p in (base.quaternion, *state.quaternion[1:])),
+            ]
+        ),
+        np.vstack([still, velocity + np.cross(omega, arms) + own_velocities]),
+        np.vstack([still, omega + own_spins]),
     )
 
 

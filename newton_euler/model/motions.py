@@ -85,15 +85,35 @@ class Polynomial(Smooth):
 
     def value(self, time: Scalar) -> Scalar:
         """At a time in s: m or rad."""
-        return _horner(self.coefficients, time)
+        return _horner(self.coefficients, self._since(time))
 
     def rate(self, time: Scalar) -> Scalar:
         """First derivative, m/s or rad/s."""
-        return _horner(_derived(self.coefficients), time)
+        return _horner(_derived(self.coefficients), self._since(time))
 
     def acceleration(self, time: Scalar) -> Scalar:
         """Second derivative, m/s^2 or rad/s^2."""
-        return _horner(_derived(_derived(self.coefficients)), time)
+        return _horner(_derived(_derived(self.coefficients)), self._since(time))
+
+    def _since(self, time: Scalar) -> Scalar:
+        """Compute t, s, at a time in s."""
+        return time
+
+
+@dataclass(frozen=True)
+class Piece(Polynomial):
+    """A polynomial with t counted from a start in s: what a function with knots is between two of them.
+
+    Its numbers may be scalars of any kind, and are not checked.
+    """
+
+    start: Scalar
+
+    def __post_init__(self) -> None:
+        """Take the numbers as they are."""
+
+    def _since(self, time: Scalar) -> Scalar:
+        return time - self.start
 
 
 def _horner(coefficients: tuple[float, ...], time: Scalar) -> Scalar:
@@ -154,26 +174,6 @@ class Sine(Smooth):
         return -(self.amplitude * w * w) * sin(w * time + self.phase)
 
 
-@dataclass(frozen=True)
-class Piece(Smooth):
-    """A polynomial c_0 + c_1 (t - start) + ...: what a function with knots is between two of them."""
-
-    start: Scalar
-    coefficients: tuple[Scalar, ...]
-
-    def value(self, time: Scalar) -> Scalar:
-        """At a time in s: m or rad."""
-        return _horner(self.coefficients, time - self.start)
-
-    def rate(self, time: Scalar) -> Scalar:
-        """First derivative, m/s or rad/s."""
-        return _horner(_derived(self.coefficients), time - self.start)
-
-    def acceleration(self, time: Scalar) -> Scalar:
-        """Second derivative, m/s^2 or rad/s^2."""
-        return _horner(_derived(_derived(self.coefficients)), time - self.start)
-
-
 @description
 class Piecewise:
     """A function of time of polynomials between knots, given by samples; see `Spline` and `Steps`."""
@@ -210,7 +210,7 @@ class Piecewise:
 
     def on_piece(self, numbers: Sequence[Scalar]) -> Piece:
         """See `Smooth.on_piece`."""
-        return Piece(numbers[0], tuple(numbers[1:]))
+        return Piece(tuple(numbers[1:]), numbers[0])
 
     def value(self, time: float) -> float:
         """At a time in s: m or rad."""
@@ -385,7 +385,7 @@ class Sum:
         return sum(term.acceleration(time) for term in self.terms)
 
 
-TimeFunction = Polynomial | Sine | Piece | Spline | Steps | Sum
+TimeFunction = Polynomial | Sine | Spline | Steps | Sum
 
 
 def functions_of(value: Any) -> tuple[TimeFunction, ...]:
@@ -394,7 +394,7 @@ def functions_of(value: Any) -> tuple[TimeFunction, ...]:
     return tuple(each for each in values if isinstance(each, TimeFunction))
 
 
-def terms(function: TimeFunction) -> Iterator[Polynomial | Sine | Piece | Spline | Steps]:
+def terms(function: TimeFunction) -> Iterator[Polynomial | Sine | Spline | Steps]:
     """Yield the terms of sums, of sums within them, too."""
     if isinstance(function, Sum):
         for term in function.terms:
