@@ -56,7 +56,11 @@ def write_as(scene: Scene, path: Path, report: ImportReport) -> list[Path]:
                 f"motion of joint {motion.joint!r}", "MJCF has none; the joint is held where it begins"
             )
         for law in scene.control:
-            if isinstance(law, PD) and law.is_driven:
+            if isinstance(law, PD) and law.uses_model:
+                report.left_out(
+                    law.element, "MJCF has no gravity compensation; its control is that of the start"
+                )
+            elif isinstance(law, PD) and law.is_driven:
                 report.left_out(law.element, "MJCF has no function of time; its control is that of the start")
             elif not isinstance(law, PD):
                 report.left_out(law.element, "MJCF has PD laws alone; a motor with the force of the start")

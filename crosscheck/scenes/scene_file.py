@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, ForwardRef, Literal, Union
@@ -23,7 +23,9 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Discriminator,
     Field,
+    Tag,
     ValidationError,
     create_model,
 )
@@ -33,11 +35,12 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.scenes.size import check_counts, check_functions, check_mechanism
 from newton_euler.assemble import initial_state
 from newton_euler.errors import NewtonEulerError
-from newton_euler.model.control import PD
+from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import Gear, LinearCoupling
+from newton_euler.model.digital_control import Digital, Law, Sampled
 from newton_euler.model.forces import Armature, BallArmature, BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.geometry import Box, Capsule, Cylinder, Sphere
-from newton_euler.model.joint import Joint
+from newton_euler.model.joint import Joint, Key
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Spline, Steps, Sum
@@ -112,6 +115,8 @@ class Entry(BaseModel):
 def _built(value: Any) -> Any:
     if isinstance(value, list):
         return tuple(map(_built, value))
+    if isinstance(value, dict):
+        return {name: _built(each) for name, each in value.items()}
     return value.build() if isinstance(value, Entry) else value
 
 
@@ -163,7 +168,50 @@ SUM.model_rebuild(_types_namespace={"FUNCTION": FUNCTION})
 VALUE: Any = Union[Number, FUNCTION]  # noqa: UP007
 WIND = _entry(WindLoad, "wind_load", speed=VALUE)
 FORCE = _one_of([*(_entry(made, kind) for kind, made in (SPRINGS | {"wrench": Wrench}).items()), WIND])
-CONTROL = _entry(PD, target=VALUE, feedforward=VALUE)
+DRIVEN: dict[str, Any] = {"target": VALUE, "feedforward": VALUE}
+GAINS: Any = dict[str, tuple[Number, Number]]
+MODEL: Any = dict[str, Union[Number, list[Number], list[list[Number]]]]  # noqa: UP007
+DECLARED = {
+    "pd": _entry(PD, **DRIVEN),
+    "state_feedback": _entry(
+        StateFeedback, "state_feedback", gains=GAINS, targets=dict[str, VALUE], **DRIVEN
+    ),
+    "computed_torque": _entry(ComputedTorque, "computed_torque", model=MODEL, **DRIVEN),
+}
+
+
+def _laws(entries: Mapping[str, Any]) -> Any:
+    """Return one of several laws by their kinds; one without a kind is a PD law."""
+    tagged = [Annotated[entry, Tag(kind)] for kind, entry in entries.items()]
+    return Annotated[Union[tuple(tagged)], Discriminator(_kind_of_law)]  # noqa: UP007
+
+
+def _kind_of_law(given: Any) -> str:
+    return str(given.get("kind", "pd")) if isinstance(given, dict) else "pd"
+
+
+Limit = Union[Number, Literal["inf", "-inf"]]  # noqa: UP007
+
+
+class DigitalEntry(Entry):
+    """A declared law on a computer."""
+
+    kind: Literal["digital"]
+    law: _laws(DECLARED)  # type: ignore[valid-type]
+    period: Number
+    delay: Index = 0
+    resolution: Number = 0.0
+    force_limit: Limit = "inf"
+    slew_limit: Limit = "inf"
+    stroke: tuple[Limit, Limit] = ("-inf", "inf")
+
+    def build(self) -> Digital:
+        law: Entry = self.law
+        force, slew, low, high = map(float, (self.force_limit, self.slew_limit, *self.stroke))
+        return Digital(law.build(), self.period, self.delay, self.resolution, force, slew, (low, high))
+
+
+CONTROL = _laws(DECLARED | {"digital": DigitalEntry})
 MOTION = _entry(PrescribedMotion, function=FUNCTION)
 
 
@@ -263,13 +311,38 @@ def content(element: Any) -> dict[str, Any]:
     return dict(sorted(found.items(), key=lambda item: item[0] in ("shapes", "function")))
 
 
+def _law(law: Law) -> dict[str, Any]:
+    """Return what a file says of a control law."""
+    if isinstance(law, Sampled):
+        raise CrosscheckError(f"{law.element}: a controller in Python is not for a scene file")
+    if not isinstance(law, Digital):
+        return {name: value for name, value in content(law).items() if value not in ({}, False)}
+    found: dict[str, Any] = {"kind": "digital", "period": law.period, "delay": law.delay}
+    found |= {name: _limit(getattr(law, name)) for name in ("resolution", "force_limit", "slew_limit")}
+    return found | {"stroke": [_limit(end) for end in law.stroke], "law": _law(law.law)}  # type: ignore[arg-type]
+
+
+def _limit(number: float) -> float | str:
+    return number if np.isfinite(number) else str(number)
+
+
 def plain(value: Any) -> Any:
     """Return an attribute as files have it, arrays and tuples as lists."""
     if isinstance(value, tuple):
         return [plain(each) for each in value]
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
+    if isinstance(value, Mapping):
+        return {_name(place): plain(each) for place, each in value.items()}
     return content(value) if type(value) in ENTRIES else value
+
+
+def _name(place: str | Key) -> str:
+    """Return the name of a joint for its first coordinate."""
+    if not isinstance(place, str) and place[1]:
+        problem = f"coordinate {place[1]} of joint {place[0]!r} is read by a law"
+        raise CrosscheckError(f"{problem}; scene files name first coordinates alone")
+    return place if isinstance(place, str) else place[0]
 
 
 def read_scene(path: str) -> Scene:
@@ -296,7 +369,8 @@ def read_scene(path: str) -> Scene:
 
 def _problem(error: ErrorDetails) -> str:
     """Say what is wrong with a field, and what it is unless all of its entry would be shown."""
-    field = ".".join(str(part) for part in error["loc"])[:100]
+    # files need not say the kind of a PD law
+    field = ".".join(str(part) for part in error["loc"] if part != "pd")[:100]
     match error["type"]:
         case "missing":
             return f"{field}: missing"
@@ -357,8 +431,6 @@ def write_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
 
 def _content(scene: Scene) -> dict[str, Any]:
     """The content of a scene file."""
-    if scene.sampled:
-        raise CrosscheckError(f"{scene.sampled[0].element}: a controller in Python is not for a scene file")
     mechanism = scene.mechanism
     found: dict[str, Any] = {
         "name": scene.name,
@@ -370,7 +442,7 @@ def _content(scene: Scene) -> dict[str, Any]:
         "bodies": [_body(body) for body in mechanism.bodies[1:]],
         "joints": [_joint(joint) for joint in mechanism.joints],
         "couplings": plain(mechanism.couplings),
-        "control": [content(law) for law in scene.control if isinstance(law, PD)],
+        "control": [_law(law) for law in scene.control],
         "forces": plain(scene.forces),
         "motions": plain(scene.motions),
         "armatures": [

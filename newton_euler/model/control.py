@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -294,7 +294,7 @@ class ComputedTorque(DeclaredLaw):
     target: float | TimeFunction
     coordinate: int = 0
     feedforward: float | TimeFunction = 0.0
-    model: Mapping[str, Any] = field(default_factory=dict)
+    model: Mapping[str, Any] = ()  # type: ignore[assignment]
 
     parameters = ("stiffness", "damping", "target", "feedforward")
     functions = DRIVEN
@@ -304,9 +304,13 @@ class ComputedTorque(DeclaredLaw):
     def __post_init__(self) -> None:
         self._set_numbers(self.parameters)
         check_key(self.element, self.joint, self.coordinate)
-        if not isinstance(self.model, Mapping):
+        given: Any = self.model or {}
+        try:
+            model = {name: np.array(value, dtype=float).tolist() for name, value in given.items()}
+        except (AttributeError, TypeError, ValueError, OverflowError) as error:
             needed = "a mapping from names of parameters to their values"
-            raise MechanismError(self.element, f"model is {self.model!r:.100}", needed)
+            raise MechanismError(self.element, f"model is {given!r:.100}", needed) from error
+        object.__setattr__(self, "model", model)
 
     @property
     def feedback(self) -> Mapping[Key, tuple[float, float]]:

@@ -5,15 +5,24 @@ from __future__ import annotations
 import copy
 import json
 import os
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from command_line import check_refused, command, run, scene_file, verdict_of
 
+from crosscheck.errors import CrosscheckError
 from crosscheck.scenes import load
+from crosscheck.scenes.scene_file import write_scene
 from newton_euler.assemble import initial_state
+from newton_euler.model.control import PD, ComputedTorque, StateFeedback
 from newton_euler.model.couplings import Gear
+from newton_euler.model.digital_control import Digital, Sampled
 from newton_euler.model.forces import JointSpring
+from newton_euler.model.joint_kinds import Cylindrical
+from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion, Sine, Sum
+from newton_euler.model.scene import Scene
 
 
 def changed(content, path, value):
@@ -288,3 +297,57 @@ def test_a_screw_needs_its_pitch(capsys, tmp_path, good):
     content = changed(good, ("joints", 0, "kind"), "screw")
     message = "joints.0.screw.pitch: missing"
     check_refused(capsys, tmp_path, scene_file(tmp_path, content), message=message)
+
+
+LAWS = [
+    PD("motor", 1.0, 2.0, Sine(0.1, 2.0), gravity_compensation=True),
+    StateFeedback(
+        "motor", {"motor": (1.0, 2.0), "pivot": (3.0, 4.0)}, 0.1, targets={"pivot": Sine(0.1, 2.0)}
+    ),
+    ComputedTorque("motor", 4.0, 5.0, 0.1, model={"rocker.mass": 1.0, "gravity": [0.0, 0.0, -9.0]}),
+    Digital(PD("motor", 1.0, 2.0, 0.1), 0.01, 2, 1e-5, 10.0, stroke=(-0.1, np.inf)),
+    Digital(ComputedTorque("motor", 4.0, 5.0, 0.1), 0.01),
+]
+
+
+@pytest.mark.parametrize("suffix", ["yaml", "json"])
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+def test_control_laws_come_back(tmp_path, good, law, suffix):
+    scene = replace(load(str(scene_file(tmp_path, good))), control=(law,))
+    write_scene(scene, tmp_path / f"written.{suffix}")
+    assert load(str(tmp_path / f"written.{suffix}")).control == (law,)
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        ({"kind": "pid"}, "control.0"),
+        ({"kind": "computed_torque", "damping": 1.0, "target": 0.0}, "stiffness: missing"),
+        (
+            {"kind": "digital", "period": 0.01, "law": {"joint": "motor", "stiffness": 1.0}},
+            "damping: missing",
+        ),
+        ({"kind": "state_feedback", "gains": {"door": [1.0, 2.0]}}, "gains has 'door'"),
+    ],
+)
+def test_control_laws_that_cannot_be(capsys, tmp_path, good, law, message):
+    given = law if law["kind"] == "digital" else {"joint": "motor"} | law
+    check_refused(capsys, tmp_path, scene_file(tmp_path, good | {"control": [given]}), message=message)
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        (StateFeedback("motor", {("motor", 1): (1.0, 2.0)}), "scene files name first coordinates alone"),
+        (
+            Sampled("motor", lambda time, x, x_rate: 0.0, 0.01),
+            "a controller in Python is not for a scene file",
+        ),
+    ],
+)
+def test_control_laws_that_files_cannot_hold(tmp_path, law, words):
+    motor = Cylindrical("motor", "ground", "rod", [0.0, 0.0, 0.0], axis=[0.0, 0.0, 1.0], actuated=True)
+    mechanism = Mechanism([Body.ground(), Body("rod", 1.0, [0.0, 0.0, 0.0], np.eye(3))], [motor])
+    scene = Scene("rod", mechanism, 1.0, 0.1, control=(law,))
+    with pytest.raises(CrosscheckError, match=words):
+        write_scene(scene, tmp_path / "rod.yaml")

@@ -60,7 +60,7 @@ def errors(run) -> np.ndarray:
 def test_computed_torque_follows_its_reference():
     """Newton_euler and Pinocchio: to round-off of 0.1 m over some 100 steps, far below rtol 1e-10."""
     scene = tracker()
-    runs = [newton_euler.simulate(scene), newton_euler.simulate(scene, "cartesian"), urdf.simulate(scene)]
+    runs = [newton_euler.simulate(scene), urdf.simulate(scene)]
     for run in runs:
         assert np.max(np.abs(errors(run))) < 1e-12
         assert np.max(np.abs(run.actuator_force - runs[0].actuator_force)) < 1e-10  # N, of 6
@@ -162,6 +162,7 @@ def test_freedoms_without_actuators_move_freely():
     scene = pendulum_on_cart(ComputedTorque("rail", 100.0, 20.0, Sine(0.2, 5.0)))
     scene = newton_euler.start(scene, rail=(0.0, 1.0), swing=(0.8, 0.0))
     runs = [newton_euler.simulate(scene), urdf.simulate(scene), mjcf.simulate(scene)]
+    runs.append(newton_euler.simulate(scene, "cartesian"))
     for run in runs:
         assert np.max(np.abs(run.position[:, 1, 0] - 0.2 * np.sin(5.0 * run.time))) < 1e-9  # m, at rtol 1e-10
         assert np.max(np.abs(run.position - runs[0].position)) < 1e-8
