@@ -17,6 +17,9 @@ from newton_euler.scalars import Array
 NEAR = 0.25
 """rad, or sizes of the mechanism, between a goal and the solved pose that Newton's method begins at."""
 
+MOST_STRIDES = 1000
+"""Between the start and a goal; longer ones are too long for Newton's method in the end."""
+
 NEWTON_STEPS, RANDOM_STEPS = 12, 60
 """From a solved configuration next to the goal, and from a random one."""
 
@@ -108,16 +111,18 @@ def follow(start: Configurations, goal: Goal) -> tuple[Configurations, Array]:
     solved, at = start.values, chain.goal_at(start)
     found = np.repeat(start.values, count, axis=0)
     points, tried, reached = chain.embed(goal), np.full(count, -1), np.zeros(count, dtype=bool)
+    stride = np.maximum(NEAR, np.linalg.norm(points - chain.embed(at), axis=1) / MOST_STRIDES)
     while not reached.all():
         waiting = np.flatnonzero(~reached)
         distance, nearest = cKDTree(chain.embed(at)).query(points[waiting])
         take = fresh = nearest != tried[waiting]
-        if (fresh & (distance <= NEAR)).any():
-            take = fresh & (distance <= NEAR)
+        near = fresh & (distance <= stride[waiting])
+        if near.any():
+            take = near
         if not take.any():
             break
         own, source, distance = waiting[take], nearest[take], distance[take]
-        share = np.minimum(1.0, NEAR / np.maximum(distance, NEAR))
+        share = np.minimum(1.0, stride[own] / np.maximum(distance, stride[own]))
         towards = chain.between(goal[own], at[source], share)
         before = Configurations(chain, solved[source])
         after, met = newton(before, towards)

@@ -31,11 +31,14 @@ from newton_euler.analysis.continuation import (
 )
 from newton_euler.assemble import initial_state
 from newton_euler.equations.dense import RANK_TOLERANCE
-from newton_euler.errors import OptionError, check_type, finite_array
+from newton_euler.errors import MechanismError, OptionError, check_type, finite_array
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
+
+FARTHEST = 1e6
+"""rad, or sizes of the mechanism, that goals may be away from the initial pose."""
 
 STATIONARY = 1e-7
 """Slope of the distance to the goal, per dimensionless motion, at the pose nearest to it."""
@@ -91,9 +94,9 @@ class Poses:
         for k in np.flatnonzero(~self.reached):
             off = [f"{name!r} by {values[k]:.6g}" for name, values in self.missing.items()]
             off += [f"axis by {self.angle[k]:.6g} rad"] if self.angle.any() else []
-            found = "nearest" if self.slope[k] < STATIONARY else "not even the nearest was found, this"
+            found = "nearest pose" if self.slope[k] < STATIONARY else "nearest pose not found, the last one"
             where = ", beyond a singular configuration" if self.beyond[k] else ""
-            lines.append(f"pose {k}: out of reach, {found} pose{where}, misses {', '.join(off)}")
+            lines.append(f"pose {k}: out of reach, {found}{where}, misses {', '.join(off)}")
         return lines
 
     def state(self, number: int) -> State:
@@ -241,7 +244,14 @@ def goals_of(
     wanted = {name: _checked(scene, name, given) for name, given in (coordinates or {}).items()}
     names = (*wanted, *(name for name in measure if name not in wanted))
     goal = _goal(wanted, axis, towards)
-    return chain_of(scene, names, len(wanted), axis, towards is not None, start), names, goal
+    chain = chain_of(scene, names, len(wanted), axis, towards is not None, start)
+    for name, values, unit in zip(wanted, goal.coordinates.T, chain.units, strict=False):
+        farthest = float(np.max(np.abs(values)))
+        if farthest > FARTHEST * unit:
+            what = f"joint {chain.keys[names.index(name)][0]!r}"
+            needed = f"{FARTHEST * unit:.3g} at most, {FARTHEST:g} rad or sizes of the mechanism"
+            raise MechanismError(what, f"coordinate is {farthest:g}", needed)
+    return chain, names, goal
 
 
 def chain_of(

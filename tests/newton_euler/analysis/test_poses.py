@@ -134,6 +134,13 @@ def test_joint_out_of_reach_goes_to_its_dead_center():
     assert f"'guide' by {near + 0.1:.6g}" in poses.report()[0]
 
 
+def test_goals_farther_than_steps_go_come_to_an_end():
+    poses = solve_poses(load("free_top"), {("floating", 0): [0.1, 1e5]})
+    assert poses.reached.tolist() == [True, False]
+    assert np.isfinite(poses.position).all()
+    assert "nearest pose not found" in poses.report()[0]
+
+
 def test_direction_out_of_reach_has_the_smallest_angle():
     """Compared with all poses of a grid, none of which is nearer."""
     scene = load("tracker")
@@ -194,6 +201,7 @@ def test_motions_are_held_where_they_begin_and_released_where_chosen():
         (({"universal_47": 0.0},), MechanismError, "has 2 coordinates; needed: which one"),
         (({("universal_47", 2): 0.0},), MechanismError, "an index below 2"),
         (({"slide_12": [0.0, np.nan]},), MechanismError, "2 finite numbers"),
+        (({"slide_12": [0.0, -1e300]},), MechanismError, "coordinate is 1e+300; needed: "),
         (({"slide_12": "high"},), MechanismError, "a finite number"),
         (({"slide_12": [0.0, 0.1], "slide_13": [0.0, 0.1, 0.2]},), OptionError, "numbers of values"),
         (({"slide_12": []},), OptionError, "numbers of values"),
