@@ -44,6 +44,8 @@ def known(run: Trajectory, body: Body, hinge: Revolute) -> None:
     assert_type(run.joint("pivot").coordinates, NDArray[np.float64])
     assert_type(body.inertia, NDArray[np.float64])
     assert_type(hinge.point, NDArray[np.float64])
+    swing = Scene("swing", Mechanism([body], [hinge]), 1, 0.1, forces=[JointSpring("hinge", damping=1)])
+    assert_type(swing.motions, tuple[PrescribedMotion, ...])
     assert_type(simulate_batch(load("pendulum"))[0], Trajectory)
     assert_type(mjcf.read("arm.xml").scene, Scene)
     assert_type(urdf.read("arm.urdf").scene, Scene)

@@ -1,14 +1,16 @@
-"""Descriptions: frozen dataclasses whose array fields take lists and tuples as well.
+"""Descriptions: frozen dataclasses whose fields take whatever arrays and tuples are made of.
 
 Type checkers take the types of an argument and of the attribute from the methods of a descriptor, if the
 class has a decorator that is a `dataclass_transform`; with that of the standard library mypy does not. There
-is no descriptor when a program runs: constructors make the arrays, see `newton_euler.errors.set_arrays`.
+is no descriptor when a program runs: constructors make the arrays, see `newton_euler.errors.set_arrays`
+and `elements_of`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Self, TypeVar, dataclass_transform, overload
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, dataclass_transform, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from newton_euler.scalars import Floats
 
 C = TypeVar("C")
+T = TypeVar("T")
 
 LONGEST = 9
 """Numbers of an array that are shown one by one."""
@@ -42,6 +45,16 @@ if TYPE_CHECKING:
         def __get__(self, thing: object | None, owner: type) -> Self | NDArray[np.int32]: ...
         def __set__(self, thing: object, value: ArrayLike) -> None: ...
 
+    class TupleField(Generic[T]):
+        """A field that takes any number of things, and is a tuple of them."""
+
+        @overload
+        def __get__(self, thing: None, owner: type) -> Self: ...
+        @overload
+        def __get__(self, thing: object, owner: type) -> tuple[T, ...]: ...
+        def __get__(self, thing: object | None, owner: type) -> Self | tuple[T, ...]: ...
+        def __set__(self, thing: object, value: Iterable[T]) -> None: ...
+
     class DefaultArrayField(ArrayField):
         """A field that is made from the others where it is not given, or None."""
 
@@ -49,6 +62,7 @@ if TYPE_CHECKING:
 
 else:
     ArrayField = DefaultArrayField = IndexField = NDArray
+    TupleField = tuple
 
 
 @dataclass_transform(

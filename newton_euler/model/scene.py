@@ -11,7 +11,7 @@ import numpy as np
 
 from newton_euler.errors import MechanismError, check_choice, elements_of, is_finite_number, set_arrays
 from newton_euler.model.control import sensed
-from newton_euler.model.description import ArrayField, description
+from newton_euler.model.description import ArrayField, TupleField, description
 from newton_euler.model.digital_control import Digital, HeldLaw, Law, Sampled
 from newton_euler.model.elements import CoordinateForce, OnBall, check_elements
 from newton_euler.model.forces import Armature, BallArmature, Force, JointSpring
@@ -88,12 +88,12 @@ class Scene:
     duration: float
     output_period: float
     gravity: ArrayField = (0.0, 0.0, 0.0)  # type: ignore[assignment]
-    control: tuple[Law, ...] = ()
+    control: TupleField[Law] = ()  # type: ignore[assignment]
     initial_state: State | None = None
     outputs: Set[OutputName] = frozenset(OUTPUTS)
-    forces: tuple[Force, ...] = ()
-    motions: tuple[PrescribedMotion, ...] = ()
-    armatures: tuple[Armature | BallArmature, ...] = ()
+    forces: TupleField[Force] = ()  # type: ignore[assignment]
+    motions: TupleField[PrescribedMotion] = ()  # type: ignore[assignment]
+    armatures: TupleField[Armature | BallArmature] = ()  # type: ignore[assignment]
     description: str = ""
     redundancy_tolerance: float = REDUNDANCY_TOLERANCE
 

@@ -185,6 +185,7 @@ def composite() -> Any:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        (lambda m, c: (m, 3), "pinocchio.Model or a pair of one and its RigidConstraintModels"),
         (
             lambda m, c: (m, c, 3),
             "needed: a path of a file, a pinocchio.Model or a pair of one and its Rigid",
