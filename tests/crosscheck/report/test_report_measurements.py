@@ -32,6 +32,7 @@ def test_what_regress_writes(tmp_path, capsys, monkeypatch):
     assert run(capsys, "regress", model, "--output", "out")[0] == 1
     moved = report(tmp_path / "out")
     assert "MOVED\n1 of 1 scenes: pendulum" in moved.words
+    assert "(as delivered)" in moved.words
     assert list(moved.images) == ["pendulum at 0 s"]
     (tmp_path / "out" / "pendulum.rrd").unlink()
     with pytest.raises(CrosscheckError, match=r"pendulum\.rrd: missing, regress\.json beside it"):
