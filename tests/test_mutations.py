@@ -321,6 +321,30 @@ MISTAKES = {
         "self.stiffness * ((x - self.rest) * (x - self.rest))",
         "newton_euler/equations/test_forces.py::test_a_mass_on_a_spring_oscillates_about_where_it_would_hang",
     ),
+    "splines held for a piece too long": (
+        "newton_euler/model/motions.py",
+        "return self._pieces[bisect_right(self.knots, time)]",
+        "return self._pieces[max(bisect_right(self.knots, time) - 1, 0)]",
+        "newton_euler/integrators/test_knots.py::test_a_spline_is_the_one_of_scipy_and_smooth_at_its_knots",
+    ),
+    "set-points that jump an interval early": (
+        "newton_euler/sampling.py",
+        "return float(0.5 * (self.times[0] + self.times[-1]))",
+        "return float(self.times[-1])",
+        "newton_euler/integrators/test_knots.py::test_targets_jump",
+    ),
+    "a boat that rolls before it yaws": (
+        "newton_euler/moving_base.py",
+        'HINGES = {"yaw": Z, "pitch": Y, "roll": X}',
+        'HINGES = {"roll": X, "pitch": Y, "yaw": Z}',
+        "newton_euler/test_moving_base.py::test_poses_of_a_file_are_those_of_the_motion",
+    ),
+    "a boat that starts without its spin": (
+        "newton_euler/moving_base.py",
+        "velocity + np.cross(omega, arms) + own_velocities",
+        "velocity + own_velocities",
+        "newton_euler/test_moving_base.py::test_the_base_follows_its_motions_and_carries_the_start",
+    ),
     "prescribed motions that do no work": (
         "newton_euler/equations/formulation.py",
         "return total - sum(rate * multipliers",
