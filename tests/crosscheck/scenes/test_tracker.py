@@ -102,7 +102,7 @@ def test_options_of_the_scene():
 
 @pytest.mark.parametrize("wind", ["turbulent", "gust", "steady"])
 def test_stiff_laws_hold_the_panel_in_the_wind(wind):
-    """Gravity sags them by a millimetre, its sudden start by two, and a wind of 10 m/s by as much again."""
+    """They are off by less than 1 mm in a wind of 10 m/s, and hold the weight at the start."""
     scene = load("tracker_wind", wind=wind, direction=225, seed=7)
     (load_of_wind,) = scene.forces
     assert load_of_wind.area == pytest.approx(0.14 * 0.11)
@@ -110,9 +110,10 @@ def test_stiff_laws_hold_the_panel_in_the_wind(wind):
     run = simulate(scene)
     for law in scene.control:
         wanted = [law.target.value(t) for t in run.time]
-        assert np.abs(run.joint(law.joint).coordinates[:, 0] - wanted).max() < 0.005
+        assert np.abs(run.joint(law.joint).coordinates[:, 0] - wanted).max() < 0.001
     calm = simulate(load("tracker_wind", speed=0))
-    assert np.abs(run.reaction_force - calm.reaction_force).max() > 0.5  # N
+    assert abs(calm.position[2] - calm.position[0]).max() < 2e-5  # m in 20 ms, in which targets move by 9 um
+    assert np.abs(run.reaction_force - calm.reaction_force).max() > 0.3  # N
 
 
 def test_seeds_of_the_wind():
