@@ -1,4 +1,4 @@
-"""Linear models of a scene in independent coordinates, exact derivatives of its equations, and their modes.
+"""Linear models of a scene in independent coordinates, by exact derivatives of its equations.
 
 Of d independent joint coordinates z with J T = 0, J_z T = I, motions of the mechanism are qdot = T zdot, and
 zddot = J_z vdot - gamma_z follows from the equations of motion. Along z_i at the same zdot the velocities
@@ -47,7 +47,7 @@ from newton_euler.equations.system import (
     dimensionless_jacobian,
     fastest_joint,
 )
-from newton_euler.errors import MechanismError, SingularityError, check_choice, check_type
+from newton_euler.errors import MechanismError, SingularityError, UnknownNameError, check_choice, check_type
 from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.model.control import PD
@@ -147,10 +147,16 @@ def _is_coordinate(scene: Scene, name: str | Key) -> bool:
 
 def _inputs(scene: Scene, names: Sequence[str | Key]) -> list[Key | str]:
     """Find the coordinates and the parameters that inputs are."""
-    return [
-        scene.mechanism.coordinate(name) if _is_coordinate(scene, name) else unambiguous(scene, str(name))
-        for name in names
-    ]
+    found: list[Key | str] = []
+    for name in names:
+        if _is_coordinate(scene, name):
+            found.append(scene.mechanism.coordinate(name))
+            continue
+        try:
+            found.append(unambiguous(scene, str(name)))
+        except UnknownNameError as error:
+            raise UnknownNameError("input", name, (*scene.mechanism.joint_names, *error.valid)) from error
+    return found
 
 
 def _other_freedoms(system: Relative) -> list[Freedom]:
@@ -172,6 +178,8 @@ def _other_freedoms(system: Relative) -> list[Freedom]:
 def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | None) -> tuple[Freedom, ...]:
     """Return the coordinates of these names, or choose some that are independent at a state."""
     mechanism, count = scene.mechanism, mobility(scene).degrees_of_freedom
+    if count == 0:
+        raise MechanismError(f"scene {scene.name!r}", "has no degree of freedom", "a mechanism that can move")
     others = {freedom.name: freedom for freedom in _other_freedoms(Relative(scene))}
     if names is None:
         keys = [(joint.name, k) for joint in mechanism.joints for k in range(len(joint.coordinate_kinds))]
@@ -181,7 +189,7 @@ def chosen_freedoms(scene: Scene, state: State, names: Sequence[str | Key] | Non
     of_joints = {key: Freedom(mechanism.coordinate_name(key), key, -1, -1, system.unit(key)) for key in keys}
     if names is not None:
         found = [others.get(name) or of_joints[mechanism.coordinate(name)] for name in names]
-        if len(found) != count or len(set(found)) != count:
+        if not len(found) == len(set(found)) == count:
             problem = f"coordinates are {', '.join(map(repr, names)) or 'none'}"
             needed = f"{count} different ones for {count} degrees of freedom"
             raise MechanismError(f"scene {scene.name!r}", problem, needed)

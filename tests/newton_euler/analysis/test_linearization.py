@@ -13,6 +13,7 @@ from mechanisms import bar
 
 from crosscheck.scenes import load
 from newton_euler.analysis.equilibrium import at_rest, equilibrium
+from newton_euler.analysis.inverse_dynamics import statics
 from newton_euler.analysis.linear_model import Modes
 from newton_euler.analysis.linearization import linearize
 from newton_euler.assemble import initial_state, start
@@ -323,6 +324,15 @@ def test_modes_have_twists_of_all_bodies_and_rigid_ones_are_zero():
         assert max(np.abs(twist[:, :3]).max() / scene.mechanism.size, np.abs(twist[:, 3:]).max()) == 1.0
 
 
+def test_a_mechanism_that_cannot_move_has_loads_and_no_modes():
+    scene = mass_on_rail(motions=(PrescribedMotion("rail", Polynomial((0.0,))),), gravity=-G * (X + Z))
+    with pytest.raises(NewtonEulerError, match="scene 'rail': has no degree of freedom; needed: a mechanism"):
+        linearize(scene)
+    held = statics(scene, actuators=[])
+    assert held.actuator_force.shape == (0,)
+    assert held.reaction_force[0] == pytest.approx([MASS * G, 0.0, MASS * G], rel=1e-14)
+
+
 def test_models_go_to_scipy_and_control():
     model = linearize(load("tracker"), inputs=["slide_12.target"], outputs=["panel_7", ("universal_47", 1)])
     system = model.to_scipy()
@@ -379,7 +389,10 @@ def test_equilibrium_holds_prescribed_motions_where_they_begin(tracker):
         ({"coordinates": ["slide_12", "slide_12"]}, "needed: 2 different ones for 2 degrees of freedom"),
         ({"coordinates": ["slide_12", "ball_67"]}, "joint 'ball_67': coordinate is 0; needed: a joint with"),
         ({"coordinates": ["slide_12", "slide_14"]}, "unknown joint 'slide_14'; did you mean"),
-        ({"inputs": ["slide_12.targets"]}, "unknown parameter 'slide_12.targets'; did you mean"),
+        (
+            {"inputs": ["slide_12.targets"]},
+            "input 'slide_12.targets'; did you mean 'slide_12.target'",
+        ),
         ({"outputs": ["panel"]}, "unknown output 'panel'; did you mean 'panel_7'"),
         ({"state": 3}, "state of scene 'tracker': is 3; needed: a State"),
     ],
