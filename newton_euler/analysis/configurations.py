@@ -157,6 +157,7 @@ class Chain:
         bare = replace(scene, control=(), forces=(), armatures=(), outputs=frozenset())
         loops = replace(bare, motions=held, initial_state=state)
         if not scene.motions:
+            mobility(scene)  # decided once for all chains
             inherit_mobility(loops, scene)
         found = mobility(loops)
         self.driven = replace(bare, motions=(*held, *chosen), initial_state=None)
