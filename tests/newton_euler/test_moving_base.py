@@ -185,7 +185,7 @@ def test_poses_of_a_file_are_those_of_the_motion(tmp_path):
             assert found["roll"].value(at) == pytest.approx(0.3 * np.sin(at), abs=1e-9)
             assert found["pitch"].value(at) == pytest.approx(0.2 * np.cos(1.3 * at), abs=1e-9)
             assert found["yaw"].value(at) - whole == pytest.approx(3.0 + 2.0 * at, abs=1e-9)
-    moving = on_moving_base(replace(pendulum(), duration=5.0, output_period=0.05), found)
+    moving = on_moving_base(quickly(pendulum()), found)
     for simulate in (newton_euler.simulate, urdf.simulate):
         run = simulate(moving)
         n = len(run.time)
