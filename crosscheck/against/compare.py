@@ -238,18 +238,20 @@ def _equations_compared(
 
 
 class _Second(Relative):
-    """Equations of motion of the second model, with reactions in the first's terms."""
+    """Equations of motion of the second model, with reactions in the first's terms.
 
-    def __init__(self, aligned: Aligned) -> None:
-        super().__init__(aligned.both[1])
-        self._aligned = aligned
+    Attributes:
+        aligned: both models; what control laws make of this class for a model of their own has none.
+    """
+
+    aligned: Aligned
 
     def evaluate(self, q: Array, v: Array) -> Evaluation:
         found = super().evaluate(q, v)
         state = found.state
         motion = state.position[None], state.quaternion[None]
         reactions = found.reaction_force[None], found.reaction_torque[None]
-        (force,), (torque,) = reactions_in_first(self._aligned, *motion, *reactions)
+        (force,), (torque,) = reactions_in_first(self.aligned, *motion, *reactions)
         return replace(found, reaction_force=force, reaction_torque=torque)
 
 
@@ -264,7 +266,9 @@ def _engines(pair: tuple[str, str], aligned: Aligned) -> list[Engine]:
         return run if name == pair[0] else _in_first(run, aligned)
 
     def engine(name: str, scene: Scene) -> Engine:
-        system = Relative(scene) if name == pair[0] else _Second(aligned)
+        system = Relative(scene) if name == pair[0] else _Second(scene)
+        if isinstance(system, _Second):
+            system.aligned = aligned
         return replace(
             ENGINE,
             name=name,

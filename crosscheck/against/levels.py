@@ -36,6 +36,7 @@ from newton_euler.equations.applied_forces import body_wrenches, surroundings
 from newton_euler.equations.couplings import Coupling, couplings
 from newton_euler.equations.dense import orthonormal_range
 from newton_euler.model.constraints import Frame
+from newton_euler.model.control import ControlLaw
 from newton_euler.model.digital_control import Law
 from newton_euler.model.elements import OnBall, OnCoordinate
 from newton_euler.model.euler_parameters import angle_between, rotation, rotations
@@ -325,8 +326,8 @@ def term_rows(pair: tuple[str, str], first: Samples, second: Samples) -> Iterato
     gravity = {"gravity": float(np.linalg.norm(two - one)) / strength}
     yield term("gravity, rel", gravity, lambda _: both_values(pair, one, two, "m/s^2"))
     for quantity, members in ACTING.items():
-        here = _at_joints(aligned.both[0], members, states, scales.size, lambda key: Partner(key, 1.0))
-        there = _at_joints(aligned.both[1], members, states, scales.size, aligned.of_first)
+        here = _at_joints(first, aligned.both[0], members, scales.size, lambda key: Partner(key, 1.0))
+        there = _at_joints(second, aligned.both[1], members, scales.size, aligned.of_first)
         if here or there:
             largest = max(float(np.max(np.abs(values))) for values in (*here.values(), *there.values()))
             unit = (largest or 1.0) if quantity == ROTORS else max(scales.force, largest)
@@ -369,9 +370,9 @@ def _elements_apart(
 
 
 def _at_joints(
+    samples: Samples,
     scene: Scene,
     members: Callable[[Scene], Iterable[Acting]],
-    states: Sequence[State],
     size: float,
     of_first: Callable[[Key], Partner],
 ) -> dict[Key, Array]:
@@ -381,10 +382,14 @@ def _at_joints(
         (n, 1) or (n, 3) by coordinate, N, and N m over the size; of rotors the momentum, N s.
     """
     found = dict[Key, Array]()
-    places = [surroundings(scene, state) for state in states]
-    for element in members(scene):
+    places = [surroundings(scene, state) for state in samples.states.all]
+    for number, element in enumerate(members(scene)):
         slides = not element.on_ball and scene.mechanism.is_slide(*element.key)
-        values = np.array([np.atleast_1d(element.at_joint(at)) for at in places]) / (1.0 if slides else size)
+        if isinstance(element, ControlLaw):  # which may act by a model of the mechanism
+            values = samples.stack("actuator_force")[:, number, None]
+        else:
+            values = np.array([np.atleast_1d(element.at_joint(at)) for at in places])
+        values = values / (1.0 if slides else size)
         key, sense = of_first(element.key)
         found[key] = found.get(key, 0.0) + sense * values
     return found

@@ -29,6 +29,7 @@ from newton_euler import Body, Mechanism, Scene
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import Coupling
 from newton_euler.errors import AssemblyError
+from newton_euler.model.control import ComputedTorque
 from newton_euler.model.couplings import Gear
 from newton_euler.model.forces import Armature, PointSpring, Wrench
 from newton_euler.model.joint_kinds import Fixed, Revolute, Spherical
@@ -162,6 +163,15 @@ def test_terms_are_told_by_their_joint_with_their_values(
     result = compared(linkage, fault(linkage))
     assert first_failing(result) == ("dynamics", quantity, where)
     assert f"worst at {where}: {detail} (" in result.verdict
+
+
+def test_laws_with_a_model_are_told_by_their_joint_with_their_values(linkage: Scene) -> None:
+    law = ComputedTorque("motor", stiffness=100.0, damping=20.0, target=0.1)
+    own, other = (replace(linkage, control=(one,)) for one in (law, replace(law, damping=25.0)))
+    result = compared(own, other)
+    assert first_failing(result) == ("dynamics", "actuator force", "motor")
+    assert "worst at motor: damping a 20, b 25 (" in result.verdict
+    assert compared(own, own).agrees
 
 
 def test_an_axis_that_points_the_other_way_is_the_same_hinge(linkage: Scene, tmp_path: Path) -> None:
