@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 from contextlib import redirect_stdout
 from pathlib import Path
@@ -10,11 +11,13 @@ from pathlib import Path
 import pytest
 from pictures import (
     IMAGES,
+    MADE_FROM,
     NOTEBOOK,
     PAGES,
     ROOT,
     SCENES,
     STALE,
+    WIDGET,
     WIDTHS,
     WRONG,
     digest,
@@ -24,6 +27,7 @@ from pictures import (
     shown,
     verdict_words,
     words,
+    workspace_command,
     wrong_engine,
 )
 
@@ -79,7 +83,9 @@ def test_the_page(tracker, monkeypatch):
 
 
 def test_the_notebook():
-    assert made_from("notebook.png") == digest(notebook_content()), f"notebook.png {STALE}"
+    content = digest(notebook_content())
+    assert json.loads(NOTEBOOK.read_text())["metadata"].get(MADE_FROM) == content, f"{NOTEBOOK.name} {STALE}"
+    assert made_from("notebook.png") == content, f"notebook.png {STALE}"
 
 
 @pytest.mark.slow  # a kernel of its own, three engines
@@ -90,7 +96,7 @@ def test_the_notebook_runs(tmp_path):
     shown = [data for cell in book.cells for output in cell.get("outputs", ()) for data in output["data"]]
     assert shown.count("text/html") == 2
     assert "image/png" in shown
-    assert "application/vnd.jupyter.widget-view+json" in shown
+    assert WIDGET in shown
 
 
 def test_the_disagreement(tmp_path, monkeypatch):
@@ -98,6 +104,10 @@ def test_the_disagreement(tmp_path, monkeypatch):
     content = digest(words(printed(tmp_path, WRONG[0], monkeypatch, status=1)))
     for picture in ("disagree.svg", "disagree.png"):
         assert made_from(picture) == content, f"{picture} {STALE}"
+
+
+def test_the_workspace():
+    assert made_from("workspace.png") == digest(workspace_command()), f"workspace.png {STALE}"
 
 
 def test_all_pictures_are_shown_and_small():

@@ -14,6 +14,7 @@ import json
 import os
 import pty
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -65,6 +66,9 @@ TITLE, LOWER_ROW = (37, 66), (401, 908)
 
 COLORS = 128
 """Of a picture."""
+
+WIDGET = "application/vnd.jupyter.widget-view+json"
+"""Type of outputs that only a running notebook shows."""
 
 MADE_FROM = "made from"
 """Name of the digest in a picture."""
@@ -134,6 +138,12 @@ def notebook_content() -> str:
     cells = json.loads(NOTEBOOK.read_text())["cells"]
     templates = [(Path(page.__file__).parent / name).read_text() for name in ("summary.html", "parts.html")]
     return "\n".join(["".join(cell["source"]) for cell in cells] + templates)
+
+
+def workspace_command() -> str:
+    """Command of the workspace's picture, as its page has it."""
+    page = (ROOT / "docs" / "how_to" / "kinematics.md").read_text()
+    return page.partition("$ .venv/bin/")[2].partition("\n")[0]
 
 
 def verdict_words(rrd: Path) -> str:
@@ -247,13 +257,19 @@ def browser(written: Path, size: tuple[int, int]) -> Image.Image:
 
 
 def notebook(folder: Path) -> Image.Image:
-    """The notebook, executed, as far as its verdict."""
+    """Execute the notebook, keep what it shows without a kernel, and return its picture."""
     import nbformat
     from nbclient import NotebookClient
     from nbconvert import HTMLExporter
 
     content = nbformat.read(NOTEBOOK, as_version=4)
-    NotebookClient(content, resources={"metadata": {"path": folder}}).execute()
+    NotebookClient(content, resources={"metadata": {"path": folder}}, record_timing=False).execute()
+    for cell in content.cells:
+        if cell.cell_type == "code":
+            cell.outputs = [output for output in cell.outputs if WIDGET not in output.data]
+    content.metadata.pop("widgets", None)
+    content.metadata[MADE_FROM] = digest(notebook_content())
+    nbformat.write(content, NOTEBOOK)
     written = folder / "notebook.html"
     written.write_text(HTMLExporter(template_name="lab").from_notebook_node(content)[0])
     return browser(written, NOTEBOOK_SIZE)
@@ -302,7 +318,7 @@ def of_runs(folder: Path) -> None:
 
 
 def of_notebook(folder: Path) -> None:
-    """Make the notebook's."""
+    """Make the notebook's, and its outputs."""
     save(notebook(folder), "notebook", notebook_content())
 
 
@@ -326,12 +342,20 @@ def of_paper(folder: Path) -> None:
     save(Image.open(folder / "figure_6.png"), "drift", shown("tracker"))
 
 
+def of_workspace(folder: Path) -> None:
+    """Make that of the tracker's workspace, which is known by its command alone."""
+    subprocess.run(shlex.split(workspace_command()), cwd=folder, env=environment(80), check=True)
+    picture = folder / "output" / "workspace" / "tracker" / "workspace.png"
+    save(Image.open(picture), "workspace", workspace_command())
+
+
 MAKERS = {
     "runs": of_runs,
     "notebook": of_notebook,
     "disagreement": of_disagreement,
     "benchmark": of_benchmark,
     "paper": of_paper,
+    "workspace": of_workspace,
 }
 """Makers of pictures by name: all, or those that are named on the command line."""
 
