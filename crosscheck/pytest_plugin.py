@@ -34,10 +34,11 @@ class Checked:
         verdict: what was found.
         folder: where trajectories, figures and the recording are kept if the test fails.
         reason: why baselines are stored anew; None to compare with them.
+        home: the folder of the test, where baselines of models in memory are.
     """
 
-    def __init__(self, verdict: Verdict, folder: Path, reason: str | None) -> None:
-        self.verdict, self.folder, self.reason = verdict, folder, reason
+    def __init__(self, verdict: Verdict, folder: Path, reason: str | None, home: Path) -> None:
+        self.verdict, self.folder, self.reason, self.home = verdict, folder, reason, home
 
     def assert_agrees(self) -> None:
         """Fail, naming level, body and the engine that differs, unless all engines agree."""
@@ -47,15 +48,22 @@ class Checked:
             pytest.fail(f"{self.verdict}\nlook: crosscheck view {recording}", pytrace=False)
 
     def assert_unchanged(self) -> None:
-        """Fail, naming what moved, unless the figures of newton_euler are those of the stored baseline."""
+        """Fail, naming what moved, unless the figures of newton_euler are those of the stored baseline.
+
+        It is beside a model file, and beside the test for a model in memory, by the name of its scene.
+        """
         from crosscheck.regress.compare import compare
         from crosscheck.regress.report import tables
-        from crosscheck.regress.run import guard, update
+        from crosscheck.regress.run import Guarded, guard, update
         from crosscheck.report.render import terminal
 
         __tracebackhide__ = True
         found = self.verdict.crosscheck
-        guarded = guard(found.source, dict(found.options))
+        if found.source:
+            guarded = guard(found.source, dict(found.options))
+        else:
+            scene, path = found.scene, self.home / f"{found.scene.name}.baseline.json"
+            guarded = Guarded(scene.name, dict(found.options), scene, path, found.mapping)
         if self.reason is not None:
             update([guarded], self.reason, lambda stage: None)
         elif not guarded.path.exists():
@@ -79,6 +87,7 @@ def crosscheck(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., 
     def checked(model: Any, *engines: Any, **options: Any) -> Checked:
         if isinstance(model, str | os.PathLike) and (beside := request.path.parent / model).is_file():
             model = beside
-        return Checked(check(model, *engines, **options), tmp_path / "crosscheck", reason)
+        verdict = check(model, *engines, **options)
+        return Checked(verdict, tmp_path / "crosscheck", reason, request.path.parent)
 
     return checked

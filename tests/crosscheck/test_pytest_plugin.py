@@ -13,6 +13,7 @@ LINKAGE = Path(__file__).parents[2] / "examples" / "linkage.xml"
 
 SUITE = """
     import dataclasses
+    import mujoco
     from crosscheck.engines import ENGINES
 
     def wrong(scene):
@@ -29,6 +30,10 @@ SUITE = """
         odd = dataclasses.replace(good, systems=lambda scene: good.systems(wrong(scene)), soft_start=None)
         monkeypatch.setitem(ENGINES, "mujoco", odd)
         crosscheck("arm.xml", key="go", duration=0.05).assert_agrees()
+
+    def test_spec(crosscheck):
+        spec = mujoco.MjSpec.from_file("arm.xml")
+        crosscheck(spec, ["newton_euler"], key="go", duration=0.05).assert_unchanged()
 
     def test_guarded(crosscheck):
         crosscheck("arm.xml", ["newton_euler"], key="go", duration=0.05).assert_unchanged()
@@ -68,3 +73,9 @@ def test_a_baseline_is_stored_on_demand_and_compared_with(suite):
     text = done.stdout.str()
     assert re.search(r"model: mass, kg +coupler +0\.2958", text)
     assert "linkage: MOVED: " in text
+
+
+def test_a_baseline_of_a_model_in_memory_is_beside_the_test(suite):
+    suite.runpytest_subprocess("-k", "spec", "--crosscheck-update", "as made").assert_outcomes(passed=1)
+    assert (suite.path / "linkage.baseline.json").is_file()
+    suite.runpytest_subprocess("-k", "spec").assert_outcomes(passed=1)
