@@ -10,8 +10,6 @@ eliminated with Pinocchio's own mass matrix, Jacobians and bias forces.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,10 +18,11 @@ import pinocchio as pin
 from newton_euler.assemble import initial_state
 from newton_euler.equations.couplings import TreeCouplings
 from newton_euler.equations.dense import solve_constrained
-from newton_euler.equations.model_control import known_scene, roles, without_control
+from newton_euler.equations.model_control import roles
 from newton_euler.equations.redundancy import constraint_rank, mobility, rows_left_out, without
 from newton_euler.equations.system import Evaluation, MassProperties, Observation
 from newton_euler.errors import SingularityError
+from newton_euler.model.control import NO_FORCES
 from newton_euler.model.euler_parameters import from_rotation
 from newton_euler.model.joint import Key
 from newton_euler.model.joint_geometry import NOWHERE, JointGeometry, closing, in_tree
@@ -37,6 +36,7 @@ from urdf.errors import UrdfError
 from urdf.forces import BallForces, JointLaws, PointForces, Rotors
 from urdf.loops import parse_loops
 from urdf.model import CoordinateMap, build, link_inertia, mass_matrix
+from urdf.model_control import ModelControl
 from urdf.proximal import ConstraintDynamics, Units
 from urdf.reactions import (
     driven,
@@ -58,6 +58,7 @@ class PinocchioSystem:
     Attributes:
         closed: the Pinocchio model and its closures, SI units.
         map: between q, v and Pinocchio's.
+        couplings: gears, screws and prescribed motions.
         time: s, at which prescribed motions are looked at.
     """
 
@@ -73,7 +74,7 @@ class PinocchioSystem:
         self.mechanism = scene.mechanism
         self._welded = weld_loops(scene.mechanism, loaded=scene.loaded_balls)
         self._tree = self._welded.tree
-        self._couplings = TreeCouplings(scene, self._tree)
+        self.couplings = TreeCouplings(scene, self._tree)
         self.time = 0.0
         self.nq, self.nv = self._tree.nq + int(scene.tracks_work), self._tree.nv
         self._work = slice(self._tree.nq, self.nq)
@@ -99,7 +100,7 @@ class PinocchioSystem:
         mass = sum(body.mass for body in self.mechanism.bodies[1:])
         self._units = Units(length, mass, q_units, self.velocity_units)
         self._closures = Closures(self.closed, self.map, length)
-        self._rows = Rows(self.closed, self.map, self._couplings, length)
+        self._rows = Rows(self.closed, self.map, self.couplings, length)
         self.phi_units = np.concatenate([self._closures.units, self._rows.units])
         acting = [law.key for law in scene.joint_forces]
         keys = acting + [key for key in scene.sensed if key not in acting]
@@ -108,12 +109,7 @@ class PinocchioSystem:
         self._measured_q, self._measured_v = on.T
         self._actuated_v = self._measured_v[: len(acting)]
         self._sensed = [keys.index(key) for key in scene.sensed]
-        self._roles = roles(scene)
-        self._known: tuple[Any, dict[Key, float]] = None, {}
-        self._of_torque = self._model_for(self._roles.torque)
-        self._of_holding = self._model_for(self._roles.holding)
-        if self._of_holding:
-            self._of_holding._still()
+        self._control = ModelControl(scene, PinocchioSystem) if roles(scene) else None
         self._alpha = alpha
         self._eliminates = bool(len(self._rows.units)) or mobility(scene).residual > 0.0
         self._moving = bool(self._forces) or self._eliminates
@@ -152,7 +148,7 @@ class PinocchioSystem:
     def coordinates(self, state: State) -> tuple[Array, Array]:
         """q and v of a state."""
         q, v = self._tree.coordinates(self._welded.state(state))
-        q = self._couplings.turned(q, self.time)
+        q = self.couplings.turned(q, self.time)
         return np.concatenate([q, np.zeros(self.nq - len(q))]), v
 
     def rate(self, q: Array, v: Array) -> Array:
@@ -187,41 +183,18 @@ class PinocchioSystem:
 
     def actuation(self, q: Array, v: Array) -> Array:
         """Forces on joint coordinates, N or N m, in the order of `Scene.joint_forces`."""
-        model = self._model_forces(q, v) if self._roles else {}
-        return self._laws.force(self.scene.joint_forces, *self._measured(q, v), self.time, model)
+        measured, model = self._measured(q, v), NO_FORCES
+        if self._control:
+            commands = self._laws.commands(self.scene.control, *measured, self.time)
+            model = self._control.forces(q[: self._tree.nq], v, self.time, commands)
+        return self._laws.force(self.scene.joint_forces, *measured, self.time, model)
 
-    def _model_for(self, keys: Sequence[Key]) -> PinocchioSystem | None:
-        """Return Pinocchio's model of the mechanism as laws on these coordinates know it; None for none."""
-        known = known_scene(self.scene, self._roles.model)
-        return PinocchioSystem(without_control(known, keys)) if keys else None
-
-    def _model_forces(self, q: Array, v: Array) -> dict[Key, float]:
-        """Forces on joint coordinates, N or N m, that control laws get of models by Pinocchio."""
-        state = q.tobytes(), v.tobytes(), self.time
-        if self._known[0] == state:  # as the power has asked for
-            return self._known[1]
-        found: dict[Key, float] = {}
-        if self._of_holding:
-            holding, still = self._roles.holding, np.zeros(self.nv)
-            forces = self._of_holding._servo_forces(q, still, self.time, holding, np.zeros(len(holding)))
-            found |= dict(zip(holding, forces, strict=True))
-        if self._of_torque:
-            torque = self._roles.torque
-            commands = self._laws.commands(self.scene.control, *self._measured(q, v), self.time)
-            forces = self._of_torque._servo_forces(q, v, self.time, torque, np.array(commands))
-            found |= dict(zip(torque, forces, strict=True))
-        self._known = state, found
-        return found
-
-    def _servo_forces(
-        self, q: Array, v: Array, time: float, keys: Sequence[Key], accelerations: Array
-    ) -> Array:
+    def servo_forces(self, q: Array, v: Array, keys: Sequence[Key], accelerations: Array) -> Array:
         """Forces on joint coordinates, N or N m, for their accelerations, which are further constraints."""
-        self.time, q = time, q[: self._tree.nq]
         mass, force = self.mass_and_force(q, v)
         self._move(q, v)
         gamma = [self._closures.gamma(self._data), self._rows.gamma(self._data, self.time)]
-        rows = np.zeros((len(keys), self.nv))
+        unused, rows = rows_left_out(self), np.zeros((len(keys), self.nv))
         on = [self._tree.place(*key) for key in keys]  # none is cut
         rows[np.arange(len(keys)), [place[1] for place in on if place]] = 1.0
         units = [self.mechanism.size if self.mechanism.is_slide(*key) else 1.0 for key in keys]
@@ -229,8 +202,8 @@ class PinocchioSystem:
             _, multipliers = solve_constrained(
                 mass,
                 force,
-                np.concatenate([without(self._jacobian(), self._left_out), rows]),
-                np.concatenate([without(np.concatenate(gamma), self._left_out), accelerations]),
+                np.concatenate([without(self._jacobian(), unused), rows]),
+                np.concatenate([without(np.concatenate(gamma), unused), accelerations]),
                 np.concatenate([self.phi_units, units]),
                 self.velocity_units,
             )
@@ -238,15 +211,6 @@ class PinocchioSystem:
             reason = "control laws cannot choose the accelerations there"
             raise SingularityError(keys[0][0], reason) from error
         return np.asarray(multipliers[len(self.phi_units) :])
-
-    def _still(self) -> None:
-        """Leave the functions of prescribed motions out."""
-        still = tuple(replace(coupling, function=None) for coupling in self._couplings.couplings)
-        self._couplings.couplings = still
-
-    @cached_property
-    def _left_out(self) -> list[int]:
-        return rows_left_out(self)
 
     def _move(self, q: Array, v: Array) -> None:
         """Give Pinocchio's joints, Jacobians and frames a state, at accelerations of joints of zero."""
@@ -329,7 +293,7 @@ class PinocchioSystem:
 
     def coupling_phi(self, q: Array) -> Array:
         """Residuals (c,) of the couplings, m or rad."""
-        return self._couplings.phi(q, self.time)
+        return self.couplings.phi(q, self.time)
 
     def phi_t(self) -> Array:
         """Partial derivative (k,) of `phi` by time."""

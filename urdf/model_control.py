@@ -1,0 +1,60 @@
+"""Forces of control laws that know the mechanism, by Pinocchio's own mass matrix, bias and Jacobians."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from newton_euler.equations.couplings import TreeCouplings
+from newton_euler.equations.model_control import known_scene, roles, without_control
+from newton_euler.model.joint import Key
+from newton_euler.model.scene import Scene
+from newton_euler.scalars import Array
+
+
+class Model(Protocol):
+    """Pinocchio's model of a mechanism."""
+
+    time: float
+    couplings: TreeCouplings
+
+    def servo_forces(self, q: Array, v: Array, keys: Sequence[Key], accelerations: Array) -> Array:
+        """Compute the forces on joint coordinates, N or N m, that give them accelerations."""
+
+
+class ModelControl:
+    """Inverse dynamics of the controller's model, for the control laws of a scene."""
+
+    def __init__(self, scene: Scene, build: Callable[[Scene], Model]) -> None:
+        """`build` makes Pinocchio's model of a scene."""
+        self._torque, self._holding, values = roles(scene)
+        known = known_scene(scene, values)
+        self._moving = build(without_control(known, self._torque)) if self._torque else None
+        self._resting = build(without_control(known, self._holding)) if self._holding else None
+        if self._resting:
+            coupled = self._resting.couplings
+            coupled.couplings = tuple(replace(each, function=None) for each in coupled.couplings)
+        self._last: tuple[Any, Mapping[Key, float]] = None, {}
+
+    def forces(self, q: Array, v: Array, time: float, accelerations: Sequence[float]) -> Mapping[Key, float]:
+        """Compute the forces, N or N m, by joint coordinates.
+
+        Args:
+            q, v: (nq,) and (nv,) tree coordinates and velocities.
+            time: s.
+            accelerations: that laws of computed torque command, in order.
+        """
+        state = q.tobytes(), v.tobytes(), time
+        if self._last[0] != state:  # the power asks for them as well
+            found: dict[Key, float] = {}
+            wanted = np.zeros(len(self._holding)), np.array(accelerations)
+            keys, models = (self._holding, self._torque), (self._resting, self._moving)
+            for model, on, values, rates in zip(models, keys, wanted, (np.zeros(len(v)), v), strict=True):
+                if model:
+                    model.time = time
+                    found |= dict(zip(on, model.servo_forces(q, rates, on, values).tolist(), strict=True))
+            self._last = state, found
+        return self._last[1]
