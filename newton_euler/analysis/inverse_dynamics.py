@@ -344,8 +344,10 @@ class InverseDynamics:
         """Raise `SingularityError` for the first state whose pivot ratio (n,) or results are no good."""
         for row in np.flatnonzero(~(pivot_ratio > 0.0) | ~np.isfinite(found).all(axis=1))[:1]:
             at = fault(self.system, q[row], self.servos, NEAR)
-            key, problem = at or (self.servos.coordinates[0], "is not determined")
-            raise SingularityError(key[0], f"at state {row} the coordinate {problem}")
+            if at is None:
+                cut = self.system.row_owners[self.servos.rows.numbers[0]]
+                raise SingularityError(cut, f"the loops at state {row} do not determine the motion")
+            raise SingularityError(at[0][0], f"at state {row} the coordinate {at[1]}")
 
     def loads(
         self, given: States, own: tuple[Array, Array], accelerations: Sequence[Array], time: Array

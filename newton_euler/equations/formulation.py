@@ -53,6 +53,8 @@ class Servos(NamedTuple):
     """(a,) on the same coordinates, or as many at least where z determines the whole motion."""
     rows: RowsInUse
     """Of the constraints."""
+    scales: list[float] | None = None
+    """Usual sizes of the pivots of these rows and of those of the coordinates; None where unknown."""
 
 
 class Formulation(System):
@@ -378,11 +380,11 @@ class Formulation(System):
             Forces (a,), N or N m, and the pivot ratio of the elimination: not positive where the coordinates
             do not determine the motion, or the actuators cannot make it.
         """
-        coordinates, actuators, rows = servos
-        equations = self.sparse_equations(q, v, rows)
+        coordinates, actuators = servos.coordinates, servos.actuators
+        equations = self.sparse_equations(q, v, servos.rows)
         wanted, gamma = self.sparse_coordinates(q, v, coordinates)
         gamma = np.concatenate([equations.gamma, gamma + np.array(accelerations)])
-        equations = equations.extended(wanted, gamma)
+        equations = equations.extended(wanted, gamma, servos.scales)
         places = range(len(gamma) - len(wanted), len(gamma))
         solution = solve_constrained(equations)
         forces = np.array([solution.multipliers.get(place, 0.0) for place in places])

@@ -205,7 +205,9 @@ class Relative(TreeKinematics):
         equations = self.sparse_equations(q, rest, servos.rows)
         wanted, _ = self.sparse_coordinates(q, rest, servos.coordinates)
         gamma = np.concatenate([-self.phi_t(), np.array(rates)])
-        solution = sparse.solve_constrained(equations.extended(wanted, gamma)._replace(force={}))
+        solution = sparse.solve_constrained(
+            equations.extended(wanted, gamma, servos.scales)._replace(force={})
+        )
         return self.sparse_vdot(q, rest, solution), solution.pivot_ratio
 
     # Bodies and reactions at a solution

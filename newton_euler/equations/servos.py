@@ -14,12 +14,13 @@ from newton_euler.equations.formulation import Formulation, Servos
 from newton_euler.equations.parameters import with_laws
 from newton_euler.equations.redundancy import mobility, rows_in_use
 from newton_euler.equations.relative import Relative
-from newton_euler.equations.sparse import to_array
+from newton_euler.equations.sparse import solve_constrained, to_array
 from newton_euler.equations.system import dimensionless_jacobian
 from newton_euler.errors import MechanismError
 from newton_euler.model.control import PD
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
+from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
 CHOSEN = 1e-3
@@ -69,7 +70,21 @@ def servos_of(
     if all(faults):
         key, problem = faults[0] or (("", 0), "")
         raise MechanismError(f"coordinate {name(key)!r}", problem, "another choice")
-    return servos if form is Relative else servos._replace(rows=rows_in_use(form(system.scene)))
+    regular = [state for state, found in zip(decided.states, faults, strict=True) if found is None]
+    return _scaled(servos, form(system.scene), regular)
+
+
+def _scaled(servos: Servos, system: Formulation, states: Sequence[State]) -> Servos:
+    """Return the same choice for a form of the equations, with usual sizes of pivots, in regular states."""
+    rows, pivots = rows_in_use(system), []
+    for state in states:
+        q, rest = system.coordinates(state)[0], np.zeros(system.nv)
+        equations = system.sparse_equations(q, rest, rows)
+        wanted, gamma = system.sparse_coordinates(q, rest, servos.coordinates)
+        extended = equations.extended(wanted, np.concatenate([equations.gamma, gamma]), None)
+        pivots.append(solve_constrained(extended).pivots)
+    scales = [float(max(column)) for column in zip(*pivots, strict=True)]
+    return servos._replace(rows=rows, scales=scales)
 
 
 def fault(

@@ -250,10 +250,10 @@ class Equations(NamedTuple):
     refine: bool
     softness: Mapping[int, Scalar] | None = None
 
-    def extended(self, rows: Rows, gamma: Array) -> Equations:
-        """Return the same with further rows of J, all in use, and another gamma (k,)."""
+    def extended(self, rows: Rows, gamma: Array, scales: list[float] | None) -> Equations:
+        """Return the same with further rows of J, in use, another gamma (k,), and scales of rows in use."""
         numbers = [*self.rows.numbers, *range(len(self.jacobian), len(self.jacobian) + len(rows))]
-        return self._replace(jacobian=[*self.jacobian, *rows], gamma=gamma, rows=RowsInUse(numbers))
+        return self._replace(jacobian=[*self.jacobian, *rows], gamma=gamma, rows=RowsInUse(numbers, scales))
 
 
 @dataclass(frozen=True, eq=False)

@@ -409,6 +409,10 @@ def test_states_that_cannot_be(tracker):
     apart = replace(state, position=state.position + 0.01 * np.arange(21).reshape(7, 3))
     with pytest.raises(NewtonEulerError, match=r"state 0: joint '.*' is open by .* needed: closed loops"):
         inverse_dynamics(tracker, apart, wanted)
+    flat = replace(load("four_bar", N=1), initial_state=None)
+    flat = initial_state(start(flat, pivot_0=(-np.pi / 2, 0.0)))
+    with pytest.raises(NewtonEulerError, match=r"singular at joint '.*': the loops at state 0 do not"):
+        statics(load("four_bar", N=1), flat, [])
     # a crank at its dead center cannot be accelerated by the slider
     crank = replace(load("slider_crank"), initial_state=None)
     for angle in (1.0, 2.0):
