@@ -26,13 +26,26 @@ COLORS = {"": None, "holds": "green", "doubtful": "yellow", "fails": "red"}
 LONG = 10.0
 """s, after which a stage of work is named where standard error is no terminal."""
 
+SENTENCE = 200
+"""Characters of what a command does."""
+
 MOST_TOLD = 4
 """Elements of a file that are not simulated as they are, a line each."""
 
 AGREE, DISAGREE, BAD_INPUT, UNFINISHED = 0, 1, 2, 3
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class Commands(click.Group):
+    """Commands whose first sentences are shown in full, where Click cuts them to one line."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands, a sentence each."""
+        rows = [(name, self.commands[name].get_short_help_str(SENTENCE)) for name in self.list_commands(ctx)]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="crosscheck", prog_name="crosscheck")
 def cli() -> None:
     """Compare closed-loop mechanism dynamics between engines."""
