@@ -62,6 +62,18 @@ MISTAKES = {
         "row[:d] -= 0.0 * (tilde(v[place])",
         "newton_euler/analysis/test_linearization.py",
     ),
+    "a center of pressure behind the plate's center": (
+        "newton_euler/model/wind.py",
+        "lead = (LEAD * 2.0 / math.pi)",
+        "lead = -(LEAD * 2.0 / math.pi)",
+        "newton_euler/equations/test_wind.py",
+    ),
+    "wind that does not know the motion of its plate": (
+        "mjcf/model.py",
+        "load.velocity(data.time) - velocity[3:]",
+        "load.velocity(data.time) - 0.0 * velocity[3:]",
+        "newton_euler/equations/test_systems.py",
+    ),
     "products that fold a constant wrongly": (
         "newton_euler/codegen/expression.py",
         "return _scaled(self, x * known, second)",

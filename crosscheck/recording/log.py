@@ -9,6 +9,8 @@ Entities:
     /reactions/ENGINE/JOINT      constraint force on the second body over time
     /labels/BODY                 name of the body where the first engine has it
     /tilt/normal, /tilt/vertical  the axis whose tilt is plotted, on the first engine's body
+    /wind/NAME                   an arrow upwind of the plate on the first engine's body, longest where the
+                                 wind is fastest
     /plots/QUANTITY/.../ENGINE   scalars over time, see `crosscheck.recording.plots`; also `target` and
                                  `ENGINE_tolerance`
     /verdict                     the tables, as text
@@ -40,11 +42,14 @@ from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.trajectory import Trajectory
+from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array
 
 GROUND_COLOR = (128, 128, 128)
 PLAIN_COLOR = (220, 220, 220)
 """Of joint points, labels and targets."""
+
+WIND_COLOR = (86, 180, 233)
 
 ARROW_COLOR = (240, 228, 66)
 """Of reactions and of the vertical."""
@@ -140,6 +145,9 @@ def log_run(
     _log_labels(recording, mechanism, first)
     if any(plot.path[0] == "tilt" for plot in shown):
         _log_tilt(recording, mechanism, first, directions or {})
+    for force in scene.forces:
+        if isinstance(force, WindLoad):
+            _log_wind(recording, mechanism, first, force)
     outputs = {engine: run.time for engine, run in trajectories.items()}
     for plot in shown:
         _log_plot(recording, plot, outputs, styles)
@@ -263,6 +271,21 @@ def _log_tilt(
         recording.log(f"/tilt/{name}", look, static=True)
         ends = {"origins": position, "vectors": 1.2 * size * vectors}
         _send(recording, f"/tilt/{name}", run.time, rr.Arrows3D.columns, **ends)
+
+
+def _log_wind(recording: rr.RecordingStream, mechanism: Mechanism, run: Trajectory, load: WindLoad) -> None:
+    """Draw the velocity of wind as an arrow towards the center of the plate, upwind of it."""
+    body = mechanism.body_index(load.body)
+    arm = mechanism.bodies[body].pose.point_to_body(load.point)
+    centers = run.position[:, body] + rotated(run.quaternion[:, body], arm)
+    velocities = np.array([load.velocity(float(time)) for time in run.time])
+    fastest = float(np.max(np.linalg.norm(velocities, axis=1)))
+    vectors = LONGEST_ARROW * mechanism.size / (fastest or 1.0) * velocities
+    path = rr.new_entity_path(["wind", load.name])
+    look = rr.Arrows3D.from_fields(colors=WIND_COLOR, radii=0.01 * mechanism.size, labels=load.name)
+    recording.log(path, look, static=True)
+    before = 0.5 * np.linalg.norm(load.lengths) * load.direction / np.linalg.norm(load.direction)
+    _send(recording, path, run.time, rr.Arrows3D.columns, origins=centers - before - vectors, vectors=vectors)
 
 
 def _arrow_scale(mechanism: Mechanism, trajectories: dict[str, Trajectory]) -> float | None:

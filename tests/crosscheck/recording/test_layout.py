@@ -77,6 +77,20 @@ def test_tilt_is_drawn_beside_the_vertical(tmp_path):
     assert columns["/tilt/vertical", "Transform3D:quaternion"] == [[[0.0, 0.0, 0.0, 1.0]]] * len(run.time)
 
 
+def test_wind_is_an_arrow_upwind_of_the_plate(tmp_path):
+    scene = replace(load("tracker_wind", wind="gust"), duration=0.1)
+    run = newton_euler.simulate(scene)
+    write_recording(tmp_path / "run.rrd", scene, {"newton_euler": run})
+    columns = read_recording(tmp_path / "run.rrd").columns
+    ends = [np.squeeze(columns["/wind/wind", f"Arrows3D:{part}"]) for part in ("origins", "vectors")]
+    (wind,) = scene.forces
+    before = 0.5 * np.hypot(0.14, 0.11) * wind.direction  # half the plate's diagonal
+    assert sum(ends) == pytest.approx(run.position[:, 6] - before, abs=1e-6)  # single precision
+    speeds = np.array([wind.speed.value(time) for time in run.time])
+    wanted = scene.mechanism.size * speeds / speeds.max()
+    assert np.linalg.norm(ends[1], axis=1) == pytest.approx(wanted, rel=1e-6)
+
+
 def test_tilt_is_in_degrees():
     turns = [0.0, 1e-9, 0.5, np.pi]
     found = tilt(np.array([from_rotation_vector(angle * (0.6 * X - 0.8 * Y)) for angle in turns]))
