@@ -51,6 +51,6 @@ def tracker_sun_day(
     day = day_times(DATES[date], at.zone, FASTER)
     noon = len(day) // 2
     sun = sun_over(at, day[noon - SET_POINTS + 1 : noon + 1])
-    scene, _ = following(sun_tracker(), PANEL_NORMAL, Tracking().normals(sun), period=1.0)
+    scene, _, _ = following(sun_tracker(), PANEL_NORMAL, Tracking().normals(sun), period=1.0)
     description = "solar tracker, the hour before noon at 300 times its pace, under gravity"
     return replace(scene, name="tracker_sun_day", output_period=0.05, description=description)

@@ -12,7 +12,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.solar.energy import THIS, ClearSky, over_day
 from crosscheck.solar.place import Place, Sun, day_times, sun_over
 from crosscheck.solar.tracking import Tracking
-from newton_euler import Axis, Poses, simulate, solve_poses, statics
+from newton_euler import Axis, Loads, Poses, simulate, solve_poses, statics
 from newton_euler.model.control import PD
 from newton_euler.model.euler_parameters import rotations
 from newton_euler.model.motions import Steps
@@ -36,6 +36,7 @@ class Day:
         sun: at the set-points.
         wanted: (n, 3) where the panel's normal was to point.
         poses: that face there, or as nearly as the mechanism can.
+        loads: on actuators and joints where they hold these poses at rest, under weight alone.
         tracking: how it was to follow the sun.
         scene: the tracker with these set-points.
         run: its motion, with an output at each set-point, just before the next.
@@ -46,6 +47,7 @@ class Day:
     sun: Sun
     wanted: Array
     poses: Poses
+    loads: Loads
     tracking: Tracking
     scene: Scene
     run: Trajectory
@@ -114,8 +116,8 @@ class Day:
         return float(np.sum(np.maximum(np.diff(work), 0.0))) / 3600.0
 
 
-def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[Scene, Poses]:
-    """Return a tracker that is sent to face directions, from the first of them on, and the poses that do.
+def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[Scene, Poses, Loads]:
+    """Return a tracker that is sent to face directions, the poses that do, and what holds these at rest.
 
     The feedforward of each PD law is the force that holds the pose of its set-point
     (`newton_euler.statics`), so that weight does not pull the panel off it.
@@ -136,13 +138,18 @@ def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[S
         )
     poses = solve_poses(scene, axis=axis, towards=wanted, measure=[law.key for law in laws])
     times = period * np.arange(len(wanted))
-    held = statics(scene, poses, [law.joint for law in laws]).actuator_force
+    loads = statics(scene, poses, [law.joint for law in laws])
     control = tuple(
-        replace(law, target=Steps(times, poses.coordinates[law.key]), feedforward=Steps(times, held[:, k]))
+        replace(
+            law,
+            target=Steps(times, poses.coordinates[law.key]),
+            feedforward=Steps(times, loads.actuator_force[:, k]),
+        )
         for k, law in enumerate(laws)
     )
     start, end = poses.state(0), float(times[-1])
-    return replace(scene, control=control, initial_state=start, duration=end, output_period=period), poses
+    driven = replace(scene, control=control, initial_state=start, duration=end, output_period=period)
+    return driven, poses, loads
 
 
 def tracker_day(
@@ -174,6 +181,6 @@ def tracker_day(
         raise CrosscheckError(f"period is {period:g} s: from 1 s to half a day")
     sun = sun_over(place, day_times(date, zone or place.zone, period))
     wanted = tracking.normals(sun)
-    driven, poses = following(scene, axis, wanted, period)
+    driven, poses, loads = following(scene, axis, wanted, period)
     driven = replace(driven, outputs=frozenset({"velocities", "actuation", "energy"}))
-    return Day(place, sun, wanted, poses, tracking, driven, simulate(driven, rest=REST), axis)
+    return Day(place, sun, wanted, poses, loads, tracking, driven, simulate(driven, rest=REST), axis)

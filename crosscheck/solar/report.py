@@ -64,10 +64,27 @@ def day_report(day: Day) -> Report:
             for name, value in day.light.items()
         ],
     )
-    parts: list[Part] = [tables[0], light, Lines("assumptions", list(assumptions(day)))]
+    assumed = Lines("assumptions", list(assumptions(day)))
+    parts: list[Part] = [tables[0], light, loads_table(day), assumed]
     summary: list[Part] = [tables[1], light]
     where = f"{day.scene.name} on {day.sun.times[0]:%Y-%m-%d} at {day.place} ({day.sun.times.tz})"
     return Report(where, verdict(day), Cell("followed", "holds"), parts, day.run.wall_time, summary)
+
+
+def loads_table(day: Day) -> Table:
+    """Tabulate the largest forces of the day at rest, and when: of actuators, and on joints."""
+    rows: Rows = []
+    forces = np.abs(day.loads.actuator_force)
+    kinds = [(f"actuator {name}", force) for name, force in zip(day.loads.actuators, forces.T, strict=True)]
+    reactions = np.linalg.norm(day.loads.reaction_force, axis=2)
+    kinds += [
+        (f"joint {name}", force) for name, force in zip(day.loads.joint_names, reactions.T, strict=True)
+    ]
+    for name, force in kinds:
+        k = int(np.argmax(force))
+        rows.append([name, f"{force[k]:.3f}", f"{np.min(force):.3f}", f"{day.sun.times[k]:%H:%M}"])
+    columns = [*texts("where"), *figures("largest, N", "least, N"), Column("largest at")]
+    return Table("forces at rest over the day, weight alone", columns, rows)
 
 
 def verdict(day: Day) -> str:
@@ -84,7 +101,8 @@ def verdict(day: Day) -> str:
         found += (
             f"; {missed} set-points are out of reach, by up to {np.degrees(np.max(day.poses.angle)):.2f} deg"
         )
-    return f"{found}; actuators do {1e3 * day.work:.3g} mWh of work"
+    forces = np.abs(day.loads.actuator_force).max()
+    return f"{found}; actuators hold {forces:.3g} N at most and do {1e3 * day.work:.3g} mWh of work"
 
 
 def assumptions(day: Day) -> Iterator[str]:

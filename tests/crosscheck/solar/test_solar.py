@@ -131,6 +131,18 @@ def test_light_falls_by_how_well_panels_face_the_sun(day):
     assert over_day(day.seconds, beam) == pytest.approx(12.1, abs=0.1)  # h from sunrise to sunset
 
 
+def test_sliders_hold_what_weighs_on_the_legs(day):
+    """Of forces at rest: the base carries the whole weight, whatever the pose."""
+    scene, reactions = day.scene, day.loads.reaction_force
+    weight = 9.81 * sum(body.mass for body in scene.mechanism.bodies[1:])
+    upward = np.zeros(len(reactions))
+    for k, joint in enumerate(scene.mechanism.joints):
+        if joint.first == scene.mechanism.body_names[0]:
+            upward += reactions[:, k, 2]
+    vertical = day.loads.actuator_force.sum(axis=1)  # along the sliders' guides, which stand upright
+    assert np.max(np.abs(upward + vertical - weight)) < 1e-10 * weight
+
+
 def test_actuators_lift_what_comes_down_again(day):
     """Over a day the work is none, and what is lost is the weight of the panel on its way, a few J."""
     assert abs(day.run.work[-1] - day.run.work[0]) < 0.2 * 3600.0 * day.work
@@ -140,7 +152,7 @@ def test_actuators_lift_what_comes_down_again(day):
 def test_what_is_out_of_reach_is_faced_as_nearly_as_can_be():
     tracking = Tracking(most_tilt=60.0)
     wanted = tracking.normals(sun_over(EQUATOR, day_times("2026-03-21", "UTC", 3600.0)))
-    _, poses = following(sun_tracker(), PANEL_NORMAL, wanted, 60.0)
+    _, poses, _ = following(sun_tracker(), PANEL_NORMAL, wanted, 60.0)
     assert not poses.reached.all()
     assert poses.closed.all()
     assert all("nearest pose" in line for line in poses.report())
