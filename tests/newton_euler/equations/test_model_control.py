@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from mechanisms import mass_on_rail
@@ -15,6 +16,7 @@ from crosscheck.comparison.energy import energy_balance
 from crosscheck.scenes import load
 from mjcf.rigid import RigidMuJoCo
 from mjcf.soft import SoftMuJoCo
+from mjcf.write import to_xml
 from newton_euler.assemble import initial_state
 from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.relative import Relative
@@ -166,6 +168,40 @@ def test_freedoms_without_actuators_move_freely():
     for run in runs:
         assert np.max(np.abs(run.position[:, 1, 0] - 0.2 * np.sin(5.0 * run.time))) < 1e-9  # m, at rtol 1e-10
         assert np.max(np.abs(run.position - runs[0].position)) < 1e-8
+
+
+@pytest.mark.parametrize("period", [None, 0.005])
+def test_angles_beyond_a_revolution(period):
+    """A pendulum is led round twice; encoders count on, poses do not."""
+    law = ComputedTorque("hinge", 100.0, 20.0, Polynomial((0.3, 12.0)))
+    rod = Body("rod", 1.0, [0.0, 0.0, -0.5], np.diag([0.05, 0.05, 1e-3]))
+    hinge = Revolute("hinge", "ground", "rod", [0.0, 0.0, 0.0], axis=[0.0, 1.0, 0.0], actuated=True)
+    control = (law,) if period is None else (Digital(law, period, resolution=1e-3),)
+    scene = Scene(
+        "led", Mechanism([Body.ground(), rod], [hinge]), 1.0, 0.01, (0.0, 0.0, -9.81), control=control
+    )
+    scene = newton_euler.start(scene, hinge=(0.3, 12.0))
+    runs = [newton_euler.simulate(scene), urdf.simulate(scene), mjcf.simulate(scene)]
+    for run in runs:
+        assert run.joint("hinge").coordinates[-1, 0] == pytest.approx(12.3, abs=0.01)
+        # N m: of 5, at rtol 1e-10 and RK4 of 1 ms
+        assert np.max(np.abs(run.actuator_force - runs[0].actuator_force)) < 1e-6
+
+
+def test_an_mjcf_has_the_forces_of_the_start():
+    """In its key; what changes them is told of."""
+    laws = (
+        PD("slide_12", 50.0, 20.0, 0.01, gravity_compensation=True),
+        ComputedTorque("slide_13", STIFFNESS, DAMPING, REFERENCES["slide_13"]),
+    )
+    scene = on_reference(replace(load("tracker_gravity"), control=laws))
+    model = mujoco.MjModel.from_xml_string(to_xml(scene))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    system = Relative(scene)
+    expected = system.evaluate(*system.coordinates(initial_state(scene))).actuator_force
+    assert data.actuator_force == pytest.approx(expected, abs=1e-10)  # N, of some 6
 
 
 def test_encoders_have_to_tell_the_pose():
