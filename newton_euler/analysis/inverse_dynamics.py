@@ -87,7 +87,7 @@ def inverse_dynamics(
     accelerations: Mapping[str | Key, Any],
     actuators: Sequence[str | Key] | None = None,
     rates: Mapping[str | Key, Any] | None = None,
-    time: Any = 0.0,
+    time: Any = None,
 ) -> Loads:
     """Compute the forces of actuators that give joint coordinates wanted accelerations, and all reactions.
 
@@ -106,7 +106,7 @@ def inverse_dynamics(
             has none those of `accelerations`.
         rates: m/s or rad/s of the same coordinates, 0 for those that are left out, in place of the velocities
             of the states. Other freedoms move with the least kinetic energy.
-        time: s, of prescribed motions, one number or (n,).
+        time: s, of prescribed motions, one number or (n,); those of a trajectory, or 0, if None.
 
     Raises:
         UnknownNameError: for an unknown joint.
@@ -133,7 +133,7 @@ def inverse_dynamics(
     compiled = _compiled(scene, coordinates, acting)
     given = States(scene, states)
     wanted = [given.column(f"acceleration of {name!r}", value) for name, value in accelerations.items()]
-    times = given.column("time", time)
+    times = given.column("time", getattr(states, "time", 0.0) if time is None else time)
     q, v = given.coordinates(compiled.system)
     if rates is not None:
         moving = {mechanism.coordinate(name): (name, value) for name, value in rates.items()}

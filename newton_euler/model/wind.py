@@ -227,7 +227,8 @@ def wind_turbulence(
         deviation: s in m/s; the standard's is I (0.75 V + 5.6 m/s) with I of 0.12 to 0.16.
         length: L in m; the standard's is 5.67 times the height above ground up to 60 m.
         seed: 0 or more; the same seed gives the same wind.
-        lowest, highest: Hz, of the band.
+        lowest: Hz, of the band.
+        highest: Hz.
         count: number of sines.
 
     Raises:
