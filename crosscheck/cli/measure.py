@@ -25,7 +25,6 @@ from crosscheck.cli.shared import (
 from crosscheck.errors import CrosscheckError
 from crosscheck.report.render import as_json, terminal
 from crosscheck.studies.faults import PLANTED_IN
-from newton_euler.errors import check_choice
 
 
 @cli.command("figures")
@@ -96,6 +95,7 @@ def controllers_command(scene: str, settings: tuple[str, ...], engines: str | No
     """
     from crosscheck.controllers import compared
     from crosscheck.engines import ENGINES
+    from newton_euler.errors import check_choice
 
     chosen = list(ENGINES) if engines is None else engines.split(",")
     for engine in chosen:
