@@ -31,6 +31,7 @@ from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, PrescribedMotion
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
+from newton_euler.model.wind import STANDARD_AIR, WindLoad
 from newton_euler.scalars import Array, cross
 
 GRAVITY = 9.81
@@ -248,6 +249,17 @@ def _of_balls(
     return tuple(springs), tuple(rotors)
 
 
+def _wind(rng: np.random.Generator, draft: _Draft) -> tuple[WindLoad, ...]:
+    """Wind of the order of the weight on a plate of some body, now and then."""
+    body = draft.bodies[rng.integers(1, len(draft.bodies))]
+    (first, second, _), sizes = _askew(rng, 3), draft.length * rng.uniform(0.2, 1.0, 2)
+    sides = {"first_side": sizes[0] * first, "second_side": sizes[1] * _across(second, first)}
+    speed = np.sqrt(draft.mass * GRAVITY / (STANDARD_AIR * np.prod(sizes))) * rng.uniform(0.3, 3.0)
+    point = body.center_of_mass + 0.3 * draft.length * rng.normal(size=3)
+    load = WindLoad("wind", body.name, point, **sides, direction=_direction(rng), speed=float(speed))
+    return (load,) if rng.random() < 0.2 else ()
+
+
 def _unit(vector: Array) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
@@ -342,7 +354,7 @@ def random_scene(seed: int, number: int) -> Scene:
         gravity=GRAVITY * _direction(rng),
         control=tuple(control),
         initial_state=_moved(rng, mechanism),
-        forces=(*forces, *springs),
+        forces=(*forces, *springs, *_wind(np.random.default_rng([seed, number, 3]), draft)),
         armatures=rotors,
         description=f"random mechanism {number} of seed {seed}",
     )

@@ -22,6 +22,7 @@ from newton_euler.errors import SingularityError
 from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.joint_kinds import JOINT_KINDS
 from newton_euler.model.spanning_tree import SpanningTree
+from newton_euler.model.wind import WindLoad
 from urdf.proximal import ITERATIONS, regularized
 
 COUNT = 16
@@ -57,7 +58,7 @@ def test_what_they_cover():
     assert set(cut) | {"fixed", "prismatic", "translational"} == set(KINDS)
     assert set(loops) == {0, 1, 2, 3}
     assert {len(scene.mechanism.bodies) - 1 for scene in scenes} == set(range(2, 9))
-    assert set(forces) == {JointSpring, BallSpring, PointSpring, Wrench, "world", "body"}
+    assert set(forces) == {JointSpring, BallSpring, PointSpring, Wrench, WindLoad, "world", "body"}
     assert sum(len(scene.armatures) > 0 for scene in scenes) > 3
     assert sum(len(scene.control) > 0 for scene in scenes) > 3
     assert sum(len(scene.motions) > 0 for scene in scenes) > 3
