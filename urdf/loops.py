@@ -7,6 +7,7 @@ Its keys are those of Gepetto's example-parallel-robots (`robot.yaml`), read as 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from newton_euler.errors import choices
 from newton_euler.model.source_file import SourceError
 from newton_euler.model.xml_source import LARGEST
 from newton_euler.model.yaml_source import parse_yaml
+from newton_euler.verification.import_report import unique_name
 from urdf.errors import LoopFileError
 
 CLOSURE_TYPES = ("3d", "6d", "rod")
@@ -55,6 +57,18 @@ class Loops:
 
 NO_LOOPS = Loops("", (), (), (), (), (), ())
 """Of a URDF without a loop file."""
+
+
+def closure_names(model: Any, constraints: Sequence[Any]) -> tuple[tuple[str, str], ...]:
+    """Name the two frames that each rigid constraint of a model in memory closes, as a loop file would."""
+    pairs: list[tuple[str, str]] = []
+    taken: list[str] = []
+    for number, constraint in enumerate(constraints):
+        name = unique_name(str(constraint.name), f"constraint_{number + 1}", taken)
+        taken.append(name)
+        first, second = (model.names[k] for k in (constraint.joint1_id, constraint.joint2_id))
+        pairs.append((f"{name}_on_{first}", f"{name}_on_{second}"))
+    return tuple(pairs)
 
 
 def parse_loops(text: str, source: str) -> Loops:

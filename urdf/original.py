@@ -19,8 +19,7 @@ from newton_euler.scalars import Array, cross, tilde
 from newton_euler.verification.import_report import ImportReport, left_out, unique_name
 from newton_euler.verification.original import SEVERAL_HINGES, Original, Sample, wholes
 from newton_euler.verification.quantities import Constraints, Forces, Kinematics
-from urdf.loops import NO_LOOPS, UNIVERSAL, Loops, parse_loops
-from urdf.reading.given import loops_of
+from urdf.loops import NO_LOOPS, UNIVERSAL, Loops, closure_names, parse_loops
 
 HINGES = {"X": pin.JointModelRX, "Y": pin.JointModelRY, "Z": pin.JointModelRZ}
 
@@ -333,7 +332,7 @@ class ModelOriginal(PinocchioOriginal):
             report: of the reading.
             scene: what was read.
         """
-        model, names = given.copy(), loops_of(given, constraints).closed_loop
+        model, names = given.copy(), closure_names(given, constraints)
         model.gravity.linear = np.array(gravity)
         pin.framesForwardKinematics(model, data := model.createData(), q)
         closures = []

@@ -316,7 +316,7 @@ def _law(law: Law) -> dict[str, Any]:
     if isinstance(law, Sampled):
         raise CrosscheckError(f"{law.element}: a controller in Python is not for a scene file")
     if not isinstance(law, Digital):
-        return {name: value for name, value in content(law).items() if value not in ({}, False)}
+        return {name: value for name, value in content(law).items() if value != {} and value is not False}
     found: dict[str, Any] = {"kind": "digital", "period": law.period, "delay": law.delay}
     found |= {name: _limit(getattr(law, name)) for name in ("resolution", "force_limit", "slew_limit")}
     return found | {"stroke": [_limit(end) for end in law.stroke], "law": _law(law.law)}  # type: ignore[arg-type]

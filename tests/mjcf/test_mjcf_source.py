@@ -63,6 +63,6 @@ def test_a_file_with_assets_may_take_longer(
 def test_what_is_no_path_is_refused(path: Any, read: Any) -> None:
     with pytest.raises(
         SourceError,
-        match=r"cannot be read; needed: a path of a file(, a mujoco.MjSpec or a mujoco.MjModel)?$",
+        match=r"cannot be read; needed: a path of a file(, (a mujoco.MjSpec|a pinocchio.Model) or .+)?$",
     ):
         read(path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -10,8 +11,7 @@ import pinocchio as pin
 
 from newton_euler.limits import exceeded
 from newton_euler.scalars import Array
-from newton_euler.verification.import_report import unique_name
-from urdf.loops import Loops
+from urdf.loops import NO_LOOPS, closure_names
 from urdf.model import GROUND, ClosedLoopModel
 from urdf.reading.source import JointProperties, SourceError
 
@@ -70,7 +70,8 @@ class Given:
         if problem := exceeded("closures", len(self.constraints)):
             raise SourceError(self.where, problem)
         own, pairs = model.copy(), []
-        self.loops = loops_of(model, self.constraints)
+        kinds = tuple(KINDS[constraint.type] for constraint in self.constraints)
+        self.loops = replace(NO_LOOPS, closed_loop=closure_names(model, self.constraints), type=kinds)
         for names, constraint in zip(self.loops.closed_loop, self.constraints, strict=True):
             joints = constraint.joint1_id, constraint.joint2_id
             placements = constraint.joint1_placement, constraint.joint2_placement
@@ -171,19 +172,6 @@ class Given:
                 limits = low, high, speed if speed < FARTHEST else np.inf
         unit = "m" if joint.shortname().startswith("JointModelP") else "rad"
         return JointProperties(name, damping, friction, armature, limits, unit)
-
-
-def loops_of(model: Any, constraints: Sequence[Any]) -> Loops:
-    """Return what a loop file would say of constraints, with names for their ends."""
-    pairs: list[tuple[str, str]] = []
-    taken: list[str] = []
-    for number, constraint in enumerate(constraints):
-        name = unique_name(str(constraint.name), f"constraint_{number + 1}", taken)
-        taken.append(name)
-        first, second = (model.names[k] for k in (constraint.joint1_id, constraint.joint2_id))
-        pairs.append((f"{name}_on_{first}", f"{name}_on_{second}"))
-    kinds = tuple(KINDS[constraint.type] for constraint in constraints)
-    return Loops("", tuple(pairs), kinds, (), (), (), ())
 
 
 def _add_frames(
