@@ -45,19 +45,19 @@ def sun_command(
     from crosscheck.scenes.tracker_sun import PANEL_NORMAL, sun_tracker
     from crosscheck.solar.day import tracker_day
     from crosscheck.solar.place import Place
-    from crosscheck.solar.report import day_report, survey_report, write
+    from crosscheck.solar.report import day_report, survey_report, write, write_survey
     from crosscheck.solar.tracking import Tracking
 
     tracking = Tracking(numbers["deadband"], numbers["most_tilt"], numbers["pitch"])
     places = [Place(latitude, numbers["longitude"], numbers["altitude"]) for latitude in latitudes]
-    scene, days, written = sun_tracker(), [], list[Path]()
+    scene, days = sun_tracker(), []
     with progress_shown() as progress:
         for place, date in product(places, dates):
             progress(f"{place}, {date}")
             days.append(tracker_day(scene, PANEL_NORMAL, place, date, zone, tracking, period))
-        if len(days) == 1:
-            written = write(days[0], day_report(days[0]), output)
-    show(day_report(days[0]) if written else survey_report(days))
+        report = survey_report(days) if days[1:] else day_report(days[0])
+        written = write_survey(report, output) if days[1:] else write(days[0], report, output)
+    show(report)
     for path in written:
         say(f"wrote {path}")
     return AGREE

@@ -110,10 +110,11 @@ class Day:
 
     @cached_property
     def work(self) -> float:
-        """W h that the actuators do over the day; what the panel gives back while it sinks is lost."""
-        work = self.run.work
-        assert work is not None
-        return float(np.sum(np.maximum(np.diff(work), 0.0))) / 3600.0
+        """W h that the actuators do over the day against weight, as if they moved slowly; what a sinking
+        panel gives back to one of them is lost. Jumps that PD laws make take more."""
+        force = self.loads.actuator_force
+        moved = np.diff(np.stack(list(self.commands.values()), axis=1), axis=0)
+        return float(np.sum(np.maximum(0.5 * (force[1:] + force[:-1]) * moved, 0.0))) / 3600.0
 
 
 def following(scene: Scene, axis: Axis, wanted: Array, period: float) -> tuple[Scene, Poses, Loads]:
@@ -160,6 +161,7 @@ def tracker_day(
     zone: str | None = None,
     tracking: Tracking = FOLLOWING,
     period: float = 60.0,
+    wind: Array | None = None,
 ) -> Day:
     """Simulate a day of a tracker from midnight to midnight, its set-points changed every `period` s.
 
@@ -172,6 +174,7 @@ def tracker_day(
         zone: time zone of that day; the place's own hours from Greenwich if None.
         tracking: how to follow the sun.
         period: s.
+        wind: (n,) m/s at the n set-points from midnight on, for `Tracking.stow`; None for calm.
 
     Raises:
         CrosscheckError: for a scene without PD laws, a date, a zone or a period that is none.
@@ -180,7 +183,7 @@ def tracker_day(
     if not 1.0 <= period <= 43200.0:
         raise CrosscheckError(f"period is {period:g} s: from 1 s to half a day")
     sun = sun_over(place, day_times(date, zone or place.zone, period))
-    wanted = tracking.normals(sun)
+    wanted = tracking.normals(sun, wind)
     driven, poses, loads = following(scene, axis, wanted, period)
-    driven = replace(driven, outputs=frozenset({"velocities", "actuation", "energy"}))
+    driven = replace(driven, outputs=frozenset({"velocities", "actuation"}))
     return Day(place, sun, wanted, poses, loads, tracking, driven, simulate(driven, rest=REST), axis)

@@ -95,7 +95,7 @@ def verdict(day: Day) -> str:
         found += f" to {np.degrees(np.max(day.errors[faces])):.2f} deg"
     low = np.sum(day.sun.is_up & ~faces) * day.period / 3600.0
     if low > 0.0:
-        found += f", for {low:.1f} h as nearly as its tilt allows"
+        found += f", for {low:.1f} h as nearly as a tilt of {day.tracking.most_tilt:g} deg allows"
     missed = int(np.sum(~day.poses.reached))
     if missed:
         found += (
@@ -114,7 +114,7 @@ def assumptions(day: Day) -> Iterator[str]:
     )
     yield "at night the panel waits where it faces the sun first; the base stands still, no wind"
     yield "clear sky (Ineichen, pvlib's turbidity), diffuse light of Hay and Davies, ground of albedo 0.2"
-    yield "work of actuators is mechanical; what comes back while the panel sinks is lost, friction is none"
+    yield "work of actuators is against weight, done slowly; what comes back is lost, friction is none"
 
 
 def survey_report(days: Sequence[Day]) -> Report:
@@ -155,7 +155,7 @@ def table_of_commands(day: Day) -> bytes:
     writer.writerow(
         ["time", "seconds", "sun_azimuth_deg", "sun_elevation_deg"]
         + [f"{name}_{unit}" for name, unit in zip(day.commands, units, strict=True)]
-        + ["off_sun_deg", "reached"]
+        + ["off_sun_deg", "may_face_sun", "set_point_reached"]
     )
     for k, time in enumerate(day.sun.times):
         angles = np.degrees([day.sun.azimuth[k], day.sun.elevation[k]])
@@ -168,10 +168,24 @@ def table_of_commands(day: Day) -> bytes:
                 *(f"{angle:.6f}" for angle in angles),
                 *commands,
                 off,
+                int(day.faces[k]),
                 int(day.poses.reached[k]),
             ]
         )
     return text.getvalue().encode()
+
+
+def write_survey(report: Report, folder: Path) -> list[Path]:
+    """Write the table of days as CSV; raises `CrosscheckError` naming the path that cannot be written."""
+    path = folder / "days.csv"
+    check_writable(path)
+    table = next(part for part in report.parts if isinstance(part, Table))
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(" ".join(column.name.split()) for column in table.columns)
+    writer.writerows([cell.text for cell in row] for _, row in table.sections())
+    write_files({path: text.getvalue().encode()})
+    return [path]
 
 
 def picture(day: Day) -> Figure:
@@ -194,7 +208,9 @@ def picture(day: Day) -> Figure:
     off = np.where(day.sun.is_up, np.degrees(day.errors), np.nan)
     panel = np.degrees(np.arcsin(np.clip(day.normals[:, 2], -1.0, 1.0)))
     draw(above, {"sun's elevation": up, "normal's elevation": panel, "between both": off}, "deg")
-    draw(commands, {name: 1e3 * values for name, values in day.commands.items()}, "set-points, mm or mrad")
+    units = sorted({"mm" if day.is_slide(name) else "mrad" for name in day.commands})
+    lines = {name: 1e3 * values for name, values in day.commands.items()}
+    draw(commands, lines, f"set-points, {' and '.join(units)}")
     draw(light, dict(day.irradiance), "clear sky, W/m^2")
     light.set_xlabel("time of day, h")
     light.set_xlim(0.0, 24.0)

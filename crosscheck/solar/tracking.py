@@ -56,7 +56,7 @@ class Tracking:
         """Return where the panel's normal is to point (n, 3); `wind` (n,) is its speed, m/s.
 
         Raises:
-            CrosscheckError: for a sun that does not rise.
+            CrosscheckError: for a sun that does not rise, and for winds at other times.
         """
         up = sun.is_up
         if not up.any():
@@ -72,7 +72,9 @@ class Tracking:
         nearest = np.searchsorted(risen, waits)  # after sunset the first of the day, which is next morning's
         wanted[waits] = wanted[risen[nearest % len(risen)]]
         if wind is not None:
-            wanted[wind >= self.stow] = UP
+            if np.shape(wind) != up.shape or not np.all(np.isfinite(wind)):
+                raise CrosscheckError(f"wind has shape {np.shape(wind)}: {len(up)} speeds, m/s")
+            wanted[np.asarray(wind) >= self.stow] = UP
         return self._held(wanted)
 
     def can_face(self, sun: Sun) -> Array:
