@@ -310,8 +310,9 @@ def view_command(files: tuple[Path, ...], web: bool) -> int:
                     raise CrosscheckError(f"{file} is not a Rerun recording")
         except OSError as error:
             raise CrosscheckError(f"cannot read {file}: {error.strerror}") from error
-    display = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if not (web or display):
+    from crosscheck.recording.show import has_display
+
+    if not (web or has_display()):
         raise CrosscheckError("no display to open a viewer on; --web shows the recordings in a browser")
     serve = []
     if web:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -25,9 +26,12 @@ def show(
     Raises:
         CrosscheckError: where no viewer can be opened.
     """
+    notebook = in_notebook()
+    if not (notebook or has_display()):
+        raise CrosscheckError("no display to open a viewer on; save a recording and look with view --web")
     recording = new_recording(scene)
     try:
-        if in_notebook():
+        if notebook:
             log_run(recording, scene, trajectories, verdict, title, tolerances, moments)
             recording.notebook_show()
         else:
@@ -35,6 +39,11 @@ def show(
             log_run(recording, scene, trajectories, verdict, title, tolerances, moments)
     except (ImportError, RuntimeError) as error:
         raise CrosscheckError(f"no viewer: {' '.join(str(error).split())}") from error
+
+
+def has_display() -> bool:
+    """Return whether there is a screen that a viewer can open a window on."""
+    return sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
 def in_notebook() -> bool:

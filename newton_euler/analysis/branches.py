@@ -58,6 +58,9 @@ class Branches:
     complete: bool
     scattered: int
 
+    def __repr__(self) -> str:
+        return f"<Branches: {', '.join(map(repr, self.labels))}, complete: {self.complete}>"
+
     def __len__(self) -> int:
         return len(self.labels)
 

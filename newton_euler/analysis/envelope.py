@@ -100,6 +100,10 @@ class LoadEnvelope:
     joints: tuple[LoadRange, ...]
     actuators: tuple[LoadRange, ...]
 
+    def __repr__(self) -> str:
+        ranges = len(self.joints) + len(self.actuators)
+        return f"<LoadEnvelope of {', '.join(map(str, self.cases))}: {ranges} ranges>"
+
     def of(self, element: str, quantity: str) -> LoadRange:
         """Return the range of a load; raises `UnknownNameError`."""
         ranges = {(each.element, each.quantity): each for each in (*self.joints, *self.actuators)}

@@ -80,6 +80,12 @@ class Loads:
     reaction_force: Floats
     reaction_torque: Floats
 
+    def __repr__(self) -> str:
+        states = len(self.actuator_force) if self.actuator_force.ndim == 2 else 1
+        return (
+            f"<Loads at {states} states: actuators: {len(self.actuators)}, joints: {len(self.joint_names)}>"
+        )
+
 
 def inverse_dynamics(
     scene: Scene,

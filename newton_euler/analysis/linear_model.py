@@ -47,6 +47,9 @@ class Modes:
     shapes: Array
     twists: Array
 
+    def __repr__(self) -> str:
+        return f"<Modes: {', '.join(f'{frequency:.4g}' for frequency in self.frequencies)} Hz>"
+
     @property
     def frequencies(self) -> Floats:
         """(m,) Hz, of the oscillation; 0 for a mode that does not swing."""
@@ -100,6 +103,10 @@ class LinearModel:
     D: Floats
     f: Floats
     twists: Floats
+
+    def __repr__(self) -> str:
+        about = f"coordinates: {len(self.coordinates)}, inputs: {len(self.inputs)}"
+        return f"<LinearModel of {self.scene!r}: {about}, outputs: {len(self.outputs)}>"
 
     @property
     def is_equilibrium(self) -> bool:

@@ -88,6 +88,9 @@ class Poses:
     def __len__(self) -> int:
         return len(self.position)
 
+    def __repr__(self) -> str:
+        return f"<Poses: {len(self)}, reached: {np.sum(self.reached)}>"
+
     def report(self) -> list[str]:
         """Describe each pose that does not meet its goals on the branch of the start in one line."""
         lines = []

@@ -59,6 +59,10 @@ class Workspace:
     elevation: Array | None
     azimuth: Array | None
 
+    def __repr__(self) -> str:
+        names = ", ".join(map(str, self.grid))
+        return f"<Workspace over {names}: {np.sum(self.reachable)} of {self.reachable.size} reachable>"
+
 
 def workspace(
     scene: Scene, grid: Mapping[str | Key, Any], axis: Axis | None = None, start: State | None = None

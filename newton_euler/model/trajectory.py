@@ -64,6 +64,9 @@ class JointMotion(NamedTuple):
     rates: Floats | None
     """(n, k) rad/s or m/s; None where the scene did not ask for velocities."""
 
+    def __repr__(self) -> str:
+        return f"<JointMotion of {', '.join(self.names)}: {len(self.coordinates)} outputs>"
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -118,6 +119,12 @@ def test_its_recording_names_the_verdict_and_leads_to_what_is_worst(verdict):
 def test_it_opens_a_viewer(verdict, monkeypatch):
     import rerun as rr
 
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    if sys.platform == "linux":
+        with pytest.raises(CrosscheckError, match="no display"):
+            verdict.show()
+    monkeypatch.setenv("DISPLAY", ":0")
     spawned = []
     monkeypatch.setattr(rr.RecordingStream, "spawn", lambda stream: spawned.append(stream))
     verdict.show()
