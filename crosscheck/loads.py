@@ -15,6 +15,7 @@ from crosscheck.limit import limited
 from crosscheck.palette import palette
 from crosscheck.report.plots import png
 from crosscheck.report.render import markdown
+from crosscheck.report.run import undetermined_lines
 from crosscheck.report.table import Cell, Column, Lines, Part, Report, Rows, Table, figures, texts
 from newton_euler.analysis.envelope import (
     Load,
@@ -24,7 +25,6 @@ from newton_euler.analysis.envelope import (
     load_envelope,
     rest_case,
 )
-from newton_euler.equations.redundancy import mobility
 from newton_euler.model.scene import OUTPUTS, Scene
 from newton_euler.model.trajectory import Trajectory
 from newton_euler.simulate import simulate
@@ -47,7 +47,8 @@ ADVICE = "a shorter duration, or fewer cases"
 ROUND_OFF = 1e-9
 """Share of the largest load of a table below which loads are printed as 0."""
 
-SHARED = "constraints are redundant: joints share some loads as stiffness decides, which is not known here"
+SHARED = "stiffness decides how these joints share loads, which is not known here: the tables have one way"
+"""About joints whose reactions are not unique."""
 
 GOVERNS = Column("governed by", brief=True)
 
@@ -118,8 +119,7 @@ def _report(scene: Scene, envelope: LoadEnvelope, at_rest: bool) -> Report:
     parts: list[Part] = [_of_joints(envelope, "force", "N"), _of_joints(envelope, "torque", "N m")]
     if envelope.actuators:
         parts.append(_of_actuators(envelope))
-    if mobility(scene).redundant:
-        parts.append(Lines("", [SHARED]))
+    parts.extend(Lines("", [line, SHARED]) for line in undetermined_lines(scene))
     return Report(title, verdict, Cell(""), parts, summary=parts)
 
 

@@ -193,10 +193,7 @@ def notes(result: Crosscheck) -> Iterator[str]:
     for title, read in _mappings(result):
         yield f"{title}: {fates_line(read)}"
         yield from sorted(read.start, key=lambda line: not line.startswith("exercised"))
-    count, joints = undetermined_joints(scene, initial_state(scene))
-    if count:
-        rows = "1 redundant constraint" if count == 1 else f"{count} redundant constraints"
-        yield f"reactions not unique: {rows} at joints {_named(joints)}"
+    yield from undetermined_lines(scene)
     runs = result.trajectories.items()
     implicit = [name for name, run in runs if run.settings.get("integrator") in IMPLICIT]
     if implicit:
@@ -220,6 +217,14 @@ def redundancy_lines(scene: Scene) -> Iterator[str]:
         yield f"nearly redundant, {weak}; {other}"
     if decided.nearly and decided.degrees_of_freedom == 0:
         yield "the mechanism has no degree of freedom"
+
+
+def undetermined_lines(scene: Scene) -> Iterator[str]:
+    """Joints whose reactions the equations of motion do not determine at the start, a line if any."""
+    count, joints = undetermined_joints(scene, initial_state(scene))
+    if count:
+        rows = "1 redundant constraint" if count == 1 else f"{count} redundant constraints"
+        yield f"reactions not unique: {rows} at joints {_named(joints)}"
 
 
 def _activity_lines(mapping: ImportReport) -> tuple[list[str], list[str]]:

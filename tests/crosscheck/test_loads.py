@@ -42,9 +42,17 @@ def test_a_file_at_rest_has_one_case(capsys, tmp_path):
     assert {row["most_time"] for row in ranges(tmp_path).values()} == {"0.0"}
 
 
-def test_shared_loads_are_told(capsys, tmp_path):
-    _, out, _ = run(capsys, "loads", "bricard", "--output", tmp_path)
-    assert "constraints are redundant: joints share some loads" in out
+@pytest.mark.parametrize(
+    ("scene", "told"),
+    [
+        ("bricard", "1 redundant constraint at joints hinge_1,"),
+        ("four_bar", "2 redundant constraints at joints pivot_0, "),  # of the plane, zero in the tree
+    ],
+)
+def test_loads_that_are_not_determined_are_told(capsys, tmp_path, scene, told):
+    _, out, _ = run(capsys, "loads", scene, "--output", tmp_path)
+    assert f"reactions not unique: {told}" in " ".join(out.split())
+    assert "stiffness decides how these joints share loads" in out
 
 
 @pytest.mark.parametrize(
