@@ -14,7 +14,7 @@ import numpy as np
 from newton_euler.analysis.controller_model import ControllerModel
 from newton_euler.equations.model_control import roles
 from newton_euler.equations.parameters import pieces, with_values
-from newton_euler.errors import OptionError, is_finite_number
+from newton_euler.errors import is_finite_number
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
 from newton_euler.integrators.run import Integrator
@@ -160,8 +160,6 @@ def integrate_intervals(code: Code, x: Array, options: Options, stopped: Sequenc
     """Run a scene from x (inputs,), which is changed; `stopped` is as of `Integrator`."""
     start = time.perf_counter()
     scene = code.parametrized(x)
-    if options.rest and not all(f.is_constant for each in scene.functions.values() for f in each):
-        raise OptionError("rest", options.rest, "0 for a scene with functions of time other than Steps")
     parts: list[Array] = []
     total: Counter[str] = Counter()
     error: IntegrationError | None = None

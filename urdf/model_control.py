@@ -47,7 +47,7 @@ class ModelControl:
             time: s.
             accelerations: that laws of computed torque command, in order.
         """
-        state = q.tobytes(), v.tobytes(), time
+        state = q.tobytes(), v.tobytes(), time, tuple(accelerations)
         if self._last[0] != state:  # the power asks for them as well
             found: dict[Key, float] = {}
             wanted = np.zeros(len(self._holding)), np.array(accelerations)

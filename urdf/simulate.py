@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Unpack
 
-from newton_euler.errors import check_type
+from newton_euler.errors import OptionError, check_type
 from newton_euler.integrators.compiled import baumgarte_alpha
 from newton_euler.integrators.options import IntegratorName, Options, StabilizationName, StepControl
 from newton_euler.model.scene import Scene
@@ -43,6 +43,8 @@ def simulate(
 
     gain = baumgarte_alpha(stabilization, alpha)
     options = replace(Options.of(integrator, control), projection=stabilization == "projection")
+    if options.rest:
+        raise OptionError("rest", options.rest, "0: Pinocchio's runs make their steps at rest, too")
     settings: dict[str, Any] = {"stabilization": stabilization}
     if stabilization == "baumgarte":
         settings["alpha"] = gain

@@ -76,7 +76,8 @@ def lqr(
         gains = np.linalg.solve(r, model.B.T @ p)
     except (np.linalg.LinAlgError, ValueError) as error:
         needed = "positive weights of forces, and weights of all that does not come to rest by itself"
-        raise OptionError("Q and R", f"of scene {scene.name!r}", needed) from error
+        where = f"the pair Q and R for scene {scene.name!r}"
+        raise OptionError(where, (q.tolist(), r.tolist()), needed) from error
     measured = surroundings(measuring(scene, keys), state).measured
     given = {mechanism.coordinate(name): value for name, value in (targets or {}).items()}
     wanted = {key: given.get(key, float(measured[key][0])) for key in keys}

@@ -21,7 +21,7 @@ from newton_euler.analysis.continuation import (
     random_coordinates,
 )
 from newton_euler.analysis.poses import Poses, chain_of, goals_of, poses_of
-from newton_euler.errors import OptionError
+from newton_euler.errors import OptionError, is_count
 from newton_euler.model.joint import Key
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
@@ -132,7 +132,7 @@ def singular_poses(
         curves.
 
     Raises:
-        OptionError: for more or fewer coordinates.
+        OptionError: for more or fewer coordinates, and for a count that is none.
         UnknownNameError: for an unknown joint.
 
     Examples:
@@ -140,6 +140,8 @@ def singular_poses(
         >>> print(np.unique(ends.round(6)))
         [-0.49016  -0.384952 -0.015048  0.09016 ]
     """
+    if not is_count(count):
+        raise OptionError("count", count, "a whole number, 1 or more")
     chain = chain_of(scene, coordinates, 0, axis, False, None)
     _check_count(chain)
     q = random_coordinates(chain, count, np.random.default_rng(0))

@@ -18,7 +18,7 @@ from newton_euler.equations.cartesian import Cartesian
 from newton_euler.equations.dense import largest_share, singular_values
 from newton_euler.equations.formulation import Formulation
 from newton_euler.equations.system import dimensionless_jacobian, fastest_joint
-from newton_euler.errors import NewtonEulerError
+from newton_euler.errors import NewtonEulerError, OptionError
 from newton_euler.integrators import stepper as m
 from newton_euler.integrators.compiled import OPEN_TOLERANCE, Code
 from newton_euler.integrators.dop853 import Dop853, integrate_dop853
@@ -172,6 +172,9 @@ class Integrator:
 
     def __init__(self, code: Code, times: Array, options: Options, stopped: Sequence[bool] = ()) -> None:
         """Make everything ready; a run stops if `stopped`, which other threads may fill, holds something."""
+        functions = (f for each in code.scene.functions.values() for f in each)
+        if options.rest and not all(f.is_constant for f in functions):
+            raise OptionError("rest", options.rest, "0 for a scene with functions of time other than Steps")
         self._code, self._python, self._integrator = code, Fallback(code, stopped), options.integrator
         self.times, self._most = times.copy(), min(options.most_steps or MOST_STEPS, COUNTED)
         self.x, self.counts = np.zeros(code.inputs), np.zeros(m.COUNTS)

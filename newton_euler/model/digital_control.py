@@ -39,6 +39,9 @@ laws get of a model of the mechanism, N or N m."""
 SHORTEST_PERIOD = 1e-6
 """s; no digital controller is quicker, and Python would be called a million times a second."""
 
+LONGEST_DELAY = 1_000_000
+"""samples: a second of the shortest period, and some megabytes of forces under way."""
+
 
 class HeldLaw(ControlLaw):
     """A control law that is called at its period; its force is held in between.
@@ -124,7 +127,7 @@ class Digital(HeldLaw):
     Attributes:
         law: the declared law.
         period: s between its calls, at least `SHORTEST_PERIOD`; the first is at time 0.
-        delay: whole samples from reading to acting.
+        delay: whole samples from reading to acting, at most `LONGEST_DELAY`.
         resolution: of the encoder, m or rad; 0 for exact readings.
         force_limit: N or N m, the largest magnitude.
         slew_limit: N/s or N m/s, the largest rate of the force.
@@ -148,7 +151,7 @@ class Digital(HeldLaw):
     force_limit: float = np.inf
     slew_limit: float = np.inf
     stroke: tuple[float, float] = (-np.inf, np.inf)
-    held: float = 0.0
+    held: float = field(init=False, default=0.0)
     joint: str = field(init=False)
     coordinate: int = field(init=False)
 
@@ -159,10 +162,14 @@ class Digital(HeldLaw):
         object.__setattr__(self, "coordinate", self.law.coordinate)
         where = self.element
         self._check_period()
-        if not isinstance(self.delay, Integral) or isinstance(self.delay, bool) or self.delay < 0:
-            raise MechanismError(where, f"delay is {self.delay!r:.100}", "a number of samples, 0 or more")
+        if (
+            not isinstance(self.delay, Integral)
+            or isinstance(self.delay, bool)
+            or not 0 <= self.delay <= LONGEST_DELAY
+        ):
+            needed = f"a number of samples, 0 to {LONGEST_DELAY}"
+            raise MechanismError(where, f"delay is {self.delay!r:.100}", needed)
         set_numbers(self, where, ["resolution"], least=0.0)
-        set_numbers(self, where, ["held"])
         for name in ("force_limit", "slew_limit"):
             value = getattr(self, name)
             if value != np.inf and not (is_finite_number(value) and value > 0.0):

@@ -48,6 +48,14 @@ def total(parts: Sequence[Inertia]) -> Inertia:
     return Inertia(mass, center, inertia)
 
 
+def _checked(shape: str, mass: float) -> float:
+    """Return a mass in kg; raises `MechanismError` unless it is positive and finite."""
+    if not 0.0 < mass < math.inf:
+        needed = "lengths and a density of a positive, finite mass"
+        raise MechanismError(shape, f"mass is {mass:.6g} kg", needed)
+    return mass
+
+
 def _check_density(shape: str, density: float) -> None:
     if not is_finite_number(density) or density <= 0.0:
         raise MechanismError(shape, f"density is {density!r:.100}", "a positive number of kg/m^3")
@@ -85,8 +93,8 @@ class Box:
     def inertia(self, density: float) -> Inertia:
         """Compute the mass properties of the solid of a density, kg/m^3."""
         _check_density("box", density)
-        mass, squares = 8.0 * density * float(np.prod(self.half_sizes)), self.half_sizes**2
-        axes = rotation(self.quaternion)
+        mass = _checked("box", 8.0 * density * math.prod(self.half_sizes.tolist()))
+        squares, axes = self.half_sizes**2, rotation(self.quaternion)
         moments = mass / 3.0 * (squares.sum() - squares)
         return Inertia(mass, self.center, axes @ np.diag(moments) @ axes.T)
 
@@ -113,8 +121,9 @@ class Sphere:
     def inertia(self, density: float) -> Inertia:
         """Compute the mass properties of the solid of a density, kg/m^3."""
         _check_density("sphere", density)
-        mass = 4.0 / 3.0 * math.pi * density * self.radius**3
-        return Inertia(mass, self.center, 0.4 * mass * self.radius**2 * np.eye(3))
+        square = self.radius * self.radius
+        mass = _checked("sphere", 4.0 / 3.0 * math.pi * density * square * self.radius)
+        return Inertia(mass, self.center, 0.4 * mass * square * np.eye(3))
 
 
 @description
@@ -166,8 +175,11 @@ class Cylinder(_Bar):
     def inertia(self, density: float) -> Inertia:
         """Compute the mass properties of the solid of a density, kg/m^3."""
         _check_density("cylinder", density)
-        mass, square = math.pi * density * self.radius**2 * self.length, self.radius**2
-        return self._about(mass, 0.5 * mass * square, mass * (3.0 * square + self.length**2) / 12.0)
+        square = self.radius * self.radius
+        mass = _checked("cylinder", math.pi * density * square * self.length)
+        return self._about(
+            mass, 0.5 * mass * square, mass * (3.0 * square + self.length * self.length) / 12.0
+        )
 
 
 @description
@@ -186,12 +198,13 @@ class Capsule(_Bar):
     def inertia(self, density: float) -> Inertia:
         """Compute the mass properties of the solid of a density, kg/m^3."""
         _check_density("capsule", density)
-        square, length = self.radius**2, self.length
+        square, length = self.radius * self.radius, self.length
         bar, ball = math.pi * density * square * length, 4.0 / 3.0 * math.pi * density * square * self.radius
+        mass = _checked("capsule", bar + ball)
         axial = (0.5 * bar + 0.4 * ball) * square
-        transverse = bar * (3.0 * square + length**2) / 12.0
-        transverse += ball * (0.4 * square + 0.25 * length**2 + 0.375 * length * self.radius)
-        return self._about(bar + ball, axial, transverse)
+        transverse = bar * (3.0 * square + length * length) / 12.0
+        transverse += ball * (0.4 * square + 0.25 * length * length + 0.375 * length * self.radius)
+        return self._about(mass, axial, transverse)
 
 
 Shape = Box | Capsule | Cylinder | Sphere

@@ -92,7 +92,7 @@ def test_targets_may_be_functions():
     [
         ((Q[:3], R), OptionError, "4 weights, or a symmetric matrix"),
         ((Q, [1.0, 2.0]), OptionError, "1 weights"),
-        ((Q, 0.0), OptionError, "positive weights of forces"),
+        ((Q, 0.0), OptionError, r"\[\[0.0\]\]\); needed: positive weights of forces"),
         ((np.zeros((4, 4)), -1.0), OptionError, "Q and R"),
     ],
 )

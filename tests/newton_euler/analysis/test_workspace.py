@@ -67,3 +67,8 @@ def test_as_many_coordinates_as_freedoms(names):
         workspace(load("tracker"), {name: [0.0, 0.1] for name in names})
     with pytest.raises(OptionError, match="as many as degrees of freedom, 2"):
         singular_poses(load("tracker"), names)
+
+
+def test_a_negative_count_is_refused():
+    with pytest.raises(OptionError, match="count is -1; needed: a whole number"):
+        singular_poses(load("slider_crank"), ["guide"], -1)

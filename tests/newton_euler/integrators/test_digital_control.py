@@ -90,6 +90,7 @@ def test_laws_read_others_by_the_encoders_there():
         ({"period": 0.0}, "period is 0.0"),
         ({"delay": 1.5}, "delay is 1.5"),
         ({"delay": -1}, "delay is -1"),
+        ({"delay": 10**9}, "delay is 1000000000; needed: a number of samples, 0 to 1000000"),
         ({"resolution": -1.0}, "resolution is -1.0"),
         ({"resolution": np.inf}, "resolution is inf"),
         ({"force_limit": 0.0}, "force_limit is 0.0"),

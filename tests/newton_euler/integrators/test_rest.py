@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import urdf
 from crosscheck.scenes import load
 from newton_euler import Sine, Steps, simulate, simulate_batch
 from newton_euler.errors import OptionError
@@ -35,8 +36,12 @@ def test_batches_skip_rests_too(stepped):
 
 def test_rests_are_skipped_only_where_nothing_depends_on_time(stepped):
     moving = tuple(replace(law, feedforward=Sine(1.0, 2.0)) for law in stepped.control)
+    scene = replace(stepped, control=moving)
     with pytest.raises(OptionError, match=r"rest is 1e-06.*other than Steps"):
-        simulate(replace(stepped, control=moving), rest=1e-6)
+        simulate(scene, rest=1e-6)
+    moving = tuple(replace(law, target=Sine(1.0, 2.0)) for law in load("tracker").control)
+    with pytest.raises(OptionError, match=r"rest is 1e-06.*other than Steps"):
+        simulate_batch(replace(scene, control=moving), parameters={"panel_7.mass": [0.07]}, rest=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -45,3 +50,5 @@ def test_rests_are_skipped_only_where_nothing_depends_on_time(stepped):
 def test_what_rest_cannot_be(stepped, options, message):
     with pytest.raises(OptionError, match=message):
         simulate(stepped, **options)
+    with pytest.raises(OptionError, match=r"rest is 1e-06.*Pinocchio"):
+        urdf.simulate(stepped, rest=1e-6)

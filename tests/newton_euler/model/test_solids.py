@@ -179,6 +179,10 @@ def test_solids_are_drawn_as_they_are_in_model_files(tmp_path):
             {"mass": 1.0},
             "mesh: encloses -0.048 m.3; needed: a positive volume, its triangles counterclockwise",
         ),
+        (Sphere([0.0] * 3, 1e120), {"mass": 1.0}, "body 'a': sphere: mass is inf kg; needed: lengths"),
+        (Box([1e-200] * 3, [0.0] * 3), {"mass": 1.0}, "body 'a': box: mass is 0 kg; needed: lengths"),
+        (Cylinder([0.0] * 3, [1.0, 0.0, 0.0], 1e200), {"mass": 1.0}, "body 'a': cylinder: mass is inf kg"),
+        (Capsule([0.0] * 3, [1.0, 0.0, 0.0], 1e200), {"mass": 1.0}, "body 'a': capsule: mass is inf kg"),
     ],
 )
 def test_what_is_no_solid_is_named(solid, given, message):
