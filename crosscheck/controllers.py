@@ -13,7 +13,7 @@ from crosscheck.errors import CrosscheckError
 from crosscheck.report.table import Column, Rows, Table
 from crosscheck.scenes import SCENES, load
 from crosscheck.scenes.options import options_of
-from newton_euler.model.control import DeclaredLaw, reference
+from newton_euler.model.control import ComputedTorque, DeclaredLaw, reference
 from newton_euler.model.digital_control import Digital
 from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
@@ -28,7 +28,7 @@ OUTPUTS = 1000
 
 
 class Performance(NamedTuple):
-    """Figures of one run, over all coordinates with a declared law; m, N, J or rad, N m, J.
+    """Figures of one run, over coordinates of one kind whose laws follow targets; m, N, J or rad, N m, J.
 
     Attributes:
         error_rms, error_peak: of x - r, the root of the mean square over time of all coordinates, and the
@@ -60,17 +60,28 @@ def controllers(scene: str, given: Mapping[str, str | float]) -> Iterator[tuple[
         yield name or str(given.get(OPTION, "as declared")), loaded
 
 
-def performance(scene: Scene, run: Trajectory) -> Performance:
-    """Compute the figures of a run with velocities and actuation."""
+def performance(scene: Scene, run: Trajectory) -> dict[str, Performance]:
+    """Compute the figures of a run with velocities and actuation, of slides and of hinges."""
+    found: dict[str, dict[int, float | TimeFunction]] = {}
+    for k, target in _targets(scene).items():
+        law = scene.control[k]
+        kind = "slides" if scene.mechanism.is_slide(law.joint, law.coordinate) else "hinges"
+        found.setdefault(kind, {})[k] = target
+    return {kind: _performance(scene, run, targets) for kind, targets in found.items()}
+
+
+def _performance(scene: Scene, run: Trajectory, targets: Mapping[int, float | TimeFunction]) -> Performance:
+    """Compute the figures of the laws of these numbers, by what they follow."""
     assert run.actuator_force is not None
-    errors, powers, targets = [], [], _targets(scene)
-    for k, law in enumerate(scene.control):
+    errors, powers = [], []
+    forces = run.actuator_force[:, list(targets)]
+    for force, (k, target) in zip(forces.T, targets.items(), strict=True):
+        law = scene.control[k]
         motion = run.joint(law.joint)
         assert motion.rates is not None
-        powers.append(np.abs(run.actuator_force[:, k] * motion.rates[:, law.coordinate]))
-        if k in targets:
-            wanted = [float(reference(targets[k], float(t)).value) for t in run.time]
-            errors.append(motion.coordinates[:, law.coordinate] - wanted)
+        powers.append(np.abs(force * motion.rates[:, law.coordinate]))
+        wanted = [float(reference(target, float(t)).value) for t in run.time]
+        errors.append(motion.coordinates[:, law.coordinate] - wanted)
 
     def magnitudes(figures: Array) -> tuple[float, float]:
         """Root of the mean square, and the largest, of figures (a, n)."""
@@ -78,41 +89,54 @@ def performance(scene: Scene, run: Trajectory) -> Performance:
         return mean**0.5, float(np.max(np.abs(figures)))
 
     energy = float(np.trapezoid(np.sum(powers, axis=0), run.time))
-    return Performance(*magnitudes(np.array(errors)), *magnitudes(run.actuator_force.T), energy)
+    return Performance(*magnitudes(np.array(errors)), *magnitudes(forces.T), energy)
 
 
 def _targets(scene: Scene) -> dict[int, float | TimeFunction]:
     """Return what control laws follow, by their numbers."""
     declared = [law.law if isinstance(law, Digital) else law for law in scene.control]
-    return {k: law.target for k, law in enumerate(declared) if isinstance(law, DeclaredLaw)}
+    laws = {k: law for k, law in enumerate(declared) if isinstance(law, DeclaredLaw)}
+    return {k: law.target for k, law in laws.items() if _follows(law)}
+
+
+def _follows(law: DeclaredLaw) -> bool:
+    """Return True unless no gain acts on a target, as of motors of a file, and of dampers."""
+    driven = isinstance(law.target, TimeFunction)
+    gains = law.feedback.values()
+    return isinstance(law, ComputedTorque) or any(k_p or (k_d and driven) for k_p, k_d in gains)
 
 
 def compared(
     scene: str, given: Mapping[str, str | float], engines: Sequence[str], progress: Callable[[str], None]
-) -> Table:
-    """Run a scene with each of its controllers in each of these engines."""
-    rows: Rows = []
+) -> list[Table]:
+    """Run a scene with each of its controllers in each engine: a table for slides, one for hinges."""
+    kinds: dict[str, Rows] = {}
     for name, loaded in controllers(scene, given):
         wanted = replace(
             loaded,
             output_period=min(loaded.output_period, loaded.duration / OUTPUTS),
             outputs=frozenset({"velocities", "actuation"}),
         )
-        rows.append(name)
+        heads = set[str]()
         for engine in engines:
             progress(f"running {name} in {engine}")
-            found = performance(loaded, ENGINES[engine].simulate(wanted))
-            rows.append([f"  {engine}", *(f"{figure:.3g}" for figure in found)])
-    return Table("", columns(), rows)
+            for kind, found in performance(loaded, ENGINES[engine].simulate(wanted)).items():
+                rows = kinds.setdefault(kind, [])
+                if kind not in heads:
+                    rows.append(name)
+                    heads.add(kind)
+                rows.append([f"  {engine}", *(f"{figure:.3g}" for figure in found)])
+    return [Table(kind if len(kinds) > 1 else "", columns(kind), rows) for kind, rows in kinds.items()]
 
 
-def columns() -> list[Column]:
-    """Return the columns of the table."""
+def columns(kind: str) -> list[Column]:
+    """Return the columns of the table of slides or hinges."""
+    length, force = ("m", "N") if kind == "slides" else ("rad", "N m")
     figures = (
-        ("error\nRMS", "m"),
-        ("error\npeak", "m"),
-        ("force\nRMS", "N"),
-        ("force\npeak", "N"),
+        ("error\nRMS", length),
+        ("error\npeak", length),
+        ("force\nRMS", force),
+        ("force\npeak", force),
         ("energy", "J"),
     )
     return [Column("controller"), *(Column(name, unit, numeric=True) for name, unit in figures)]

@@ -26,7 +26,7 @@ class Model(Protocol):
 
 
 class ModelControl:
-    """Inverse dynamics of the controller's model, for the control laws of a scene."""
+    """Inverse dynamics of the controller's model, which has no wind, for the control laws of a scene."""
 
     def __init__(self, scene: Scene, build: Callable[[Scene], Model]) -> None:
         """`build` makes Pinocchio's model of a scene."""

@@ -102,8 +102,8 @@ def controllers_command(scene: str, settings: tuple[str, ...], engines: str | No
         check_choice("engine", engine, ENGINES)
     options = without_exercise(scene_options(settings), "controllers are those of the scene")
     with progress_shown() as progress:
-        table = compared(scene, options, chosen, progress)
-    click.echo(terminal([table]), nl=False)
+        tables = compared(scene, options, chosen, progress)
+    click.echo(terminal(tables), nl=False)
     return AGREE
 
 

@@ -1,6 +1,7 @@
 """Forces of control laws that know the mechanism: computed torque, and gravity compensation.
 
-Both are inverse dynamics of the controller's model, which is the scene without its control laws
+Both are inverse dynamics of the controller's model, which is the scene without its control laws and without
+its wind, which no controller knows at each instant
 (`newton_euler.equations.formulation.Formulation.servo_forces`): with the accelerations that the laws command,
 and at rest with none.
 """
@@ -14,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from newton_euler.equations.formulation import Formulation, Servos
-from newton_euler.equations.parameters import checked, with_laws, with_values
+from newton_euler.equations.parameters import checked, with_laws, with_values, without_wind
 from newton_euler.equations.redundancy import rows_in_use
 from newton_euler.equations.system import at_time
 from newton_euler.errors import MechanismError, SingularityError
@@ -66,13 +67,14 @@ def roles(scene: Scene, digital: bool = False) -> Roles:
 
 
 def known_scene(scene: Scene, model: Mapping[str, Any]) -> Scene:
-    """Return the scene with the values of the controller's model.
+    """Return the scene with the values of the controller's model, and without wind.
 
     Raises:
         NewtonEulerError: for an unknown parameter, or a value that it cannot have.
     """
     values = checked(scene, model)
-    return with_values(scene, {name: value if value.ndim else float(value) for name, value in values.items()})
+    numbers = {name: value if value.ndim else float(value) for name, value in values.items()}
+    return without_wind(with_values(scene, numbers))
 
 
 def without_control(scene: Scene, keys: Sequence[Key]) -> Scene:
@@ -93,7 +95,10 @@ class ModelControl:
         self.roles: Roles = known.roles if known else roles(system.scene)
         form: Any = type(system)
         # generic scalars cannot be checked, and have been in floats
-        scene = (with_values if known else known_scene)(system.scene, self.roles.model)
+        if known:
+            scene = without_wind(with_values(system.scene, self.roles.model))
+        else:
+            scene = known_scene(system.scene, self.roles.model)
         self._moving, self._resting = (
             form(without_control(scene, keys), 0.0) if keys else None for keys in self.roles[:2]
         )

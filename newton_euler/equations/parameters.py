@@ -41,6 +41,7 @@ from newton_euler.model.digital_control import Law
 from newton_euler.model.mechanism import Body
 from newton_euler.model.motions import Piecewise, Sine, Sum, TimeFunction, functions_of
 from newton_euler.model.scene import Scene
+from newton_euler.model.wind import WindLoad
 from newton_euler.scalars import Array
 
 T = TypeVar("T")
@@ -198,6 +199,16 @@ def with_laws(scene: Scene, laws: Iterable[Law]) -> Scene:
     """The scene with other control laws, which are not checked, for equations alone: nothing is output."""
     changed = _altered(scene, control=tuple(laws), outputs=frozenset())
     vars(changed).pop("joint_forces", None)  # kept of the laws that have changed
+    inherit_mobility(changed, scene)
+    return changed
+
+
+def without_wind(scene: Scene) -> Scene:
+    """The scene without its wind, for equations alone."""
+    calm = tuple(force for force in scene.forces if not isinstance(force, WindLoad))
+    if len(calm) == len(scene.forces):
+        return scene
+    changed = _altered(scene, forces=calm)
     inherit_mobility(changed, scene)
     return changed
 

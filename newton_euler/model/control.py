@@ -138,7 +138,7 @@ class PD(DeclaredLaw):
         coordinate: which of the joint's coordinates, from 0.
         feedforward: u_0 in N or N m, a number or a function of time.
         gravity_compensation: True adds the force with which all such laws of the scene hold their coordinates
-            at rest where they are, against gravity, springs and wrenches.
+            at rest where they are, against gravity, springs and wrenches, but not the wind.
 
     Raises:
         MechanismError: naming the joint and the value at fault.
@@ -266,7 +266,7 @@ class ComputedTorque(DeclaredLaw):
 
     All such laws of a scene act together: their forces are those that give their coordinates these
     accelerations in the controller's model, which knows poses and velocities, gravity, springs, dampers,
-    wrenches, rotors and prescribed motions, but no other control law.
+    wrenches, rotors and prescribed motions, but neither the wind nor any other control law.
 
     Attributes:
         joint: name of the joint it drives.

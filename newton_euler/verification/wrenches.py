@@ -14,6 +14,7 @@ from newton_euler.model.control import DeclaredLaw
 from newton_euler.model.digital_control import HeldLaw, Law
 from newton_euler.model.forces import BallSpring, JointSpring, PointSpring, Wrench
 from newton_euler.model.mechanism import Mechanism
+from newton_euler.model.motions import TimeFunction
 from newton_euler.model.scene import Scene
 from newton_euler.model.state import State
 from newton_euler.model.wind import CALM, WindLoad
@@ -127,7 +128,9 @@ class Wrenches:
         body = self.mechanism.body_index(load.body)
         frame, axes = self.frames[body], self._turn(body) @ load.axes
         center = frame.velocity + np.cross(frame.angular_velocity, self._arm(body, load.point))
-        return wind_on_plate(load, axes.T @ (load.velocity(0.0) - center))
+        speed = load.speed.value(0.0) if isinstance(load.speed, TimeFunction) else load.speed
+        blowing = speed * load.direction / np.linalg.norm(load.direction)
+        return wind_on_plate(load, axes.T @ (blowing - center))
 
     def _add_wind(self, load: WindLoad) -> None:
         body = self.mechanism.body_index(load.body)

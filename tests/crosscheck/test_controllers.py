@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ def test_figures_of_a_mass_that_follows_a_sine():
     law = ComputedTorque("rail", 100.0, 20.0, Sine(0.1, w), feedforward=2.0)
     scene = mass_on_rail(duration=period, control=(law,))
     scene = replace(scene, gravity=np.zeros(3), output_period=period / 1000)
-    found = performance(scene, simulate(scene))
+    found = performance(scene, simulate(scene))["slides"]
     # e'' + 20 e' + 100 e = 1 from e' = -0.5 m/s: the start at rest is off the reference
     time = np.linspace(0.0, period, 100_001)
     decay = np.exp(-10.0 * time)
@@ -50,6 +51,19 @@ def test_the_table_has_a_row_per_controller_and_engine(capsys):
     assert [row[0] for row in rows[::2]] == ["computed_torque", "pd", "pd_gravity", "lqr"]
     errors = dict(zip([row[0] for row in rows[::2]], [float(row[1]) for row in rows[1::2]], strict=True))
     assert errors["computed_torque"] < 1e-12 < errors["pd_gravity"] < errors["lqr"] < errors["pd"]
+
+
+def test_hinges_have_their_units(capsys):
+    example = Path(__file__).parents[2] / "examples" / "linkage.xml"
+    status, out, _ = run(capsys, "controllers", example, "--engines", "newton_euler")
+    assert status == 0
+    assert "peak, rad" in out
+    assert "peak, N m" in out
+
+
+def test_motors_without_gains_follow_nothing():
+    scene = mass_on_rail(duration=0.1, control=(PD("rail", 0.0, 0.0, 0.0, feedforward=1.0),))
+    assert performance(scene, simulate(scene)) == {}
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,7 @@ from newton_euler.model.joint_kinds import Revolute, Translational
 from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Polynomial, Sine, Steps, Sum
 from newton_euler.model.scene import Scene
+from newton_euler.model.wind import WindLoad
 from urdf.dynamics import PinocchioSystem
 
 STIFFNESS, DAMPING = 400.0, 40.0
@@ -116,6 +117,23 @@ def test_a_wrong_model_leaves_errors_in_all_engines():
     assert np.max(np.abs(errors(runs[0]))) > 1e-3
     assert np.max(np.abs(runs[1].position - runs[0].position)) < 1e-9
     assert np.max(np.abs(runs[2].position - runs[0].position)) < 1e-6  # soft loops at 1 ms
+
+
+def test_the_controllers_model_has_no_wind():
+    sides = {"first_side": [1.0, 0.0, 0.0], "second_side": [0.0, 1.0, 0.0]}
+    laws = (
+        ComputedTorque("slide_12", STIFFNESS, DAMPING, 0.01),
+        PD("slide_13", 50.0, 20.0, 0.01, gravity_compensation=True),
+    )
+    calm = replace(load("tracker_gravity"), control=laws, duration=0.01, output_period=0.01)
+    center = calm.mechanism.bodies[calm.mechanism.body_index("panel_7")].pose.position
+    wind = WindLoad("wind", "panel_7", center, **sides, direction=[1.0, 0.0, 1.0], speed=5.0)
+    windy = replace(calm, forces=(*calm.forces, wind))
+    for simulate in (newton_euler.simulate, urdf.simulate, mjcf.simulate):
+        found, expected = (simulate(scene) for scene in (windy, calm))
+        # round-off of the start, with the same pose
+        assert found.actuator_force[0] == pytest.approx(expected.actuator_force[0], rel=1e-9)
+        assert np.max(np.abs(found.position[-1] - expected.position[-1])) > 1e-7
 
 
 def test_gravity_compensation_holds():
