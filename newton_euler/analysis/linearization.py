@@ -47,7 +47,15 @@ from newton_euler.equations.system import (
     dimensionless_jacobian,
     fastest_joint,
 )
-from newton_euler.errors import MechanismError, SingularityError, UnknownNameError, check_choice, check_type
+from newton_euler.errors import (
+    MechanismError,
+    OptionError,
+    SingularityError,
+    UnknownNameError,
+    check_choice,
+    check_type,
+    is_finite_number,
+)
 from newton_euler.integrators.compiled import NEUTRAL
 from newton_euler.integrators.outputs import at_rows
 from newton_euler.model.control import PD
@@ -124,6 +132,9 @@ def linearize(
     check_type("scene", scene, Scene)
     state = initial_state(scene) if state is None else state
     scene.check_numbers(state, f"state of scene {scene.name!r}")
+    if not is_finite_number(time):
+        raise OptionError("time", time, "a finite number of seconds")
+    scene.check_functions(time, "the time asked for")
     if closed_loop and scene.sampled:
         problem = "has no derivative, being sampled"
         raise MechanismError(scene.sampled[0].element, problem, "closed_loop=False, or a law as PD")

@@ -131,7 +131,7 @@ class Scene:
             elements = elements_of(where, field, getattr(self, field), *kinds)
             check_elements(elements, self.mechanism)
             object.__setattr__(self, field, elements)
-        self._check_functions()
+        self.check_functions(self.duration, "the end of the run")
         if self.initial_state is not None:
             self._check_state(self.initial_state)
 
@@ -149,19 +149,18 @@ class Scene:
                 f"scene {name!r}", f"description is {description!r:.150}", "one line of printable text"
             )
 
-    def _check_functions(self) -> None:
+    def check_functions(self, end: float, noun: str) -> None:
+        """Raise `MechanismError` for a function of time that is not known from 0 to an end in s, by name."""
         for element in (*self.motions, *self.control, *self.forces):
             given = element.law if isinstance(element, Digital) else element
             for attribute in given.functions:
                 for function in functions_of(getattr(given, attribute)):
-                    self._check_span(element.element, attribute, function)
-
-    def _check_span(self, element: str, attribute: str, function: TimeFunction) -> None:
-        for term in terms(function):
-            if isinstance(term, Spline) and not term.covers(self.duration):
-                span = f"{attribute} is known from {term.times[0]:.9g} to {term.times[-1]:.9g} s"
-                needed = f"samples from 0 to the end of the run, {self.duration:g} s"
-                raise MechanismError(element, span, needed)
+                    for term in terms(function):
+                        if isinstance(term, Spline) and not term.covers(end):
+                            span = f"{attribute} is known from {term.times[0]:.9g} to {term.times[-1]:.9g} s"
+                            raise MechanismError(
+                                element.element, span, f"samples from 0 to {noun}, {end:g} s"
+                            )
 
     @np.errstate(all="ignore")  # a norm may overflow
     def check_numbers(self, state: object, where: str) -> None:

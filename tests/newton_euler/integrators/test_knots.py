@@ -22,7 +22,7 @@ from crosscheck.scenes import load
 from crosscheck.scenes.scene_file import content, write_scene
 from mjcf.rigid import RigidMuJoCo
 from newton_euler.equations.relative import Relative
-from newton_euler.errors import MechanismError
+from newton_euler.errors import MechanismError, NewtonEulerError
 from newton_euler.integrators.compiled import Code
 from newton_euler.integrators.options import Options
 from newton_euler.model.control import PD, StateFeedback
@@ -267,3 +267,19 @@ def test_scene_files_hold_samples(tmp_path):
         write_scene(rail(law), path)
         (read,) = load(str(path)).control
         assert content(read) == content(law)
+
+
+@pytest.mark.parametrize(
+    ("time", "words"), [(9.0, "to the time asked for, 9 s"), ("x", "time is 'x'"), (np.nan, "time is nan")]
+)
+def test_analyses_are_asked_for_times_that_functions_cover(time, words):
+    scene = rail(PD("rail", STIFFNESS, DAMPING, Spline(TIMES, WANTED)))
+    with pytest.raises(NewtonEulerError, match=words):
+        newton_euler.linearize(scene, time=time)
+
+
+def test_inverse_dynamics_extrapolates_no_spline():
+    scene = mass_on_rail(duration=1.8, motions=(PrescribedMotion("rail", Spline(TIMES, WANTED - WANTED[0])),))
+    state = newton_euler.initial_state(scene)
+    with pytest.raises(NewtonEulerError, match="to the time asked for, 9 s"):
+        newton_euler.inverse_dynamics(scene, state, {}, time=9.0)
