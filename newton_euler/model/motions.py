@@ -26,6 +26,10 @@ BEYOND = 1e-9
 round-off of times."""
 
 
+ROUND_OFF = 1e-12
+"""Share of a time by which a knot may lie after it and is reached all the same: times are sums of periods."""
+
+
 class Smooth:
     """A function of time that has all derivatives at all times.
 
@@ -272,7 +276,7 @@ class Spline(Piecewise):
         return [(start, *coefficients, *missing) for start, end, coefficients in pieces if end > start]
 
     def piece(self, time: float) -> tuple[float, ...]:
-        return self._pieces[bisect_right(self.knots, time)]
+        return self._pieces[bisect_right(self.knots, time + ROUND_OFF * abs(time))]
 
 
 class Steps(Piecewise):
@@ -311,7 +315,7 @@ class Steps(Piecewise):
         return True
 
     def piece(self, time: float) -> tuple[float, ...]:
-        return 0.0, float(self.values[bisect_right(self.knots, time)])
+        return 0.0, float(self.values[bisect_right(self.knots, time + ROUND_OFF * abs(time))])
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from newton_euler.model.forces import Armature, BallArmature, Force, JointSpring
 from newton_euler.model.geometry import UNIT_TOLERANCE
 from newton_euler.model.joint import Key
 from newton_euler.model.mechanism import CLOSURE_TOLERANCE, Mechanism
-from newton_euler.model.motions import PrescribedMotion, Spline, TimeFunction, functions_of, terms
+from newton_euler.model.motions import ROUND_OFF, PrescribedMotion, Spline, TimeFunction, functions_of, terms
 from newton_euler.model.state import State
 from newton_euler.scalars import Array
 
@@ -47,7 +47,12 @@ _NAME = re.compile(r"[A-Za-z0-9_.\-]{1,100}")
 
 
 def _knots(functions: Iterable[TimeFunction]) -> tuple[float, ...]:
-    return tuple(sorted({knot for function in functions for knot in function.knots}))
+    """Return the knots of all, those that differ by round-off once."""
+    found: list[float] = []
+    for knot in sorted({knot for function in functions for knot in function.knots}):
+        if not found or knot - found[-1] > ROUND_OFF * abs(knot):
+            found.append(knot)
+    return tuple(found)
 
 
 @description

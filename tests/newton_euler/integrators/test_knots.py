@@ -283,3 +283,18 @@ def test_inverse_dynamics_extrapolates_no_spline():
     state = newton_euler.initial_state(scene)
     with pytest.raises(NewtonEulerError, match="to the time asked for, 9 s"):
         newton_euler.inverse_dynamics(scene, state, {}, time=9.0)
+
+
+def test_knots_that_differ_by_round_off_are_one():
+    """0.1 k of two ways to make it: neither an interval of 1e-17 s nor a set-point a period late."""
+    near, exact = np.arange(10) * 0.1, [0.1 * k for k in range(3)] + [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9]
+    values = np.arange(10.0)
+    scene = load("tracker")
+    laws = tuple(
+        replace(law, target=Steps(near, 0.001 * values), feedforward=Steps(exact, 0.01 * values))
+        for law in scene.control
+    )
+    scene = replace(scene, control=laws, duration=1.0, output_period=0.1)
+    assert len(scene.knots) == 9
+    assert len(newton_euler.simulate(scene).time) == 11
+    assert Steps(near, values).value(0.3) == Steps(exact, values).value(0.3) == 3.0
