@@ -76,8 +76,9 @@ RUNS = [*JOINTS, *MOTIONS, "forces, ball_loop", "spring without length", "contro
 
 @pytest.mark.parametrize("name", RUNS)
 def test_runs_of_pinocchio(name: str) -> None:
-    """Both at rtol 1e-10: joined errors of 1e-10 of angles of 1 rad, larger by what motions magnify."""
-    found, wanted = urdf.simulate(ELEMENTS[name]), run(name)
+    """Both at rtol 1e-12: errors of 1e-12 of angles of 1 rad, larger by what motions magnify."""
+    tight = {"rtol": 1e-12, "atol": 1e-14}
+    found, wanted = (simulate(ELEMENTS[name], **tight) for simulate in (urdf.simulate, newton_euler.simulate))
     assert error(found, wanted) < 1e-8
     assert_work(found, wanted, 1e-8)
 
