@@ -31,7 +31,7 @@ docs: $(VENV)/docs-installed
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,sun]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[dev,sun,sweep]"
 	touch $@
 
 $(VENV)/docs-installed: $(VENV)/installed
