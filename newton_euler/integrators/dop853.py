@@ -161,25 +161,26 @@ def stage(system: Equations, method: Dop853, s: int, h: float, at: Vector) -> in
 
 
 @native
-def error_norm(n: int, h: float, method: Dop853) -> float:
+def error_norm(system: Equations, h: float, method: Dop853) -> float:
     """Estimate the error of a step in units of the tolerance, root mean square."""
+    row = system.n + 1
     now = method.now
     end = method.end
     k = method.k
     fifth = 0.0
     third = 0.0
-    for i in range(n):
+    for i in range(system.controlled):
         scale = method.atol + method.rtol * max(abs(now[i]), abs(end[i]))
         five = 0.0
         three = 0.0
         for j in range(STAGES + 1):
-            five += ERROR_5[j] * k[(n + 1) * j + i]
-            three += ERROR_3[j] * k[(n + 1) * j + i]
+            five += ERROR_5[j] * k[row * j + i]
+            three += ERROR_3[j] * k[row * j + i]
         fifth += (five / scale) * (five / scale)
         third += (three / scale) * (three / scale)
     if fifth == 0.0 and third == 0.0:
         return 0.0
-    return h * fifth / sqrt((fifth + 0.01 * third) * n)
+    return h * fifth / sqrt((fifth + 0.01 * third) * system.controlled)
 
 
 @native
@@ -228,17 +229,18 @@ def interpolate(count: int, n: int, share: float, method: Dop853, y: Vector) -> 
 def first_step(system: Equations, method: Dop853, span: float) -> float:
     """Choose a first step size (Hairer, Norsett, Wanner, section II.4); k holds the derivative at `now`."""
     n = system.n
+    controlled = system.controlled
     now = method.now
     at = method.at
     k = method.k
     d0 = 0.0
     d1 = 0.0
-    for i in range(n):
+    for i in range(controlled):
         scale = method.atol + method.rtol * abs(now[i])
         d0 += (now[i] / scale) * (now[i] / scale)
         d1 += (k[i] / scale) * (k[i] / scale)
-    d0 = sqrt(d0 / n)
-    d1 = sqrt(d1 / n)
+    d0 = sqrt(d0 / controlled)
+    d1 = sqrt(d1 / controlled)
     h = min(1e-6 if d0 < 1e-5 or d1 < 1e-5 else 0.01 * d0 / d1, span)
     h = max(h, min(LEAST * SPACING * abs(now[n]), span))  # next to the origin the state says little
     for i in range(n):
@@ -246,18 +248,18 @@ def first_step(system: Equations, method: Dop853, span: float) -> float:
     at[n] = now[n] + h
     evaluate(system, at, k[n + 1 :])
     d2 = 0.0
-    for i in range(n):
+    for i in range(controlled):
         scale = method.atol + method.rtol * abs(now[i])
         change = (k[n + 1 + i] - k[i]) / scale
         d2 += change * change
-    d2 = sqrt(d2 / n) / h
+    d2 = sqrt(d2 / controlled) / h
     largest = max(d1, d2)
     wanted = max(1e-6, 1e-3 * h) if largest <= 1e-15 else (0.01 / largest) ** 0.125
     return min(min(100.0 * h, wanted), span)
 
 
 @native
-def error_on_constraints(n: int, h: float, closing: Callback, method: Dop853) -> float:
+def error_on_constraints(n: int, controlled: int, h: float, closing: Callback, method: Dop853) -> float:
     """Estimate the error of a step after projection; the projected end is left in row 13 of k.
 
     Near a singular configuration multipliers have few digits. What they add to a state in vain is off
@@ -287,7 +289,7 @@ def error_on_constraints(n: int, h: float, closing: Callback, method: Dop853) ->
         return FAILED
     fifth = 0.0
     third = 0.0
-    for i in range(n):
+    for i in range(controlled):
         scale = method.near_atol + method.near_rtol * max(abs(method.now[i]), abs(end[i]))
         five = (k[14 * row + i] - k[13 * row + i]) / scale
         three = (k[15 * row + i] - k[13 * row + i]) / scale
@@ -295,7 +297,7 @@ def error_on_constraints(n: int, h: float, closing: Callback, method: Dop853) ->
         third += three * three
     if fifth == 0.0 and third == 0.0:
         return 0.0
-    return fifth / sqrt((fifth + 0.01 * third) * n)
+    return fifth / sqrt((fifth + 0.01 * third) * controlled)
 
 
 @native
@@ -324,7 +326,7 @@ def stay(system: Equations, table: Table, method: Dop853, due: int) -> int:
     due."""
     n = system.n
     largest = 0.0
-    for i in range(n):
+    for i in range(system.controlled):
         largest = max(largest, abs(method.k[i]))
     if not largest < method.rest:
         return due
@@ -371,12 +373,12 @@ def integrate_dop853(system: Equations, table: Table, method: Dop853) -> int:
         pivot_ratio = min(pivot_ratio, k[n])
         error = FAILED
         if status == DONE:
-            error = error_norm(n, h, method)
+            error = error_norm(system, h, method)
             end[n] = now[n] + h
         near = 0
         if system.projecting == 1 and pivot_ratio < NEAR and status == DONE:
             near = 1
-            error = min(error, error_on_constraints(n, h, system.closing, method))
+            error = min(error, error_on_constraints(n, system.controlled, h, system.closing, method))
         if near == 1 and hops < HOPS:
             shorter = SAFETY * error**EXPONENT if error > 1.0 else 1.0
             wanted = crossing_factor(k[n], k[row * 9 + n], k[row * STAGES + n], shorter)

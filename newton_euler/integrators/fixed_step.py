@@ -100,7 +100,7 @@ def step_rk4(system: Equations, method: FixedStep, h: float, end: float, span: f
     if pivot_ratio < NEAR:
         first = 1 if system.counts[STEPS] == 0.0 else 0
         if k[n] >= UNSAFE or (system.projecting == 0 and first == 0):
-            if contradiction(n, system.nq, h, now, k) > CONTRADICTION:
+            if contradiction(system, h, now, k) > CONTRADICTION:
                 return STRAYING
         elif first == 1 and not k[n] > DENSE_PIVOT_RATIO:
             status = leaving(system, span, system.projecting, now, k)

@@ -122,7 +122,7 @@ def leaving(system: Equations, span: float, projecting: int, now: Vector, rates:
     """
     speed = 0.0
     push = 0.0
-    for i in range(system.nq, system.n):
+    for i in range(system.nq, system.controlled):
         speed += abs(now[i])
         push += abs(rates[i])
     if push * span * span < STAYS and speed * span < STAYS:
@@ -175,17 +175,17 @@ def crossing_factor(first: float, middle: float, last: float, shorter: float) ->
 
 
 @native
-def contradiction(n: int, nq: int, h: float, now: Vector, k: Vector) -> float:
+def contradiction(system: Equations, h: float, now: Vector, k: Vector) -> float:
     """Measure how far the stages k (4, n + 1) of a step of RK4 contradict each other, as a share of speeds.
 
     Two combinations of accelerations are looked at that are of order h^2, h^3 in velocities, of a smooth
     motion. Near a singular configuration, where multipliers lose their digits, they are noise, and where a
     motion goes over to another branch they are as large as the velocities.
     """
-    row = n + 1
+    row = system.n + 1
     residual = 0.0
     speed = 0.0
-    for i in range(nq, n):
+    for i in range(system.nq, system.controlled):
         residual += abs(k[2 * row + i] - k[row + i])
         residual += abs(k[i] - k[row + i] - k[2 * row + i] + k[3 * row + i])
         speed += abs(now[i]) + h * abs(k[i])
