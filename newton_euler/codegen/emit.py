@@ -1,13 +1,16 @@
 """Emission of programs as LLVM text.
 
-Products may be contracted with sums into one rounding where that is asked for; nothing else is reordered.
+In straight-line code a product that one sum alone uses is rounded with it, once, on processors that can. That
+is decided here and not by LLVM, whose choice depends on the code around: results are the same in all lanes of
+vector code as in scalar code.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 
-from newton_euler.codegen.expression import Program
+from newton_euler.codegen.expression import Program, operands
 from newton_euler.codegen.trigonometry import by_lane, constant, sincos, vector_type
 
 LANES = 4
@@ -36,10 +39,9 @@ class Instructions:
         lines: their text.
     """
 
-    def __init__(self, lanes: int = 1, flags: str = "") -> None:
-        """`flags` are those of LLVM's floating-point arithmetic."""
+    def __init__(self, lanes: int = 1) -> None:
         self.lines: list[str] = []
-        self._lanes, self._flags = lanes, flags
+        self._lanes = lanes
         self._type, self._suffix = vector_type("double", lanes), "f64" if lanes == 1 else f"v{lanes}f64"
         self._turned: set[str] = set()
 
@@ -47,7 +49,7 @@ class Instructions:
         """Add an operation on operands a and b; its result is named `name`."""
         t = self._type
         if op in _ARITHMETIC:
-            self.lines.append(f"  {name} = {_ARITHMETIC[op]} {self._flags}{t} {a}, {b}")
+            self.lines.append(f"  {name} = {_ARITHMETIC[op]} {t} {a}, {b}")
         elif op == "neg":
             self.lines.append(f"  {name} = fneg {t} {a}")
         elif op in _BOTH:
@@ -62,6 +64,16 @@ class Instructions:
         else:
             second = "" if b is None else f", {t} {b}"
             self.lines.append(f"  {name} = call {t} @{_CALLS[op]}.{self._suffix}({t} {a}{second})")
+        return name
+
+    def product_and_sum(self, name: str, op: str, factors: tuple[str, str], term: str, first: bool) -> str:
+        """Add x y + z, x y - z or, if the product does not come first, z - x y, rounded once if possible."""
+        t, (x, y) = self._type, factors
+        if op == "sub":
+            negated = term if first else x
+            self.lines.append(f"  {name}.neg = fneg {t} {negated}")
+            x, term = (x, f"{name}.neg") if first else (f"{name}.neg", term)
+        self.lines.append(f"  {name} = call {t} @llvm.fmuladd.{self._suffix}({t} {x}, {t} {y}, {t} {term})")
         return name
 
     def load(self, name: str, pointer: str, place: int | str) -> str:
@@ -82,16 +94,38 @@ Emitter = Callable[[Program, str], str]
 
 def emit_straight(program: Program, name: str, lanes: int = 1) -> str:
     """Emit the program as straight-line code; x and y hold the values of all lanes side by side."""
-    out = Instructions(lanes, "contract ")
+    out, fused = Instructions(lanes), _fused(program)
+    absorbed = set(fused.values())
     values: list[str] = []
     for k, (op, a, b) in enumerate(program.nodes):
         if op == "const":
             values.append(constant(a, lanes))
         elif op == "input":
             values.append(out.load(f"%n{k}", "%x", a))
+        elif k in absorbed:
+            values.append("")
+        elif k in fused:
+            _, x, y = program.nodes[fused[k]]
+            first = fused[k] == a
+            values.append(
+                out.product_and_sum(f"%n{k}", op, (values[x], values[y]), values[b if first else a], first)
+            )
         else:
             values.append(out.operation(f"%n{k}", op, values[a], values[b] if b >= 0 else None))
     for k, output in enumerate(program.outputs):
         out.store(f"%y{k}", values[output], "%y", k)
     head = f"define void @{name}(ptr noalias nocapture readonly %x, ptr noalias nocapture %y) {{"
     return "\n".join([head, *out.lines, "  ret void\n}"])
+
+
+def _fused(program: Program) -> dict[int, int]:
+    """Find the product that each sum or difference is rounded with, its first operand or else its second."""
+    uses = Counter(program.outputs)
+    for node in program.nodes:
+        uses.update(operands(node))
+    products = {k for k, (op, _, _) in enumerate(program.nodes) if op == "mul" and uses[k] == 1}
+    fused = {}
+    for k, (op, a, b) in enumerate(program.nodes):
+        if op in ("add", "sub") and (a in products or b in products):
+            fused[k] = a if a in products else b
+    return fused

@@ -25,6 +25,7 @@ declare double @llvm.sqrt.f64(double)
 declare double @llvm.minnum.f64(double, double)
 declare double @llvm.maxnum.f64(double, double)
 declare double @llvm.pow.f64(double, double)
+declare double @llvm.fmuladd.f64(double, double, double)
 """
 
 

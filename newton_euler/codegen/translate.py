@@ -29,10 +29,11 @@ INTRINSICS = {
 
 
 class Value(NamedTuple):
-    """An LLVM operand with its type."""
+    """An LLVM operand with its type, and its factors if it is a product of doubles."""
 
     type: Kind
     operand: str
+    factors: tuple[str, str] | None = None
 
 
 class Translator:
@@ -278,7 +279,22 @@ class Translator:
             )
         if op not in FLOAT_OPERATIONS:
             raise self._error(node, f"holds {op.__name__}")
-        return Value("double", self._new(f"{FLOAT_OPERATIONS[op]} contract double {x.operand}, {y.operand}"))
+        if op in (ast.Add, ast.Sub) and (x.factors or y.factors):
+            return Value("double", self._product_and_sum(op, x, y))
+        factors = (x.operand, y.operand) if op is ast.Mult else None
+        return Value("double", self._new(f"{FLOAT_OPERATIONS[op]} double {x.operand}, {y.operand}"), factors)
+
+    def _product_and_sum(self, op: type[ast.operator], x: Value, y: Value) -> str:
+        """Add or subtract a product of the same expression, rounded once on processors that can.
+
+        LLVM, left to contract, would do so wherever it finds both in one block.
+        """
+        (first, second), term = x.factors or y.factors or ("", ""), y.operand if x.factors else x.operand
+        if op is ast.Sub and x.factors:
+            term = self._new(f"fneg double {term}")
+        elif op is ast.Sub:
+            first = self._new(f"fneg double {first}")
+        return self._new(f"call double @llvm.fmuladd.f64(double {first}, double {second}, double {term})")
 
     def _of_ifexp(self, node: ast.IfExp) -> Value:
         yes, no, after = self._labels("if", "else", "endif")
@@ -367,8 +383,8 @@ class Translator:
         self._emit(f"store {machine_type(value.type)} {value.operand}, ptr {known.operand}")
 
     def _load(self, name: str) -> Value:
-        kind, slot = self._variables[name]
-        return Value(kind, self._new(f"load {machine_type(kind)}, ptr {slot}"))
+        slot = self._variables[name]
+        return Value(slot.type, self._new(f"load {machine_type(slot.type)}, ptr {slot.operand}"))
 
     def _new(self, instruction: str) -> str:
         self._count += 1

@@ -109,7 +109,7 @@ def by_lane(name: str, function: str, arguments: Sequence[str], lanes: int) -> s
 def sincos(lanes: int) -> str:
     """Emit `{double, double} sincos(double)`, sine and then cosine, for so many lanes.
 
-    With several, all of them go to the C library if one is far.
+    Lanes that are far, and no others, have the results of the C library.
     """
     t, i, w, b = (vector_type(element, lanes) for element in ("double", "i32", "i64", "i1"))
     suffix = _suffix(lanes)
@@ -123,6 +123,7 @@ declare {t} @llvm.fmuladd.{suffix}({t}, {t}, {t})
 {"" if lanes == 1 else f"declare i1 @llvm.vector.reduce.and.v{lanes}i1({b})"}
 
 define private {{{t}, {t}}} @sincos({t} %x) noinline {{
+entry:
   %size = call {t} @llvm.fabs.{suffix}({t} %x)
   %lanes.near = fcmp olt {t} %size, {constant(FAR, lanes)}
   %near = {"and i1 %lanes.near, true" if lanes == 1 else all_near}
@@ -130,8 +131,10 @@ define private {{{t}, {t}}} @sincos({t} %x) noinline {{
 library:
 {by_lane("sin.far", "sin", ["%x"], lanes)}
 {by_lane("cos.far", "cos", ["%x"], lanes)}
-  br label %end
+  br label %fast
 fast:
+  %sin.library = phi {t} [ {constant(0.0, lanes)}, %entry ], [ %sin.far, %library ]
+  %cos.library = phi {t} [ {constant(0.0, lanes)}, %entry ], [ %cos.far, %library ]
   %turns = fmul {t} %x, {constant(TWO_OVER_PI, lanes)}
   %n = call {t} @llvm.rint.{suffix}({t} %turns)
 {_reduction(lanes)}
@@ -166,10 +169,8 @@ fast:
   %cos.bits = xor {w} %cos.size, %cos.sign
   %sin.near = bitcast {w} %sin.bits to {t}
   %cos.near = bitcast {w} %cos.bits to {t}
-  br label %end
-end:
-  %sin.x = phi {t} [ %sin.far, %library ], [ %sin.near, %fast ]
-  %cos.x = phi {t} [ %cos.far, %library ], [ %cos.near, %fast ]
+  %sin.x = select {b} %lanes.near, {t} %sin.near, {t} %sin.library
+  %cos.x = select {b} %lanes.near, {t} %cos.near, {t} %cos.library
   %one = insertvalue {{{t}, {t}}} poison, {t} %sin.x, 0
   %both = insertvalue {{{t}, {t}}} %one, {t} %cos.x, 1
   ret {{{t}, {t}}} %both

@@ -128,30 +128,38 @@ def project(system: Equations, with_velocities: int, x: Vector) -> int:
 
 @native
 def project_side_by_side(system: Equations, with_velocities: int) -> int:
-    """Project a state in each lane of `beside`; 1 if a few steps did for all of them, else 0."""
+    """Project a state in each lane of `beside`, each as `project` does; 1 if a few steps did for all of them,
+    else 0."""
     n = system.n
     lanes = system.lanes
     beside = system.beside
     found = beside[lanes * system.inputs :]
-    settled = 0
+    before = found[lanes * (n + 2) :]  # squared residual, 0 where nothing is left to do
+    for lane in range(lanes):
+        before[lane] = HUGE
+    unsettled = lanes
     for _step in range(FEW_STEPS):
-        settled = 0
         system.position(beside, found)
+        unsettled = 0
         for lane in range(lanes):
-            left = found[lanes * n + lane]
-            pivot_ratio = found[lanes * (n + 1) + lane]
-            if not pivot_ratio > SURE:
-                return 0
-            if left < system.tolerance * system.tolerance:
-                settled += 1
-            else:
-                for i in range(n):
-                    beside[lanes * i + lane] = found[lanes * i + lane]
-                if left * left < SQUARING * pivot_ratio * system.tolerance * system.tolerance:
-                    settled += 1
-        if settled == lanes:
+            if before[lane] > 0.0:
+                left = found[lanes * n + lane]
+                pivot_ratio = found[lanes * (n + 1) + lane]
+                if not pivot_ratio > SURE or left >= 0.25 * before[lane]:
+                    return 0
+                before[lane] = left
+                if left < system.tolerance * system.tolerance:
+                    before[lane] = 0.0
+                else:
+                    for i in range(n):
+                        beside[lanes * i + lane] = found[lanes * i + lane]
+                    if left * left < SQUARING * pivot_ratio * system.tolerance * system.tolerance:
+                        before[lane] = 0.0
+                    else:
+                        unsettled += 1
+        if unsettled == 0:
             break
-    if settled < lanes:
+    if unsettled > 0:
         return 0
     if with_velocities == 1:
         system.velocity(beside, found)

@@ -255,7 +255,7 @@ def equations(
         position=position,
         velocity=velocity,
         closing=python.closing,
-        beside=np.zeros((code.inputs + code.size + 2, lanes)),
+        beside=np.zeros((code.inputs + code.size + 3, lanes)),
         pause=python.pause,
         marks=marked,
         counts=counts,

@@ -63,7 +63,7 @@ class Equations(Record):
         open_tolerance: dimensionless residual that a constraint may have after projection.
         lanes: number of states that `position` and `velocity` take.
         position, velocity, closing: projection.
-        beside: (inputs + n + 2, lanes) scratch.
+        beside: (inputs + n + 3, lanes) scratch.
         pause: asks whether the user wants to stop.
         marks: (n,) of angles and Euler parameters.
         counts: (COUNTS,) of the run.
