@@ -46,6 +46,7 @@ from newton_euler.model.trajectory import Trajectory
 from newton_euler.model.wind import WindLoad, wind_gust, wind_turbulence
 from newton_euler.moving_base import base_motion_from_csv, on_moving_base
 from newton_euler.simulate import compile_scene, simulate
+from newton_euler.variation import with_parameters
 
 __all__ = [
     "PD",
@@ -122,5 +123,6 @@ __all__ = [
     "statics",
     "wind_gust",
     "wind_turbulence",
+    "with_parameters",
     "workspace",
 ]

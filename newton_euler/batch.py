@@ -14,8 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from newton_euler.assemble import initial_state
-from newton_euler.equations.parameters import checked
-from newton_euler.errors import MechanismError, OptionError, UnknownNameError, check_type, is_count
+from newton_euler.errors import (
+    MechanismError,
+    NewtonEulerError,
+    OptionError,
+    UnknownNameError,
+    check_type,
+    is_count,
+)
 from newton_euler.integrators.options import (
     FormulationName,
     IntegratorName,
@@ -31,6 +37,7 @@ from newton_euler.model.trajectory import IntegrationError, Trajectory
 from newton_euler.sampling import integrate_intervals
 from newton_euler.scalars import Array, Floats
 from newton_euler.simulate import CompiledScene, native_trajectory
+from newton_euler.variation import run_values
 
 PIECES = 8
 """Number of pieces of a thread's share, so that no thread waits long for the last one."""
@@ -42,13 +49,14 @@ class Batch(Sequence[Trajectory]):
 
     Attributes:
         wall_time: s, of all runs together.
-        errors: of runs that could not go on, by number of the run.
+        errors: of runs that could not begin, with the value that makes no sense, or not go on, by number of
+            the run.
     """
 
     scene: Scene
     settings: dict[str, Any]
     wall_time: float
-    errors: dict[int, IntegrationError]
+    errors: dict[int, NewtonEulerError]
     _compiled: CompiledScene
     _results: Array
     _counts: list[dict[str, int]]
@@ -116,8 +124,8 @@ def simulate_batch(
     The other arguments are those of `simulate`.
 
     Raises:
-        NewtonEulerError: for an unknown name, an impossible option, state or value; a run that
-            cannot go on is in `Batch.errors`.
+        NewtonEulerError: for an unknown name, an impossible option, and what is no state or value in any
+            run; a run that cannot begin or go on is in `Batch.errors`.
 
     Examples:
         >>> batch = simulate_batch(load("pendulum"), parameters={"dumbbell.mass": [1.0, 2.0]})
@@ -142,9 +150,9 @@ def simulate_batch(
         starts = np.tile(compiled.start, (count, 1))
     except MemoryError as error:
         raise OptionError("states and parameters", f"{count} runs", "runs that memory can hold") from error
-    _set(starts, compiled, states, parameters)
+    errors = _set(starts, compiled, states, parameters)
+    results[list(errors)] = np.nan
     counts: list[dict[str, int]] = [{} for _ in starts]
-    errors: dict[int, IntegrationError] = {}
     stopped: list[bool] = []
 
     def run(piece: tuple[int, int]) -> None:
@@ -155,6 +163,8 @@ def simulate_batch(
         for k in range(*piece):
             if stopped:
                 return
+            if k in errors:
+                continue
             try:
                 own(starts[k])
                 own.outputs(results[k])
@@ -167,6 +177,8 @@ def simulate_batch(
         for k in range(*piece):
             if stopped:
                 return
+            if k in errors:
+                continue
             found = integrate_intervals(compiled, starts[k], options, stopped)
             if found.stopped:
                 errors[k] = found.stopped
@@ -222,17 +234,21 @@ def _set(
     compiled: CompiledScene,
     states: Sequence[State] | None,
     parameters: Mapping[str, Any],
-) -> None:
-    """Set the states and parameters of all runs in their x (runs, inputs)."""
-    scene = compiled.scene
+) -> dict[int, NewtonEulerError]:
+    """Set the states and parameters of all runs in their x (runs, inputs); returns errors by runs."""
+    errors: dict[int, NewtonEulerError] = {}
     for k, state in enumerate(states or ()):
-        consistent = _consistent(scene, state, f"run {k}")
+        try:
+            consistent = _consistent(compiled.scene, state, f"run {k}")
+        except MechanismError as error:
+            errors[k] = error
+            continue
         starts[k, : compiled.size] = np.concatenate(compiled.system.coordinates(consistent))
-    for k in range(len(starts)) if parameters else ():
-        values = checked(scene, {name: given[k] for name, given in parameters.items()})
-        for name, value in values.items():
-            place = compiled.place(name)
-            starts[k, place : place + value.size] = value.ravel()
+    values = run_values(compiled.scene, parameters)
+    for name, array in values.arrays.items():
+        place, flat = compiled.place(name), array.reshape(len(array), -1)
+        starts[:, place : place + flat.shape[1]] = flat
+    return {**values.errors, **errors}
 
 
 def _consistent(scene: Scene, state: State, run: str) -> State:

@@ -16,11 +16,13 @@ A parameter has a name and a value of the shape that the scene has there:
 - `NAME.direction`, `NAME.speed`, `NAME.air_density` of a wind load;
 - `JOINT.rotor.inertia`, `JOINT.1.rotor.inertia`, `JOINT.ball.rotor.inertia` of the armatures of a joint.
 
+A name may go on with one component of the value, which is then a number: `gravity.z`, `BODY.inertia.xy`,
+which is `yx` as well, and places from 0 in other values, as in `JOINT.target.0` and `JOINT.gains.1.0`.
+
 A name that stands for two of these cannot be used; numbers say which is meant, as in `bodies[2].mass`,
-`control[0].target`, `forces[1].stiffness` and `armatures[0].inertia`. Geometry is not among them: it moves
-the closed configurations, so that a run would need another start. How near a configuration is to a singular
-one is judged by the scene's own values: masses that are many orders away from them make runs slower, not
-wrong.
+`control[0].target`, `forces[1].stiffness` and `armatures[0].inertia`. How near a configuration is to a
+singular one is judged by the scene's own values: masses that are many orders away from them make runs slower,
+not wrong.
 
 Functions of time with knots are parameters of the code that runs from one knot to the next: the numbers of
 the piece between them are, as `motions[0].function.piece`.
@@ -31,18 +33,19 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from typing import Any, TypeVar
+from difflib import get_close_matches
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from newton_euler.equations.redundancy import inherit_mobility
 from newton_euler.errors import MechanismError, UnknownNameError
 from newton_euler.model.digital_control import Law
-from newton_euler.model.mechanism import Body
+from newton_euler.model.mechanism import Body, Mechanism
 from newton_euler.model.motions import Piecewise, Sine, Sum, TimeFunction, functions_of
 from newton_euler.model.scene import Scene
 from newton_euler.model.wind import WindLoad
-from newton_euler.scalars import Array
+from newton_euler.scalars import NUMBERS, Array
 
 T = TypeVar("T")
 
@@ -51,13 +54,29 @@ PIECE = ".piece"
 
 
 Owner = tuple[str, int, str]
-"""Where a parameter is: "bodies", "control", "forces", "armatures" or "motions", which of them, and the
+"""A parameter: the field of the scene or its mechanism, the number of the element there, and the
 attribute."""
+
+GRAVITY: Owner = ("scene", 0, "gravity")
+
+NEAREST = 8
+"""Names that are proposed instead of an unknown one."""
+
+SIMILAR = 0.6
+"""Similarity of names that are worth proposing."""
+
+
+class Place(NamedTuple):
+    """Position of numbers in a scene: their owner, and the component of its value; None for all of it."""
+
+    owner: Owner
+    component: tuple[int, ...] | None
 
 
 def _parts(scene: Scene) -> dict[str, list[Any]]:
-    """Yield what has parameters."""
+    """Return what has parameters."""
     return {
+        "scene": [scene],
         "bodies": list(scene.mechanism.bodies),
         "control": list(scene.control),
         "forces": list(scene.forces),
@@ -67,11 +86,11 @@ def _parts(scene: Scene) -> dict[str, list[Any]]:
 
 
 def _owners(scene: Scene) -> dict[str, list[Owner]]:
-    """Find what a name stands for; all but gravity."""
-    found: dict[str, list[Owner]] = {}
+    """Find what names without components stand for."""
+    found: dict[str, list[Owner]] = {"gravity": [GRAVITY]}
     for what, elements in _parts(scene).items():
         for k, element in enumerate(elements):
-            if what == "motions" or (what == "bodies" and k == 0):
+            if what in ("scene", "motions") or (what == "bodies" and k == 0):
                 continue  # motions have none, and nor has the ground
             place = element.name if what == "bodies" else element.prefix
             for attribute in ("mass", "inertia") if what == "bodies" else element.parameters or ("held",):
@@ -121,22 +140,83 @@ def unambiguous(scene: Scene, name: str) -> str:
         UnknownNameError: for a name that is no parameter of the scene.
         MechanismError: for a name that stands for two.
     """
-    return name if name == "gravity" else numbered(*_owner(_owners(scene), name))
+    (place,) = places(scene, [name]).values()
+    base, _ = _split(_parts(scene), _owners(scene), name)
+    return name if place.owner == GRAVITY else numbered(*place.owner) + name[len(base) :]
 
 
-def _owner(owners: dict[str, list[Owner]], name: str) -> Owner:
-    """Find a parameter; raises `UnknownNameError`, or `MechanismError` if the name stands for two."""
-    if name not in owners:
-        raise UnknownNameError("parameter", name, ("gravity", *_named(owners)))
-    if len(owners[name]) > 1:
-        needed = " or ".join(numbered(*owner) for owner in owners[name])
-        raise MechanismError(f"parameter {name!r}", "stands for two values", needed)
-    return owners[name][0]
+def places(scene: Scene, names: Iterable[str]) -> dict[str, Place]:
+    """Find the places that names stand for.
+
+    Raises:
+        UnknownNameError: for a name that is no parameter of the scene.
+        MechanismError: for a name that stands for two, and for two that stand for one number.
+    """
+    parts, owners = _parts(scene), _owners(scene)
+    found: dict[str, Place] = {}
+    given: dict[Owner, list[tuple[int, ...] | None]] = {}
+    for name in names:
+        base, component = _split(parts, owners, name)
+        if len(owners[base]) > 1:
+            needed = " or ".join(numbered(*owner) for owner in owners[base])
+            raise MechanismError(f"parameter {name!r}", "stands for two values", needed)
+        found[name] = place = Place(owners[base][0], component)
+        if name.endswith(PIECE):
+            continue  # of a function whose samples may be parameters, too
+        others = given.setdefault(place.owner, [])
+        if others and (component is None or None in others or component in others):
+            raise MechanismError(f"parameter {name!r}", "has another value by another name", "one of them")
+        others.append(component)
+    return found
 
 
-def _named(owners: dict[str, list[Owner]]) -> list[str]:
-    """The names without those that are numbers."""
-    return [name for name in owners if "[" not in name]
+def _split(
+    parts: dict[str, list[Any]], owners: dict[str, list[Owner]], name: str
+) -> tuple[str, tuple[int, ...] | None]:
+    """Split a name into one without a component, and this."""
+    if name in owners:
+        return name, None
+    for dots in (1, 2):
+        base, *ending = name.rsplit(".", dots)
+        if base in owners:
+            shape = _own(parts, owners[base][0]).shape
+            component = _component(shape, ending)
+            if component is not None:
+                return base, component
+    raise UnknownNameError("parameter", name, _nearest(owners, name))
+
+
+def _component(shape: tuple[int, ...], ending: list[str]) -> tuple[int, ...] | None:
+    """Return the place in a value of its shape that the ending of a name stands for, None for no place."""
+    letters = ending[0] if len(ending) == 1 else ""
+    if set(shape) == {3} and len(letters) == len(shape) and set(letters) <= set("xyz"):
+        return tuple(sorted("xyz".index(letter) for letter in letters))  # matrices are symmetric
+    if shape and len(ending) == len(shape) and all(text.isdecimal() for text in ending):
+        component = tuple(map(int, ending))
+        return component if all(k < n for k, n in zip(component, shape, strict=True)) else None
+    return None
+
+
+def _nearest(owners: dict[str, list[Owner]], name: object) -> tuple[str, ...]:
+    """Return the names to propose instead of an unknown one: those of its element, else similar ones."""
+    known = [each for each in owners if "[" not in each]
+    element = str(name).partition(".")[0]
+    of_element = [each for each in known if each.startswith(f"{element}.")]
+    near = get_close_matches(str(name), of_element or known, NEAREST, SIMILAR)
+    return tuple(near or of_element or known)
+
+
+def _own(parts: dict[str, list[Any]], owner: Owner, piece: bool = False) -> Array:
+    """Return the value that a scene has of its own: of functions their numbers, or those of their piece."""
+    what, k, attribute = owner
+    value = getattr(parts[what][k], attribute)
+    if piece:
+        value = _piece(functions_of(value), 0.0)
+    elif isinstance(value, TimeFunction):
+        value = _linear(value)
+    elif isinstance(value, Mapping):
+        value = list(value.values())
+    return np.asarray(value, dtype=float)
 
 
 def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[str, Array]:
@@ -144,23 +224,15 @@ def parameter_values(scene: Scene, names: Iterable[str] | None = None) -> dict[s
 
     Raises:
         UnknownNameError: for a name that is no parameter of the scene.
-        MechanismError: for a name that stands for two.
+        MechanismError: for a name that stands for two, and for two that stand for one number.
     """
-    parts, owners = _parts(scene), _owners(scene)
+    parts = _parts(scene)
+    if names is None:
+        names = [name for name in _owners(scene) if "[" not in name]
     values: dict[str, Array] = {}
-    for name in ("gravity", *_named(owners)) if names is None else names:
-        if name == "gravity":
-            value: Any = scene.gravity
-        else:
-            what, k, attribute = _owner(owners, name)
-            value = getattr(parts[what][k], attribute)
-            if name.endswith(PIECE):
-                value = _piece(functions_of(value), 0.0)
-            elif isinstance(value, TimeFunction):
-                value = _linear(value)
-            elif isinstance(value, Mapping):
-                value = list(value.values())
-        values[name] = np.asarray(value, dtype=float)
+    for name, place in places(scene, names).items():
+        own = _own(parts, place.owner, name.endswith(PIECE))
+        values[name] = own if place.component is None else np.asarray(own[place.component])
     return values
 
 
@@ -182,15 +254,46 @@ def checked(scene: Scene, values: Mapping[str, object]) -> dict[str, Array]:
             needed = f"finite numbers of shape {own[name].shape}"
             raise MechanismError(f"parameter {name!r}", f"is {value!r:.200}", needed)
         arrays[name] = array
-    _substitute(
-        scene, {name: array if array.ndim else float(array) for name, array in arrays.items()}, _rebuilt
-    )
+    _substituted(scene, arrays, _rebuilt)
     return arrays
+
+
+def element_of(scene: Scene, owner: Owner) -> Any:
+    """Return the element that has a parameter."""
+    what, k, _ = owner
+    return _parts(scene)[what][k]
+
+
+def own_value(scene: Scene, owner: Owner) -> Array:
+    """Return the value that a scene has of its own."""
+    return _own(_parts(scene), owner)
+
+
+def refusal(scene: Scene, values: Mapping[Owner, Array]) -> MechanismError | None:
+    """Return what is wrong with values of attributes of one element, None if it takes them."""
+    try:
+        element = element_of(scene, next(iter(values)))
+        written(element, {attribute: value for (_, _, attribute), value in values.items()}, _rebuilt)
+    except MechanismError as error:
+        return error
+    return None
+
+
+def rebuilt(scene: Scene, values: Mapping[str, Any]) -> Scene:
+    """The scene made anew with other values of some parameters, all of it checked."""
+    parts = _substituted(scene, values, _rebuilt)
+    (changed,) = parts.pop("scene")
+    mechanism = Mechanism(parts.pop("bodies"), scene.mechanism.joints, scene.mechanism.couplings)
+    return replace(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
 
 
 def with_values(scene: Scene, values: Mapping[str, Any]) -> Scene:
     """The scene with other values of some parameters, scalars of any kind, which are not checked."""
-    changed = _substitute(scene, values, _altered)
+    parts = _substituted(scene, values, _altered)
+    (changed,) = parts.pop("scene")
+    mechanism = _altered(scene.mechanism, bodies=tuple(parts.pop("bodies")))
+    changed = _altered(changed, mechanism=mechanism, **{what: tuple(each) for what, each in parts.items()})
+    vars(changed).pop("joint_forces", None)  # kept of the elements that have changed
     inherit_mobility(changed, scene)
     return changed
 
@@ -213,28 +316,68 @@ def without_wind(scene: Scene) -> Scene:
     return changed
 
 
-def _substitute(scene: Scene, values: Mapping[str, Any], change: Callable[..., Any]) -> Scene:
-    parts, owners = _parts(scene), _owners(scene)
+def _substituted(scene: Scene, values: Mapping[str, Any], change: Callable[..., Any]) -> dict[str, list[Any]]:
+    """Return what has parameters, as of `_parts`, with other values of some."""
+    parts = _parts(scene)
+    found = places(scene, values)
+    fields: dict[tuple[str, int], dict[str, Any]] = {}
+    for (what, k, attribute), value in assigned(scene, values).items():
+        fields.setdefault((what, k), {})[attribute] = value
+    for (what, k), attributes in fields.items():
+        parts[what][k] = written(parts[what][k], attributes, change)
+    for name in values:
+        if name.endswith(PIECE):
+            what, k, attribute = found[name].owner
+            on_piece = _on_piece(getattr(parts[what][k], attribute), list(values[name]))
+            parts[what][k] = change(parts[what][k], **{attribute: on_piece})
+    return parts
+
+
+def assigned(scene: Scene, values: Mapping[str, Any]) -> dict[Owner, Any]:
+    """Return the values of all parameters that are changed, components put into the scene's own.
+
+    The pieces of functions are left out.
+    """
+    parts = _parts(scene)
+    found: dict[Owner, Any] = {}
+    for name, (owner, component) in places(scene, values).items():
+        if name.endswith(PIECE):
+            continue
+        if component is None:
+            found[owner] = values[name]
+            continue
+        if owner not in found:
+            found[owner] = np.array(_own(parts, owner).tolist(), dtype=object)
+        found[owner][component] = _number(values[name])
+        if found[owner].shape == (3, 3):
+            found[owner][component[::-1]] = found[owner][component]
+    return {owner: _as_floats(value) for owner, value in found.items()}
+
+
+def _as_floats(value: Any) -> Any:
+    """Return an array of plain numbers as such, all else as it is."""
+    is_plain = isinstance(value, np.ndarray) and all(isinstance(x, NUMBERS) for x in value.flat)
+    return np.asarray(value, dtype=float) if is_plain else value
+
+
+def _number(value: Any) -> Any:
+    """Return a scalar instead of an array () of floats."""
+    return float(value) if isinstance(value, np.ndarray) else value
+
+
+def written(element: T, attributes: Mapping[str, Any], change: Callable[..., T]) -> T:
+    """Return an element with other values of its attributes."""
     fields: dict[str, Any] = {}
-    for name, value in sorted(values.items(), key=lambda item: item[0].endswith(PIECE)):
-        if name == "gravity":
-            fields["gravity"] = value
-        else:
-            what, k, attribute = _owner(owners, name)
-            own = getattr(parts[what][k], attribute)
-            if name.endswith(PIECE):
-                value = _on_piece(own, list(value))
-            elif isinstance(own, TimeFunction):
-                value = _with_linear(own, list(value), change)
-            elif isinstance(own, Mapping):
-                value = dict(zip(own, value, strict=True))
-            parts[what][k] = change(parts[what][k], **{attribute: value})
-    mechanism = _altered(scene.mechanism, bodies=tuple(parts.pop("bodies")))
-    for what, elements in parts.items():
-        fields[what] = tuple(elements)
-    changed = _altered(scene, mechanism=mechanism, **fields)
-    vars(changed).pop("joint_forces", None)  # kept of the elements that have changed
-    return changed
+    for attribute, value in attributes.items():
+        own = getattr(element, attribute)
+        if isinstance(own, TimeFunction):
+            value = _with_linear(own, list(value), change)
+        elif isinstance(own, Mapping):
+            value = dict(zip(own, value, strict=True))
+        elif np.ndim(value) == 0:
+            value = _number(value)
+        fields[attribute] = value
+    return change(element, **fields)
 
 
 def _linear(function: TimeFunction) -> list[float]:
@@ -273,7 +416,7 @@ def _altered(thing: T, **fields: Any) -> T:
 
 
 def _rebuilt(thing: T, **fields: Any) -> T:
-    """A copy of a body, control law or force that has checked its new values."""
+    """A copy of a body, control law, force or scene that has checked its new values."""
     made = replace(thing, **fields)  # type: ignore[type-var]
     if isinstance(made, Body):
         made.check()

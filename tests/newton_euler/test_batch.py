@@ -58,12 +58,14 @@ def test_stacked_arrays_are_those_of_the_runs(short, tracker_states):
         batch.stacked("speed")
 
 
-def test_states_are_checked_and_their_number_named(short, tracker_states):
+def test_a_state_that_is_open_ends_its_run_alone(short, tracker_states):
     moved = tracker_states[1].position.copy()
     moved[6] += 1e-6
     bad = replace(tracker_states[1], position=moved)
+    batch = simulate_batch(short, [tracker_states[0], tracker_states[1], bad])
+    assert list(batch.errors) == [2]
     with pytest.raises(MechanismError, match=r"run 2: joint '.*': is open by"):
-        simulate_batch(short, [tracker_states[0], tracker_states[1], bad])
+        batch[2]
 
 
 def test_threads_change_nothing(short, tracker_states):
@@ -117,9 +119,7 @@ def test_every_parameter_has_the_scenes_own_value(short):
         ({"states": []}, OptionError, "one state or value per run"),
         ({"parameters": {"gravity": [[0, 0, 1]], "panel_7.mass": [1.0, 2.0]}}, OptionError, "of one length"),
         ({"parameters": {"panel_7.color": [1.0]}}, UnknownNameError, "unknown parameter 'panel_7.color'"),
-        ({"parameters": {"panel_7.mass": [-1.0]}}, MechanismError, "positive mass"),
-        ({"parameters": {"panel_7.mass": ["heavy"]}}, MechanismError, "parameter 'panel_7.mass'"),
-        ({"parameters": {"gravity": [[0.0, np.nan, 0.0]]}}, MechanismError, "parameter 'gravity'"),
+        ({"parameters": {"panel_7.mass": [[1.0, 2.0]]}}, MechanismError, "has values of shape (2,)"),
         ({"parameters": {"gravity": [[0.0, 0.0, 0.0]]}, "threads": 0}, OptionError, "threads is 0"),
         ({"parameters": {"panel_7.mass": range(10**12)}}, OptionError, "1000000000000 runs"),
     ],

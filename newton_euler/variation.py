@@ -1,0 +1,201 @@
+"""Numbers of a scene that vary from run to run: checks of many runs at once, and the scene of a single one.
+
+What values an element may have is what its constructor takes. Of a number these are an interval with the
+element's own value in it, so that a few constructions tell for all runs; inertias and directions are judged
+all at once, and only those that are suspicious constructed.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from newton_euler.equations.parameters import (
+    Owner,
+    Place,
+    checked,
+    element_of,
+    own_value,
+    parameter_values,
+    places,
+    rebuilt,
+    refusal,
+)
+from newton_euler.errors import MechanismError, OptionError, check_type
+from newton_euler.model.mechanism import LEAST, REALISABLE_TOLERANCE
+from newton_euler.model.scene import Scene
+from newton_euler.scalars import Array
+
+DIRECTIONS = frozenset({"direction"})
+"""Attributes that are vectors of any length but 0."""
+
+SHORT, LONG = 1e-100, 1e100
+"""Lengths of directions beyond which their constructors are asked."""
+
+CAREFUL = 1e-9
+"""Relative margin within which inertias are suspicious."""
+
+
+class RunValues(NamedTuple):
+    """Values of parameters in n runs."""
+
+    arrays: dict[str, Array]
+    """(n, ...) by name; the scene's own where a run has an error."""
+    errors: dict[int, MechanismError]
+    """The first value that makes no sense, by the number of the run."""
+
+
+def with_parameters(scene: Scene, values: Mapping[str, Any]) -> Scene:
+    """Return the scene with other values of some parameters, all of it checked.
+
+    Args:
+        scene: the scene to change.
+        values: by name, see `newton_euler.equations.parameters`.
+
+    Raises:
+        UnknownNameError: for a name that is no parameter of the scene.
+        MechanismError: for a value that the scene cannot have.
+
+    Examples:
+        >>> heavy = with_parameters(load("pendulum"), {"dumbbell.mass": 3.0})
+        >>> heavy.mechanism.body("dumbbell").mass
+        3.0
+    """
+    check_type("scene", scene, Scene)
+    if not isinstance(values, Mapping):
+        raise OptionError("values", f"{values!r:.100}", "values by names of parameters")
+    return rebuilt(scene, checked(scene, values))
+
+
+def run_values(scene: Scene, given: Mapping[str, Sequence[Any] | Array]) -> RunValues:
+    """Check values of parameters, one per run, by name.
+
+    Raises:
+        UnknownNameError: for a name that is no parameter of the scene.
+        MechanismError: for a name that stands for two, and for values of another shape in all runs.
+    """
+    own, found = parameter_values(scene, given), RunValues({}, {})
+    for name, values in given.items():
+        array, unusable = _numbers(name, values, own[name])
+        found.arrays[name] = array
+        for k in unusable:
+            _refuse(found, k, name, f"is {values[k]!r:.100}", f"finite numbers of shape {own[name].shape}")
+    by_element: dict[tuple[str, int], dict[str, Place]] = {}
+    for name, place in places(scene, given).items():
+        by_element.setdefault(place.owner[:2], {})[name] = place
+    for places_of in by_element.values():
+        _check_element(scene, places_of, found)
+    for k in found.errors:
+        for name, value in own.items():
+            found.arrays[name][k] = value
+    return found
+
+
+def _numbers(name: str, values: Sequence[Any] | Array, own: Array) -> tuple[Array, list[int]]:
+    """Return values (n, ...) as floats, and the runs whose values are unusable, which have the own one."""
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        rows = [_row(values[k], own) for k in range(len(values))]
+        unusable = [k for k, row in enumerate(rows) if row is None]
+        array = np.array([own if row is None else row for row in rows])
+    else:
+        if array.shape[1:] != own.shape:
+            needed = f"finite numbers of shape {own.shape}"
+            raise MechanismError(f"parameter {name!r}", f"has values of shape {array.shape[1:]}", needed)
+        finite = np.isfinite(array).reshape(len(array), -1).all(axis=1)
+        unusable = np.flatnonzero(~finite).tolist()
+        array[unusable] = own
+    return array, unusable
+
+
+def _row(value: Any, own: Array) -> Array | None:
+    """Return the value of a run as floats, None if it has another shape or is not finite."""
+    try:
+        row = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return row if row.shape == own.shape and np.isfinite(row).all() else None
+
+
+def _refuse(found: RunValues, run: int, name: str, problem: str, needed: str) -> None:
+    found.errors.setdefault(run, MechanismError(f"run {run}: parameter {name!r}", problem, needed))
+
+
+def _check_element(scene: Scene, places_of: Mapping[str, Place], found: RunValues) -> None:
+    """Check the values of parameters of one element, by name, in all runs."""
+    stacks: dict[Owner, Array] = {}
+    for name, (owner, component) in places_of.items():
+        array = found.arrays[name]
+        if component is None:
+            stacks[owner] = array
+            continue
+        if owner not in stacks:
+            stacks[owner] = np.repeat(own_value(scene, owner)[None], len(array), axis=0)
+        columns = np.moveaxis(stacks[owner], 0, -1)  # a view
+        columns[component] = array
+        if stacks[owner].ndim == 3:
+            columns[component[::-1]] = array
+    bad = np.zeros(0, dtype=int)
+    for owner, stack in stacks.items():
+        bad = np.union1d(bad, _suspicious(scene, owner, stack))
+    for k in bad.tolist():
+        for name, (owner, component) in places_of.items():
+            error = refusal(scene, {owner: stacks[owner][k]})
+            if error:
+                value = found.arrays[name][k]
+                problem = f"is {value.tolist()!r:.100}"
+                if component is not None or value.ndim:
+                    problem += f": {error.problem}"
+                _refuse(found, k, name, problem, error.needed)
+                break
+
+
+def _suspicious(scene: Scene, owner: Owner, stack: Array) -> Array:
+    """Find runs whose values (n, ...) of an attribute its element may not take."""
+    what, _, attribute = owner
+    if what == "bodies" and attribute == "inertia":
+        return np.flatnonzero(~_realisable(stack, element_of(scene, owner).allow_unrealisable_inertia))
+    if attribute in DIRECTIONS:
+        lengths = np.max(np.abs(stack), axis=1)
+        return np.flatnonzero((lengths < SHORT) | (lengths > LONG))
+    own, outside = own_value(scene, owner), np.zeros(len(stack), dtype=bool)
+    for component in np.ndindex(own.shape):
+        column = np.moveaxis(stack, 0, -1)[component]
+        low, high = _interval(scene, owner, own, component, np.unique(column))
+        outside |= (column < low) | (column > high)
+    return np.flatnonzero(outside)
+
+
+def _interval(
+    scene: Scene, owner: Owner, own: Array, component: tuple[int, ...], values: Array
+) -> tuple[float, float]:
+    """Find the lowest and the highest of ascending values that a component, or its own value, may have."""
+
+    def refused(value: float) -> bool:
+        changed = own.copy()
+        changed[component] = value
+        return refusal(scene, {owner: changed}) is not None
+
+    def farthest(ahead: Array) -> float:
+        """Return the last value that is not refused of some that lead away from the own one."""
+        if len(ahead) and not refused(ahead[-1]):
+            return float(ahead[-1])
+        count = bisect_left(ahead, True, key=refused)
+        return float(ahead[count - 1] if count else own[component])
+
+    above = int(np.searchsorted(values, own[component]))
+    return farthest(values[:above][::-1]), farthest(values[above:])
+
+
+def _realisable(inertia: Array, unrealisable: bool) -> Array:
+    """Tell for which inertias (n, 3, 3) there is no doubt that a body has them, (n,)."""
+    scale = np.max(np.abs(inertia), axis=(1, 2))
+    asymmetry = np.max(np.abs(inertia - np.swapaxes(inertia, 1, 2)), axis=(1, 2))
+    usable = (scale > LEAST) & (scale < 1.0 / LEAST)
+    a, b, c = np.linalg.eigvalsh(np.where(usable[:, None, None], inertia, np.eye(3))).T
+    fine = usable & (asymmetry == 0.0) & (a > CAREFUL * scale) & (a > 2.0 * LEAST)
+    return np.asarray(fine & (unrealisable | (a + b >= c * (1.0 + REALISABLE_TOLERANCE))))
