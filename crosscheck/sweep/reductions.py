@@ -1,0 +1,231 @@
+"""Reductions: the numbers that are kept of each run of a sweep, worked out for many runs at once.
+
+`peak:reaction_force` is the largest reaction of each joint, `final:panel_7.quaternion` where the panel ends,
+`tilt=final:angle(direction(panel_7.quaternion, [0, 0, 1]), [0, 0, 1])` an expression with a name of its own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from crosscheck.errors import CrosscheckError
+from crosscheck.sweep.expressions import ASKED, Expression, Outputs, Value, norm
+from newton_euler.errors import choices, plain_number
+from newton_euler.model.scene import Scene
+from newton_euler.scalars import Array
+
+ITEM = re.compile(
+    r"(?:(?P<name>[A-Za-z_]\w*)\s*=)?\s*(?P<kind>\w+)(?:\((?P<times>[^()]*)\))?:(?P<of>.+)", re.DOTALL
+)
+"""Text of a reduction: [NAME=]KIND[(TIMES)]:EXPRESSION."""
+
+FORM = "[NAME=]KIND:OUTPUT, as peak:reaction_force"
+
+SAME_TIME = 1e-9
+"""Share of the output period by which a time may differ from that of an output."""
+
+
+def _magnitude(value: Value) -> Value:
+    """Return lengths of vectors and magnitudes of numbers."""
+    if value.dimensions[-1:] == ("axis",):
+        return norm(value)
+    if value.dimensions[-1:] == ("component",):
+        raise CrosscheckError("a quaternion has no magnitude; name a component of it")
+    return replace(value, array=np.abs(value.array))
+
+
+def _mean(array: Array, times: Array) -> Array:
+    """Average over time by the trapezoidal rule, in the same order for any number of runs."""
+    total = np.zeros(array[:, 0].shape)
+    for k, step in enumerate(np.diff(times)):
+        total += 0.5 * step * (array[:, k] + array[:, k + 1])
+    return total / (times[-1] - times[0])
+
+
+def _peak(value: Value, times: Array) -> Array:
+    return np.asarray(np.max(value.array, axis=1))
+
+
+def _rms(value: Value, times: Array) -> Array:
+    return np.asarray(np.sqrt(_mean(value.array * value.array, times)))
+
+
+KINDS: dict[str, Callable[[Value, Array], Array]] = {
+    "final": lambda value, times: value.array[:, -1],
+    "peak": _peak,
+    "rms": _rms,
+    "mean": lambda value, times: _mean(value.array, times),
+    "minimum": lambda value, times: np.min(value.array, axis=1),
+    "maximum": lambda value, times: np.max(value.array, axis=1),
+}
+"""Reductions over time. Peak and rms are of magnitudes, those of vectors their lengths."""
+
+OF_MAGNITUDES = ("peak", "rms")
+
+AT, WHEN = "at", "when"
+"""`at(0.5; 1)` takes the outputs at these times, s, and `at()` at all; `when:a > b` is the first time, s, at
+which a exceeds b, on a straight line between outputs, and not a number if it never does."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """One thing that is kept of each run.
+
+    Attributes:
+        name: of the variable that it becomes.
+        text: as it was given, without the name.
+        kind: one of `KINDS`, `AT` or `WHEN`.
+        places: numbers of the outputs that `AT` takes.
+        expression: over the outputs, of `WHEN` with the threshold subtracted.
+        dimensions, unit: of the results.
+    """
+
+    name: str
+    text: str
+    kind: str
+    places: tuple[int, ...]
+    expression: Expression
+    dimensions: tuple[str, ...]
+    unit: str
+
+    @property
+    def needs_all_times(self) -> bool:
+        """False if the end of a run suffices."""
+        return self.kind != "final" or self.expression.signed
+
+    def of(self, outputs: Outputs) -> Array:
+        """Reduce the outputs of runs to an array (runs, *dimensions); not a number where they are not."""
+        with np.errstate(all="ignore"):
+            return np.ascontiguousarray(self._of(outputs))
+
+    def _of(self, outputs: Outputs) -> Array:
+        value, times = self.expression.evaluate(outputs), outputs.times
+        runs = max(len(value.array), len(outputs.stacked("position")))
+        array = np.broadcast_to(value.array, (runs, len(times), *value.array.shape[2:]))
+        if self.kind == AT:
+            return array[:, list(self.places)]
+        if self.kind == WHEN:
+            return _first_above(array, times)
+        value = replace(value, array=array)
+        return KINDS[self.kind](_magnitude(value) if self.kind in OF_MAGNITUDES else value, times)
+
+
+def _first_above(excess: Array, times: Array) -> Array:
+    """Return the times (runs,), s, at which a function of time (runs, n) is positive first."""
+    above = excess > 0.0
+    k = np.argmax(above, axis=1)
+    runs = np.arange(len(excess))
+    before = np.maximum(k - 1, 0)
+    low, high = excess[runs, before], excess[runs, k]
+    share = np.where(k > 0, -low / (high - low), 1.0)
+    crossed = times[before] + share * (times[k] - times[before])
+    return np.where(above.any(axis=1), crossed, np.nan)
+
+
+Keep = str | Iterable[str] | Mapping[str, str]
+"""Texts of reductions, several in a text between commas; or by the names of what they become."""
+
+
+def reductions(keep: Keep, scene: Scene) -> tuple[Reduction, ...]:
+    """Parse and check what is kept of each run of a scene.
+
+    Raises:
+        CrosscheckError: quoting the text at fault.
+    """
+    if isinstance(keep, Mapping):
+        texts = [f"{name}={text}" for name, text in keep.items()]
+    else:
+        texts = _split(keep) if isinstance(keep, str) else [part for each in keep for part in _split(each)]
+    found = [_reduction(text, scene) for text in texts]
+    if not found:
+        raise CrosscheckError(f"nothing is kept; name what (--keep {FORM})")
+    names = [each.name for each in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise CrosscheckError(f"{name!r} is kept twice; keep it once, or give a name to the other")
+    return tuple(found)
+
+
+def _split(text: str) -> list[str]:
+    """Split a text at commas outside of brackets and quotes."""
+    parts, depth, quoted = [""], 0, False
+    for character in text:
+        quoted ^= character == "'"
+        depth += (character in "([") - (character in ")]")
+        if character == "," and depth == 0 and not quoted:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part.strip() for part in parts]
+
+
+def _reduction(text: str, scene: Scene) -> Reduction:
+    parts = ITEM.fullmatch(text)
+    if parts is None:
+        raise CrosscheckError(f"--keep {text!r:.200} is not of the form {FORM}")
+    kind, of, times = parts["kind"], parts["of"].strip(), parts["times"]
+    kinds = (*KINDS, AT, WHEN)
+    if kind not in kinds or (times is None) != (kind != AT):
+        raise CrosscheckError(
+            f"--keep {text!r:.200}: unknown reduction; {choices(kind, [*KINDS, 'at(TIME; ...)', WHEN])}"
+        )
+    if kind == WHEN:
+        left, sign, right = of.partition(">" if ">" in of else "<")
+        if not sign or not left.strip() or not right.strip():
+            raise CrosscheckError(f"--keep {text!r:.200}: when needs a comparison, as when:a > b")
+        higher, lower = (left, right) if sign == ">" else (right, left)
+        expression = Expression(f"({higher.strip()}) - ({lower.strip()})", scene)
+    else:
+        expression = Expression(of, scene)
+    if not expression.plain and not parts["name"]:
+        raise CrosscheckError(
+            f"--keep {text!r:.200} is an expression; give it a name (--keep NAME={text:.100})"
+        )
+    example = expression.example
+    dimensions, unit = example.dimensions, example.unit
+    try:
+        if kind in OF_MAGNITUDES:
+            dimensions = _magnitude(example).dimensions
+    except CrosscheckError as error:
+        raise CrosscheckError(f"--keep {text!r:.200}: {error}") from None
+    if kind == WHEN:
+        if dimensions:
+            raise CrosscheckError(
+                f"--keep {text!r:.200}: when compares numbers, not ({', '.join(dimensions)})"
+            )
+        unit = "s"
+    places = _places(text, times, scene) if kind == AT else ()
+    if kind == AT:
+        dimensions = ("time", *dimensions)
+    own = text if parts["name"] is None else text.partition("=")[2].strip()
+    return Reduction(parts["name"] or own, own, kind, places, expression, dimensions, unit)
+
+
+def _places(text: str, given: str, scene: Scene) -> tuple[int, ...]:
+    """Return the numbers of the outputs at times, s, of all if none is given."""
+    if not given.strip():
+        return tuple(range(len(scene.times)))
+    places = []
+    for part in given.split(";"):
+        try:
+            time = plain_number(part.strip())
+        except ValueError as error:
+            raise CrosscheckError(f"--keep {text!r:.200}: {error}") from None
+        place = int(np.argmin(np.abs(scene.times - time)))
+        if abs(scene.times[place] - time) > SAME_TIME * scene.output_period:
+            period = f"outputs are every {scene.output_period:g} s up to {scene.duration:g} s"
+            raise CrosscheckError(f"--keep {text!r:.200}: there is no output at {time:.9g} s; {period}")
+        places.append(place)
+    return tuple(places)
+
+
+def pruned(scene: Scene, kept: Iterable[Reduction]) -> Scene:
+    """Return the scene with the outputs alone that reductions take, and the last alone if that suffices."""
+    asked = {ASKED[name] for each in kept for name in each.expression.quantities}
+    outputs = frozenset(name for name in asked if name)
+    alone = not any(each.needs_all_times for each in kept)
+    return replace(scene, outputs=outputs, output_period=scene.duration if alone else scene.output_period)
